@@ -1,0 +1,1 @@
+"""What every room stands on: errors, plugins from configuration, compiled functions."""

@@ -1,0 +1,59 @@
+"""Errors that a user can mend, and the exit codes they end in.
+
+A domain room raises these; only :mod:`trms_cli.cli` turns them into text and an exit code.
+"""
+
+from __future__ import annotations
+
+EXIT_OK = 0
+EXIT_WORSE = 1  #: a comparison with a baseline failed
+EXIT_BAD_INPUT = 2  #: what was typed, or a file that was given, cannot be used
+EXIT_INTERRUPTED = 130  #: Ctrl-C, as the shell has it
+
+
+class TrmsError(Exception):
+    """A failure that is explained to the user instead of shown as a traceback.
+
+    Parameters
+    ----------
+    problem : str
+        What was wrong, in one sentence, with the value that was given.
+    where : str
+        The configuration key, or the file and its line.
+    remedy : str
+        What to do: what is allowed, or the line to type.
+    """
+
+    exit_code = EXIT_BAD_INPUT
+
+    def __init__(self, problem: str, *, where: str = "", remedy: str = "") -> None:
+        super().__init__(problem)
+        self.problem = problem
+        self.where = where
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        parts = [self.problem]
+        if self.where:
+            parts.insert(0, f"{self.where}:")
+        if self.remedy:
+            parts.append(f"({self.remedy})")
+        return " ".join(parts)
+
+
+class ConfigurationError(TrmsError, ValueError):
+    """A key of the configuration is misspelt, of the wrong type, out of range or missing."""
+
+
+class RecordingError(TrmsError, ValueError):
+    """A recording, log or table of numbers cannot be read or written."""
+
+
+class ModelError(TrmsError, ValueError):
+    """A model, effect or parameter set does not fit what is asked of it."""
+
+
+class SimulationError(TrmsError, RuntimeError):
+    """A run could not go on: non-finite state, no equilibrium, a plugin that failed."""
+
+    exit_code = 1
