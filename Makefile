@@ -1,0 +1,78 @@
+# One entry for everything. `make` alone tells what there is.
+
+# the first Python that is new enough; name another with `make PYTHON=/path/to/python3.12 run`
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+# jobs of the test run
+JOBS ?= 2
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export REASON
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test slow lint format check bench regression regression-update docs-figures lock clean
+
+help: ## tell what each target does
+	@echo 'usage: make TARGET'
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(READY) ## make .venv with the locked dependencies and trms itself (all targets do it by themselves)
+
+$(READY): requirements.lock pyproject.toml
+	@test -n '$(PYTHON)' || { echo 'trms needs Python 3.11 or newer and finds none here: install it, or name one with `make PYTHON=/path/to/python3.12 run`.' >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo 'trms needs Python 3.11 or newer, and $(PYTHON) is not: name another with `make PYTHON=/path/to/python3.12 run`.' >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo 'This Python cannot make virtual environments: install its venv package (Debian, Ubuntu: `apt install python3-venv`) and try again.' >&2; exit 1; }
+	@echo 'Setting up $(VENV) with the locked dependencies, once; this takes a few minutes ...'
+	@$(PYTHON) -m venv --clear $(VENV)
+	@$(BIN)/python -m pip install --quiet -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --no-deps --editable .
+	@touch $(READY)
+
+run: $(READY) ## set up and close the loop: newton_mpc follows a square (ARGS="ref=sine" changes it)
+	@$(BIN)/trms run controller=newton_mpc ref=square $(ARGS)
+
+test: $(READY) ## set up and run the tests
+	@$(BIN)/python -m pytest -n $(JOBS) -m 'not slow' -q $(ARGS)
+
+slow: $(READY) ## the long tests
+	@$(BIN)/python -m pytest -n $(JOBS) -m slow -q $(ARGS)
+
+lint: $(READY) ## formatting, lint and types
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+
+format: $(READY) ## format the code and mend what the linter can mend
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+check: lint test regression ## all that CI checks
+
+bench: $(VENV)/.ready-bench ## speed against peers and limits, as ratios
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+$(VENV)/.ready-bench: $(READY) requirements-bench.lock
+	@$(BIN)/python -m pip install --quiet -r requirements-bench.lock
+	@touch $@
+
+regression: $(READY) ## tracking errors against the baseline; fails when one got worse
+	@$(BIN)/python -m experiments.regression
+
+regression-update: $(READY) ## rewrite the baseline: make regression-update REASON="why"
+	@test -n "$$REASON" || { echo 'A baseline changes with a reason: make regression-update REASON="why"' >&2; exit 2; }
+	@$(BIN)/python -m experiments.regression --update --reason "$$REASON"
+
+docs-figures: $(READY) ## draw the figures of docs/ with the program itself
+	@$(BIN)/python -m docs.figures
+
+lock: $(READY) ## renew the locked versions from pyproject.toml
+	@$(BIN)/python -m pip install --quiet uv
+	@UV_CUSTOM_COMPILE_COMMAND='make lock' $(BIN)/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 --no-emit-index-url --no-emit-find-links --extra dev pyproject.toml -o requirements.lock
+	@UV_CUSTOM_COMPILE_COMMAND='make lock' $(BIN)/uv pip compile --quiet --upgrade --universal --fork-strategy fewest --python-version 3.11 --no-emit-index-url --no-emit-find-links --extra bench -c requirements.lock pyproject.toml -o requirements-bench.lock
+
+clean: ## remove the virtual environment and caches, never outputs/
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
