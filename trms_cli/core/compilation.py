@@ -1,0 +1,167 @@
+"""Compiled CasADi functions: generated C, built once, cached by content.
+
+A function that runs in a loop is written to C, built with the machine's compiler into a shared
+library in the user's cache folder, and loaded from there the next time. Without a compiler the
+same function runs in CasADi's virtual machine: slower by a factor of three to five, equal in
+result to rounding.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+#: ``-ffp-contract=off`` keeps every operation as it is written, so that adding a term that is
+#: zero leaves all bits as they were. No ``-march=native``: a cache folder may be shared by the
+#: machines of a cluster.
+COMPILER_FLAGS = ("-O2", "-ftree-vectorize", "-fPIC", "-shared", "-ffp-contract=off")
+_ENVIRONMENT_SWITCH = "TRMS_COMPILE"  # "0" turns compilation off
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled functions (``TRMS_CACHE`` or the platform's user cache)."""
+    chosen = os.environ.get("TRMS_CACHE")
+    if chosen:
+        return Path(chosen)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "trms" / "functions"
+
+
+@functools.cache
+def compiler() -> str | None:
+    """Path of the C compiler (``CC`` or the first of cc, gcc, clang), or None."""
+    if os.environ.get(_ENVIRONMENT_SWITCH) == "0":
+        return None
+    candidates = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
+    for name in candidates:
+        found = shutil.which(name)
+        if found:
+            return found
+    return None
+
+
+def compiled(function: ca.Function) -> ca.Function:
+    """The function as machine code where there is a compiler, else as it is.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Its name must be a valid C identifier. Outputs are made dense.
+
+    Notes
+    -----
+    The cache key is the SHA-256 of the serialised function, CasADi's version and the compiler's
+    flags. Two processes that build at once do not disturb each other: a library is written
+    beside its place and renamed.
+    """
+    program = compiler()
+    if program is None:
+        return function
+    folder = cache_folder()
+    key = hashlib.sha256(
+        "\n".join([function.serialize(), ca.__version__, program, *COMPILER_FLAGS]).encode()
+    ).hexdigest()[:32]
+    library = folder / f"{function.name()}_{key}.so"
+    if not library.exists():
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            _build(function, program, library)
+        except (OSError, subprocess.CalledProcessError):
+            # An unwritable cache or a broken compiler costs speed, never the run.
+            return function
+    return ca.external(function.name(), str(library))
+
+
+def _build(function: ca.Function, program: str, library: Path) -> None:
+    with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
+        source = f"{function.name()}.c"
+        generator = ca.CodeGenerator(source)
+        generator.add(function)
+        generator.generate(f"{scratch}{os.sep}")
+        built = Path(scratch) / library.name
+        subprocess.run(
+            [program, *COMPILER_FLAGS, "-o", str(built), str(Path(scratch) / source), "-lm"],
+            check=True,
+            capture_output=True,
+        )
+        os.replace(built, library)
+
+
+class BufferedFunction:
+    """A CasADi function bound to its own input and output arrays.
+
+    Calling it costs under a microsecond over the function itself, against 25 µs for a call with
+    NumPy arrays. Write into :attr:`inputs`, call, read :attr:`outputs`; the arrays stay the same
+    objects for life and are overwritten by the next call.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Compiled here (see :func:`compiled`) unless ``compile`` is false.
+    """
+
+    __slots__ = ("_buffer", "_evaluate", "function", "inputs", "outputs")
+
+    def __init__(self, function: ca.Function, *, compile: bool = True) -> None:
+        function = _dense(function)
+        self.function = compiled(function) if compile else function
+        self._buffer, self._evaluate = self.function.buffer()
+        self.inputs: tuple[FloatArray, ...] = tuple(
+            _array(function.size_in(i)) for i in range(function.n_in())
+        )
+        self.outputs: tuple[FloatArray, ...] = tuple(
+            _array(function.size_out(i)) for i in range(function.n_out())
+        )
+        for i, array in enumerate(self.inputs):
+            self._buffer.set_arg(i, memoryview(array.ravel(order="K")))
+        for i, array in enumerate(self.outputs):
+            self._buffer.set_res(i, memoryview(array.ravel(order="K")))
+
+    def __call__(self) -> None:
+        """Evaluate from the present inputs into the outputs."""
+        self._evaluate()
+
+    def evaluate(self, *arguments: npt.ArrayLike) -> Sequence[FloatArray]:
+        """Set the inputs, evaluate, and return the outputs (views, overwritten by the next)."""
+        for array, value in zip(self.inputs, arguments, strict=True):
+            array[...] = value
+        self._evaluate()
+        return self.outputs
+
+
+def _array(size: tuple[int, int]) -> FloatArray:
+    """Vectors as 1-D arrays, matrices in CasADi's column-major order."""
+    rows, columns = size
+    if columns == 1:
+        return np.zeros(rows)
+    return np.zeros((rows, columns), order="F")
+
+
+def _dense(function: ca.Function) -> ca.Function:
+    if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) and all(
+        function.sparsity_in(i).is_dense() for i in range(function.n_in())
+    ):
+        return function
+    arguments = [
+        ca.MX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())
+    ]
+    results = function.call(arguments)
+    return ca.Function(
+        function.name(),
+        arguments,
+        [ca.densify(result) for result in results],
+        function.name_in(),
+        function.name_out(),
+    )

@@ -1,0 +1,187 @@
+"""Builds a plugin from plain configuration: ``{_target_: dotted.name, key: value, …}``.
+
+A plugin is any importable class (usually a frozen dataclass) or function with annotated
+arguments. Keys, types and ranges are checked against those annotations before anything is
+constructed, so that a mistake is reported by its key and not by a traceback from inside.
+Ranges stand in the annotations: ``Annotated[float, msgspec.Meta(gt=0)]``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import importlib
+import inspect
+import re
+import typing
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import msgspec
+
+from trms_cli.core.errors import ConfigurationError, TrmsError
+
+TARGET = "_target_"
+#: Keys of Hydra's own that may stand in a plugin's node.
+_IGNORED_KEYS = {TARGET, "_convert_", "_recursive_"}
+
+
+def nearest(given: str, allowed: Iterable[str]) -> str:
+    """A remedy: the nearest allowed name first, then all of them."""
+    names = sorted(allowed)
+    close = difflib.get_close_matches(given, names, n=1, cutoff=0.5)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"{hint}allowed: {', '.join(names) if names else 'nothing'}"
+
+
+def locate(target: str, where: str) -> Any:
+    """Import the object that a dotted name points to.
+
+    Raises
+    ------
+    ConfigurationError
+        If no such module or attribute exists, or the module fails on import.
+    """
+    module_name, _, attribute = target.rpartition(".")
+    key = f"{where}.{TARGET}" if where else TARGET
+    if not module_name:
+        raise ConfigurationError(
+            f"{target!r} is not a dotted name",
+            where=key,
+            remedy="write it as package.module.Class",
+        )
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"cannot import {module_name!r}: {error}",
+            where=key,
+            remedy="install the package, or name its folder by --config-dir or PYTHONPATH",
+        ) from error
+    if not hasattr(module, attribute):
+        public = [name for name in vars(module) if not name.startswith("_")]
+        raise ConfigurationError(
+            f"module {module_name!r} has no {attribute!r}",
+            where=key,
+            remedy=nearest(attribute, [n for n in public if inspect.isclass(vars(module)[n])]),
+        )
+    return getattr(module, attribute)
+
+
+def is_plugin(value: object) -> bool:
+    """Whether a configuration node describes a plugin."""
+    return isinstance(value, Mapping) and TARGET in value
+
+
+def build(node: Any, where: str = "") -> Any:
+    """Construct a plugin, and all the plugins nested in it.
+
+    Parameters
+    ----------
+    node : mapping
+        ``_target_`` and the arguments; lists and mappings in it may hold further plugins.
+    where : str
+        Path of the node in the configuration, for messages.
+
+    Raises
+    ------
+    ConfigurationError
+        For a missing or unknown key, a wrong type, a value out of range; it names the key.
+    """
+    if not is_plugin(node):
+        raise ConfigurationError(
+            f"expected a plugin, got {node!r}",
+            where=where,
+            remedy=f"choose one by name, or give a mapping with {TARGET}",
+        )
+    target = locate(node[TARGET], where)
+    given = {key: value for key, value in node.items() if key not in _IGNORED_KEYS}
+    arguments = _checked_arguments(target, given, where)
+    try:
+        return target(**arguments)
+    except TrmsError as error:
+        if where and not error.where.startswith(where):
+            error.where = f"{where}.{error.where}" if error.where else where
+        raise
+
+
+def _checked_arguments(target: Any, given: Mapping[str, Any], where: str) -> dict[str, Any]:
+    parameters = {
+        name: parameter
+        for name, parameter in inspect.signature(target).parameters.items()
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+    }
+    annotated = target
+    if inspect.isclass(target) and not dataclasses.is_dataclass(target):
+        annotated = target.__init__
+    hints = typing.get_type_hints(annotated, include_extras=True)
+    for key in given:
+        if key not in parameters:
+            raise ConfigurationError(
+                f"unknown key {key!r} (given: {given[key]!r})",
+                where=_join(where, str(key)),
+                remedy=nearest(str(key), parameters),
+            )
+    for name, parameter in parameters.items():
+        if parameter.default is parameter.empty and name not in given:
+            raise ConfigurationError(
+                f"{name!r} is required and not given",
+                where=_join(where, name),
+                remedy=f"set {_join(where, name)}=…",
+            )
+    return {
+        key: _converted(value, hints.get(key, Any), _join(where, key))
+        for key, value in given.items()
+    }
+
+
+def _converted(value: Any, hint: Any, where: str) -> Any:
+    """The value with nested plugins built, in the type that the hint asks for."""
+    if _holds_plugin(value):
+        return _built_inside(value, where)
+    try:
+        return msgspec.convert(value, hint, strict=True)
+    except msgspec.ValidationError as error:
+        expectation, _, path = str(error).partition(" - at `$")
+        raise ConfigurationError(
+            f"{value!r} given",
+            where=where + path.rstrip("`"),
+            remedy=_sentence(expectation),
+        ) from None
+    except TypeError:
+        # A type that is no data (a protocol, an array, a model): a plain value cannot be one.
+        if isinstance(value, (str, int, float, bool, list, Mapping)):
+            raise ConfigurationError(
+                f"{value!r} given",
+                where=where,
+                remedy="choose a plugin by its name, or give a mapping with _target_",
+            ) from None
+        return value
+
+
+def _holds_plugin(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return TARGET in value or any(_holds_plugin(item) for item in value.values())
+    if isinstance(value, (list, tuple)):
+        return any(_holds_plugin(item) for item in value)
+    return False
+
+
+def _built_inside(value: Any, where: str) -> Any:
+    if isinstance(value, Mapping):
+        if TARGET in value:
+            return build(value, where)
+        return {key: _built_inside(item, _join(where, str(key))) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return tuple(_built_inside(item, f"{where}[{i}]") for i, item in enumerate(value))
+    return value
+
+
+def _sentence(expectation: str) -> str:
+    """msgspec's words for a range or type, as a remedy."""
+    text = re.sub(r"`", "", expectation)
+    return text[:1].lower() + text[1:]
+
+
+def _join(where: str, key: str) -> str:
+    return f"{where}.{key}" if where else key

@@ -1,0 +1,1 @@
+"""What a controller or an observer believes about the rig."""

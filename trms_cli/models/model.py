@@ -1,0 +1,189 @@
+"""What a model is: named signals, parameters, and equations stated once in CasADi.
+
+A model is a hybrid system. Its continuous part is
+
+    ẋ = dynamics(x, u, p, w)        y = measurement(x, u, p)
+
+with generalised disturbances ``w``, one per physical equation. Effects may add two things that a
+differential equation cannot say: an input path with memory (a delay), and impulses at the end of
+each integration step (set-valued friction, a mechanical stop). Plain models have neither.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ModelError
+from trms_cli.models.parameters import ParameterSet
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A named physical signal: a state, input, output or disturbance."""
+
+    name: str
+    unit: str
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A mechanical axis of the rig, as effects and mechanical stops refer to it.
+
+    Attributes
+    ----------
+    angle : str
+        Name of the state that is the axis' angle, rad.
+    moment : str
+        Name of the disturbance that is a torque on the axis, N m.
+    """
+
+    angle: str
+    moment: str
+
+
+class Model(ABC):
+    """A plant model with states. Immutable; its methods build expressions and keep nothing.
+
+    Attributes
+    ----------
+    name : str
+    states, inputs, outputs, disturbances : tuple of Signal
+        The order of ``x``, ``u``, ``y`` and ``w``.
+    parameters : ParameterSet
+        The order and the present values of ``p``.
+    controlled : tuple of str
+        Names of the states that references are for.
+    input_limits : dict of str to float
+        Symmetric bound of each input, in the input's unit.
+    stops : dict of str to float
+        Mechanical range of an angle, symmetric, rad.
+    axes : dict of str to Axis
+        The mechanical axes by name (``pitch``, ``yaw``).
+    rotors : dict of str to str
+        Input by rotor name (``main``, ``tail``).
+    stiff : bool
+        Whether an explicit integrator needs steps far below the dynamics of interest.
+    """
+
+    name: str
+    states: tuple[Signal, ...]
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    disturbances: tuple[Signal, ...]
+    parameters: ParameterSet
+    controlled: tuple[str, ...]
+    input_limits: Mapping[str, float]
+    stops: Mapping[str, float]
+    axes: Mapping[str, Axis]
+    rotors: Mapping[str, str]
+    stiff: bool = False
+
+    @abstractmethod
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        """Time derivative of the states, shape (n_x, 1)."""
+
+    @abstractmethod
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        """Measured outputs, shape (n_y, 1)."""
+
+    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
+        """Physical quantities by name that effects and reports refer to (thrusts, inertias…)."""
+        return {}
+
+    def rest(self) -> FloatArray:
+        """A state to start from when none is given, shape (n_x,)."""
+        return np.zeros(len(self.states))
+
+    # Hybrid parts: a plain model has none. `ExtendedModel` overrides them.
+
+    def memory(self, step: float) -> tuple[Signal, ...]:
+        """Discrete states, updated once or more each ``step`` (s), after the continuous ones."""
+        return ()
+
+    def input_path(
+        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
+    ) -> tuple[ca.SX, ca.SX]:
+        """What reaches the motors in a part of the step, and the memory after it.
+
+        Parameters
+        ----------
+        memory : (n_m, 1)
+        u : (n_u, 1)
+            The command, constant over the step.
+        window : (float, float)
+            The part as fractions of the step; the last part ends at 1.
+        step : float
+            Length of the whole step, s.
+        """
+        return u, memory
+
+    def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
+        """Continuous states after the impulses of the last ``duration`` seconds."""
+        return x
+
+    # Conveniences that follow from the above.
+
+    @property
+    def n_x(self) -> int:
+        return len(self.states)
+
+    @property
+    def n_u(self) -> int:
+        return len(self.inputs)
+
+    @property
+    def n_y(self) -> int:
+        return len(self.outputs)
+
+    @property
+    def n_w(self) -> int:
+        return len(self.disturbances)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return names(self.states)
+
+    def state_index(self, name: str) -> int:
+        return index_of(self.states, name, f"a state of model {self.name!r}")
+
+    def input_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the inputs, each (n_u,)."""
+        upper = np.array([self.input_limits[signal.name] for signal in self.inputs])
+        return -upper, upper
+
+    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Fresh symbols (x, u, p, w)."""
+        return (
+            ca.SX.sym("x", self.n_x),
+            ca.SX.sym("u", self.n_u),
+            ca.SX.sym("p", len(self.parameters)),
+            ca.SX.sym("w", self.n_w),
+        )
+
+
+def names(signals: Sequence[Signal]) -> tuple[str, ...]:
+    """The names of signals, in order."""
+    return tuple(signal.name for signal in signals)
+
+
+def index_of(signals: Sequence[Signal], name: str, what: str) -> int:
+    """Position of a signal by name.
+
+    Raises
+    ------
+    ModelError
+        If there is none of that name.
+    """
+    known = names(signals)
+    if name not in known:
+        raise ModelError(f"{name!r} is not {what}", remedy=f"there are: {', '.join(known)}")
+    return known.index(name)

@@ -1,0 +1,244 @@
+"""Parameters as data: name, value, unit, prior, bounds, source."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.plugins import nearest
+from trms_cli.core.resources import config_folder
+
+#: Draws from a prior stay within this many standard deviations, so that a mass or a resistance
+#: keeps its sign.
+DRAW_LIMIT_SD = 2.5
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One physical constant of a model.
+
+    Attributes
+    ----------
+    name, unit, source, description : str
+    value : float
+        In SI units (``unit``).
+    prior_sd : float or None
+        Standard deviation of the prior relative to the value; None for a constant that is known.
+    lower, upper : float
+        Hard bounds, in the same unit.
+    """
+
+    name: str
+    value: float
+    unit: str = ""
+    prior_sd: float | None = None
+    lower: float = -np.inf
+    upper: float = np.inf
+    source: str = ""
+    description: str = ""
+
+
+class ParameterSet:
+    """Parameters in a fixed order, by name.
+
+    Iterating gives the :class:`Parameter` objects; ``values`` is the vector that a model's
+    functions take as ``p``.
+    """
+
+    def __init__(self, parameters: Iterable[Parameter], name: str = "") -> None:
+        self._by_name = {parameter.name: parameter for parameter in parameters}
+        self.name = name
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self._by_name.values())
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._by_name
+
+    def __getitem__(self, name: str) -> Parameter:
+        return self._by_name[name]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self._by_name)
+
+    @property
+    def values(self) -> npt.NDArray[np.float64]:
+        """Values in order, shape (n_p,)."""
+        return np.array([parameter.value for parameter in self], dtype=float)
+
+    def replaced(self, values: Mapping[str, float], where: str = "parameters") -> ParameterSet:
+        """The same set with other values for some names.
+
+        Raises
+        ------
+        ConfigurationError
+            For a name that the set does not have, or a value that is not a finite number.
+        """
+        changed = dict(self._by_name)
+        for name, value in values.items():
+            key = f"{where}.{name}"
+            if name not in changed:
+                raise ConfigurationError(
+                    f"unknown parameter {name!r} (given: {value!r})",
+                    where=key,
+                    remedy=nearest(name, changed),
+                )
+            old = changed[name]
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ConfigurationError(
+                    f"{value!r} given", where=key, remedy=f"give a number in {old.unit or '1'}"
+                )
+            if not np.isfinite(value) or not old.lower <= value <= old.upper:
+                raise ConfigurationError(
+                    f"{value!r} given",
+                    where=key,
+                    remedy=f"give a finite number from {old.lower:g} to {old.upper:g} {old.unit}",
+                )
+            changed[name] = replace(old, value=float(value))
+        return ParameterSet(changed.values(), self.name)
+
+    def drawn(self, seed: int, scale: float = 1.0) -> ParameterSet:
+        """A draw from the priors: ``value·(1 + scale·prior_sd·n)``, n normal and truncated.
+
+        Parameters
+        ----------
+        seed : int
+        scale : float
+            Multiplies every prior standard deviation.
+        """
+        generator = np.random.default_rng(seed)
+        drawn = []
+        for parameter in self:
+            # One number is drawn for each parameter, with or without a prior, so that adding a
+            # prior to one does not change the draw of another.
+            normal = float(np.clip(generator.standard_normal(), -DRAW_LIMIT_SD, DRAW_LIMIT_SD))
+            spread = (parameter.prior_sd or 0.0) * scale
+            value = parameter.value * (1.0 + spread * normal)
+            drawn.append(
+                replace(parameter, value=float(np.clip(value, parameter.lower, parameter.upper)))
+            )
+        return ParameterSet(drawn, self.name)
+
+    def joined(self, others: Iterable[Parameter]) -> ParameterSet:
+        """This set followed by further parameters."""
+        return ParameterSet([*self, *others], self.name)
+
+
+class _Entry(msgspec.Struct, forbid_unknown_fields=True):
+    value: float
+    unit: str = ""
+    prior_sd: float | None = None
+    lower: float = -np.inf
+    upper: float = np.inf
+    source: str = ""
+    description: str = ""
+    sd: float | None = None  # a fitted parameter's standard deviation, absolute
+
+
+class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
+    """The content of a parameter or model file."""
+
+    name: str
+    model: str
+    parameters: dict[str, _Entry]
+    limits: dict[str, float] = {}
+    effects: dict[str, dict[str, float | str]] = {}
+    source: str = ""
+
+    def parameter_set(self) -> ParameterSet:
+        return ParameterSet(
+            (
+                Parameter(
+                    name,
+                    entry.value,
+                    entry.unit,
+                    entry.prior_sd,
+                    entry.lower,
+                    entry.upper,
+                    entry.source or self.source,
+                    entry.description,
+                )
+                for name, entry in self.parameters.items()
+            ),
+            self.name,
+        )
+
+
+def parameter_file(name_or_path: str, where: str = "model.parameter_set") -> ParameterFile:
+    """Read a parameter set: a built-in one by name, or a YAML file by path.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such set, or the file's content is not of the documented form.
+    """
+    folder = config_folder() / "parameters"
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = folder / f"{name_or_path}.yaml"
+        if not path.exists():
+            raise ConfigurationError(
+                f"there is no parameter set {name_or_path!r}",
+                where=where,
+                remedy=nearest(name_or_path, (p.stem for p in folder.glob("*.yaml")))
+                + ", or the path of a YAML file",
+            )
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot read {str(path)!r}: {error.strerror}",
+            where=where,
+            remedy="give the path of a YAML file with name, model and parameters",
+        ) from error
+    return parse_parameter_file(text, str(path))
+
+
+def parse_parameter_file(text: str, source: str) -> ParameterFile:
+    """Check the text of a parameter file.
+
+    Raises
+    ------
+    ModelError
+        With the place in the file.
+    """
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        content = _numbers(yaml.load(text, loader))  # noqa: S506 (a safe loader)
+        return msgspec.convert(content, ParameterFile)
+    except yaml.YAMLError as error:
+        raise ModelError(
+            f"not valid YAML: {str(error).splitlines()[0]}",
+            where=source,
+            remedy="compare it with what `trms list parameters bench` prints",
+        ) from error
+    except msgspec.ValidationError as error:
+        raise ModelError(
+            str(error),
+            where=source,
+            remedy="a model file has name, model, parameters: {NAME: {value, unit, …}}, limits",
+        ) from None
+
+
+def _numbers(node: object) -> object:
+    """YAML 1.1 reads ``1e-5`` as text; everyone who writes it means a number."""
+    if isinstance(node, dict):
+        return {key: _numbers(value) for key, value in node.items()}
+    if isinstance(node, str):
+        try:
+            return float(node)
+        except ValueError:
+            return node
+    return node
