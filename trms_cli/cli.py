@@ -1,0 +1,212 @@
+"""The program ``trms``: from argv to a command, and from an error to a message and an exit code.
+
+Nothing heavy is imported here: the module of a command is imported when it is asked for, so that
+``trms`` and ``trms --help`` answer at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+from trms_cli import __version__
+from trms_cli.core.errors import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_OK, TrmsError
+
+EXIT_BUG = 70  #: an error that no code of ours expected (EX_SOFTWARE of sysexits.h)
+
+PICTURE = """\
+  reference ──r──▶ controller ──u──▶ rig (the plant) ──y──▶ observer ──x̂──┐
+                      ▲                                                    │
+                      └────────────────────────────────────────────────────┘
+              every sample of r, u, y, x, x̂ and the solver's own words ──▶ one MCAP log
+              log ──▶ score · report · identify · validate · diagnose
+"""
+
+#: The commands in the order in which a newcomer meets them, each with its module's ``SUMMARY``
+#: (a test holds the two equal; the copy spares importing every module for one line of it).
+COMMANDS: dict[str, str] = {
+    "run": "close the loop: simulate or replay, log, score, draw",
+    "score": "metrics of logs, and comparison with a baseline",
+    "import": "turn a recording (CSV, MAT) into an MCAP log",
+    "export": "turn an MCAP log into CSV, Parquet or MAT",
+    "list": "the plugins there are, with one line each",
+    "doctor": "tell whether this machine is ready, and what to install",
+    "completion": "print the tab completion for bash, zsh or fish",
+    "help": "show the help of a command",
+}
+
+TRY = """\
+  trms run controller=newton_mpc ref=square     close the loop and draw what happened
+  trms list controller                          the controllers that can take its place
+  trms run --help                               what can be changed, with examples
+"""
+
+OPTIONS = """\
+  -h, --help     this page, or a command's own: trms COMMAND --help
+  --version      the version
+  --debug        after any command: show the traceback of an error
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command named by `argv` and return the exit code; never raises but on ``--debug``."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    _accept_any_terminal()
+    try:
+        code = _dispatch(arguments)
+        sys.stdout.flush()
+        return code
+    except TrmsError as error:
+        if debug:
+            raise
+        sys.stderr.write(describe_error(error, colour=_has_colour(sys.stderr)))
+        return error.exit_code
+    except KeyboardInterrupt:
+        if debug:
+            raise
+        sys.stderr.write("\ninterrupted\n")
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        return _reader_left()
+    except Exception as error:
+        if debug:
+            raise
+        sys.stderr.write(_describe_bug(error, arguments))
+        return EXIT_BUG
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments:
+        sys.stdout.write(overview(try_these=True))
+        return EXIT_OK
+    word, *rest = arguments
+    if word in ("-h", "--help"):
+        sys.stdout.write(overview(try_these=False))
+        return EXIT_OK
+    if word in ("-V", "--version"):
+        sys.stdout.write(f"trms {__version__}\n")
+        return EXIT_OK
+    module = load_command(word)
+    if "--help" in rest or "-h" in rest:
+        sys.stdout.write(help_text(module))
+        return EXIT_OK
+    return int(module.main(rest))
+
+
+def load_command(name: str) -> ModuleType:
+    """Import the module of a command.
+
+    Raises
+    ------
+    TrmsError
+        If there is no such command; it names the nearest.
+    """
+    if name not in COMMANDS:
+        raise TrmsError(
+            f"there is no command {name!r}", where="trms", remedy=_nearest_command(name)
+        )
+    import importlib
+    import keyword
+
+    clashes = keyword.iskeyword(name) or name in ("list", "help")
+    return importlib.import_module(f"trms_cli.commands.{name}{'_' if clashes else ''}")
+
+
+def help_text(module: ModuleType) -> str:
+    """The help page of a command; one that composes an experiment ends in what can be chosen."""
+    text = str(module.HELP).strip("\n") + "\n"
+    primary = getattr(module, "COMPOSES", None)
+    if primary is not None:
+        from trms_cli.commands.catalogue import describe_choices
+
+        text += "\n" + describe_choices(primary)
+    return text
+
+
+def overview(*, try_these: bool) -> str:
+    """The first page: the picture, the commands, and either what to try or the options."""
+    width = max(map(len, COMMANDS)) + 2
+    commands = "".join(f"  {name:{width}}{summary}\n" for name, summary in COMMANDS.items())
+    ending = f"try\n{TRY}" if try_these else f"options\n{OPTIONS}"
+    return (
+        "trms: a laboratory for the twin rotor, in one command\n\n"
+        f"{PICTURE}\n"
+        f"usage: trms COMMAND …\n\n{commands}\n{ending}"
+    )
+
+
+def describe_error(error: TrmsError, *, colour: bool) -> str:
+    """One screen: what was wrong, where, what to do."""
+    red, bold, plain = ("\033[31m", "\033[1m", "\033[0m") if colour else ("", "", "")
+    lines = [f"{red}error{plain}  {bold}{_folded(error.problem)}{plain}"]
+    if error.where:
+        lines.append(f"   in  {_folded(error.where)}")
+    if error.remedy:
+        lines.append(f"   do  {_folded(error.remedy)}")
+    return "\n".join(lines) + "\n"
+
+
+def _folded(text: str, *, indent: int = 7, width: int = 92) -> str:
+    """Lines of at most `width`, later ones under the first; lines that are set stay as they are."""
+    import textwrap
+
+    margin = " " * indent
+    folded: list[str] = []
+    for line in text.splitlines() or [""]:
+        if line.startswith(" "):
+            folded.append(line)
+            continue
+        folded += textwrap.wrap(
+            line, width - indent, break_long_words=False, break_on_hyphens=False
+        ) or [""]
+    return f"\n{margin}".join(folded)
+
+
+def _describe_bug(error: Exception, arguments: Sequence[str]) -> str:
+    import shlex
+    import traceback
+
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    command = shlex.join(["trms", "--debug", *arguments])
+    return (
+        "error  this is a bug in trms, or in a plugin that it was given\n"
+        f"       {type(error).__name__}: {_folded(str(error))}\n"
+        f"   in  {frame.filename}:{frame.lineno}, {frame.name}\n"
+        f"   do  see the whole trace with: {command}\n"
+    )
+
+
+def _nearest_command(name: str) -> str:
+    import difflib
+
+    close = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
+    hint = f"did you mean `trms {close[0]}`? " if close else ""
+    if "=" in name:
+        hint = f"an override follows a command: `trms run {name}`. "
+    return f"{hint}there are: {', '.join(COMMANDS)}"
+
+
+def _has_colour(stream: object) -> bool:
+    isatty = getattr(stream, "isatty", None)
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return False
+    return bool(isatty and isatty())
+
+
+def _accept_any_terminal() -> None:
+    """A terminal that cannot show α or → must not end a run: it gets a question mark."""
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="replace")
+
+
+def _reader_left() -> int:
+    """The reader of a pipe (`| head`) closed it: no message, and no second one at exit."""
+    devnull = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(devnull, sys.stdout.fileno())
+    return 128 + 13  # what the shell reports for a program that SIGPIPE ended
