@@ -1,0 +1,309 @@
+"""Reads run logs, also those of runs that were killed while writing.
+
+Records are taken from the file one after another up to the last intact one; the summary
+at the end, which a killed run lacks, is never needed. Decoding the records is the mcap
+library's work; only messages, of which there are tens of thousands, are cut out here.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, SCORE_METADATA
+
+_RECORD = struct.Struct("<BQ")  # opcode, length of what follows
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_EMPTY_RUN = "it holds no sample: the run ended before its first flush"
+
+
+@dataclass(frozen=True)
+class Table:
+    """The messages of a topic as columns.
+
+    Attributes
+    ----------
+    time : (n,) float array [s]
+        Log time.
+    time_ns : (n,) int array [ns]
+        The same, exactly as written.
+    columns : dict of str to (n,) array
+        Floats (NaN for null) for numbers and truth values; objects for text; objects that
+        are float arrays for array fields.
+    units : dict of str to str
+        SI unit per column; "" for text.
+    """
+
+    time: np.ndarray
+    time_ns: np.ndarray
+    columns: dict[str, np.ndarray]
+    units: dict[str, str]
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class LoggedRun:
+    """What a log holds.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    complete : bool
+        The file was finished and is undamaged. False for a run that died.
+    outcome : str
+        "completed", "interrupted" or "failed"; "died" when the run left no last word.
+    tables : dict of str to Table
+        By topic.
+    run : dict of str to str
+        The last ``trms.run`` record.
+    score : dict of str to anything
+        The last ``trms.score`` record; empty when the run was not scored.
+    attachments : dict of str to bytes
+        By name.
+    problems : tuple of str
+        What is missing or damaged, as sentences.
+    """
+
+    path: Path
+    complete: bool
+    outcome: str
+    tables: dict[str, Table]
+    run: dict[str, str]
+    score: dict[str, Any]
+    attachments: dict[str, bytes]
+    problems: tuple[str, ...] = ()
+
+    @property
+    def config(self) -> str:
+        """The resolved config as YAML; empty when the log has none."""
+        return self.attachments.get(CONFIG_ATTACHMENT, b"").decode()
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last one, of any topic but /event [s]."""
+        tables = [t for name, t in self.tables.items() if name != "/event" and len(t)]
+        if not tables:
+            return 0.0
+        return max(float(t.time[-1]) for t in tables) - min(float(t.time[0]) for t in tables)
+
+    def table(self, topic: str) -> Table:
+        """Return a topic's table, or raise RecordingError naming the topics there are."""
+        if topic not in self.tables:
+            raise RecordingError(
+                f"the log has no {topic}",
+                where=str(self.path),
+                remedy=f"it has {', '.join(self.tables) or 'no topics at all'}",
+            )
+        return self.tables[topic]
+
+
+@dataclass
+class _Content:
+    """What has been gathered from the records so far."""
+
+    topics: Collection[str] | None
+    library: str = ""
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    times: dict[int, list[int]] = field(default_factory=dict)
+    messages: dict[int, list[bytes]] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    finished: bool = False
+
+
+def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedRun:
+    """Read a run log.
+
+    Parameters
+    ----------
+    path : Path
+        An MCAP file written by trms, complete or not.
+    topics : collection of str, optional
+        Only these; all by default.
+
+    Raises
+    ------
+    RecordingError
+        When the file cannot be read, is no MCAP file, is of another program or is empty.
+    """
+    path = Path(path)
+    content = _Content(topics)
+    _walk(_read_bytes(path), content)
+    run = content.metadata.get(RUN_METADATA, {})
+    if not run and not content.library.startswith("trms"):
+        names = ", ".join(sorted(c.topic for c in content.channels.values())[:6])
+        raise RecordingError(
+            f"this MCAP file is of another program ({content.library or 'unnamed'}"
+            f"{'; topics ' + names if names else ''})",
+            where=str(path),
+            remedy="trms reads its own logs; import other recordings from CSV: trms import FILE",
+        )
+    if not content.finished:
+        content.problems.append("the file was not finished: the run died, or it was cut off")
+    if not content.channels:
+        content.problems.append(_EMPTY_RUN)
+    score = content.metadata.get(SCORE_METADATA, {})
+    return LoggedRun(
+        path=path,
+        complete=not content.problems,
+        outcome=run.get("outcome", "died"),
+        tables=_tables(content, path),
+        run=run,
+        score={key: _json_value(text) for key, text in score.items()},
+        attachments=content.attachments,
+        problems=tuple(content.problems),
+    )
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise RecordingError("there is no such file", where=str(path)) from error
+    except OSError as error:
+        raise RecordingError(
+            f"it cannot be read ({error.strerror or error})", where=str(path)
+        ) from error
+    if not data:
+        raise RecordingError("the file is empty", where=str(path), remedy="repeat the run")
+    if not data.startswith(MCAP0_MAGIC):
+        if MCAP0_MAGIC.startswith(data):
+            raise RecordingError(_EMPTY_RUN, where=str(path), remedy="repeat the run")
+        raise RecordingError(
+            "this is not an MCAP file",
+            where=str(path),
+            remedy="logs of trms end in .mcap; a CSV becomes one by: trms import FILE.csv",
+        )
+    return data
+
+
+def _walk(data: bytes, content: _Content) -> None:
+    """Gather all intact records; stop where one is cut off."""
+    for opcode, body in _records(memoryview(data)[len(MCAP0_MAGIC) :]):
+        stream = ReadDataStream(BytesIO(body))
+        try:
+            if opcode == Opcode.HEADER:
+                content.library = Header.read(stream).library
+            elif opcode == Opcode.CHUNK:
+                _open_chunk(Chunk.read(stream), content)
+            elif opcode == Opcode.METADATA:
+                metadata = Metadata.read(stream)
+                content.metadata[metadata.name] = metadata.metadata
+            elif opcode == Opcode.ATTACHMENT:
+                attachment = Attachment.read(stream)
+                content.attachments[attachment.name] = attachment.data
+            elif opcode == Opcode.FOOTER:
+                content.finished = data.endswith(MCAP0_MAGIC)
+                return
+            else:
+                _take(opcode, body, content)
+        except Exception as error:  # damage shows as any error of the decoders
+            content.problems.append(f"a damaged record was left out ({error})")
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Yield (opcode, body) of each whole record."""
+    position, size = 0, len(data)
+    while position + _RECORD.size <= size:
+        opcode, length = _RECORD.unpack_from(data, position)
+        position += _RECORD.size
+        if length > size - position:
+            return
+        yield opcode, data[position : position + length]
+        position += length
+
+
+def _open_chunk(chunk: Chunk, content: _Content) -> None:
+    stream, length = get_chunk_data_stream(chunk, validate_crc=False)
+    data = stream.read(length)
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        start, end = chunk.message_start_time * 1e-9, chunk.message_end_time * 1e-9
+        content.problems.append(f"samples from {start:.3f} to {end:.3f} s are damaged (checksum)")
+        return
+    for opcode, body in _records(memoryview(data)):
+        _take(opcode, body, content)
+
+
+def _take(opcode: int, body: memoryview, content: _Content) -> None:
+    if opcode == Opcode.MESSAGE:
+        channel_id, _, log_time, _ = _MESSAGE.unpack_from(body)
+        if channel_id in content.times:
+            content.times[channel_id].append(log_time)
+            content.messages[channel_id].append(bytes(body[_MESSAGE.size :]))
+    elif opcode == Opcode.SCHEMA:
+        schema = Schema.read(ReadDataStream(BytesIO(body)))
+        content.schemas[schema.id] = schema
+    elif opcode == Opcode.CHANNEL:
+        channel = Channel.read(ReadDataStream(BytesIO(body)))
+        content.channels[channel.id] = channel
+        wanted = content.topics is None or channel.topic in content.topics
+        if wanted and channel.message_encoding == "json":
+            content.times.setdefault(channel.id, [])
+            content.messages.setdefault(channel.id, [])
+
+
+def _tables(content: _Content, path: Path) -> dict[str, Table]:
+    tables = {}
+    for channel_id, times in content.times.items():
+        channel = content.channels[channel_id]
+        try:
+            schema = orjson.loads(content.schemas[channel.schema_id].data)
+            rows = orjson.loads(b"[" + b",".join(content.messages[channel_id]) + b"]")
+            tables[channel.topic] = _table(np.array(times, dtype=np.int64), rows, schema)
+        except (KeyError, TypeError, ValueError) as error:
+            raise RecordingError(
+                f"the messages of {channel.topic} are not as trms writes them ({error})",
+                where=str(path),
+            ) from error
+    return tables
+
+
+def _table(time_ns: np.ndarray, rows: list[dict[str, Any]], schema: dict[str, Any]) -> Table:
+    order = None
+    if len(time_ns) > 1 and bool(np.any(np.diff(time_ns) < 0)):
+        order = np.argsort(time_ns, kind="stable")
+        time_ns = time_ns[order]
+    columns, units = {}, {}
+    for name, property_ in schema["properties"].items():
+        column = _column([row.get(name) for row in rows], property_["type"])
+        columns[name] = column if order is None else column[order]
+        units[name] = property_.get("unit", "")
+    # Division, not a product with 1e-9: decimal times then come back exactly.
+    return Table(time_ns / 1e9, time_ns, columns, units)
+
+
+def _column(values: list[Any], json_type: str) -> np.ndarray:
+    if json_type in ("number", "integer", "boolean"):
+        return np.array(values, dtype=float)  # None becomes NaN
+    column = np.empty(len(values), dtype=object)
+    if json_type == "array":
+        values = [np.array(() if value is None else value, dtype=float) for value in values]
+    for index, value in enumerate(values):  # a slice assignment would stack equal arrays
+        column[index] = value
+    return column
+
+
+def _json_value(text: str) -> Any:
+    try:
+        return orjson.loads(text)
+    except orjson.JSONDecodeError:  # written by another tool
+        return text

@@ -1,0 +1,297 @@
+"""Writes a run's MCAP log: one file a run, readable whatever happens to the run.
+
+The loop only appends tuples to a list; they become JSON and MCAP records in :meth:`flush`,
+which the loop calls once a simulated second. A flush ends the MCAP chunk, because a reader
+of a killed run's file gets whole chunks only. The format is told in files of the docs:
+JSON messages with JSON schemas, log time in nanoseconds of the run from zero.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from operator import itemgetter
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+import orjson
+from mcap.writer import CompressionType, Writer
+
+from trms_cli import __version__
+from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.append_stream import AppendStream
+from trms_cli.recordings.output_file import NO_ROOM, explain_os_error
+from trms_cli.recordings.topics import EVENT_TOPIC, Topic
+
+Outcome = Literal["completed", "interrupted", "failed"]
+
+RUN_METADATA = "trms.run"
+SCORE_METADATA = "trms.score"
+RUN_SCHEMA = "trms.run/1"
+LIBRARY = f"trms {__version__}"
+CONFIG_ATTACHMENT = "config.yaml"
+PARAMETERS_ATTACHMENT = "parameters.yaml"
+
+#: A loop that never flushes still does not fill the memory.
+_MAX_BUFFERED_ROWS = 100_000
+
+
+class RunLog:
+    """An open log. Also a context manager: it closes with the outcome of its block.
+
+    Parameters
+    ----------
+    path : Path
+        File to create, with its folders. Never an existing one.
+    topics : sequence of Topic
+        What will be written; /event is added when it is missing.
+    run_metadata : mapping of str to str
+        Goes into the ``trms.run`` record: command, seed, versions, git revision, …
+    attachments : mapping of str to (str, bytes)
+        Media type and content by file name: the resolved config, the parameters.
+    publish_time : {"wall", "log"}
+        What messages carry as publish time: the wall clock (simulated runs), or the log
+        time itself (recordings of a rig).
+
+    Raises
+    ------
+    RecordingError
+        When the file exists or cannot be created, and from any later write that fails. A
+        failed write leaves everything up to the last flush readable.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        topics: Sequence[Topic],
+        run_metadata: Mapping[str, str],
+        attachments: Mapping[str, tuple[str, bytes]] | None = None,
+        *,
+        publish_time: Literal["wall", "log"] = "wall",
+    ) -> None:
+        self.path = Path(path)
+        self.safe_until_s: float | None = None  # run time up to which the file holds all
+        self._wall_clock = publish_time == "wall"
+        self._rows: list[tuple[_Channel, int, int, tuple[Any, ...]]] = []
+        self._last_time_ns = 0
+        self._messages = 0
+        self._run = {
+            "schema": RUN_SCHEMA,
+            "start": _now(),
+            **{str(key): str(value) for key, value in run_metadata.items()},
+        }
+        self._closed = False
+        self._stream = self._create()
+        self._writer = Writer(self._stream, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+        try:
+            self._writer.start(profile="", library=LIBRARY)
+            # Before any sample, so that a killed run still tells what it was.
+            self._writer.add_metadata(RUN_METADATA, self._run)
+            now = time.time_ns()
+            for name, (media_type, data) in (attachments or {}).items():
+                self._writer.add_attachment(now, 0, name, media_type, data)
+            self._stream.flush()
+        except OSError as error:
+            raise self._abandon(error) from error
+        self._channels = {topic.name: self._register(topic) for topic in topics}
+        if EVENT_TOPIC.name not in self._channels:
+            self._channels[EVENT_TOPIC.name] = self._register(EVENT_TOPIC)
+
+    @property
+    def topic_names(self) -> tuple[str, ...]:
+        """Topics that can be written."""
+        return tuple(self._channels)
+
+    def write(self, topic: str, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
+        """Log one message. Hot path: it only keeps a copy until :meth:`flush`.
+
+        Parameters
+        ----------
+        topic : str
+            Name of one of the log's topics.
+        time_ns : int
+            Run time [ns].
+        values : sequence
+            In the order of the topic's fields; a field of kind "array" takes a (k,) array.
+        """
+        channel = self._channels[topic]
+        if channel.has_arrays:
+            row = tuple(v.copy() if isinstance(v, np.ndarray) else v for v in values)
+        elif type(values) is np.ndarray:
+            row = tuple(values.tolist())
+        else:
+            row = tuple(values)
+        wall = time.time_ns() if self._wall_clock else time_ns
+        self._rows.append((channel, time_ns, wall, row))
+        if len(self._rows) >= _MAX_BUFFERED_ROWS:
+            self.flush()
+
+    def event(
+        self, time_ns: int, kind: str, source: str, message: str, value: float = float("nan")
+    ) -> None:
+        """Log that something happened at run time ``time_ns`` [ns]."""
+        self.write(EVENT_TOPIC.name, time_ns, (kind, source, message, value))
+
+    def flush(self) -> None:
+        """Pass everything so far to the operating system; a killed process keeps it."""
+        if self._closed or not self._rows:
+            return
+        with _DeferredInterrupt():  # Ctrl-C amid a record would spoil the chunk
+            # Readers and `mcap doctor` want log times that never run back.
+            self._rows.sort(key=itemgetter(1))
+            rows, self._rows = self._rows, []
+            add_message = self._writer.add_message
+            for channel, log_time, publish_time, values in rows:
+                data = channel.encode(values)
+                add_message(channel.id, log_time, data, publish_time, channel.sequence)
+                channel.sequence += 1
+            self._messages += len(rows)
+            self._last_time_ns = max(self._last_time_ns, rows[-1][1])
+            try:
+                self._writer.flush()
+            except OSError as error:
+                raise self._abandon(error) from error
+            self.safe_until_s = self._last_time_ns * 1e-9
+
+    def close(self, outcome: Outcome, score: Mapping[str, Any] | None = None) -> None:
+        """Finish the file; a second call does nothing.
+
+        Parameters
+        ----------
+        outcome : {"completed", "interrupted", "failed"}
+            How the run ended.
+        score : mapping, optional
+            Becomes the ``trms.score`` record; each value is written as JSON text.
+        """
+        if self._closed:
+            return
+        if not self._messages and not self._rows:
+            # The schemas reach the data section with the first message only.
+            self.event(0, "note", "log", "the run ended before its first sample")
+        self.flush()
+        with _DeferredInterrupt():
+            end = {"end": _now(), "outcome": outcome, "last_time_s": f"{self._last_time_ns / 1e9}"}
+            try:
+                self._writer.add_metadata(RUN_METADATA, {**self._run, **end})
+                if score is not None:
+                    self._writer.add_metadata(SCORE_METADATA, _as_json_texts(score))
+                self._writer.finish()
+                self._stream.flush()
+            except OSError as error:
+                raise self._abandon(error) from error
+            self._closed = True
+            self._stream.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close("completed")
+            return
+        try:
+            self.close("interrupted" if issubclass(kind, KeyboardInterrupt) else "failed")
+        except RecordingError as second:
+            # The run's own failure matters more; it is already on its way up.
+            if error is not None:
+                error.add_note(str(second))
+
+    def _create(self) -> AppendStream:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            return AppendStream(self.path)
+        except FileExistsError as error:
+            if self.path.parent.is_dir():
+                raise RecordingError(
+                    "there is a log of this name already; nothing is overwritten unasked",
+                    where=str(self.path),
+                    remedy="give another out=FOLDER, or move the old log away",
+                ) from error
+            raise explain_os_error(error, self.path, "give another out=FOLDER") from error
+        except OSError as error:
+            remedy = "" if error.errno in NO_ROOM else "give a folder of your own: out=FOLDER"
+            raise explain_os_error(error, self.path, remedy) from error
+
+    def _register(self, topic: Topic) -> _Channel:
+        schema = json.dumps(topic.json_schema(), ensure_ascii=False).encode()
+        schema_id = self._writer.register_schema(topic.schema_name, "jsonschema", schema)
+        return _Channel(topic, self._writer.register_channel(topic.name, "json", schema_id))
+
+    def _abandon(self, error: OSError) -> RecordingError:
+        """Close after a write that failed, and say what is safe."""
+        self._closed = True
+        self._rows.clear()
+        self._stream.close()
+        if self.safe_until_s is None:
+            kept = "nothing of the run is in the log"
+        else:
+            kept = f"the log is safe up to {self.safe_until_s:.3f} s of the run"
+        explained = explain_os_error(error, self.path)
+        explained.problem = f"{explained.problem}; {kept}"
+        return explained
+
+
+class _Channel:
+    """A topic's MCAP channel and its running number."""
+
+    __slots__ = ("field_names", "has_arrays", "id", "name", "sequence")
+
+    def __init__(self, topic: Topic, channel_id: int) -> None:
+        self.id = channel_id
+        self.name = topic.name
+        self.field_names = topic.field_names
+        self.has_arrays = any(field.kind == "array" for field in topic.fields)
+        self.sequence = 0
+
+    def encode(self, values: tuple[Any, ...]) -> bytes:
+        """Return the JSON message; numbers that are not finite become null."""
+        try:
+            message = dict(zip(self.field_names, values, strict=True))
+            return orjson.dumps(message, option=orjson.OPT_SERIALIZE_NUMPY)
+        except (ValueError, TypeError) as error:
+            names = ", ".join(self.field_names)
+            raise ValueError(
+                f"{self.name} takes {len(self.field_names)} values ({names}), got {values!r}"
+            ) from error
+
+
+class _DeferredInterrupt:
+    """Holds Ctrl-C back until the block is done, then delivers it."""
+
+    def __enter__(self) -> None:
+        self._caught: tuple[int, FrameType | None] | None = None
+        self._previous: Any = None
+        if threading.current_thread() is threading.main_thread():
+            self._previous = signal.getsignal(signal.SIGINT)
+            if self._previous is not None:
+                signal.signal(signal.SIGINT, self._keep)
+
+    def _keep(self, number: int, frame: FrameType | None) -> None:
+        self._caught = (number, frame)
+
+    def __exit__(self, *_: object) -> None:
+        if self._previous is None:
+            return
+        signal.signal(signal.SIGINT, self._previous)
+        if self._caught and callable(self._previous):
+            self._previous(*self._caught)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def _as_json_texts(values: Mapping[str, Any]) -> dict[str, str]:
+    option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS
+    return {str(key): orjson.dumps(value, option=option).decode() for key, value in values.items()}
