@@ -1,0 +1,1 @@
+"""What real rigs have and the nominal model lacks."""

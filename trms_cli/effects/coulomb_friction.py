@@ -1,0 +1,40 @@
+"""Coulomb friction of an axis: a constant torque against the motion, set-valued at rest.
+
+``τ = −F_c sgn(Ω)`` while the axis turns; at rest any torque in [−F_c, F_c] that keeps it there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoulombFriction(Effect):
+    """Coulomb friction.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"}
+    torque : float
+        F_c, N m.
+    """
+
+    axis: Literal["pitch", "yaw"]
+    torque: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("torque", self.torque, "N*m", lower=0.0),)
+
+    def check(self, model: Model) -> None:
+        axis_of(model, self.axis)
+
+    def impulse(self, at: EffectContext, duration: float) -> ca.SX:
+        return resisting_impulse(at, self.axis, at.sizes["torque"], duration)

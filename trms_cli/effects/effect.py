@@ -1,0 +1,200 @@
+"""What an effect is: a function from a model to a richer model.
+
+The same effect makes a simulated rig differ from its model, is a candidate cause of a gap, and,
+once diagnosed, is what the controller's model gains. It may add states, torques, a changed input
+path or sensor path, and impulses (set-valued friction). Whatever its kind, an effect of size zero
+leaves every bit of a simulation as it was.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from trms_cli.core.errors import ModelError
+from trms_cli.models.model import Axis, Model, Signal, index_of
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class EffectContext:
+    """Where an effect is evaluated: expressions at one point of the model beneath it.
+
+    Attributes
+    ----------
+    model : Model
+        The model that the effect is added to.
+    x, u, p, w : casadi.SX
+        Its states, the inputs that reach the motors, its parameters, its disturbances.
+    own : casadi.SX
+        The effect's own states (or, on the input path, its memory).
+    sizes : dict of str to casadi.SX
+        The effect's own parameters by their short names.
+    """
+
+    model: Model
+    x: ca.SX
+    u: ca.SX
+    p: ca.SX
+    w: ca.SX
+    own: ca.SX
+    sizes: Mapping[str, ca.SX]
+
+    def axis(self, name: str) -> Axis:
+        """The axis by name; see :func:`axis_of`."""
+        return axis_of(self.model, name)
+
+    def angle(self, axis: str) -> ca.SX:
+        """Angle of an axis, rad."""
+        return self.x[self.model.state_index(self.axis(axis).angle)]
+
+    def rate(self, axis: str) -> ca.SX:
+        """Angular rate of an axis, rad/s."""
+        row = self.model.state_index(self.axis(axis).angle)
+        return self.model.dynamics(self.x, self.u, self.p, self.w)[row]
+
+    def quantity(self, name: str) -> ca.SX:
+        """A physical quantity that the model names (``thrust_main``, ``inertia_yaw``…).
+
+        Raises
+        ------
+        ModelError
+            If this model has no such quantity.
+        """
+        known = self.model.quantities(self.x, self.u, self.p)
+        if name not in known:
+            raise ModelError(
+                f"model {self.model.name!r} does not name {name!r}",
+                remedy=f"it names: {', '.join(sorted(known)) or 'nothing'}",
+            )
+        return known[name]
+
+    def acceleration(self, axis: str) -> tuple[ca.SX, ca.SX]:
+        """Angular acceleration (rad/s²) and what one N m on the axis adds to it (1/(kg m²))."""
+        at = self.model.symbols()
+        row = self.model.state_index(self.axis(axis).angle)
+        f = self.model.dynamics(*at)
+        acceleration = ca.jtimes(f[row], at[0], f)
+        column = index_of(self.model.disturbances, self.axis(axis).moment, "a disturbance")
+        mobility = ca.jacobian(acceleration, at[3])[column]
+        both = ca.Function("acceleration", list(at), [acceleration, mobility])
+        return both(self.x, self.u, self.p, self.w)
+
+    def on(self, disturbance: str, value: ca.SX) -> ca.SX:
+        """A disturbance vector (n_w, 1) with ``value`` on one equation and zero elsewhere."""
+        vector = ca.SX.zeros(self.model.n_w)
+        vector[index_of(self.model.disturbances, disturbance, "a disturbance")] = value
+        return vector
+
+
+class Effect(ABC):
+    """Immutable description of an effect with its sizes. Override what the effect changes."""
+
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The sizes as parameters, by short name; the effect's name is put before them."""
+
+    @abstractmethod
+    def check(self, model: Model) -> None:
+        """Raise :class:`ModelError` if the model lacks what the effect acts on."""
+
+    def states(self) -> tuple[Signal, ...]:
+        """Further continuous states."""
+        return ()
+
+    def derivative(self, at: EffectContext) -> ca.SX:
+        """Time derivative of :meth:`states`."""
+        return ca.SX.zeros(0)
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        """Torques on the equations of the model, shape (n_w, 1)."""
+        return ca.SX.zeros(at.model.n_w)
+
+    def memory(self, step: float) -> tuple[Signal, ...]:
+        """Discrete states of the input path for a step of this length (s)."""
+        return ()
+
+    def input_path(
+        self, at: EffectContext, window: tuple[float, float], step: float
+    ) -> tuple[ca.SX, ca.SX]:
+        """Inputs and memory after a part of the step; see :meth:`Model.input_path`."""
+        return at.u, at.own
+
+    def impulse(self, at: EffectContext, duration: float) -> ca.SX:
+        """The model's states after the impulse of the last ``duration`` seconds."""
+        return at.x
+
+    def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
+        """The measured outputs as the changed sensors give them."""
+        return y
+
+
+def axis_of(model: Model, name: str) -> Axis:
+    """An axis of a model.
+
+    Raises
+    ------
+    ModelError
+        If the model has no such axis.
+    """
+    if name not in model.axes:
+        raise ModelError(
+            f"model {model.name!r} has no {name} axis",
+            remedy=f"it has: {', '.join(model.axes) or 'none'}",
+        )
+    return model.axes[name]
+
+
+def rotor_input(model: Model, rotor: str) -> int:
+    """Position of a rotor's input in ``u``.
+
+    Raises
+    ------
+    ModelError
+        If the model has no such rotor.
+    """
+    if rotor not in model.rotors:
+        raise ModelError(
+            f"model {model.name!r} has no {rotor} rotor",
+            remedy=f"it has: {', '.join(model.rotors) or 'none'}",
+        )
+    return index_of(model.inputs, model.rotors[rotor], "an input")
+
+
+def resisting_impulse(
+    at: EffectContext, axis: str, torque: ca.SX | None, duration: float
+) -> ca.SX:
+    """States after dry friction has acted on an axis for a time, set-valued at rest.
+
+    The torque opposes the rate and stops it exactly where it suffices: with the free rate ``r`` at
+    the end of the interval and ``d`` the change of the state by a unit torque over it, the impulse
+    is ``−clip(r/∂r, −torque·h, +torque·h)``. This is Moreau's time stepping (1988): no smoothing of
+    the sign, no creep at rest, no limit on the step.
+
+    Parameters
+    ----------
+    torque : casadi.SX or None
+        N m, not negative; None removes the whole rate (an inelastic stop).
+    duration : float
+        s.
+    """
+    model = at.model
+    x, u, p, w = model.symbols()
+    moment = index_of(model.disturbances, axis_of(model, axis).moment, "a disturbance")
+    f = model.dynamics(x, u, p, w)
+    rate = f[model.state_index(axis_of(model, axis).angle)]
+    push = ca.jacobian(f, w)[:, moment]
+    # A torque that is constant over the interval moves the angle too, by half of what its final
+    # rate would; leaving that out lets an axis at rest creep by a·h/2.
+    direction = push + duration / 2 * ca.jtimes(f, x, push)
+    gain = ca.jtimes(rate, x, direction)
+    terms = ca.Function("friction_terms", [x, u, p, w], [rate, direction, gain])
+    free_rate, change, gain = terms(at.x, at.u, at.p, at.w)
+    needed = free_rate / gain
+    if torque is not None:
+        available = torque * duration
+        needed = ca.fmin(ca.fmax(needed, -available), available)
+    return at.x - change * needed

@@ -1,0 +1,113 @@
+"""A model with one effect added: itself a model, so that effects compose in any number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.models.model import FloatArray, Model, Signal
+
+
+class ExtendedModel(Model):
+    """A model beneath, and an effect on it.
+
+    States, memory and parameters of the effect follow those of the model beneath; the effect's
+    parameters are named ``<effect>.<size>``.
+
+    Parameters
+    ----------
+    base : Model
+    name : str
+        The effect's name, unique among those of ``base``.
+    effect : Effect
+
+    Raises
+    ------
+    ModelError
+        If the model lacks the axis or rotor that the effect acts on.
+    """
+
+    def __init__(self, base: Model, name: str, effect: Effect) -> None:
+        effect.check(base)
+        self.base, self.effect, self.effect_name = base, effect, name
+        self.name = base.name
+        self.states = (*base.states, *_prefixed(effect.states(), name))
+        self.inputs, self.outputs = base.inputs, base.outputs
+        self.disturbances = base.disturbances
+        own = effect.parameters()
+        self._sizes = tuple(parameter.name for parameter in own)
+        self.parameters = base.parameters.joined(
+            replace(parameter, name=f"{name}.{parameter.name}") for parameter in own
+        )
+        self.controlled, self.input_limits = base.controlled, base.input_limits
+        self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
+        self.stiff = base.stiff
+
+    def rest(self) -> FloatArray:
+        return np.concatenate([self.base.rest(), np.zeros(self.n_x - self.base.n_x)])
+
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        at = self._context(x, u, p, w)
+        pushed = w + self.effect.disturbance(at)
+        return ca.vertcat(
+            self.base.dynamics(at.x, u, at.p, pushed), self.effect.derivative(replace(at, w=pushed))
+        )
+
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        at = self._context(x, u, p, ca.SX.zeros(self.n_w))
+        return self.effect.output(at, self.base.measurement(at.x, u, at.p))
+
+    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
+        at = self._context(x, u, p, ca.SX.zeros(self.n_w))
+        return self.base.quantities(at.x, u, at.p)
+
+    def memory(self, step: float) -> tuple[Signal, ...]:
+        own = _prefixed(self.effect.memory(step), self.effect_name)
+        return (*self.base.memory(step), *own)
+
+    def input_path(
+        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
+    ) -> tuple[ca.SX, ca.SX]:
+        n = len(self.base.memory(step))
+        n_p = len(self.base.parameters)
+        arriving, beneath = self.base.input_path(memory[:n], u, p[:n_p], window, step)
+        at = EffectContext(
+            self.base,
+            ca.SX.zeros(self.base.n_x),
+            arriving,
+            p[:n_p],
+            ca.SX.zeros(self.n_w),
+            memory[n:],
+            self._named(p),
+        )
+        arriving, own = self.effect.input_path(at, window, step)
+        return arriving, ca.vertcat(beneath, own)
+
+    def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
+        at = self._context(x, u, p, w)
+        at = replace(at, x=self.base.impulse(at.x, u, at.p, w, duration))
+        return ca.vertcat(self.effect.impulse(at, duration), at.own)
+
+    def _context(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> EffectContext:
+        n = self.base.n_x
+        n_p = len(self.base.parameters)
+        return EffectContext(self.base, x[:n], u, p[:n_p], w, x[n:], self._named(p))
+
+    def _named(self, p: ca.SX) -> dict[str, ca.SX]:
+        n = len(self.base.parameters)
+        return {name: p[n + i] for i, name in enumerate(self._sizes)}
+
+
+def extended(model: Model, effects: Mapping[str, Effect]) -> Model:
+    """A model with effects added in order; a command passes their input paths in that order."""
+    for name, effect in effects.items():
+        model = ExtendedModel(model, name, effect)
+    return model
+
+
+def _prefixed(signals: tuple[Signal, ...], name: str) -> tuple[Signal, ...]:
+    return tuple(replace(signal, name=f"{name}.{signal.name}") for signal in signals)
