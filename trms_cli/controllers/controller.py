@@ -1,0 +1,156 @@
+"""What a controller is: from references and an estimate to a command."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.model import Model
+from trms_cli.observers.observer import Estimate
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Status(enum.Enum):
+    """How a sample's computation ended: what it means and what to do about it."""
+
+    OK = ("ok", "solved", "")
+    BUDGET = (
+        "budget",
+        "stopped at the iteration budget before convergence",
+        "expected with one iteration a sample; else raise max_iterations",
+    )
+    RELAXED = (
+        "relaxed",
+        "the terminal constraint could not be met and was relaxed",
+        "lengthen the prediction horizon, or slow the reference down",
+    )
+    FAILED = (
+        "failed",
+        "the solve failed; the declared fall-back acted",
+        "read /event and the slack; try another qp_solver or softer limits",
+    )
+
+    def __init__(self, label: str, meaning: str, remedy: str) -> None:
+        self.label = label
+        self.meaning = meaning
+        self.remedy = remedy
+
+
+@dataclass(frozen=True)
+class ControlSetup:
+    """What a controller is told before a run.
+
+    Attributes
+    ----------
+    model : Model
+        What the controller believes.
+    sample_time : float
+        Control period, s.
+    first_command : (n_u,) array
+        The command in force before time zero.
+    """
+
+    model: Model
+    sample_time: float
+    first_command: FloatArray
+
+
+@dataclass
+class ControlSample:
+    """What a controller sees at a sample.
+
+    Attributes
+    ----------
+    time : float
+        s.
+    reference : (preview + 1, n_r) array
+        References now and at the next control periods, rad; the order of ``model.controlled``.
+    estimate : Estimate
+    previous_command : (n_u,) array
+        As applied, after limits.
+    """
+
+    time: float
+    reference: FloatArray
+    estimate: Estimate
+    previous_command: FloatArray
+
+
+@dataclass
+class Prediction:
+    """Trajectories that a controller expects.
+
+    Attributes
+    ----------
+    time : (n,) array
+        s from now.
+    states : (n, n_x) array
+    inputs : (n, n_u) array
+        The last row repeats the one before.
+    """
+
+    time: FloatArray
+    states: FloatArray
+    inputs: FloatArray
+
+
+@dataclass
+class Command:
+    """A controller's answer. Times in s; quantities that a law does not have are NaN.
+
+    Attributes
+    ----------
+    u : (n_u,) array
+        Within the model's limits and finite.
+    status : Status
+    iterations : int
+    objective, slack, kkt_residual : float
+    linearise_time, qp_time : float
+    fallback : str
+        Which fall-back acted, empty for none.
+    message : str
+    prediction : Prediction or None
+    """
+
+    u: FloatArray
+    status: Status = Status.OK
+    iterations: int = 0
+    objective: float = math.nan
+    slack: float = math.nan
+    kkt_residual: float = math.nan
+    linearise_time: float = math.nan
+    qp_time: float = math.nan
+    fallback: str = ""
+    message: str = ""
+    prediction: Prediction | None = None
+
+
+class Controller(Protocol):
+    """An immutable configuration; everything that changes is in the state it hands out.
+
+    Attributes
+    ----------
+    sample_time : float or None
+        Control period, s; None takes every sample.
+    """
+
+    @property
+    def sample_time(self) -> float | None: ...
+
+    def preview(self, setup: ControlSetup) -> int:
+        """How many future reference samples, one control period apart, :meth:`step` wants."""
+        ...
+
+    def init(self, setup: ControlSetup) -> Any:
+        """A fresh state; two of them never share anything."""
+        ...
+
+    def step(self, state: Any, sample: ControlSample, *, want_prediction: bool) -> Command:
+        """The command from now to the next control period; ``state`` is updated in place."""
+        ...

@@ -1,0 +1,97 @@
+"""What an observer is: from commands and measurements to an estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.model import Model
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ObserverSetup:
+    """What an observer is told before a run.
+
+    Attributes
+    ----------
+    model : Model
+        What the observer believes.
+    sample_time : float
+        Time between two measurements, s.
+    outputs : tuple of str
+        Measured channels in the order of ``y``, a subset of the model's outputs.
+    noise_sd : dict of str to float
+        Declared standard deviation of each channel's noise (quantum included), in its unit.
+    first_measurement : (n_y,) array
+        The measurement at time zero, NaN where missing.
+    first_command : (n_u,) array
+        The command in force before time zero.
+    """
+
+    model: Model
+    sample_time: float
+    outputs: tuple[str, ...]
+    noise_sd: Mapping[str, float]
+    first_measurement: FloatArray
+    first_command: FloatArray
+
+
+@dataclass
+class Estimate:
+    """What is known after a measurement. The arrays may be overwritten by the next step.
+
+    Attributes
+    ----------
+    x, sd : (n_x,) arrays
+        State of the model (without memory) and its standard deviations.
+    disturbance, disturbance_sd : (n_w,) arrays
+        Constant disturbances on the model's equations; zero where none is estimated.
+    predicted : (n_y,) array
+        Measurement predicted before it was seen.
+    innovation, innovation_sd : (n_y,) arrays
+        Measured minus predicted, NaN where missing, and what the observer expects of it.
+    """
+
+    x: FloatArray
+    sd: FloatArray
+    disturbance: FloatArray
+    disturbance_sd: FloatArray
+    predicted: FloatArray = field(default_factory=lambda: np.zeros(0))
+    innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
+    innovation_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+class Observer(Protocol):
+    """An immutable configuration; everything that changes is in the state it hands out."""
+
+    def init(self, setup: ObserverSetup) -> Any:
+        """A fresh state; two of them never share anything."""
+        ...
+
+    def step(
+        self,
+        state: Any,
+        command: FloatArray,
+        measurement: FloatArray,
+        truth: Mapping[str, float] | None,
+    ) -> Estimate:
+        """The estimate at this sample.
+
+        Parameters
+        ----------
+        state
+            From :meth:`init`; updated in place.
+        command : (n_u,) array
+            What was applied since the last sample (at the first: ``first_command``).
+        measurement : (n_y,) array
+            Channels of ``setup.outputs``; NaN where a sample is missing.
+        truth : mapping or None
+            True states by name, for observers that are allowed to cheat; None when replaying.
+        """
+        ...

@@ -1,0 +1,1 @@
+"""What is really there: a simulated rig, or a replayed recording."""
