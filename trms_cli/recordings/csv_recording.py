@@ -1,0 +1,361 @@
+"""Recordings as CSV: ``# key: value`` lines, a header of ``name[unit]``, then numbers.
+
+Any lab can write one, so anything can be wrong with one. Every fault is an error that names
+the line, what was found there and what to do; nothing is repaired in silence.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name
+from trms_cli.recordings.output_file import whole_file
+from trms_cli.recordings.recording import Recording, unit_fields
+from trms_cli.recordings.units import to_si
+
+_HEADER_CELL = re.compile(r"^(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]$")
+_TIME = Channel("t", "time", ("s",), "time")
+_EXAMPLE = "t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"
+_MISSING = float("nan")
+
+
+@dataclass(frozen=True)
+class _Column:
+    name: str
+    unit: str
+
+
+def read_csv(path: Path | str) -> Recording:
+    """Read a CSV recording into SI units.
+
+    Returns
+    -------
+    Recording
+        Empty cells are NaN; gaps in ``t`` stay gaps.
+
+    Raises
+    ------
+    RecordingError
+        Whatever is wrong, at its line.
+    """
+    path = Path(path)
+    lines, ends_with_newline = _lines(path)
+    metadata, header_index = _preamble(path, lines)
+    header_at = f"{path}:{header_index + 1}"
+    columns = _header(lines[header_index], header_at)
+    first = header_index + 1
+    table, line_numbers = _numbers(path, lines, first, columns, ends_with_newline)
+    remarks = []
+    if not ends_with_newline and len(table):
+        remarks.append(_check_last_line(path, lines, line_numbers, table, columns))
+
+    named = {column.name: table[:, index] for index, column in enumerate(columns)}
+    time, _ = to_si(named.pop("t"), _unit_of("t", columns), ("s",), where=header_at, name="t")
+    _check_time(path, time, line_numbers)
+    channels, units = {}, {}
+    for column in columns:
+        channel = find_channel(column.name)
+        if channel is not None:
+            channels[column.name], units[column.name] = to_si(
+                named[column.name], column.unit, channel.units, where=header_at, name=column.name
+            )
+    _check_has_values(channels, header_at)
+    return Recording(time, channels, units, metadata, path, tuple(remarks))
+
+
+def write_csv(recording: Recording, path: Path | str, *, force: bool = False) -> None:
+    """Write a recording so that reading it gives the same numbers, bit for bit.
+
+    Parameters
+    ----------
+    recording : Recording
+        NaN becomes an empty cell.
+    path : Path
+        Appears when it is whole; an existing file is refused unless ``force``.
+    """
+    names = list(recording.channels)
+    header = ["t[s]", *(unit_fields(recording.units)[name] for name in names)]
+    columns = [recording.time, *(recording.channels[name] for name in names)]
+    with whole_file(Path(path), force=force) as temporary, temporary.open("w", newline="") as file:
+        for key, value in recording.metadata.items():
+            file.write(f"# {_one_line(key).replace(':', ' ')}: {_one_line(value)}\n")
+        file.write(",".join(header) + "\n")
+        for row in zip(*(np.asarray(c, dtype=float).tolist() for c in columns), strict=True):
+            # repr is the shortest text that reads back as the same number
+            file.write(",".join("" if x != x else repr(x) for x in row) + "\n")
+
+
+def _one_line(text: str) -> str:
+    return " ".join(str(text).split())
+
+
+def _lines(path: Path) -> tuple[list[str], bool]:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise RecordingError("there is no such file", where=str(path)) from error
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        _refuse(path, 1, "the text is UTF-16, as some spreadsheets save it", "save it as UTF-8")
+    if b"\0" in data:
+        line = data[: data.index(b"\0")].count(b"\n") + 1
+        _refuse(path, line, "this is a binary file, not text", "give a CSV file")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        found = f"the byte 0x{data[error.start]:02x} is not UTF-8 text"
+        _refuse(path, line, found, "save the file as UTF-8")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if not text.strip():
+        raise RecordingError(
+            "the file is empty", where=str(path), remedy=f"it needs a header as {_EXAMPLE}"
+        )
+    return text.split("\n"), text.endswith("\n")
+
+
+def _preamble(path: Path, lines: list[str]) -> tuple[dict[str, str], int]:
+    """Return the metadata and the index of the header line."""
+    metadata: dict[str, str] = {}
+    for index, line in enumerate(lines):
+        text = line.strip()
+        if text.startswith("#"):
+            key, colon, value = text[1:].partition(":")
+            if not colon:
+                key, value = "comment", f"{metadata.get('comment', '')} {key.strip()}"
+            metadata[key.strip()] = value.strip()
+        elif text:
+            return metadata, index
+    raise RecordingError(
+        "there is no header, only # lines",
+        where=str(path),
+        remedy=f"write one as {_EXAMPLE}",
+    )
+
+
+def _header(line: str, where: str) -> list[_Column]:
+    cells = [cell.strip().strip('"').strip() for cell in line.split(",")]
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in line:
+            raise RecordingError(
+                f"the columns are separated by {name}",
+                where=where,
+                remedy="separate columns by commas and write decimals with a point: 0.25",
+            )
+    if all(_is_number(cell) for cell in cells):
+        raise RecordingError(
+            "the first line holds numbers; the header is missing",
+            where=where,
+            remedy=f"write the names and units above, as {_EXAMPLE}",
+        )
+    columns: list[_Column] = []
+    for position, cell in enumerate(cells, start=1):
+        columns.append(_header_cell(cell, position, where))
+        earlier = [column.name for column in columns[:-1]]
+        if columns[-1].name in earlier:
+            raise RecordingError(
+                f"the column {columns[-1].name!r} stands twice, "
+                f"in places {earlier.index(columns[-1].name) + 1} and {position}",
+                where=where,
+                remedy="keep one of them",
+            )
+    _require(columns, where)
+    return columns
+
+
+def _header_cell(cell: str, position: int, where: str) -> _Column:
+    match = _HEADER_CELL.match(cell)
+    name = match["name"].strip() if match else cell
+    if not cell:
+        raise RecordingError(
+            f"column {position} has no name",
+            where=where,
+            remedy="name it, or remove the comma too many",
+        )
+    if name != "t" and find_channel(name) is None:
+        meant = nearest_name(name)
+        known = ", ".join(("t", *CHANNELS, "d_*"))
+        raise RecordingError(
+            f"column {position}: the name {name!r} is not known"
+            + (f"; did you mean {meant!r}?" if meant else ""),
+            where=where,
+            remedy=f"names are {known}",
+        )
+    if not match:
+        channel = _TIME if name == "t" else find_channel(name)
+        unit = channel.units[0] if channel and channel.units else "1"
+        raise RecordingError(
+            f"column {position}: {cell!r} has no unit",
+            where=where,
+            remedy=f"write {name}[{unit}], with the unit that the numbers are in",
+        )
+    return _Column(name, match["unit"].strip())
+
+
+def _require(columns: Sequence[_Column], where: str) -> None:
+    names = [column.name for column in columns]
+    roles = {channel.role for name in names if (channel := find_channel(name))}
+    for there, what, remedy in (
+        ("t" in names, "time, the column t[s]", "every recording needs one"),
+        ("input" in roles, "an input", "at least one of u_v, u_h is needed"),
+        ("output" in roles, "an output", "at least one of alpha_v, alpha_h, omega_v, omega_h"),
+    ):
+        if not there:
+            raise RecordingError(
+                f"the header lacks {what}; it has {', '.join(names)}", where=where, remedy=remedy
+            )
+
+
+def _numbers(
+    path: Path, lines: list[str], first: int, columns: list[_Column], ends_with_newline: bool
+) -> tuple[np.ndarray, list[int]]:
+    """Return the cells as (n, columns) floats, and the line number of each row."""
+    width = len(columns)
+    rows, line_numbers = [], []
+    for number, line in enumerate(lines[first:], start=first + 1):
+        if not line or line.isspace():
+            continue
+        cells = line.split(",")
+        if len(cells) != width:
+            cut = number == len(lines) and not ends_with_newline and len(cells) < width
+            _refuse_width(path, number, line, len(cells), width, cut=cut)
+        try:
+            rows.append([float(c) if c and not c.isspace() else _MISSING for c in cells])
+        except ValueError:
+            rows.append([_number(path, number, c, k) for c, k in zip(cells, columns, strict=True)])
+        line_numbers.append(number)
+    if len(rows) < 2:
+        found = "there are no numbers below the header" if not rows else "there is a single row"
+        _refuse(path, first + 1, found, "a recording needs two samples or more")
+    table = np.array(rows)
+    # "nan" and "inf" pass float(), and so does an empty cell as our own NaN: only rows with
+    # a value that is not finite are looked at again. float() also takes 1_0 for 10.
+    suspects = set(np.flatnonzero(~np.isfinite(table).all(axis=1)).tolist())
+    suspects |= {row for row, number in enumerate(line_numbers) if "_" in lines[number - 1]}
+    for row in sorted(suspects):
+        number = line_numbers[row]
+        for cell, column in zip(lines[number - 1].split(","), columns, strict=True):
+            value = _number(path, number, cell, column)
+            if column.name == "t" and value != value:
+                _refuse(path, number, "the cell of 't' is empty", "every row needs its time")
+    return table, line_numbers
+
+
+def _number(path: Path, line: int, cell: str, column: _Column) -> float:
+    text = cell.strip().strip('"').strip()
+    if not text:
+        return _MISSING
+    if not _is_number(text):
+        _refuse(
+            path,
+            line,
+            f"column {column.name!r} holds {text[:40]!r}, which is not a number",
+            "write numbers as 0.25 or 2.5e-1; leave the cell empty where a sample is missing",
+        )
+    value = float(text)
+    if not np.isfinite(value):
+        _refuse(
+            path,
+            line,
+            f"column {column.name!r} holds {text!r}, which is not finite",
+            "leave the cell empty where a sample is missing",
+        )
+    return value
+
+
+def _is_number(text: str) -> bool:
+    if "_" in text:  # Python takes 1_000 for a number, nobody's recorder writes it
+        return False
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _refuse_width(path: Path, line: int, text: str, found: int, width: int, *, cut: bool) -> None:
+    if cut:
+        _refuse(
+            path,
+            line,
+            f"the file ends in the middle of the line: {found} of {width} cells",
+            "the file was cut; copy it again, or delete its last line",
+        )
+    if ";" in text or found >= 2 * width - 1 > 1:
+        _refuse(
+            path,
+            line,
+            f"{found} cells where the header has {width}: decimal commas or semicolons?",
+            "separate columns by commas and write decimals with a point: 0.25",
+        )
+    if text.lstrip().startswith("#"):
+        _refuse(path, line, "a # line below the header", "metadata stand above the header")
+    _refuse(
+        path,
+        line,
+        f"{found} cells where the header has {width}",
+        "give each line as many cells as the header; empty cells are missing samples",
+    )
+
+
+def _check_last_line(
+    path: Path, lines: list[str], numbers: list[int], table: np.ndarray, columns: list[_Column]
+) -> str:
+    """Tell a last line that was cut inside its last cell from one that only lacks its end."""
+    last = [lines[number - 1].rpartition(",")[2].strip() for number in numbers]
+    decimals = {len(cell.partition(".")[2]) for cell in last[:-1] if cell}
+    text = last[-1]
+    # All other rows print the same number of decimals and this one prints fewer.
+    fewer = len(decimals) == 1 and len(text.partition(".")[2]) < min(decimals)
+    always_there = not np.isnan(table[:-1, -1]).any()
+    if (text and fewer) or (not text and always_there):
+        _refuse(
+            path,
+            numbers[-1],
+            f"the file ends in the middle of the last cell, {columns[-1].name!r}: {text!r}",
+            "the file was cut; copy it again, or delete its last line",
+        )
+    return "the last line has no line end: was the file cut there?"
+
+
+def _check_time(path: Path, time: np.ndarray, line_numbers: list[int]) -> None:
+    wrong = np.flatnonzero(np.diff(time) <= 0)
+    if len(wrong):
+        index = int(wrong[0]) + 1
+        before, now = float(time[index - 1]), float(time[index])
+        what = "repeats" if before == now else "runs back"
+        more = f" (and at {len(wrong) - 1} more places)" if len(wrong) > 1 else ""
+        _refuse(
+            path,
+            line_numbers[index],
+            f"time {what}: {now:.9g} s after {before:.9g} s{more}",
+            "sort the rows and keep one per time; split a file of several runs",
+        )
+
+
+def _check_has_values(channels: dict[str, np.ndarray], where: str) -> None:
+    for role in ("input", "output"):
+        mine = [n for n in channels if (c := find_channel(n)) is not None and c.role == role]
+        if all(np.isnan(channels[name]).all() for name in mine):
+            raise RecordingError(
+                f"no {role} has a single value: {', '.join(mine)} are empty throughout",
+                where=where,
+                remedy=f"at least one {role} needs numbers",
+            )
+
+
+def _unit_of(name: str, columns: Sequence[_Column]) -> str:
+    return next(column.unit for column in columns if column.name == name)
+
+
+def _refuse(path: Path, line: int, problem: str, remedy: str) -> NoReturn:
+    raise RecordingError(problem, where=f"{path}:{line}", remedy=remedy)

@@ -1,0 +1,156 @@
+"""A recording: what a rig did, on one time grid, in SI units, wherever it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.channels import find_channel
+
+#: A step longer than this many sample times is a gap: at least one sample is not there.
+GAP_FACTOR = 1.5
+#: Deviations of the step below this share of the sample time are not worth a word.
+JITTER_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Signals of a rig over time. Missing samples are NaN, gaps are steps of ``time``.
+
+    Attributes
+    ----------
+    time : (n,) float array [s]
+        Strictly rising, n >= 2.
+    channels : dict of str to (n,) float array
+        By name, in SI; commands in V, or in "1" when normalised to full scale.
+    units : dict of str to str
+        SI unit per channel.
+    metadata : dict of str to str
+        What the file says about itself.
+    source : Path
+        Where it was read from.
+    remarks : tuple of str
+        What the reader found worth telling.
+    """
+
+    time: np.ndarray
+    channels: dict[str, np.ndarray]
+    units: dict[str, str]
+    metadata: dict[str, str] = field(default_factory=dict)
+    source: Path = Path()
+    remarks: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @cached_property
+    def sample_time(self) -> float:
+        """Median step of time [s], to the picosecond: 0.02, not 0.0199999999."""
+        return round(float(np.median(np.diff(self.time))), 12)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    @cached_property
+    def gaps(self) -> list[tuple[float, float]]:
+        """The last time before each gap and the first after it [s]."""
+        wide = np.flatnonzero(np.diff(self.time) > GAP_FACTOR * self.sample_time)
+        return [(float(self.time[i]), float(self.time[i + 1])) for i in wide]
+
+    @cached_property
+    def missing(self) -> dict[str, int]:
+        """How many samples each channel lacks within the rows; only channels that lack any."""
+        counts = {name: int(np.isnan(values).sum()) for name, values in self.channels.items()}
+        return {name: count for name, count in counts.items() if count}
+
+    def names(self, role: str) -> list[str]:
+        """Names of the channels of a role, as "input" or "output", in the file's order."""
+        return [n for n in self.channels if (c := find_channel(n)) is not None and c.role == role]
+
+    def notes(self) -> list[str]:
+        """Tell in sentences what a user should know before trusting the numbers."""
+        lines = list(self.remarks)
+        if self.gaps:
+            lost = sum(round((b - a) / self.sample_time) - 1 for a, b in self.gaps)
+            start, end = max(self.gaps, key=lambda gap: gap[1] - gap[0])
+            number = "a gap" if len(self.gaps) == 1 else f"{len(self.gaps)} gaps"
+            lines.append(
+                f"{number} in t, about {lost} samples in all; "
+                f"the longest from {start:.6g} to {end:.6g} s"
+            )
+        for name, count in self.missing.items():
+            lines.append(f"{name}: {count} of {len(self)} samples missing")
+        steps = np.diff(self.time)
+        steps = steps[steps <= GAP_FACTOR * self.sample_time]
+        jitter = float(np.max(np.abs(steps - self.sample_time)))
+        if jitter > JITTER_SHARE * self.sample_time:
+            lines.append(
+                f"uneven sampling: steps from {steps.min() * 1e3:.4g} to {steps.max() * 1e3:.4g} "
+                f"ms around {self.sample_time * 1e3:.4g} ms"
+            )
+        return lines
+
+
+def read_recording(path: Path | str) -> Recording:
+    """Read a recording, from CSV or from a run log.
+
+    Raises
+    ------
+    RecordingError
+        With the line of a CSV that is wrong, what was found there, and what to do.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if path.is_dir():
+        raise RecordingError("this is a folder", where=str(path), remedy="give a file in it")
+    if suffix in (".csv", ".txt"):
+        from trms_cli.recordings.csv_recording import read_csv
+
+        return read_csv(path)
+    if suffix == ".mcap":
+        from trms_cli.recordings.mcap_recording import read_mcap
+
+        return read_mcap(path)
+    raise RecordingError(
+        f"the ending {suffix!r} tells no format of recordings",
+        where=str(path),
+        remedy="give a .csv or a .mcap file",
+    )
+
+
+def quantum(values: np.ndarray) -> float | None:
+    """Estimate the step between the levels that a channel takes.
+
+    An encoder or a rounded print-out takes few levels at equal distances. Returns None
+    when the levels do not lie on one grid, or when all samples differ.
+
+    Parameters
+    ----------
+    values : (n,) float array
+        NaN allowed.
+    """
+    levels = np.unique(values[np.isfinite(values)])
+    scale = float(np.max(np.abs(levels), initial=0.0))
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-9 * scale]
+    if not len(steps):
+        return None
+    # Rounding to decimals blurs single steps, so the finest are averaged, then the grid is
+    # fitted to all levels.
+    finest = float(np.median(steps[steps < 1.5 * steps.min()]))
+    counts = np.round((levels - levels[0]) / finest)
+    step = float(counts @ (levels - levels[0]) / (counts @ counts))
+    off_grid = np.abs(levels - levels[0] - step * np.round((levels - levels[0]) / step))
+    return step if float(np.max(off_grid)) < 0.25 * step else None
+
+
+def unit_fields(units: Mapping[str, str]) -> dict[str, str]:
+    """Return ``name[unit]`` header cells by name."""
+    return {name: f"{name}[{unit or '1'}]" for name, unit in units.items()}
