@@ -1,0 +1,1 @@
+"""What the rig is asked to follow: signals, one file each, and their shaping."""

@@ -1,0 +1,40 @@
+"""A sine wave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.references.signal import Array, Frequency, has_started
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sine:
+    """``offset + amplitude·sin(2π(frequency·(t − start) + phase))``.
+
+    Parameters
+    ----------
+    amplitude : float
+        Peak deviation from the offset, rad.
+    frequency : float
+        Hz.
+    offset : float
+        Mean value, and the value before ``start``, rad.
+    phase : float
+        Lead as a fraction of a period; 0.25 makes a cosine.
+    start : float
+        Time at which the wave begins, s.
+    """
+
+    amplitude: float
+    frequency: Frequency
+    offset: float = 0.0
+    phase: float = 0.0
+    start: float = 0.0
+
+    def sample(self, times: Array) -> Array:
+        """Value at each time, ``times: (n,) s -> (n,) rad``."""
+        cycles = (np.asarray(times, dtype=float) - self.start) * self.frequency + self.phase
+        wave = self.amplitude * np.sin(2 * np.pi * cycles)
+        return self.offset + np.where(has_started(times, self.start), wave, 0.0)
