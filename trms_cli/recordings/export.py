@@ -1,0 +1,161 @@
+"""Run logs as CSV, Parquet and MAT, for programs that read no MCAP."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+
+from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.recordings.csv_recording import write_csv
+from trms_cli.recordings.log_reader import LoggedRun, Table
+from trms_cli.recordings.mcap_recording import recording_of
+from trms_cli.recordings.output_file import whole_file
+
+SUFFIXES = {"csv": ".csv", "parquet": ".parquet", "mat": ".mat"}
+
+
+def export_log(log: LoggedRun, path: Path | str, format: str, *, force: bool = False) -> None:
+    """Write a log in another format; the file appears when it is whole.
+
+    Parameters
+    ----------
+    log : LoggedRun
+        Complete or not; all that it holds is written.
+    path : Path
+        Refused when it exists, unless ``force``.
+    format : str
+        "csv": the recording (inputs, outputs, references) on the sample grid, as
+        ``trms import`` reads it. "parquet": one wide table of all topics. "mat": a struct
+        per topic.
+    """
+    path = Path(path)
+    if format == "csv":
+        write_csv(recording_of(log), path, force=force)
+        return
+    if format not in SUFFIXES:
+        raise ConfigurationError(
+            f"the format {format!r} is not known",
+            where="--format",
+            remedy=f"formats are {', '.join(SUFFIXES)}",
+        )
+    if not any(len(table) for table in log.tables.values()):
+        raise RecordingError(
+            "the log holds no sample", where=str(log.path), remedy="repeat the run"
+        )
+    with whole_file(path, force=force) as temporary:
+        if format == "parquet":
+            _write_parquet(log, temporary)
+        else:
+            _write_mat(log, temporary)
+
+
+def _write_parquet(log: LoggedRun, path: Path) -> None:
+    """Write one row per time of any topic; cells of topics silent at that time are null.
+
+    Columns are named ``topic.field``; each field's metadata holds its unit, the table's
+    the run's metadata, score and config.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    tables = {name: table for name, table in log.tables.items() if len(table)}
+    keys = {name: _row_keys(table.time_ns) for name, table in tables.items()}
+    grid = np.unique(np.concatenate(list(keys.values())), axis=0)
+    arrays = [pa.array(grid[:, 0] / 1e9, pa.float64())]
+    fields = [pa.field("time", pa.float64(), metadata={"unit": "s"})]
+    for name, table in tables.items():
+        row_of_grid = _positions(grid, keys[name])
+        for key, column in table.columns.items():
+            array = _arrow_column(column, row_of_grid)
+            label = f"{name.strip('/').replace('/', '.')}.{key}"
+            fields.append(pa.field(label, array.type, metadata={"unit": table.units[key]}))
+            arrays.append(array)
+    metadata = {
+        "trms.run": orjson.dumps(log.run),
+        "trms.score": orjson.dumps(log.score),
+        "config.yaml": log.config,
+    }
+    pq.write_table(pa.table(arrays, schema=pa.schema(fields, metadata=metadata)), path)
+
+
+def _row_keys(time_ns: np.ndarray) -> np.ndarray:
+    """Return (n, 2) rows of time [ns] and how many messages at that time came before.
+
+    Several events may happen at one time; each keeps a row of its own.
+    """
+    first = np.searchsorted(time_ns, time_ns, side="left")
+    return np.column_stack([time_ns, np.arange(len(time_ns)) - first])
+
+
+def _positions(grid: np.ndarray, keys: np.ndarray) -> np.ndarray:
+    """Return for each grid row the row of ``keys`` equal to it, or -1."""
+    joined = np.concatenate([grid, keys])
+    _, inverse = np.unique(joined, axis=0, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    positions = np.full(len(grid), -1)
+    positions[inverse[len(grid) :]] = np.arange(len(keys))  # grid rows are sorted and unique
+    return positions
+
+
+def _arrow_column(column: np.ndarray, row_of_grid: np.ndarray) -> Any:
+    import pyarrow as pa
+
+    absent = row_of_grid < 0
+    if column.dtype == float:
+        values = column[np.maximum(row_of_grid, 0)]
+        return pa.array(values, pa.float64(), mask=absent | np.isnan(values))
+    cells = [None if row < 0 else column[row] for row in row_of_grid.tolist()]
+    holds_arrays = isinstance(column[0], np.ndarray)
+    return pa.array(cells, pa.list_(pa.float64()) if holds_arrays else pa.string())
+
+
+def _write_mat(log: LoggedRun, path: Path) -> None:
+    """Write a MATLAB 5 file: ``measurement.time``, ``measurement.alpha_v``, … as columns.
+
+    Units stand in ``measurement.units.alpha_v``, what the run was in ``run``, its config
+    as text in ``config``.
+    """
+    from scipy.io import savemat
+
+    content: dict[str, Any] = {
+        _matlab_name(name): _matlab_struct(table)
+        for name, table in log.tables.items()
+        if len(table)
+    }
+    content["run"] = {_matlab_name(key): value for key, value in log.run.items()}
+    content["config"] = log.config
+    content["complete"] = log.complete
+    # Opened here, because savemat would add an ending of its own.
+    with path.open("wb") as file:
+        savemat(file, content, oned_as="column", long_field_names=True, do_compression=True)
+
+
+def _matlab_struct(table: Table) -> dict[str, Any]:
+    struct: dict[str, Any] = {"time": table.time}
+    units = {"time": "s"}
+    for key, column in table.columns.items():
+        name = _matlab_name(key)
+        if name == "time":  # the horizon of /prediction has a time of its own
+            name = "time_from_now"
+        struct[name] = _matlab_value(column)
+        units[name] = table.units[key] or "-"
+    return {**struct, "units": units}
+
+
+def _matlab_value(column: np.ndarray) -> np.ndarray:
+    """Return numbers as (n,), arrays of one length as (n, k), all else as a cell array."""
+    if column.dtype == float or not isinstance(column[0], np.ndarray):
+        return column
+    if len({len(values) for values in column}) == 1:
+        return np.stack(list(column))
+    return column
+
+
+def _matlab_name(name: str) -> str:
+    """Return a valid MATLAB identifier, at most 63 characters: /plant/state → plant_state."""
+    text = re.sub(r"\W", "_", name.strip("/"), flags=re.ASCII)[:63]
+    return text if text[:1].isalpha() else f"x{text}"[:63]
