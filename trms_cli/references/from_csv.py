@@ -97,7 +97,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
         ) from error
     rows = _rows(text)
     header_line, header = next(rows, (0, []))
-    where = f"{path}, line {header_line}"
+    where = f"{path}:{header_line}"
     if not header:
         raise RecordingError(
             "the file is empty",
@@ -122,7 +122,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
         if len(cells) != len(header):
             raise RecordingError(
                 f"{len(cells)} cells under a header of {len(header)}",
-                where=f"{path}, line {line}",
+                where=f"{path}:{line}",
                 remedy="complete the row, or delete it if the file was cut off",
             )
         numbers.append([_number(cells[i], names[i], path, line) for i in wanted])
@@ -134,7 +134,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
     if back.size:
         raise RecordingError(
             f"time does not rise: {time[back[0] + 1]:g} after {time[back[0]]:g}",
-            where=f"{path}, line {lines[back[0] + 1]}",
+            where=f"{path}:{lines[back[0] + 1]}",
             remedy="sort the rows by t, and give each time once",
         )
     seconds, _ = to_si(time, units["t"], ("s",), where=where, name="t")
@@ -168,7 +168,7 @@ def _number(cell: str, name: str, path: Path, line: int) -> float:
     if not np.isfinite(number):
         raise RecordingError(
             f"column {name!r} holds {cell!r}, which is not a finite number",
-            where=f"{path}, line {line}",
+            where=f"{path}:{line}",
             remedy="fill the cell; a reference has no missing samples",
         )
     return number

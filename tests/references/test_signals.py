@@ -1,0 +1,197 @@
+"""Signals are what their formulas say, pure functions of time, within their amplitude."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.references.chirp import Chirp
+from trms_cli.references.constant import Constant
+from trms_cli.references.multisine import Multisine
+from trms_cli.references.prbs import Prbs
+from trms_cli.references.ramp import Ramp
+from trms_cli.references.sawtooth import Sawtooth
+from trms_cli.references.schedule import Piece, Schedule
+from trms_cli.references.signal import Signal
+from trms_cli.references.sine import Sine
+from trms_cli.references.square import Square
+from trms_cli.references.step import Step
+from trms_cli.references.sum import Sum
+
+SIGNALS: dict[str, Signal] = {
+    "constant": Constant(offset=0.2),
+    "step": Step(amplitude=0.3, offset=0.2, start=2.0),
+    "square": Square(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0),
+    "sine": Sine(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0),
+    "sawtooth": Sawtooth(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0),
+    "triangle": Sawtooth(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0, width=0.5),
+    "ramp": Ramp(amplitude=0.3, duration=4.0, offset=0.2, start=2.0),
+    "multisine": Multisine(
+        amplitude=0.3, frequency=0.1, lowest=0.1, highest=2.0, offset=0.2, start=2.0
+    ),
+    "prbs": Prbs(amplitude=0.3, hold=0.3, bits=5, offset=0.2, start=2.0),
+    "chirp": Chirp(
+        amplitude=0.3, frequency=0.1, final_frequency=2.0, duration=5.0, offset=0.2, start=2.0
+    ),
+    "sum": Sum(terms=[Constant(offset=0.2), Sine(amplitude=0.3, frequency=0.5, start=2.0)]),
+    "schedule": Schedule(
+        pieces=[Piece(start=2.0, signal=Sine(amplitude=0.3, frequency=0.5, offset=0.2))],
+        offset=0.2,
+    ),
+}
+every_signal = pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
+TIMES = np.arange(0, 20, 0.01)
+
+
+@every_signal
+def test_the_answer_for_a_time_does_not_depend_on_the_other_times(signal: Signal) -> None:
+    together = signal.sample(TIMES)
+    order = np.random.default_rng(0).permutation(TIMES.size)
+    assert together.shape == TIMES.shape
+    np.testing.assert_array_equal(signal.sample(TIMES[order]), together[order])
+    alone = [signal.sample(np.array([t]))[0] for t in TIMES[::97]]
+    np.testing.assert_array_equal(alone, together[::97])
+
+
+@every_signal
+def test_a_signal_stays_within_its_amplitude_and_rests_at_its_offset_before(
+    signal: Signal,
+) -> None:
+    values = signal.sample(TIMES)
+    assert np.all(np.abs(values - 0.2) <= 0.3 * 1.006)
+    np.testing.assert_array_equal(values[TIMES < 1.999], 0.2)
+    assert np.all(np.isfinite(signal.sample(np.array([-1.0, 1e6]))))
+
+
+@every_signal
+def test_no_times_give_no_values(signal: Signal) -> None:
+    assert signal.sample(np.zeros(0)).shape == (0,)
+
+
+@pytest.mark.parametrize("name", ["square", "sine", "sawtooth", "triangle", "multisine", "prbs"])
+def test_what_repeats_repeats(name: str) -> None:
+    period = {"multisine": 10.0, "prbs": 31 * 0.3}.get(name, 2.0)
+    # away from edges, at which rounding of t + period may choose either side
+    times = np.arange(200) * 0.0997 + 2.0013
+    np.testing.assert_allclose(
+        SIGNALS[name].sample(times), SIGNALS[name].sample(times + period), atol=1e-9
+    )
+
+
+@given(
+    frequency=st.sampled_from([0.025, 0.05, 0.1, 0.125, 0.2, 0.25, 0.5, 1.0]),
+    rate=st.sampled_from([10, 20, 50, 100, 1000]),
+)
+def test_a_square_has_its_edges_on_the_samples_they_were_meant_for(
+    frequency: float, rate: int
+) -> None:
+    half = rate / frequency / 2
+    if half != int(half):
+        return
+    samples = np.arange(int(8 * half))
+    # time as a loop makes it, with the rounding of a product
+    values = Square(amplitude=1.0, frequency=frequency).sample(samples * (1 / rate))
+    np.testing.assert_array_equal(values, np.where((samples // int(half)) % 2 == 0, 1.0, -1.0))
+
+
+def test_a_step_comes_on_the_sample_nearest_to_its_time() -> None:
+    times = np.cumsum(np.full(100, 0.1))  # 0.1, 0.2, 0.30000000000000004, …
+    values = Step(amplitude=1.0, start=0.8).sample(times)
+    assert np.argmax(values) == 7
+
+
+def test_a_sawtooth_is_scipys_a_half_rise_later() -> None:
+    times = np.arange(1000) * 0.00993 + 0.0013
+    for width in (1.0, 0.5, 0.2):
+        ours = Sawtooth(amplitude=1.0, frequency=0.5, width=width).sample(times)
+        theirs = scipy.signal.sawtooth(2 * np.pi * (0.5 * times + width / 2), width)
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+def test_a_sawtooth_begins_at_its_offset() -> None:
+    for width in (1.0, 0.5, 0.2):
+        start = Sawtooth(amplitude=1.0, frequency=0.5, width=width).sample(np.array([0.0]))
+        assert start == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
+@pytest.mark.parametrize(("first", "last"), [(0.1, 3.0), (3.0, 0.1), (1.0, 1.0)])
+def test_a_chirp_is_scipys(sweep: str, first: float, last: float) -> None:
+    times = np.linspace(0, 10, 500)
+    ours = Chirp(
+        amplitude=1.0,
+        frequency=first,
+        final_frequency=last,
+        duration=10.0,
+        sweep=sweep,  # type: ignore[arg-type]
+    )
+    theirs = scipy.signal.chirp(times, first, 10.0, last, method=sweep, phi=-90)
+    np.testing.assert_allclose(ours.sample(times), theirs, atol=1e-9)
+    np.testing.assert_array_equal(ours.sample(np.array([11.0])), ours.sample(np.array([10.0])))
+
+
+def test_a_multisine_excites_its_band_evenly_and_nothing_else() -> None:
+    signal = Multisine(amplitude=1.0, frequency=0.1, lowest=0.5, highest=3.0)
+    times = np.arange(1000) * 0.01  # one period
+    spectrum = np.abs(np.fft.rfft(signal.sample(times)))
+    inside = np.zeros(spectrum.size, dtype=bool)
+    inside[5:31] = True
+    np.testing.assert_allclose(spectrum[inside], spectrum[5], rtol=1e-6)
+    assert spectrum[~inside].max() < 1e-6 * spectrum[5]
+
+
+@given(st.integers(8, 80))
+def test_a_multisine_has_a_low_crest_factor(harmonics: int) -> None:
+    signal = Multisine(amplitude=1.0, frequency=0.1, lowest=0.1, highest=0.1 * harmonics)
+    values = signal.sample(np.arange(40 * harmonics) * (10 / (40 * harmonics)))
+    peak = np.max(np.abs(values))
+    assert peak == pytest.approx(1.0, rel=0.006)
+    # all in phase it would be sqrt(2K), from 4 to 12.6 here
+    assert peak / np.sqrt(np.mean(values**2)) < 2.0
+
+
+@pytest.mark.parametrize("bits", [3, 5, 8])
+def test_a_prbs_is_balanced_and_white(bits: int) -> None:
+    length = 2**bits - 1
+    levels = Prbs(amplitude=1.0, hold=0.5, bits=bits).sample(np.arange(length) * 0.5 + 0.25)
+    assert abs(levels.sum()) == 1
+    correlation = [float(levels @ np.roll(levels, lag)) for lag in range(1, length)]
+    np.testing.assert_array_equal(correlation, -1.0)
+
+
+def test_a_prbs_leads_by_its_phase() -> None:
+    times = np.arange(500) * 0.1
+    plain = Prbs(amplitude=1.0, hold=0.5, bits=5)
+    shifted = Prbs(amplitude=1.0, hold=0.5, bits=5, phase=10 / 31)
+    np.testing.assert_array_equal(shifted.sample(times), plain.sample(times + 5.0))
+
+
+def test_pieces_count_their_own_time_or_that_of_the_run() -> None:
+    wave = Ramp(amplitude=1.0, duration=10.0)
+    times = np.array([0.0, 4.0, 5.0, 7.0])
+    pieces = [Piece(start=5.0, signal=wave)]
+    np.testing.assert_allclose(Schedule(pieces=pieces).sample(times), [0, 0, 0, 0.2])
+    np.testing.assert_allclose(
+        Schedule(pieces=pieces, clock="global").sample(times), [0, 0, 0.5, 0.7]
+    )
+
+
+def test_mistakes_are_named() -> None:
+    with pytest.raises(ConfigurationError, match="no multiple"):
+        Multisine(amplitude=1.0, frequency=1.0, lowest=0.2, highest=0.7)
+    with pytest.raises(ConfigurationError, match="below its begin"):
+        Multisine(amplitude=1.0, frequency=0.1, lowest=0.8, highest=0.7)
+    with pytest.raises(ConfigurationError, match="no signals"):
+        Sum(terms=[])
+    with pytest.raises(ConfigurationError, match="int is not a signal"):
+        Sum(terms=[3])  # type: ignore[list-item]
+    with pytest.raises(ConfigurationError, match="not after"):
+        Schedule(pieces=[Piece(start=t, signal=Constant()) for t in (3.0, 3.0)])
+    with pytest.raises(ConfigurationError, match="no pieces"):
+        Schedule(pieces=[])
+    with pytest.raises(ConfigurationError, match="Piece"):
+        Schedule(pieces=[{"start": 0}])  # type: ignore[list-item]

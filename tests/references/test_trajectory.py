@@ -1,0 +1,131 @@
+"""The reference of a run: its axes, its configurations, its overrides on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import build
+from trms_cli.references.constant import Constant
+from trms_cli.references.shaping import Shaping
+from trms_cli.references.sine import Sine
+from trms_cli.references.square import Square
+from trms_cli.references.step import Step
+from trms_cli.references.trajectory import ReferenceTrajectory
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+REFERENCES = sorted(path.stem for path in (CONFIGS / "ref").glob("*.yaml"))
+TIMES = np.arange(0, 60, 0.01)
+Compose = Callable[..., ReferenceTrajectory]
+
+
+@pytest.fixture()
+def composed(tmp_path: Path) -> Compose:
+    """Builds the reference that a command line would get."""
+    table = tmp_path / "reference.csv"
+    table.write_text("t[s],r_v[rad],r_h[rad]\n0,0.1,0.2\n1,0.3,0.4\n")
+
+    def make(*overrides: str) -> ReferenceTrajectory:
+        with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+            config = compose(overrides=list(overrides))
+        if "+ref=from_csv" in overrides:
+            config.ref.alpha_v.file = str(table)
+        return build(OmegaConf.to_container(config.ref, resolve=True), "ref")
+
+    return make
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_every_reference_there_is_can_be_built_and_stays_in_reach(
+    composed: Compose, name: str
+) -> None:
+    trajectory = composed(f"+ref={name}")
+    values = trajectory.sample(TIMES)
+    assert trajectory.axes == ("alpha_v", "alpha_h")
+    assert values.shape == (TIMES.size, 2)
+    assert values[:, 0].min() > -0.9 and values[:, 0].max() < 0.6
+
+
+@pytest.mark.parametrize("group", ["ref", "signal", "shaping"])
+def test_configurations_say_what_they_are_and_in_which_unit(group: str) -> None:
+    texts = {path.name: path.read_text() for path in (CONFIGS / group).glob("*.yaml")}
+    assert len(set(texts.values())) == len(texts)
+    for name, text in texts.items():
+        lines = text.splitlines()
+        assert lines[0].startswith("# "), name
+        for line in lines[1:]:
+            bare = line.strip().startswith(("-", "_target_:", "signal:", "alpha_", "defaults:"))
+            assert bare or " # " in line, f"{name}: {line}"
+
+
+def test_the_benchmark_is_the_one_that_was_agreed(composed: Compose) -> None:
+    assert composed("+ref=square") == ReferenceTrajectory(
+        alpha_v=Square(amplitude=0.3, frequency=0.025),
+        alpha_h=Square(amplitude=0.5, frequency=0.025),
+    )
+
+
+def test_axes_are_chosen_and_changed_from_the_command_line(composed: Compose) -> None:
+    assert composed("+ref=square", "ref.alpha_h.amplitude=0.7").alpha_h == Square(
+        amplitude=0.7, frequency=0.025
+    )
+    mixed = composed("+ref=per_axis", "signal@ref.alpha_v=sine", "signal@ref.alpha_h=step")
+    assert isinstance(mixed.alpha_v, Sine) and isinstance(mixed.alpha_h, Step)
+    shaped = composed("+ref=square", "shaping@ref.shaping=limited", "ref.shaping.max_jerk=null")
+    assert shaped.shaping == Shaping(max_rate=0.5, max_acceleration=0.5)
+    assert composed("+ref=square", "ref.alpha_h=null").axes == ("alpha_v",)
+    summed = composed("+ref=sum", "ref.alpha_v.terms.0.amplitude=0.05")
+    assert summed.alpha_v.terms[0].amplitude == 0.05  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("override", "where"),
+    [
+        ("+ref.alpha_v.amplitud=1", "ref.alpha_v.amplitud"),
+        ("ref.alpha_v.frequency=-1", "ref.alpha_v.frequency"),
+        ("ref.alpha_v.amplitude=much", "ref.alpha_v.amplitude"),
+        ("ref.alpha_v=3", "ref.alpha_v"),
+        ("+ref.shaping.max_rate=0", "ref.shaping"),
+    ],
+)
+def test_mistakes_on_the_command_line_are_named_by_their_key(
+    composed: Compose, override: str, where: str
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        composed("+ref=square", override)
+    assert caught.value.where.startswith(where)
+    assert caught.value.remedy
+
+
+def test_columns_are_the_axes_in_order() -> None:
+    both = ReferenceTrajectory(alpha_v=Constant(offset=0.1), alpha_h=Constant(offset=0.2))
+    np.testing.assert_array_equal(both.sample(np.zeros(3)), [[0.1, 0.2]] * 3)
+    yaw = both.restricted_to(["alpha_h"])
+    assert yaw.axes == ("alpha_h",)
+    np.testing.assert_array_equal(yaw.sample(np.zeros(3)), [[0.2]] * 3)
+    with pytest.raises(ConfigurationError, match="no reference"):
+        yaw.restricted_to(["alpha_v"])
+
+
+def test_shaping_holds_on_every_axis() -> None:
+    shaped = ReferenceTrajectory(
+        alpha_v=Step(amplitude=0.3), alpha_h=Step(amplitude=-0.5), shaping=Shaping(max_rate=0.1)
+    )
+    values = shaped.sample(TIMES)
+    assert np.max(np.abs(np.diff(values, axis=0))) <= 0.1 * 0.01 * (1 + 1e-9)
+    np.testing.assert_allclose(values[-1], [0.3, -0.5])
+
+
+def test_mistakes_are_named() -> None:
+    with pytest.raises(ConfigurationError, match="no axis"):
+        ReferenceTrajectory()
+    with pytest.raises(ConfigurationError, match="is not a signal"):
+        ReferenceTrajectory(alpha_v=Shaping(max_rate=1.0))  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match="is not a shaping"):
+        ReferenceTrajectory(alpha_v=Constant(), shaping=Constant())  # type: ignore[arg-type]
