@@ -1,0 +1,209 @@
+"""What can be chosen: the groups and options in the configuration folders, read at once.
+
+A group is a folder, an option a YAML in it, and the option's first comment line tells what it
+is. Neither Hydra nor a plugin's module is imported, so that `list`, a command's help and tab
+completion do not wait for them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.resources import config_folder
+
+_DEFAULT_LINE = re.compile(r"^\s*-\s+(?:optional\s+)?([\w/]+):[^#]*?(?:#\s*(.*))?$")
+
+
+class Option(NamedTuple):
+    """One YAML of a group."""
+
+    group: str
+    name: str
+    file: Path
+    summary: str  #: first comment line of the file
+    source: Path  #: the configuration folder it was found in
+
+
+Groups = dict[str, dict[str, Option]]
+
+
+def take_config_dirs(argv: Sequence[str]) -> tuple[tuple[Path, ...], list[str]]:
+    """Take every ``--config-dir DIR`` (or ``--config-dir=DIR``) off `argv`, checked.
+
+    Returns
+    -------
+    (folders, rest)
+        The folders as absolute paths in the order given, and what is left of `argv`.
+    """
+    folders: list[Path] = []
+    rest: list[str] = []
+    words = iter(argv)
+    for word in words:
+        if word in ("--config-dir", "-cd"):
+            folders.append(_checked_folder(next(words, "")))
+        elif word.startswith("--config-dir="):
+            folders.append(_checked_folder(word.partition("=")[2]))
+        else:
+            rest.append(word)
+    return tuple(folders), rest
+
+
+def _checked_folder(text: str) -> Path:
+    where = "--config-dir"
+    if not text:
+        raise ConfigurationError(
+            "no folder given", where=where, remedy="write --config-dir FOLDER_WITH_YAML_GROUPS"
+        )
+    folder = Path(text).expanduser().resolve()
+    if not folder.is_dir():
+        kind = "is no folder" if folder.exists() else "does not exist"
+        raise ConfigurationError(
+            f"{text!r} {kind}", where=where, remedy="name the folder that holds your YAML groups"
+        )
+    if next(folder.glob("*/**/*.yaml"), None) is None:
+        raise ConfigurationError(
+            f"{text!r} holds no group: no folder in it has a YAML",
+            where=where,
+            remedy="name the folder above the groups: DIR in DIR/controller/mine.yaml",
+        )
+    return folder
+
+
+def make_importable(folders: Iterable[Path]) -> None:
+    """Let ``_target_`` name a module or package that lies in a configuration folder or beside it.
+
+    Both places go to the end of the module search path: what is installed wins.
+    """
+    for folder in folders:
+        for place in (str(folder), str(folder.parent)):
+            if place not in sys.path:
+                sys.path.append(place)
+
+
+def roots(config_dirs: Sequence[Path] = ()) -> tuple[Path, ...]:
+    """The configuration folders; an option in an earlier one hides its namesake in a later one."""
+    return (*config_dirs, config_folder())
+
+
+def read_groups(config_dirs: Sequence[Path] = ()) -> Groups:
+    """All groups with their options, both sorted by name."""
+    found: Groups = {}
+    for root in roots(config_dirs):
+        for folder, subfolders, files in os.walk(root):
+            subfolders[:] = sorted(name for name in subfolders if name[0] not in "._")
+            group = Path(folder).relative_to(root).as_posix()
+            if group == "." or group.split("/")[0] == "hydra":
+                continue
+            for file in files:
+                name, suffix = os.path.splitext(file)
+                if suffix != ".yaml" or name in found.get(group, {}):
+                    continue
+                path = Path(folder, file)
+                found.setdefault(group, {})[name] = Option(
+                    group, name, path, first_comment(path), root
+                )
+    return {group: dict(sorted(found[group].items())) for group in sorted(found)}
+
+
+def first_comment(file: Path) -> str:
+    """The first comment line of a YAML that is not a directive to Hydra."""
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            text = line.strip()
+            if text.startswith("#"):
+                text = text.lstrip("# ").strip()
+                if text and not text.startswith("@package"):
+                    return text
+            elif text:
+                break
+    return ""
+
+
+def primary_file(primary: str, config_dirs: Sequence[Path] = ()) -> Path:
+    """The YAML that a command composes from, e.g. ``run.yaml``."""
+    for root in roots(config_dirs):
+        file = root / f"{primary}.yaml"
+        if file.is_file():
+            return file
+    raise ConfigurationError(
+        f"the primary configuration {primary}.yaml is missing",
+        where=str(config_folder()),
+        remedy="the installation is incomplete: install trms again",
+    )
+
+
+def read_yaml(file: Path) -> Any:
+    """The content of a YAML as plain data; a syntax error names the file and the line."""
+    import yaml
+
+    try:
+        return yaml.load(file.read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    except yaml.YAMLError as error:
+        raise yaml_error(error, file) from None
+
+
+def yaml_error(error: Exception, file: Path | None = None) -> ConfigurationError:
+    """A YAML syntax error as one that names file, line and problem."""
+    mark = getattr(error, "problem_mark", None)
+    place = str(file or getattr(mark, "name", "") or "a YAML file")
+    if mark is not None:
+        place += f", line {mark.line + 1}, column {mark.column + 1}"
+    return ConfigurationError(
+        f"not valid YAML: {getattr(error, 'problem', None) or error}",
+        where=place,
+        remedy="mend the line; indent with spaces, and quote text that holds a colon or a brace",
+    )
+
+
+class Primary(NamedTuple):
+    """What a primary configuration declares."""
+
+    defaults: dict[str, Any]  #: group → default option (a list: several at once; None: none)
+    about: dict[str, str]  #: group → the comment on its line of the defaults
+    body: dict[str, Any]  #: the keys that are no group, with their defaults
+
+
+def read_primary(primary: str, config_dirs: Sequence[Path] = ()) -> Primary:
+    """The defaults list and the own keys of a primary configuration."""
+    file = primary_file(primary, config_dirs)
+    content = dict(read_yaml(file) or {})
+    entries = [entry for entry in content.pop("defaults", []) if isinstance(entry, dict)]
+    defaults = {
+        str(group).removeprefix("optional "): option
+        for entry in entries
+        for group, option in entry.items()
+    }
+    about: dict[str, str] = {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        match = _DEFAULT_LINE.match(line)
+        if match and match[1] in defaults:
+            about.setdefault(match[1], match[2] or "")
+    return Primary(defaults, about, content)
+
+
+def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:
+    """The part of a command's help that tells which groups and options its overrides choose."""
+    declared = read_primary(primary, config_dirs)
+    groups = read_groups(config_dirs)
+    lines = ["choices (the default is marked *; `trms list GROUP OPTION` shows an option's keys)"]
+    for group, chosen in declared.defaults.items():
+        lines.append(f"  {group:12}{declared.about.get(group, '')}".rstrip())
+        for name, option in groups.get(group, {}).items():
+            mark = "*" if name == chosen else " "
+            lines.append(f"   {mark} {name:24} {option.summary}".rstrip())
+    lines += ["", "other keys", *_key_lines(primary_file(primary, config_dirs))]
+    return "\n".join(lines) + "\n"
+
+
+def _key_lines(file: Path) -> list[str]:
+    """The own keys of a primary configuration as its file has them, comments included."""
+    text = file.read_text(encoding="utf-8").splitlines()
+    after = next((i for i, line in enumerate(text) if re.match(r"defaults\s*:", line)), -1) + 1
+    body = next((i for i in range(after, len(text)) if re.match(r"\w", text[i])), len(text))
+    return [f"  {line}" for line in text[body:] if line.strip()]

@@ -1,0 +1,235 @@
+"""Composes an experiment: overrides and YAML groups → one plain, resolved, checked mapping.
+
+The fast path uses Hydra's compose API: no folder is made, no logging set up, no directory
+changed. Sweeps (``-m``) go through Hydra's own main, so that its launchers and sweepers work.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from trms_cli.commands.catalogue import (
+    Primary,
+    config_folder,
+    make_importable,
+    read_groups,
+    read_primary,
+)
+from trms_cli.commands.overrides import Request, prepare, read_request
+from trms_cli.commands.run_folder import new_folder
+from trms_cli.core.errors import EXIT_OK, ConfigurationError
+from trms_cli.core.plugins import TARGET, nearest
+
+
+@dataclass(frozen=True)
+class Composition:
+    """A composed experiment.
+
+    Attributes
+    ----------
+    config : dict
+        Plain data, interpolations resolved, every mandatory value given. Top-level keys and the
+        keys of mappings that are no plugin are checked; a plugin's own are checked when built.
+    overrides : tuple of str
+        What was typed; for a job of a sweep, the job's own.
+    choices : dict
+        The option chosen in each group (a list where several can be).
+    config_dirs : tuple of Path
+        The user's folders, already importable.
+    job : int or None
+        The number of the job in a sweep; None for a single run.
+    """
+
+    config: dict[str, Any]
+    overrides: tuple[str, ...]
+    choices: dict[str, Any]
+    config_dirs: tuple[Path, ...] = ()
+    job: int | None = None
+
+    def folder(self, what: str) -> Path:
+        """The folder to write into: a job's own in a sweep, else a new one (``out``, or dated)."""
+        if self.job is not None:
+            return Path(self.config["out"])
+        return new_folder(self.config["out"], what)
+
+    @cached_property
+    def yaml(self) -> str:
+        """The resolved configuration as a YAML document."""
+        import yaml
+
+        return yaml.safe_dump(self.config, sort_keys=False, allow_unicode=True, width=100)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a task may return instead of a bare exit code: the figure that a sweeper minimises."""
+
+    exit_code: int = EXIT_OK
+    objective: float | None = None
+
+
+Task = Callable[[Composition], "int | Outcome"]
+
+
+def execute(argv: Sequence[str], primary: str, task: Task) -> int:
+    """Do what `argv` asks: show the configuration, run `task` on it, or sweep.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Overrides, and ``--config-dir DIR``, ``--cfg job``, ``-m``.
+    primary : str
+        Name of the primary configuration, ``run`` for ``configs/run.yaml``.
+    task : callable
+        A module's function (a launcher may send it to another process): gets a `Composition`,
+        returns the exit code or an `Outcome`.
+
+    Returns
+    -------
+    int
+        Exit code; that of a sweep is 1 when any job failed.
+    """
+    request = read_request(argv)
+    if request.multirun and not request.show:
+        from trms_cli.commands.sweep import sweep
+
+        return sweep(request, primary, task)
+    composition = _compose(request._replace(multirun=False), primary)
+    if request.show:
+        sys.stdout.write(composition.yaml)
+        return EXIT_OK
+    outcome = task(composition)
+    return outcome.exit_code if isinstance(outcome, Outcome) else outcome
+
+
+def compose(argv: Sequence[str] = (), primary: str = "run") -> Composition:
+    """Compose one experiment from `argv`; ``-m`` and ``--cfg`` are `execute`'s and refused here."""
+    request = read_request(argv)
+    if request.multirun or request.show:
+        raise ConfigurationError(
+            "one configuration is composed here",
+            where="the command line",
+            remedy="leave out -m and --cfg",
+        )
+    return _compose(request, primary)
+
+
+def _compose(request: Request, primary: str) -> Composition:
+    declared = read_primary(primary, request.config_dirs)
+    groups = read_groups(request.config_dirs)
+    overrides = prepare(request, declared, groups)
+    make_importable(request.config_dirs)
+
+    from trms_cli.commands.composition_errors import explained
+
+    def keys(fewer: Sequence[str]) -> Mapping[str, Any]:
+        from omegaconf import OmegaConf
+
+        content = OmegaConf.to_container(_hydra_compose(primary, fewer, request.config_dirs))
+        assert isinstance(content, dict)
+        return content  # type: ignore[return-value]
+
+    with explained(overrides, declared, groups, keys):
+        composed = _hydra_compose(primary, overrides, request.config_dirs)
+        return finish(composed, declared, request)
+
+
+def _hydra_compose(primary: str, overrides: Sequence[str], config_dirs: Sequence[Path]) -> Any:
+    """The ``DictConfig`` with its ``hydra`` node, unresolved."""
+    import hydra
+
+    from trms_cli.commands.search_path import HYDRA_VERSION_BASE, user_folders
+
+    with user_folders(config_dirs):
+        hydra.initialize_config_dir(
+            str(config_folder()), job_name=primary, version_base=HYDRA_VERSION_BASE
+        )
+        return hydra.compose(primary, overrides=list(overrides), return_hydra_config=True)
+
+
+def finish(composed: Any, declared: Primary, request: Request) -> Composition:
+    """Take the ``hydra`` node off a composed ``DictConfig`` and check the rest."""
+    from omegaconf import OmegaConf, open_dict
+
+    choices = OmegaConf.to_container(composed.hydra.runtime.choices)
+    assert isinstance(choices, dict)
+    with open_dict(composed):
+        del composed["hydra"]
+    return checked(composed, declared, choices, request)
+
+
+def checked(
+    composed: Any,
+    declared: Primary,
+    choices: Mapping[Any, Any],
+    request: Request,
+    job: int | None = None,
+) -> Composition:
+    """Resolve a ``DictConfig`` and check it: nothing missing, no key that is not declared."""
+    from omegaconf import OmegaConf
+
+    missing = sorted(OmegaConf.missing_keys(composed))
+    if missing:
+        raise ConfigurationError(
+            f"{', '.join(missing)} must be given",
+            where=missing[0],
+            remedy=f"add {' '.join(f'{key}=…' for key in missing)}",
+        )
+    config = OmegaConf.to_container(composed, resolve=True)
+    assert isinstance(config, dict)
+    for group, option in declared.defaults.items():
+        if isinstance(option, list):
+            config.setdefault(group, {})
+    _check_keys(config, declared)
+    return Composition(
+        {str(key): value for key, value in config.items()},
+        request.overrides,
+        {
+            group: list(config[group]) if isinstance(option, list) else choices.get(group)
+            for group, option in declared.defaults.items()
+        },
+        request.config_dirs,
+        job,
+    )
+
+
+def _check_keys(config: Mapping[Any, Any], declared: Primary) -> None:
+    """Hydra's ``+`` and an experiment's YAML can add any key: refuse what is not declared."""
+    allowed = {*declared.defaults, *declared.body}
+    _refuse_unknown(config, allowed, "")
+    for group, option in declared.defaults.items():
+        if option is not None and config.get(group) is None:
+            raise ConfigurationError(
+                f"no {group} is chosen", where=group, remedy=f"`trms list {group}` tells which"
+            )
+    _check_nested(config, declared.body, "")
+
+
+def _check_nested(config: Mapping[Any, Any], body: Mapping[str, Any], where: str) -> None:
+    for key, default in body.items():
+        if not isinstance(default, Mapping) or not default or TARGET in default:
+            continue
+        place = f"{where}.{key}" if where else key
+        if not isinstance(config.get(key), Mapping):
+            raise ConfigurationError(
+                f"{config.get(key)!r} given",
+                where=place,
+                remedy=f"set its keys: {', '.join(f'{place}.{name}=…' for name in default)}",
+            )
+        _refuse_unknown(config[key], default, place)
+        _check_nested(config[key], default, place)
+
+
+def _refuse_unknown(given: Mapping[Any, Any], allowed: Any, where: str) -> None:
+    for key, value in given.items():
+        if key not in allowed:
+            raise ConfigurationError(
+                f"there is no key {str(key)!r} (given: {value!r})",
+                where=f"{where}.{key}" if where else str(key),
+                remedy=nearest(str(key), allowed),
+            )

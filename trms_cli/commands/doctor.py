@@ -1,0 +1,222 @@
+"""``trms doctor``: whether this machine is ready, and what to install."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from trms_cli import __version__
+from trms_cli.core.errors import EXIT_OK, ConfigurationError
+
+SUMMARY = "tell whether this machine is ready, and what to install"
+
+HELP = """\
+usage: trms doctor [--json]
+
+  Checks Python, the packages, the C compiler, the cache folder, disk, cores and the terminal,
+  and tells what to install. Exit code 0: trms works here (a missing compiler only makes it
+  slower); 1: it does not.
+
+  --json    the same as JSON (schema trms.doctor/1)
+"""
+
+EXIT_NOT_READY = 1
+OLDEST_PYTHON = (3, 11)
+LOW_DISK = 1e9  #: bytes; a run's log takes some 10 MB
+
+OK, SLOWER, BROKEN = "ok", "note", "broken"
+
+
+class Finding(NamedTuple):
+    """One line of the report."""
+
+    what: str
+    state: str  #: ok, note (works all the same), broken
+    found: str
+    remedy: str = ""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print the findings; exit code 1 when one of them keeps trms from working."""
+    unknown = [word for word in argv if word != "--json"]
+    if unknown:
+        raise ConfigurationError(
+            f"cannot use {unknown[0]!r}", where="trms doctor", remedy="usage: trms doctor [--json]"
+        )
+    checks: list[Callable[[], list[Finding]]] = [
+        _python,
+        _packages,
+        _compiler,
+        _cache,
+        _disk,
+        _cores,
+        _terminal,
+    ]
+    findings = [finding for check in checks for finding in check()]
+    usable = all(finding.state != BROKEN for finding in findings)
+    if "--json" in argv:
+        import json
+
+        document = {
+            "schema": "trms.doctor/1",
+            "trms": __version__,
+            "usable": usable,
+            "findings": [finding._asdict() for finding in findings],
+        }
+        sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
+    else:
+        sys.stdout.write(_report(findings, usable))
+    return EXIT_OK if usable else EXIT_NOT_READY
+
+
+def _report(findings: Sequence[Finding], usable: bool) -> str:
+    lines = [f"trms {__version__}", ""]
+    for finding in findings:
+        lines.append(f"  {finding.state:7}{finding.what:16}{finding.found}")
+        if finding.remedy:
+            lines.append(f"  {'':23}→ {finding.remedy}")
+    ending = "ready" if usable else "not ready: see the lines marked broken"
+    return "\n".join([*lines, "", ending]) + "\n"
+
+
+def _python() -> list[Finding]:
+    found = f"{sys.version.split()[0]} at {sys.executable}"
+    if sys.version_info < OLDEST_PYTHON:
+        return [Finding("Python", BROKEN, found, "install Python 3.11 or newer")]
+    return [Finding("Python", OK, found)]
+
+
+def _packages() -> list[Finding]:
+    """Every package that trms requires, as its own metadata lists them, imported or not."""
+    import re
+    from importlib import metadata
+
+    try:
+        required = metadata.requires("trms-cli") or []
+    except metadata.PackageNotFoundError:
+        return [Finding("packages", BROKEN, "trms is not installed", "pip install trms-cli")]
+    findings: list[Finding] = []
+    versions: list[str] = []
+    for requirement in required:
+        if "extra ==" in requirement:
+            continue
+        name = re.match(r"[\w.-]+", requirement)
+        assert name is not None
+        try:
+            versions.append(f"{name[0]} {metadata.version(name[0])}")
+        except metadata.PackageNotFoundError:
+            remedy = f"pip install '{requirement.split(';')[0].strip()}'"
+            findings.append(Finding(name[0], BROKEN, "not installed", remedy))
+    rows = [", ".join(versions[i : i + 4]) for i in range(0, len(versions), 4)]
+    return [
+        *(Finding("packages" if i == 0 else "", OK, row) for i, row in enumerate(rows)),
+        *findings,
+        *_working_casadi(),
+    ]
+
+
+def _working_casadi() -> list[Finding]:
+    """The one package without which nothing computes: it must load, not only be there."""
+    try:
+        import casadi
+
+        x = casadi.SX.sym("x")
+        assert float(casadi.Function("f", [x], [x * x])(3.0)) == 9.0
+    except Exception as error:
+        return [Finding("casadi", BROKEN, f"does not load: {error}", "pip install casadi")]
+    return []
+
+
+def _compiler() -> list[Finding]:
+    """Build and load a generated function, as trms does."""
+    name = os.environ.get("CC") or next((n for n in ("cc", "gcc", "clang") if shutil.which(n)), "")
+    remedy = (
+        "install a C compiler to run faster (Debian, Ubuntu: `apt install gcc`; "
+        "macOS: `xcode-select --install`)"
+    )
+    if not name:
+        return [Finding("C compiler", SLOWER, "none: functions are interpreted", remedy)]
+    try:
+        version = subprocess.run([name, "--version"], capture_output=True, text=True, timeout=20)
+        first = (version.stdout.splitlines() or [name])[0]
+        with tempfile.TemporaryDirectory() as folder:
+            _build_and_call(name, Path(folder))
+    except Exception as error:
+        found = f"{name} does not build a generated function: {_last_line(error)}"
+        return [Finding("C compiler", SLOWER, found, remedy)]
+    return [Finding("C compiler", OK, f"{first}; a generated function builds and loads")]
+
+
+def _build_and_call(compiler: str, folder: Path) -> None:
+    import casadi
+
+    x = casadi.SX.sym("x")
+    generator = casadi.CodeGenerator("probe.c")
+    generator.add(casadi.Function("probe", [x], [casadi.sin(x)]))
+    source = generator.generate(f"{folder}{os.sep}")
+    library = folder / "probe.so"
+    subprocess.run(
+        [*compiler.split(), "-shared", "-fPIC", "-O1", str(source), "-o", str(library), "-lm"],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert float(casadi.external("probe", str(library))(0.0)) == 0.0
+
+
+def _last_line(error: Exception) -> str:
+    text = getattr(error, "stderr", None) or str(error) or type(error).__name__
+    return str(text).strip().splitlines()[-1]
+
+
+def _cache() -> list[Finding]:
+    from platformdirs import user_cache_path
+
+    folder = user_cache_path("trms")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        return [
+            Finding(
+                "cache",
+                SLOWER,
+                f"{folder} cannot be written: {error.strerror}; functions are built every time",
+                "make it writable, or set XDG_CACHE_HOME to a folder that is",
+            )
+        ]
+    return [Finding("cache", OK, str(folder))]
+
+
+def _disk() -> list[Finding]:
+    here = Path.cwd()
+    free = shutil.disk_usage(here).free
+    found = f"{free / 1e9:.1f} GB free in {here}"
+    if not os.access(here, os.W_OK):
+        remedy = "change to a folder that you can write to, or give runs an out=FOLDER"
+        return [Finding("disk", SLOWER, f"{here} cannot be written", remedy)]
+    if free < LOW_DISK:
+        return [Finding("disk", SLOWER, found, "free some space: a log takes about 10 MB")]
+    return [Finding("disk", OK, found)]
+
+
+def _cores() -> list[Finding]:
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return [Finding("cores", OK, f"{available} (a sweep uses one a job, with a launcher)")]
+
+
+def _terminal() -> list[Finding]:
+    encoding = sys.stdout.encoding or "unknown"
+    kind = "a terminal" if sys.stdout.isatty() else "not a terminal: no colour, no progress bar"
+    found = f"{encoding}, {kind}, {shutil.get_terminal_size().columns} columns"
+    if encoding.lower().replace("-", "") != "utf8":
+        return [Finding("terminal", SLOWER, found, "export PYTHONUTF8=1 to see α, ω and arrows")]
+    return [Finding("terminal", OK, found)]

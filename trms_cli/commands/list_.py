@@ -1,0 +1,120 @@
+"""``trms list``: the plugins and settings that can be chosen by name."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from trms_cli.commands.catalogue import Groups, Option, read_groups, read_primary, take_config_dirs
+from trms_cli.core.errors import EXIT_OK, ConfigurationError
+
+SUMMARY = "the plugins there are, with one line each"
+
+HELP = """\
+usage: trms list [GROUP [OPTION]] [--json] [--config-dir DIR]…
+
+  The groups, their options and what each is. With an OPTION: its YAML, whose comments tell
+  every key's unit and meaning; each key can be changed as GROUP.KEY=VALUE.
+
+  --json             the same as JSON (schema trms.list/1)
+  --config-dir DIR   also your own folder of groups; an option in it hides a built-in namesake
+
+examples
+  trms list                    everything
+  trms list controller         the controllers
+  trms list controller pid     the keys of one
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print groups, one group, or one option."""
+    config_dirs, rest = take_config_dirs(argv)
+    as_json = "--json" in rest
+    words = [word for word in rest if word != "--json"]
+    _refuse_options(words)
+    groups = read_groups(config_dirs)
+    if len(words) >= 2:
+        option = _find_option(groups, *words[:2])
+        if as_json:
+            _print_json({option.group: {option.name: option}}, _about(config_dirs))
+        else:
+            sys.stdout.write(f"# {option.file}\n{option.file.read_text(encoding='utf-8')}")
+        return EXIT_OK
+    if words:
+        groups = {words[0]: _find_group(groups, words[0])}
+    if as_json:
+        _print_json(groups, _about(config_dirs))
+    else:
+        sys.stdout.write(_table(groups, _about(config_dirs), config_dirs))
+    return EXIT_OK
+
+
+def _refuse_options(words: Sequence[str]) -> None:
+    unknown = next((word for word in words if word.startswith("-")), None)
+    if unknown is not None or len(words) > 2:
+        raise ConfigurationError(
+            f"cannot use {(unknown or words[-1])!r}",
+            where="trms list",
+            remedy="usage: trms list [GROUP [OPTION]] [--json] [--config-dir DIR]",
+        )
+
+
+def _find_group(groups: Groups, name: str) -> dict[str, Option]:
+    from trms_cli.core.plugins import nearest
+
+    if name not in groups:
+        raise ConfigurationError(
+            f"there is no group {name!r}", where="trms list", remedy=nearest(name, groups)
+        )
+    return groups[name]
+
+
+def _find_option(groups: Groups, group: str, name: str) -> Option:
+    from trms_cli.core.plugins import nearest
+
+    options = _find_group(groups, group)
+    if name not in options:
+        raise ConfigurationError(
+            f"group {group} has no option {name!r}",
+            where="trms list",
+            remedy=nearest(name, options),
+        )
+    return options[name]
+
+
+def _about(config_dirs: Sequence[Path]) -> dict[str, str]:
+    """What each group is for, as the primary configuration's defaults tell it."""
+    return read_primary("run", config_dirs).about
+
+
+def _table(groups: Groups, about: dict[str, str], config_dirs: Sequence[Path]) -> str:
+    width = max((len(name) for options in groups.values() for name in options), default=0) + 2
+    blocks = []
+    for group, options in groups.items():
+        purpose = about.get(group, "")
+        lines = [f"{group}  ({purpose})" if purpose else group]
+        for option in options.values():
+            own = f"  [{option.source}]" if option.source in config_dirs else ""
+            lines.append(f"  {option.name:{width}}{option.summary}{own}".rstrip())
+        blocks.append("\n".join(lines) + "\n")
+    return "\n".join(blocks)
+
+
+def _print_json(groups: Groups, about: dict[str, str]) -> None:
+    import json
+
+    document = {
+        "schema": "trms.list/1",
+        "groups": {
+            group: {
+                "about": about.get(group, ""),
+                "options": [
+                    {"name": option.name, "summary": option.summary, "file": str(option.file)}
+                    for option in options.values()
+                ],
+            }
+            for group, options in groups.items()
+        },
+    }
+    sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")

@@ -1,0 +1,270 @@
+"""What is typed after ``trms run``: read, checked against what there is, and put in Hydra's words.
+
+Checked before Hydra starts: a key or an option that does not exist is answered with the nearest
+that does. Three forms are ours and rewritten:
+
+- ``model=fit.yaml``: a path chooses the option ``from_file`` with that path;
+- ``effect=yaw_coulomb_friction``: a group that takes several options also takes one;
+- ``plant.parameters.k_g=0.05``: the keys of an open mapping need no ``+``; their names are
+  checked by the plugin that knows them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from trms_cli.commands.catalogue import Groups, Primary, take_config_dirs
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+
+#: Mappings whose names only a plugin knows: ``model.parameters.k_g``.
+OPEN_MAPPINGS = ("parameters",)
+#: Keys whose value is a path: quoted for Hydra's grammar, which forbids ``=``, ``(`` and others.
+PATH_KEYS = ("out", "file", "path")
+
+_PLAIN_NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*")
+
+
+class Request(NamedTuple):
+    """What was asked for on the command line of a composing command."""
+
+    overrides: tuple[str, ...]  #: as typed
+    config_dirs: tuple[Path, ...]
+    show: bool  #: ``--cfg job``: print the configuration and stop
+    multirun: bool  #: ``-m``
+
+
+class Override(NamedTuple):
+    """``[+|++|~]key[@package]=value``, the value still as text (None for ``~key``)."""
+
+    prefix: str
+    key: str
+    package: str
+    value: str | None
+
+    def __str__(self) -> str:
+        value = "" if self.value is None else f"={self.value}"
+        return f"{self.prefix}{self.key}{self.package}{value}"
+
+
+def read_request(argv: Sequence[str]) -> Request:
+    """Split `argv` into overrides and the options that every composing command has.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown option; a command takes its own options off before.
+    """
+    config_dirs, rest = take_config_dirs(argv)
+    overrides: list[str] = []
+    show = multirun = False
+    words = iter(rest)
+    for word in words:
+        if word in ("-m", "--multirun"):
+            multirun = True
+        elif word in ("--cfg", "-c") or word.startswith("--cfg="):
+            what = word.partition("=")[2] or next(words, "job")
+            if what != "job":
+                raise ConfigurationError(
+                    f"{what!r} cannot be shown", where="--cfg", remedy="write --cfg job"
+                )
+            show = True
+        elif word.startswith("-"):
+            raise ConfigurationError(
+                f"unknown option {word!r}",
+                where="the command line",
+                remedy=nearest(word, ["--cfg", "--config-dir", "--multirun", "--help", "--debug"]),
+            )
+        else:
+            overrides.append(word)
+    return Request(tuple(overrides), config_dirs, show, multirun)
+
+
+def parse(text: str, groups: Groups) -> Override:
+    """Take one override apart.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is no ``key=value``; an option's bare name is answered with its group.
+    """
+    body = text.lstrip("+") if text.startswith("+") else text.removeprefix("~")
+    prefix = text[: len(text) - len(body)]
+    key, equals, value = body.partition("=")
+    if not equals and prefix != "~":
+        homes = [group for group, options in groups.items() if text in options]
+        remedy = f"did you mean {homes[0]}={text}?" if homes else "write KEY=VALUE"
+        raise ConfigurationError(
+            f"{text!r} is no override", where="the command line", remedy=remedy
+        )
+    key, at, package = key.strip().partition("@")
+    if not key:
+        raise ConfigurationError(
+            f"{text!r} names no key", where="the command line", remedy="write KEY=VALUE"
+        )
+    return Override(prefix, key, at + package, value if equals else None)
+
+
+def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
+    """The overrides in Hydra's words.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown key or option, or one that is given twice.
+    """
+    prepared: list[str] = []
+    seen: dict[str, str] = {}
+    for text in request.overrides:
+        override = parse(text, groups)
+        if override.key.split(".")[0].split("/")[0] == "hydra":
+            _check_hydra_key(override, request)
+            prepared.append(str(override))
+            continue
+        _check_first_name(override, primary)
+        if not override.prefix and seen.setdefault(override.key, text) is not text:
+            raise ConfigurationError(
+                f"given twice: {seen[override.key]} and {text}",
+                where=override.key,
+                remedy="keep one of the two",
+            )
+        if override.key in primary.defaults:
+            prepared += map(str, _choice(override, primary, groups, request.multirun))
+        else:
+            prepared.append(str(_value(override, request.multirun)))
+    return prepared
+
+
+def _check_hydra_key(override: Override, request: Request) -> None:
+    if not request.multirun:
+        raise ConfigurationError(
+            "Hydra's own keys steer a sweep only",
+            where=override.key,
+            remedy="add -m for a sweep, or leave the key out",
+        )
+
+
+def _check_first_name(override: Override, primary: Primary) -> None:
+    first = override.key.split(".")[0]
+    allowed = {*primary.defaults, *primary.body}
+    if first not in allowed:
+        given = "" if override.value is None else f" (given: {override.value})"
+        raise ConfigurationError(
+            f"there is no key {first!r}{given}",
+            where=override.key,
+            remedy=nearest(first, allowed),
+        )
+
+
+def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool) -> list[Override]:
+    """The choice of a group's option, checked, with paths and single names rewritten."""
+    group, value = override.key, override.value
+    if override.prefix == "~":
+        raise ConfigurationError(
+            f"{group} cannot be left out", where=group, remedy=nearest("", groups.get(group, {}))
+        )
+    if not value:
+        raise ConfigurationError(
+            f"{group}= names nothing", where=group, remedy=nearest("", groups.get(group, {}))
+        )
+    # `+ref=sine` is meant as `ref=sine`: the group has its place in the defaults
+    override = override._replace(prefix="")
+    several = isinstance(primary.defaults[group], list)
+    names = _names(value)
+    if names is None:  # quotes, functions or interpolations: Hydra's to judge
+        return [override]
+    if several:
+        override = override._replace(value=_as_lists(group, value, names, multirun))
+        names = (
+            [name for item in names for name in (_names(item[1:-1]) or []) if name]
+            if any(item.startswith("[") for item in names)
+            else names
+        )
+    elif any(_is_path(name) for name in names):
+        return _from_file(override, names, groups)
+    for name in names:
+        if name == "null" and primary.defaults[group] is None:
+            continue
+        if name not in groups.get(group, {}):
+            raise ConfigurationError(
+                f"{group} has no option {name!r}",
+                where=group,
+                remedy=nearest(name, groups.get(group, {})),
+            )
+    return [override]
+
+
+def _names(value: str) -> list[str] | None:
+    """The alternatives of a value at its outer commas; None if it is more than plain names."""
+    if re.search(r"[\"'(){}$]", value):
+        return None
+    items = [item.strip() for item in re.findall(r"\[[^\]]*\]|[^,\[\]]+", value)]
+    return [item for item in items if item]
+
+
+def _as_lists(group: str, value: str, names: Sequence[str], multirun: bool) -> str:
+    """`a` as `[a]`, and for a sweep `a,b` as `[a],[b]`."""
+    plain = [name for name in names if not name.startswith("[")]
+    if len(names) > 1 and not multirun:
+        raise ConfigurationError(
+            f"{value!r} are alternatives",
+            where=group,
+            remedy=f"write {group}=[{','.join(plain)}] for all at once, or add -m to take turns",
+        )
+    return ",".join(name if name.startswith("[") else f"[{name}]" for name in names)
+
+
+def _is_path(name: str) -> bool:
+    return name.endswith((".yaml", ".yml")) or name.startswith(("/", "./", "../", "~"))
+
+
+def _from_file(override: Override, names: Sequence[str], groups: Groups) -> list[Override]:
+    group = override.key
+    if "from_file" not in groups.get(group, {}):
+        raise ConfigurationError(
+            f"{override.value!r} is a path, and {group} takes a name",
+            where=group,
+            remedy=nearest(str(override.value), groups.get(group, {})),
+        )
+    if not all(_is_path(name) for name in names):
+        raise ConfigurationError(
+            f"{override.value!r} mixes names and paths",
+            where=group,
+            remedy="sweep over names or over paths, not both",
+        )
+    for name in names:
+        if not Path(name).expanduser().is_file():
+            raise ConfigurationError(
+                f"there is no file {name!r}",
+                where=group,
+                remedy="name a YAML that exists, or an option: " + ", ".join(groups.get(group, {})),
+            )
+    paths = ",".join(quoted(str(Path(name).expanduser())) for name in names)
+    return [
+        override._replace(value="from_file"),
+        Override("", f"{group}.path", "", paths),
+    ]
+
+
+def _value(override: Override, multirun: bool) -> Override:
+    """A value's override, with open mappings opened and paths quoted."""
+    parts = override.key.split(".")
+    if any(part in OPEN_MAPPINGS for part in parts[:-1]) and override.prefix != "~":
+        override = override._replace(prefix="++")
+    value = override.value
+    if parts[-1] in PATH_KEYS and value and not multirun and _needs_quotes(value):
+        override = override._replace(value=quoted(value))
+    return override
+
+
+def _needs_quotes(value: str) -> bool:
+    return value[0] not in "'\"[{" and "${" not in value and not _PLAIN_NAME.fullmatch(value)
+
+
+def quoted(value: str) -> str:
+    """`value` as a quoted string of Hydra's grammar."""
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

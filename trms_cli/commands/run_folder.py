@@ -1,0 +1,63 @@
+"""The folder that a command writes into: new, or asked for by name and empty."""
+
+from __future__ import annotations
+
+import os
+from datetime import datetime
+from pathlib import Path
+
+from trms_cli.core.errors import TrmsError
+
+
+def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
+    """Make the folder of a run; nothing that exists is ever written over.
+
+    Parameters
+    ----------
+    out : path or None
+        The folder that was asked for; None: ``outputs/<date>/<time>-<what>`` under the working
+        directory, with a number behind it when two start in one second.
+    what : str
+        The command: ``run``, ``identify``, …
+
+    Raises
+    ------
+    TrmsError
+        If the folder holds something already, or cannot be made or written to.
+    """
+    try:
+        if out is None:
+            return _dated(what)
+        folder = Path(out).expanduser()
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise TrmsError(
+                f"the folder {str(folder)!r} is not empty, and nothing is written over",
+                where="out",
+                remedy="name a new folder, or remove that one",
+            )
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(13, "Permission denied", str(folder))
+    except OSError as error:
+        place = error.filename or out or "outputs"
+        raise TrmsError(
+            f"cannot write into {str(place)!r}: {error.strerror or error}",
+            where="out",
+            remedy="name a folder that you can write to: out=FOLDER",
+        ) from error
+    return folder
+
+
+def _dated(what: str) -> Path:
+    now = datetime.now()
+    base = Path("outputs", now.strftime("%Y-%m-%d"), f"{now.strftime('%H-%M-%S')}-{what}")
+    base.parent.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while True:
+        folder = base if number == 1 else base.with_name(f"{base.name}-{number}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+        else:
+            return folder
