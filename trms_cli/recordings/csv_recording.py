@@ -17,7 +17,12 @@ import numpy as np
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name
 from trms_cli.recordings.output_file import whole_file
-from trms_cli.recordings.recording import Recording, unit_fields
+from trms_cli.recordings.recording import (
+    Recording,
+    require_channels,
+    require_values,
+    unit_fields,
+)
 from trms_cli.recordings.units import to_si
 
 _HEADER_CELL = re.compile(r"^(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]$")
@@ -66,7 +71,7 @@ def read_csv(path: Path | str) -> Recording:
             channels[column.name], units[column.name] = to_si(
                 named[column.name], column.unit, channel.units, where=header_at, name=column.name
             )
-    _check_has_values(channels, header_at)
+    require_values(channels, header_at)
     return Recording(time, channels, units, metadata, path, tuple(remarks))
 
 
@@ -168,7 +173,7 @@ def _header(line: str, where: str) -> list[_Column]:
                 where=where,
                 remedy="keep one of them",
             )
-    _require(columns, where)
+    require_channels([column.name for column in columns], where)
     return columns
 
 
@@ -199,20 +204,6 @@ def _header_cell(cell: str, position: int, where: str) -> _Column:
             remedy=f"write {name}[{unit}], with the unit that the numbers are in",
         )
     return _Column(name, match["unit"].strip())
-
-
-def _require(columns: Sequence[_Column], where: str) -> None:
-    names = [column.name for column in columns]
-    roles = {channel.role for name in names if (channel := find_channel(name))}
-    for there, what, remedy in (
-        ("t" in names, "time, the column t[s]", "every recording needs one"),
-        ("input" in roles, "an input", "at least one of u_v, u_h is needed"),
-        ("output" in roles, "an output", "at least one of alpha_v, alpha_h, omega_v, omega_h"),
-    ):
-        if not there:
-            raise RecordingError(
-                f"the header lacks {what}; it has {', '.join(names)}", where=where, remedy=remedy
-            )
 
 
 def _numbers(
@@ -340,17 +331,6 @@ def _check_time(path: Path, time: np.ndarray, line_numbers: list[int]) -> None:
             f"time {what}: {now:.9g} s after {before:.9g} s{more}",
             "sort the rows and keep one per time; split a file of several runs",
         )
-
-
-def _check_has_values(channels: dict[str, np.ndarray], where: str) -> None:
-    for role in ("input", "output"):
-        mine = [n for n in channels if (c := find_channel(n)) is not None and c.role == role]
-        if all(np.isnan(channels[name]).all() for name in mine):
-            raise RecordingError(
-                f"no {role} has a single value: {', '.join(mine)} are empty throughout",
-                where=where,
-                remedy=f"at least one {role} needs numbers",
-            )
 
 
 def _unit_of(name: str, columns: Sequence[_Column]) -> str:

@@ -16,6 +16,9 @@ from trms_cli.recordings.topics import Field, Topic, standard_topics
 
 _TOPICS = ("/measurement", "/command", "/reference", "/disturbance")
 _TIME_OFFSET = "time_offset_s"
+#: What a recording says about itself, apart from what trms says about the log.
+_OWN = "recording."
+_BOOKKEEPING = frozenset({"schema", "end", "outcome", "last_time_s", _TIME_OFFSET})
 
 
 def read_mcap(path: Path | str) -> Recording:
@@ -50,7 +53,7 @@ def recording_of(log: LoggedRun) -> Recording:
     offset_ns = round(float(log.run.get(_TIME_OFFSET, 0.0)) * 1e9)
     time = (measurement.time_ns - offset_ns) / 1e9
     remarks = tuple(f"the log is incomplete: {problem}" for problem in log.problems)
-    return Recording(time, channels, units, dict(log.run), log.path, remarks)
+    return Recording(time, channels, units, _own_metadata(log.run), log.path, remarks)
 
 
 def write_mcap(recording: Recording, path: Path | str, run_metadata: dict[str, str]) -> None:
@@ -70,7 +73,8 @@ def write_mcap(recording: Recording, path: Path | str, run_metadata: dict[str, s
     """
     topics = _topics(recording)
     offset_ns = max(0, -round(float(recording.time[0]) * 1e9))
-    metadata = {**recording.metadata, **run_metadata}
+    metadata = {f"{_OWN}{key}": value for key, value in recording.metadata.items()}
+    metadata.update(run_metadata)
     if offset_ns:
         metadata[_TIME_OFFSET] = repr(offset_ns / 1e9)
     times = (np.round(recording.time * 1e9).astype(np.int64) + offset_ns).tolist()
@@ -90,6 +94,14 @@ def write_mcap(recording: Recording, path: Path | str, run_metadata: dict[str, s
         for start, end in recording.gaps:
             time_ns = round(start * 1e9) + offset_ns
             log.event(time_ns, "gap", "recording", f"no samples until {end:.6g} s", end - start)
+
+
+def _own_metadata(run: dict[str, str]) -> dict[str, str]:
+    """Return what an imported recording said about itself; of a run, what defines it."""
+    own = {key.removeprefix(_OWN): text for key, text in run.items() if key.startswith(_OWN)}
+    if own or run.get("imported"):
+        return own
+    return {key: text for key, text in run.items() if key not in _BOOKKEEPING}
 
 
 def sha256_of(path: Path) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -99,7 +99,7 @@ class Recording:
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Read a recording, from CSV or from a run log.
+    """Read a recording, from CSV, MAT or a run log.
 
     Raises
     ------
@@ -114,6 +114,10 @@ def read_recording(path: Path | str) -> Recording:
         from trms_cli.recordings.csv_recording import read_csv
 
         return read_csv(path)
+    if suffix == ".mat":
+        from trms_cli.recordings.mat_recording import read_mat
+
+        return read_mat(path)
     if suffix == ".mcap":
         from trms_cli.recordings.mcap_recording import read_mcap
 
@@ -121,7 +125,7 @@ def read_recording(path: Path | str) -> Recording:
     raise RecordingError(
         f"the ending {suffix!r} tells no format of recordings",
         where=str(path),
-        remedy="give a .csv or a .mcap file",
+        remedy="give a .csv, a .mat or a .mcap file",
     )
 
 
@@ -149,6 +153,34 @@ def quantum(values: np.ndarray) -> float | None:
     step = float(counts @ (levels - levels[0]) / (counts @ counts))
     off_grid = np.abs(levels - levels[0] - step * np.round((levels - levels[0]) / step))
     return step if float(np.max(off_grid)) < 0.25 * step else None
+
+
+def require_channels(names: Sequence[str], where: str) -> None:
+    """Raise when a file lacks the time, an input or an output among its names."""
+    roles = {channel.role for name in names if (channel := find_channel(name))}
+    for there, what, remedy in (
+        ("t" in names, "time, the column t[s]", "every recording needs one"),
+        ("input" in roles, "an input", "at least one of u_v, u_h is needed"),
+        ("output" in roles, "an output", "at least one of alpha_v, alpha_h, omega_v, omega_h"),
+    ):
+        if not there:
+            raise RecordingError(
+                f"it lacks {what}; it has {', '.join(names) or 'nothing'}",
+                where=where,
+                remedy=remedy,
+            )
+
+
+def require_values(channels: Mapping[str, np.ndarray], where: str) -> None:
+    """Raise when no input, or no output, has a single value."""
+    for role in ("input", "output"):
+        mine = [n for n in channels if (c := find_channel(n)) is not None and c.role == role]
+        if all(np.isnan(channels[name]).all() for name in mine):
+            raise RecordingError(
+                f"no {role} has a single value: {', '.join(mine)} are empty throughout",
+                where=where,
+                remedy=f"at least one {role} needs numbers",
+            )
 
 
 def unit_fields(units: Mapping[str, str]) -> dict[str, str]:
