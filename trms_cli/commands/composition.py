@@ -189,13 +189,23 @@ def checked(
     return Composition(
         {str(key): value for key, value in config.items()},
         request.overrides,
-        {
-            group: list(config[group]) if isinstance(option, list) else choices.get(group)
-            for group, option in declared.defaults.items()
-        },
+        _chosen(choices, declared, config),
         request.config_dirs,
         job,
     )
+
+
+def _chosen(
+    choices: Mapping[Any, Any], declared: Primary, config: Mapping[Any, Any]
+) -> dict[str, Any]:
+    """Hydra's record of choices without its own; where several can be, their names."""
+    several = {
+        group: list(config[group])
+        for group, option in declared.defaults.items()
+        if isinstance(option, list)
+    }
+    ours = {str(key): name for key, name in choices.items() if not str(key).startswith("hydra/")}
+    return ours | several
 
 
 def _check_keys(config: Mapping[Any, Any], declared: Primary) -> None:

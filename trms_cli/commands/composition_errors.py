@@ -72,6 +72,11 @@ def _missing_option(error: Any, groups: Groups) -> ConfigurationError:
 
 
 def _unresolvable(error: Any) -> ConfigurationError:
+    missing = re.search(r"Missing mandatory value: (\S+)", str(error))
+    if missing:
+        return ConfigurationError(
+            f"{missing[1]} must be given", where=missing[1], remedy=f"add {missing[1]}=…"
+        )
     key = getattr(error, "full_key", None) or "the configuration"
     return ConfigurationError(
         f"cannot be resolved: {_first_line(str(error))}",
@@ -84,6 +89,14 @@ def _refused(
     error: Exception, overrides: Sequence[str], declared: Primary, compose: Compose
 ) -> ConfigurationError:
     message = str(error)
+    placed = re.search(r"Could not override '([^']+@[^']+)'", message)
+    if placed:
+        hints = [line.strip() for line in message.splitlines()[1:] if "To append" not in line]
+        return ConfigurationError(
+            "nothing is chosen at this place",
+            where=placed[1],
+            remedy=" ".join(filter(None, hints)) or "`--cfg job` shows the keys that there are",
+        )
     key = re.search(r"Could not (?:override|delete from config\.) '([^']+)'", message)
     if key:
         return _unknown_key(key[1], overrides, declared, compose)
@@ -171,7 +184,11 @@ def _cannot_be_set(
 def _with_choices_only(
     overrides: Sequence[str], declared: Primary, compose: Compose
 ) -> Mapping[str, Any]:
-    choices = [text for text in overrides if parse(text, {}).key in declared.defaults]
+    choices = []
+    for text in overrides:
+        override = parse(text, {})
+        if override.package or override.key in declared.defaults:
+            choices.append(text)
     try:
         return compose(choices)
     except Exception:  # the choices alone fail too: no keys to tell

@@ -134,65 +134,60 @@ def _working_casadi() -> list[Finding]:
 
 
 def _compiler() -> list[Finding]:
-    """Build and load a generated function, as trms does."""
-    name = os.environ.get("CC") or next((n for n in ("cc", "gcc", "clang") if shutil.which(n)), "")
+    """Build and load a generated function in the way trms does."""
+    from trms_cli.core import compilation
+
     remedy = (
-        "install a C compiler to run faster (Debian, Ubuntu: `apt install gcc`; "
+        "install a C compiler to run faster (Debian, Ubuntu: `apt install gcc libc6-dev`; "
         "macOS: `xcode-select --install`)"
     )
-    if not name:
+    program = compilation.compiler()
+    if program is None:
         return [Finding("C compiler", SLOWER, "none: functions are interpreted", remedy)]
     try:
-        version = subprocess.run([name, "--version"], capture_output=True, text=True, timeout=20)
-        first = (version.stdout.splitlines() or [name])[0]
-        with tempfile.TemporaryDirectory() as folder:
-            _build_and_call(name, Path(folder))
-    except Exception as error:
-        found = f"{name} does not build a generated function: {_last_line(error)}"
+        banner = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=20)
+        version = (banner.stdout.splitlines() or [program])[0]
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return [Finding("C compiler", SLOWER, f"{program} does not start: {error}", remedy)]
+    if not _builds():
+        found = f"{version}: does not build a generated function"
         return [Finding("C compiler", SLOWER, found, remedy)]
-    return [Finding("C compiler", OK, f"{first}; a generated function builds and loads")]
+    return [Finding("C compiler", OK, f"{version}; a generated function builds and loads")]
 
 
-def _build_and_call(compiler: str, folder: Path) -> None:
+def _builds() -> bool:
+    """Whether a function comes back as machine code, from a cache that is empty."""
     import casadi
 
+    from trms_cli.core import compilation
+
     x = casadi.SX.sym("x")
-    generator = casadi.CodeGenerator("probe.c")
-    generator.add(casadi.Function("probe", [x], [casadi.sin(x)]))
-    source = generator.generate(f"{folder}{os.sep}")
-    library = folder / "probe.so"
-    subprocess.run(
-        [*compiler.split(), "-shared", "-fPIC", "-O1", str(source), "-o", str(library), "-lm"],
-        check=True,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert float(casadi.external("probe", str(library))(0.0)) == 0.0
-
-
-def _last_line(error: Exception) -> str:
-    text = getattr(error, "stderr", None) or str(error) or type(error).__name__
-    return str(text).strip().splitlines()[-1]
+    function = casadi.Function("probe", [x], [casadi.sin(x)])
+    before = os.environ.get("TRMS_CACHE")
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["TRMS_CACHE"] = folder
+        try:
+            built = compilation.compiled(function)
+            return built is not function and float(built(0.0)) == 0.0
+        finally:
+            if before is None:
+                del os.environ["TRMS_CACHE"]
+            else:
+                os.environ["TRMS_CACHE"] = before
 
 
 def _cache() -> list[Finding]:
-    from platformdirs import user_cache_path
+    from trms_cli.core import compilation
 
-    folder = user_cache_path("trms")
+    folder = compilation.cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        return [
-            Finding(
-                "cache",
-                SLOWER,
-                f"{folder} cannot be written: {error.strerror}; functions are built every time",
-                "make it writable, or set XDG_CACHE_HOME to a folder that is",
-            )
-        ]
+        found = f"{folder} cannot be written ({error.strerror}): functions are interpreted"
+        remedy = "make it writable, or set TRMS_CACHE to a folder that is"
+        return [Finding("cache", SLOWER, found, remedy)]
     return [Finding("cache", OK, str(folder))]
 
 

@@ -124,7 +124,10 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
             _check_hydra_key(override, request)
             prepared.append(str(override))
             continue
-        _check_first_name(override, primary)
+        if override.package:
+            prepared.append(str(_placed_choice(override, primary, groups)))
+            continue
+        _check_first_name(override, primary, groups)
         if not override.prefix and seen.setdefault(override.key, text) is not text:
             raise ConfigurationError(
                 f"given twice: {seen[override.key]} and {text}",
@@ -147,9 +150,41 @@ def _check_hydra_key(override: Override, request: Request) -> None:
         )
 
 
-def _check_first_name(override: Override, primary: Primary) -> None:
+def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Override:
+    """A group that another option includes at a place of its own: ``signal@ref.alpha_v=sine``."""
+    if override.key not in groups:
+        raise ConfigurationError(
+            f"there is no group {override.key!r}",
+            where=override.key + override.package,
+            remedy=nearest(override.key, groups),
+        )
+    first = override.package[1:].split(".")[0]
+    allowed = {*primary.defaults, *primary.body}
+    if first not in allowed:
+        raise ConfigurationError(
+            f"there is no key {first!r}",
+            where=override.key + override.package,
+            remedy=nearest(first, allowed),
+        )
+    for name in _names(override.value or "") or []:
+        if name != "null" and name not in groups[override.key]:
+            raise ConfigurationError(
+                f"{override.key} has no option {name!r}",
+                where=override.key + override.package,
+                remedy=nearest(name, groups[override.key]),
+            )
+    return override
+
+
+def _check_first_name(override: Override, primary: Primary, groups: Groups) -> None:
     first = override.key.split(".")[0]
     allowed = {*primary.defaults, *primary.body}
+    if first not in allowed and override.key in groups:
+        raise ConfigurationError(
+            f"group {first!r} has no place of its own (given: {override})",
+            where=override.key,
+            remedy=f"tell for which key: {first}@PLACE=OPTION, as signal@ref.alpha_v=sine",
+        )
     if first not in allowed:
         given = "" if override.value is None else f" (given: {override.value})"
         raise ConfigurationError(
