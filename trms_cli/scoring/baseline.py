@@ -1,0 +1,281 @@
+"""Comparison of a score with an earlier one, within tolerances in physical units.
+
+A figure is *worse* (or *better*) if it is larger (smaller) than the baseline's by more than its
+tolerance, ``absolute + relative·|baseline|``. All figures compared here are better when small.
+Only some are *judged*, i.e. decide whether a run got worse: those of tracking, of estimation, of
+limits, and the solver's failures. Effort and iterations are shown for information; wall times
+are left out, because they belong to the machine.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.scoring import score as scoring
+
+SCHEMA = "trms.baseline/1"
+
+Verdict = Literal["better", "same", "worse", "new", "gone"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance:
+    """How far a figure may move: ``absolute`` in its unit, ``relative`` as a fraction."""
+
+    absolute: float = 0.0
+    relative: float = 0.0
+
+    def allowed(self, baseline: float) -> float:
+        """In the figure's unit."""
+        return self.absolute + self.relative * abs(baseline)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What is compared of a score, and how."""
+
+    unit: str
+    tolerance: Tolerance
+    judged: bool = True
+
+
+def _figure(unit: str, absolute: float, relative: float = 0.02, *, judged: bool = True) -> Figure:
+    return Figure(unit, Tolerance(absolute=absolute, relative=relative), judged)
+
+
+#: By group of the score and name of the figure. ``{}`` in a unit is the channel's own.
+#: 1e-3 rad is less than a quantum of an encoder with 4096 lines, 0.1 s ten samples at 100 Hz.
+FIGURES: dict[str, dict[str, Figure]] = {
+    "channels": {
+        "rmse": _figure("{}", 1e-3),
+        "iae": _figure("{} s", 1e-2),
+        "ise": _figure("{}² s", 1e-3),
+        "itae": _figure("{} s²", 0.3),
+        "max_abs_error": _figure("{}", 5e-3),
+        "overshoot_percent": _figure("%", 1.0),
+        "rise_time_s": _figure("s", 0.05, judged=False),
+        "settling_time_s": _figure("s", 0.1),
+        "unsettled_steps": _figure("", 0.0, 0.0),
+        "steady_state_error": _figure("{}", 1e-3),
+    },
+    "inputs": {
+        "effort": _figure("{}² s", 0.1, 0.05, judged=False),
+        "total_variation": _figure("{}", 0.1, 0.05, judged=False),
+        "saturation_share": _figure("", 0.01, judged=False),
+    },
+    "estimate.rmse": {"": _figure("", 1e-3, 0.05)},
+    "estimate.prediction_rmse": {"": _figure("", 1e-3, 0.05)},
+    "solver": {
+        "iterations_mean": _figure("", 0.5, judged=False),
+        "failures": _figure("", 0.0, 0.0),
+    },
+    "constraint_violations": {
+        "samples": _figure("", 0.0, 0.0),
+        "worst": _figure("{}", 1e-4, 0.0),
+    },
+}
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A score to hold later ones against.
+
+    Attributes
+    ----------
+    score : dict
+        A document ``trms.score/1``.
+    tolerances : dict of str to Tolerance
+        By key of a figure (``channels.alpha_v.rmse``) or by its last part (``rmse``); they
+        replace those of :data:`FIGURES`.
+    reason : str
+        Why this score is the one to hold against.
+    """
+
+    score: Mapping[str, Any]
+    tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
+    reason: str = ""
+
+    def document(self) -> dict[str, Any]:
+        """As JSON: ``trms.baseline/1``."""
+        return {
+            "schema": SCHEMA,
+            "reason": self.reason,
+            "tolerances": {key: asdict(value) for key, value in self.tolerances.items()},
+            "score": dict(self.score),
+        }
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure, then and now.
+
+    Attributes
+    ----------
+    key : str
+        Path in the score, e.g. ``channels.alpha_v.rmse``.
+    baseline, now : float or None
+        None if it did not, or does not, exist.
+    tolerance : float
+        How far it may move, in ``unit``.
+    unit : str
+    verdict : str
+        "better", "same" or "worse"; "new" if only this score has it, "gone" if only the
+        baseline has it (judged, that is as bad as "worse": a step that settled no longer does).
+    judged : bool
+        Whether it decides about the run.
+    """
+
+    key: str
+    baseline: float | None
+    now: float | None
+    tolerance: float
+    unit: str
+    verdict: Verdict
+    judged: bool
+
+    @property
+    def regressed(self) -> bool:
+        """Whether this figure alone makes the run worse."""
+        return self.judged and self.verdict in ("worse", "gone")
+
+
+def compare(score: Mapping[str, Any], baseline: Baseline) -> list[Row]:
+    """Every figure that this score or the baseline has, in the order of the score.
+
+    Raises
+    ------
+    RecordingError
+        If the two runs are of different length: sums over time would not compare.
+    """
+    length, before = float(score["duration_s"]), float(baseline.score["duration_s"])
+    if abs(length - before) > 0.01 * max(length, before):
+        raise RecordingError(
+            f"the run is {length:g} s long, the baseline's {before:g} s",
+            where=str(score.get("log", "")),
+            remedy="compare runs of the same sim.duration, or write a new baseline",
+        )
+    now, then = dict(_figures(score)), dict(_figures(baseline.score))
+    keys = [*now, *(key for key in then if key not in now)]
+    rows = []
+    for key in keys:
+        figure = (now.get(key) or then[key])[0]
+        new, old = (side[key][1] if key in side else None for side in (now, then))
+        if new is None and old is None:
+            continue
+        chosen = _chosen_tolerance(key, baseline.tolerances) or figure.tolerance
+        allowed = chosen.allowed(old) if old is not None else 0.0
+        rows.append(
+            Row(key, old, new, allowed, figure.unit, _verdict(new, old, allowed), figure.judged)
+        )
+    return rows
+
+
+def regressed(rows: list[Row]) -> bool:
+    """Whether any judged figure got worse."""
+    return any(row.regressed for row in rows)
+
+
+def read_baseline(path: Path) -> Baseline:
+    """Read a baseline, or a score as ``trms score --json`` prints it, from a JSON file.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or is neither.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RecordingError(
+            f"the baseline cannot be read: {error}",
+            where=str(path),
+            remedy="write one with: trms score LOG --write-baseline FILE",
+        ) from error
+    return baseline_from(document, str(path))
+
+
+def baseline_from(document: Any, where: str) -> Baseline:
+    """A baseline from its JSON document, which may also be a bare score.
+
+    Raises
+    ------
+    RecordingError
+        If it is neither.
+    """
+    schema = document.get("schema") if isinstance(document, dict) else None
+    try:
+        if schema == scoring.SCHEMA:
+            return Baseline(_checked_score(document))
+        if schema == SCHEMA:
+            return Baseline(
+                _checked_score(document["score"]),
+                {key: _tolerance(given) for key, given in document["tolerances"].items()},
+                str(document.get("reason", "")),
+            )
+        problem = f"its schema is {schema!r}"
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        problem = f"it is not complete ({type(error).__name__}: {error})"
+    raise RecordingError(
+        f"this is no baseline: {problem}",
+        where=where,
+        remedy=f"give a file of the schema {SCHEMA} or {scoring.SCHEMA}",
+    )
+
+
+def _checked_score(score: Any) -> dict[str, Any]:
+    float(score["duration_s"])
+    for _, (_, value) in _figures(score):
+        if value is not None:
+            float(value)
+    return dict(score)
+
+
+def _tolerance(given: Any) -> Tolerance:
+    """A number is an absolute tolerance; otherwise a mapping with absolute and relative."""
+    tolerance = Tolerance(**given) if isinstance(given, dict) else Tolerance(absolute=given)
+    for value in (tolerance.absolute, tolerance.relative):
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"a tolerance of {value}")
+    return tolerance
+
+
+def _figures(score: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Figure, float | None]]]:
+    """Key, figure and value of everything in a score that can be compared."""
+    for group, figures in FIGURES.items():
+        node: Any = score
+        for part in group.split("."):
+            node = node[part]
+        if "" in figures:
+            for name, value in node.items():
+                yield f"{group}.{name}", (figures[""], value)
+        elif group == "solver":
+            for name, figure in figures.items():
+                yield f"{group}.{name}", (figure, node[name])
+        else:
+            for channel, values in node.items():
+                for name, figure in figures.items():
+                    unit = figure.unit.replace("{}", values.get("unit", ""))
+                    own = Figure(unit.strip(), figure.tolerance, figure.judged)
+                    yield f"{group}.{channel}.{name}", (own, values.get(name))
+
+
+def _chosen_tolerance(key: str, tolerances: Mapping[str, Tolerance]) -> Tolerance | None:
+    return tolerances.get(key) or tolerances.get(key.rpartition(".")[2])
+
+
+def _verdict(now: float | None, then: float | None, allowed: float) -> Verdict:
+    if then is None:
+        return "new"
+    if now is None:
+        return "gone"
+    # rounding must not turn equality with the tolerance into a verdict
+    slack = allowed + 1e-12 * (abs(now) + abs(then))
+    if now > then + slack:
+        return "worse"
+    return "better" if now < then - slack else "same"

@@ -1,0 +1,356 @@
+"""The score of a run: one document of the schema ``trms.score/1``.
+
+What does not exist in a run is null, never a number made up: a sine has no settling time, a real
+rig no estimation error. Beside the keys of the schema, channels say how many steps they had
+(``steps``), how many did not settle (``unsettled_steps``), the medians over steps, and whether
+they were scored on the true ``state`` or on the ``measurement`` (``scored_on``): a simulated
+rig's true state is taken where the log has it, since a sensor's noise is not the controller's
+error. ``estimate`` also has ``nees_expected`` (the mean of a consistent filter) and
+``prediction_rmse`` (one step ahead, per output), which exist for replayed recordings too.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from trms_cli.scoring import consistency, metrics, step_response
+from trms_cli.scoring.metrics import Array
+
+if TYPE_CHECKING:
+    from trms_cli.recordings.log_reader import LoggedRun
+
+SCHEMA = "trms.score/1"
+#: Key of the log's ``trms.run`` record with the limits as JSON: ``{"u_v": [-2.5, 2.5], …}``.
+LIMITS_KEY = "limits"
+#: Share of a run in which an observer may find its feet before its innovations are judged.
+_TRANSIENT = 0.1
+_UNITS = {"alpha": "rad", "omega": "rad/s", "S": "N*m*s", "u": "V", "i": "A"}
+
+Limits = Mapping[str, tuple[float, float]]
+
+
+class Columns(Protocol):
+    """Signals over time, as a log's table has them."""
+
+    @property
+    def time(self) -> Array:
+        """(n,) s, rising."""
+        ...
+
+    @property
+    def columns(self) -> Mapping[str, Any]:
+        """(n,) arrays by name."""
+        ...
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units by name; may lack some."""
+        ...
+
+
+@dataclass(frozen=True)
+class Series:
+    """Signals over time that were never in a file: what the closed loop has in memory.
+
+    Attributes
+    ----------
+    time : (n,) s
+    columns : dict of str to (n,) arrays
+    units : dict of str to str
+    """
+
+    time: Array
+    columns: Mapping[str, Any]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+def score_log(log: LoggedRun, *, limits: Limits | None = None) -> dict[str, Any]:
+    """Score a log, complete or not.
+
+    Parameters
+    ----------
+    log : LoggedRun
+        As :func:`trms_cli.recordings.log_reader.read_log` gives it.
+    limits : mapping, optional
+        Lower and upper limit by input or channel; by default those written in the log.
+    """
+    return score_tables(
+        log.tables,
+        limits=limits_of(log) if limits is None else limits,
+        duration_s=log.duration_s,
+        log=str(log.path),
+        complete=log.complete,
+    )
+
+
+def limits_of(log: LoggedRun) -> dict[str, tuple[float, float]]:
+    """The limits that a run wrote into its log; none if it wrote none."""
+    given = json.loads(log.run.get(LIMITS_KEY, "{}"))
+    return {
+        name: (
+            -math.inf if low is None else float(low),
+            math.inf if high is None else float(high),
+        )
+        for name, (low, high) in given.items()
+    }
+
+
+def score_tables(
+    tables: Mapping[str, Columns],
+    *,
+    limits: Limits,
+    duration_s: float,
+    log: str = "",
+    complete: bool = True,
+) -> dict[str, Any]:
+    """Score signals by topic: the core, which needs no file.
+
+    Parameters
+    ----------
+    tables : mapping of str to Columns
+        By topic, with the fields of a log: ``/reference``, ``/command``, ``/measurement``,
+        ``/plant/state``, ``/estimate``, ``/controller``. Any of them may be absent.
+    limits : mapping of str to (float, float)
+        Lower and upper limit of inputs and channels, in their units.
+    duration_s : float
+        Length of the run.
+    log : str
+        Path for the document.
+    complete : bool
+        Whether the run ended as it was meant to.
+
+    Returns
+    -------
+    dict
+        ``trms.score/1``; only text, numbers, truth values, None, lists and dicts.
+    """
+    document = {
+        "schema": SCHEMA,
+        "log": log,
+        "complete": complete,
+        "duration_s": duration_s,
+        "channels": _channels(tables),
+        "inputs": _inputs(tables, limits),
+        "estimate": _estimate(tables),
+        "solver": _solver(tables),
+        "constraint_violations": _violations(tables, limits),
+    }
+    return _without_nan(document)
+
+
+def _channels(tables: Mapping[str, Columns]) -> dict[str, Any]:
+    reference = tables.get("/reference")
+    if reference is None or len(reference.time) == 0:
+        return {}
+    scored = {}
+    for name in reference.columns:
+        source = _source_of(name, tables)
+        if source is None:
+            continue
+        table = tables[source]
+        time, wanted = reference.time, _floats(reference, name)
+        response = _held(table, name, time)
+        if np.all(np.isnan(wanted)) or np.all(np.isnan(response)):
+            continue
+        error = wanted - response
+        scored[name] = {
+            "rmse": metrics.rmse(error),
+            "iae": metrics.iae(time, error),
+            "ise": metrics.ise(time, error),
+            "itae": metrics.itae(time, error),
+            "max_abs_error": metrics.max_abs_error(error),
+            **_step_figures(step_response.steps(time, wanted, response)),
+            "steady_state_error": step_response.steady_state_error(time, wanted, response),
+            "unit": _unit(table, name),
+            "scored_on": "state" if source == "/plant/state" else "measurement",
+        }
+    return scored
+
+
+def _step_figures(steps: list[step_response.StepMetrics]) -> dict[str, Any]:
+    """Worst and median over the steps; NaN without steps, inf for what did not happen."""
+    overshoot = [step.overshoot_percent for step in steps]
+    rise = [step.rise_time for step in steps]
+    settling = [step.settling_time for step in steps]
+    return {
+        "overshoot_percent": max(overshoot, default=math.nan),
+        "overshoot_median_percent": _median(overshoot),
+        "rise_time_s": max(rise, default=math.nan),
+        "rise_time_median_s": _median(rise),
+        "settling_time_s": max(settling, default=math.nan),
+        "settling_time_median_s": _median(settling),
+        "steps": len(steps),
+        "unsettled_steps": sum(math.isinf(value) for value in settling),
+    }
+
+
+def _inputs(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]:
+    command = tables.get("/command")
+    if command is None:
+        return {}
+    scored = {}
+    for name in command.columns:
+        values = _floats(command, name)
+        share = metrics.saturation_share(values, *limits[name]) if name in limits else math.nan
+        scored[name] = {
+            "effort": metrics.input_effort(command.time, values),
+            "total_variation": metrics.total_variation(values),
+            "saturation_share": share,
+            "unit": _unit(command, name),
+        }
+    return scored
+
+
+def _estimate(tables: Mapping[str, Columns]) -> dict[str, Any]:
+    estimate = tables.get("/estimate")
+    if estimate is None or len(estimate.time) == 0:
+        estimate = Series(np.zeros(0), {})
+    truth = tables.get("/plant/state")
+    errors: dict[str, Array] = {}
+    if truth is not None and len(truth.time):
+        for name in truth.columns:
+            if name in estimate.columns:
+                true = _held(truth, name, estimate.time)
+                errors[name] = _floats(estimate, name) - true
+    nees, states = _nees(estimate, errors)
+    settled = estimate.time >= _end_of_transient(estimate.time)
+    innovations = {
+        name.removeprefix("innovation_"): _floats(estimate, name)
+        for name in estimate.columns
+        if name.startswith("innovation_") and not name.startswith("innovation_sd_")
+    }
+    return {
+        "rmse": {name: metrics.rmse(error) for name, error in errors.items()},
+        "nees_mean": nees,
+        "nees_expected": states or math.nan,
+        "innovation_whiteness_p": consistency.joint_p(
+            [consistency.whiteness_p(values[settled]) for values in innovations.values()]
+        ),
+        "prediction_rmse": {name: metrics.rmse(values) for name, values in innovations.items()},
+    }
+
+
+def _nees(estimate: Columns, errors: Mapping[str, Array]) -> tuple[float, int]:
+    """Mean NEES, and of how many states; only of those with a deviation above zero."""
+    columns = []
+    for name, error in errors.items():
+        if f"sd_{name}" in estimate.columns:
+            deviation = _floats(estimate, f"sd_{name}")
+            if np.all(deviation[~np.isnan(deviation)] > 0) and not np.all(np.isnan(deviation)):
+                columns.append((error, deviation))
+    if not columns:
+        return math.nan, 0
+    error, deviation = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
+    values = consistency.nees(error, deviation)
+    present = values[~np.isnan(values)]
+    return (float(np.mean(present)) if present.size else math.nan), len(columns)
+
+
+def _solver(tables: Mapping[str, Columns]) -> dict[str, Any]:
+    words = tables.get("/controller")
+    columns: Mapping[str, Any] = words.columns if words is not None else {}
+
+    def present(name: str) -> Array:
+        values = np.asarray(columns.get(name, ()), dtype=float)
+        return values[~np.isnan(values)]
+
+    milliseconds = 1e3 * present("solve_time_s")
+    missed, iterations = present("deadline_missed"), present("iterations")
+    objective = present("objective")
+    return {
+        "time_ms": {
+            "median": float(np.median(milliseconds)) if milliseconds.size else math.nan,
+            "p99": float(np.percentile(milliseconds, 99)) if milliseconds.size else math.nan,
+            "max": float(np.max(milliseconds)) if milliseconds.size else math.nan,
+        },
+        "deadline_misses": int(np.sum(missed > 0)) if missed.size else None,
+        "iterations_mean": float(np.mean(iterations)) if iterations.size else math.nan,
+        "failures": _failures(columns),
+        "objective_total": float(np.sum(objective)) if objective.size else math.nan,
+    }
+
+
+def _failures(columns: Mapping[str, Any]) -> int | None:
+    """Samples on which the solver failed or a fall-back acted."""
+    if "status" not in columns and "fallback" not in columns:
+        return None
+    failed = np.asarray(columns.get("status", ()), dtype=object) == "failed"
+    acted = np.nan_to_num(np.asarray(columns.get("fallback", ()), dtype=float)) > 0
+    if failed.size and acted.size:
+        return int(np.count_nonzero(failed | acted))
+    return int(np.count_nonzero(failed) + np.count_nonzero(acted))
+
+
+def _violations(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]:
+    """Samples outside the limits, and by how much at worst, per channel that has limits."""
+    found = {}
+    for name, (lower, upper) in limits.items():
+        command = tables.get("/command")
+        is_input = command is not None and name in command.columns
+        source = "/command" if is_input else _source_of(name, tables)
+        if source is None:
+            continue
+        beyond = metrics.excess(_floats(tables[source], name), lower, upper)
+        if beyond.size:
+            # rounding at a limit that is reached exactly is no violation
+            tolerance = 1e-9 * (1.0 + min(abs(lower), abs(upper)))
+            found[name] = {
+                "samples": int(np.sum(beyond > tolerance)),
+                "worst": float(np.max(beyond)) if np.max(beyond) > tolerance else 0.0,
+                "unit": _unit(tables[source], name),
+            }
+    return found
+
+
+def _source_of(name: str, tables: Mapping[str, Columns]) -> str | None:
+    """The topic that tells a channel best: the true state, else the measurement."""
+    for topic in ("/plant/state", "/measurement"):
+        table = tables.get(topic)
+        if table is not None and name in table.columns and len(table.time):
+            return topic
+    return None
+
+
+def _held(table: Columns, name: str, time: Array) -> Array:
+    """A signal at other times: its last sample until then, NaN before the first one."""
+    values = _floats(table, name)
+    if np.array_equal(table.time, time):
+        return values
+    index = np.searchsorted(table.time, time + 1e-9, side="right") - 1
+    return np.where(index >= 0, values[np.maximum(index, 0)], np.nan)
+
+
+def _floats(table: Columns, name: str) -> Array:
+    return np.asarray(table.columns[name], dtype=float)
+
+
+def _unit(table: Columns, name: str) -> str:
+    return table.units.get(name) or unit_by_name(name)
+
+
+def unit_by_name(name: str) -> str:
+    """Unit that a signal of the design's vocabulary has; empty for any other name."""
+    return _UNITS.get(name.partition("_")[0], "")
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else math.nan
+
+
+def _end_of_transient(time: Array) -> float:
+    return float(time[0] + _TRANSIENT * (time[-1] - time[0])) if time.size else 0.0
+
+
+def _without_nan(value: Any) -> Any:
+    """The same document with null for what is not a finite number."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
