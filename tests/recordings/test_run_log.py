@@ -1,0 +1,304 @@
+"""Writing a log: what a run may do to it, and what may happen to a run."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.recordings import append_stream
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.recordings.run_log import RunLog
+from trms_cli.recordings.topics import Field, Topic
+
+NUMBERS = Topic("/numbers", (Field("a", "rad"), Field("b", "1", kind="integer")))
+
+
+def test_a_run_comes_back(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+    log = read_log(write_run(tmp_path / "new" / "folder" / "run.mcap"))
+    assert log.complete and log.outcome == "completed" and not log.problems
+    assert log.run["seed"] == "3" and log.run["start"] <= log.run["end"]
+    assert log.score == {"rmse": {"alpha_h": 0.5}, "complete": True}
+    assert log.config.startswith("seed: 3")
+    assert log.duration_s == pytest.approx(2.49)
+    measurement = log.table("/measurement")
+    np.testing.assert_array_equal(measurement.time, np.arange(250) / 100)
+    np.testing.assert_array_equal(measurement.columns["alpha_v"], 0.1 * np.arange(250))
+    assert np.isnan(measurement.columns["alpha_h"][1::2]).all()
+    assert measurement.units["alpha_v"] == "rad"
+    controller = log.table("/controller").columns
+    assert controller["status"][0] == "optimal" and controller["deadline_missed"][7] == 1.0
+    prediction = log.table("/prediction").columns
+    np.testing.assert_allclose(prediction["time"][3], [0, 0.1, 0.2, 0.3])
+    assert list(log.table("/event").columns["kind"]) == ["saturation", "note"]
+
+
+@given(st.floats(), st.integers(-(2**53), 2**53))
+def test_numbers_are_exact_and_non_finite_ones_null(
+    tmp_path_factory: pytest.TempPathFactory, a: float, b: int
+) -> None:
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    with RunLog(path, [NUMBERS], {}) as log:
+        log.write("/numbers", 0, (a, b))
+    columns = read_log(path).table("/numbers").columns
+    assert columns["b"][0] == b
+    if np.isfinite(a):
+        assert columns["a"][0] == a
+    else:
+        assert np.isnan(columns["a"][0])
+        assert b'"a":null' in raw_messages(path)[0]
+
+
+def raw_messages(path: Path) -> list[bytes]:
+    with path.open("rb") as file:
+        return [message.data for _, _, message in make_reader(file).iter_messages()]
+
+
+def test_values_of_numpy_are_written_as_numbers(tmp_path: Path) -> None:
+    topic = Topic("/t", (Field("x"), Field("y", kind="boolean"), Field("z", kind="array")))
+    path = tmp_path / "run.mcap"
+    with RunLog(path, [topic], {}) as log:
+        log.write("/t", 0, (np.float64(0.1), np.bool_(True), np.array([1.0, np.inf])))
+        log.write("/t", 1, (np.float32(0.5), np.int64(0), [2, 3]))
+    first, second = (orjson.loads(data) for data in raw_messages(path))
+    assert first == {"x": 0.1, "y": True, "z": [1.0, None]}
+    assert second == {"x": 0.5, "y": 0, "z": [2, 3]}
+
+
+def test_the_log_keeps_copies(tmp_path: Path) -> None:
+    topic = Topic("/t", (Field("x"), Field("z", kind="array")))
+    path = tmp_path / "run.mcap"
+    values: list[Any] = [1.0, np.array([1.0])]
+    with RunLog(path, [topic], {}) as log:
+        log.write("/t", 0, values)
+        values[0] = 2.0
+        values[1][0] = 2.0
+    assert orjson.loads(raw_messages(path)[0]) == {"x": 1.0, "z": [1.0]}
+
+
+def test_equal_runs_have_equal_messages(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+    first, second = (raw_messages(write_run(tmp_path / name)) for name in ("a.mcap", "b.mcap"))
+    assert first == second
+
+
+def test_wrong_number_of_values_names_the_fields(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "run.mcap", [NUMBERS], {})
+    log.write("/numbers", 0, (1.0,))
+    with pytest.raises(ValueError, match=r"/numbers takes 2 values \(a, b\), got 1"):
+        log.flush()
+
+
+def test_nothing_is_overwritten(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+    path = write_run(tmp_path / "run.mcap")
+    before = path.read_bytes()
+    with pytest.raises(RecordingError, match="already") as caught:
+        RunLog(path, [NUMBERS], {})
+    assert "out=" in caught.value.remedy
+    assert path.read_bytes() == before
+
+
+def test_a_folder_that_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    for path in (tmp_path / "file" / "run.mcap", tmp_path / "file" / "deeper" / "run.mcap"):
+        with pytest.raises(RecordingError, match="is a file") as caught:
+            RunLog(path, [NUMBERS], {})
+        assert caught.value.remedy
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.EROFS])
+def test_read_only_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    # The mode bits of a folder do not stop root, as whom containers run tests.
+    def refuse(*_: object) -> int:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(append_stream.os, "open", refuse)
+    with pytest.raises(RecordingError, match="does not let you write") as caught:
+        RunLog(tmp_path / "run.mcap", [NUMBERS], {})
+    assert "out=" in caught.value.remedy
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="mode bits do not stop root")
+def test_read_only_folder_for_real(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(RecordingError, match="does not let you write"):
+        RunLog(tmp_path / "run.mcap", [NUMBERS], {})
+    tmp_path.chmod(0o700)
+
+
+def run_python(code: str, *arguments: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_full_disk_keeps_all_seconds_before(tmp_path: Path) -> None:
+    """The file size limit of the process stops a write half-way, as a full disk does."""
+    path = tmp_path / "run.mcap"
+    process = run_python(
+        """
+        import random, resource, signal, sys
+        from trms_cli.core.errors import RecordingError
+        from trms_cli.recordings.run_log import RunLog
+        from trms_cli.recordings.topics import Field, Topic
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
+        topic = Topic("/t", tuple(Field(f"x{i}") for i in range(5)))
+        try:
+            with RunLog(sys.argv[1], [topic], {"seed": "1"}) as log:
+                for k in range(6000):
+                    log.write("/t", k * 10_000_000, [random.random() for _ in range(5)])
+                    if k % 100 == 99:
+                        log.flush()
+        except RecordingError as error:
+            print(error)
+        """,
+        path,
+    )
+    message, errors = process.communicate(timeout=60)
+    assert not errors
+    assert "no room" in message and "safe up to" in message and "free space" in message
+    safe = float(message.split("safe up to ")[1].split(" s")[0])
+    log = read_log(path)
+    assert not log.complete and log.outcome == "died" and log.run["seed"] == "1"
+    assert log.table("/t").time[-1] == pytest.approx(safe)
+    assert safe > 2 and len(log.table("/t")) == round(safe * 100) + 1
+
+
+def test_full_disk_at_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(append_stream.os, "write", refuse)
+    with pytest.raises(RecordingError, match="nothing of the run is in the log"):
+        RunLog(tmp_path / "run.mcap", [NUMBERS], {})
+
+
+def test_closing_on_a_full_disk_keeps_the_samples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    log = RunLog(path, [NUMBERS], {})
+    log.write("/numbers", 1_000_000_000, (1.0, 1))
+    log.flush()
+    write = os.write
+
+    def write_half(descriptor: int, data: memoryview) -> int:
+        if len(data) < 10:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data[: len(data) // 2])
+
+    monkeypatch.setattr(append_stream.os, "write", write_half)
+    with pytest.raises(RecordingError, match=r"safe up to 1\.000 s"):
+        log.close("completed")
+    log.close("completed")  # and again, as a `finally` would
+    assert len(read_log(path).table("/numbers")) == 1
+
+
+KILLED = """
+    import sys
+    from trms_cli.recordings.run_log import RunLog
+    from trms_cli.recordings.topics import Field, Topic
+    log = RunLog(sys.argv[1], [Topic("/t", (Field("x"),))], {"seed": "1"},
+                 {"config.yaml": ("application/yaml", b"seed: 1")})
+    k = 0
+    while True:
+        log.write("/t", k * 10_000_000, (float(k),))
+        if k % 100 == 99:
+            log.flush()
+            print(k, flush=True)
+        k += 1
+"""
+
+
+@pytest.mark.parametrize("seconds", [1, 7])
+def test_sigkill_loses_nothing_that_was_flushed(tmp_path: Path, seconds: int) -> None:
+    path = tmp_path / "run.mcap"
+    process = run_python(KILLED, path)
+    assert process.stdout is not None
+    told = [int(process.stdout.readline()) for _ in range(seconds)][-1]
+    process.send_signal(signal.SIGKILL)
+    process.communicate(timeout=60)
+    log = read_log(path)
+    assert not log.complete and log.outcome == "died"
+    assert log.config == "seed: 1" and log.run["seed"] == "1" and "end" not in log.run
+    table = log.table("/t")
+    assert len(table) >= told + 1
+    np.testing.assert_array_equal(table.columns["x"], np.arange(len(table)))
+
+
+def test_ctrl_c_leaves_a_complete_marked_log(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    code = textwrap.dedent(KILLED).replace("log = RunLog(", "log = RunLog(", 1)
+    head, loop = code.split("k = 0\n")
+    guarded = f"{head}with log:\n" + textwrap.indent("k = 0\n" + loop, "    ")
+    process = run_python(guarded, path)
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert "KeyboardInterrupt" in errors
+    log = read_log(path)
+    assert log.complete and log.outcome == "interrupted"
+    x = log.table("/t").columns["x"]
+    np.testing.assert_array_equal(x, np.arange(len(x)))
+
+
+def test_ctrl_c_within_a_flush_is_held_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    write = os.write
+
+    def interrupted(descriptor: int, data: memoryview) -> int:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        return write(descriptor, data)
+
+    with pytest.raises(KeyboardInterrupt), RunLog(path, [NUMBERS], {}) as log:
+        log.write("/numbers", 0, (1.0, 1))
+        with monkeypatch.context() as patch:
+            patch.setattr(append_stream.os, "write", interrupted)
+            log.flush()
+    log_back = read_log(path)
+    assert log_back.complete and log_back.outcome == "interrupted"
+    assert len(log_back.table("/numbers")) == 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_exception_marks_the_log_failed(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with pytest.raises(ZeroDivisionError), RunLog(path, [NUMBERS], {}) as log:
+        log.write("/numbers", 0, (1.0, 1))
+        raise ZeroDivisionError
+    assert read_log(path).outcome == "failed" and len(read_log(path).table("/numbers")) == 1
+
+
+def test_a_run_without_samples_is_a_clean_log(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    RunLog(path, [NUMBERS], {}).close("interrupted")
+    log = read_log(path)
+    assert log.complete and log.duration_s == 0.0 and len(log.table("/numbers")) == 0
+
+
+def test_late_messages_are_put_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with RunLog(path, [NUMBERS], {}) as log:
+        for time_ns in (30, 10, 20):
+            log.write("/numbers", time_ns, (float(time_ns), 0))
+    with path.open("rb") as file:
+        times = [m.log_time for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
+    assert times == [10, 20, 30]
