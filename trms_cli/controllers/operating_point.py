@@ -1,0 +1,357 @@
+"""Steady states of a model: where it can rest with given controlled angles and disturbances.
+
+Solves
+
+    minimise  ½ Σ_i q_i (x_c(i) − r_i)²   over x, u     subject to   f(x, u, p, w) = 0,  |u| ≤ u_max
+
+which is ``f = 0, x_c = r`` wherever the reference is reachable, and the closest reachable reference
+in weighted least squares where it is not. Each iteration is one Newton step on the optimality
+conditions, with the second derivatives of f left out (they vanish with the multipliers where the
+reference is reached), as one compiled function; bounds are held by an active set around it.
+
+Two degeneracies of the rig are met by a proximal term that is far below every physical scale:
+
+- The thrust goes as ω|ω|. A target that needs no thrust is a double root, to which Newton's method
+  converges linearly (each step halves ω): the iteration runs until the residual is small instead
+  of a fixed number of times.
+- A row without any slope (a state that integrates nothing, a command inside a dead zone) leaves
+  its unknown where it is.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.errors import ModelError
+from trms_cli.models.model import Model
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Largest residual of the dynamics (in the states' units per s) and of the reference (rad).
+TOLERANCE = 1e-8
+#: Reference errors below this count as reached, rad.
+REACHED = 1e-6
+_PROXIMAL = 1e-12
+_ITERATIONS = 60
+_RUNAWAY = 1e6  # rad in one iteration: it will not come back
+_BOUND_TOLERANCE = 1e-9  # V
+_SLOPE_TOLERANCE = 1e-12  # rad²/V
+_BESIDE = 0.05  # rad between two references that share their closest reachable point
+#: The memory of the input path is at its fixed point whatever the step; see `_arriving`.
+_MEMORY_STEP = 0.02
+
+
+@dataclass(frozen=True)
+class Target:
+    """A steady state.
+
+    Attributes
+    ----------
+    x : (n_x,) array
+    u : (n_u,) array
+    reference_reached : (n_r,) array
+        Controlled angles in it, rad.
+    residual : float
+        Largest rate that is left in it, in the states' units per s.
+    projected : bool
+        Whether the reference asked for is out of reach.
+    converged : bool
+        Whether ``residual`` is below the tolerance. Otherwise there is no steady state near.
+    active : tuple of int
+        Bound that each input is at: −1, 0 for none, 1.
+    asked : tuple of float
+        The reference that it was solved for, rad.
+    """
+
+    x: FloatArray
+    u: FloatArray
+    reference_reached: FloatArray
+    residual: float
+    projected: bool
+    converged: bool
+    active: tuple[int, ...]
+    asked: tuple[float, ...]
+
+
+class SteadyState:
+    """Solver for the steady states of one model; keeps nothing between two calls but buffers.
+
+    Parameters
+    ----------
+    model : Model
+        Continuous part and input path are used; impulses (dry friction, stops) are not, since they
+        hold an axis at rest anywhere. References are cut to the mechanical stops.
+    weights : mapping, optional
+        q by controlled angle, for references out of reach; 1 where none is given.
+    parameters : (n_p,) array, optional
+        Defaults to the model's values.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        weights: Mapping[str, float] | None = None,
+        parameters: FloatArray | None = None,
+    ) -> None:
+        self.model = model
+        self._controlled = [model.state_index(name) for name in model.controlled]
+        self._weights = np.array([(weights or {}).get(name, 1.0) for name in model.controlled])
+        if not np.all(self._weights > 0):
+            raise ModelError(
+                f"weights {self._weights.tolist()} given for the steady state",
+                remedy="every weight is above 0",
+            )
+        self._stops = [model.stops.get(name, np.inf) for name in model.controlled]
+        self._upper = model.input_bounds()[1].tolist()
+        self._newton = BufferedFunction(_newton_step(model))
+        self._z, self._r, self._w, p, q, self._active, self._bound, reach = self._newton.inputs
+        self._x, self._u = self._z[: model.n_x], self._z[model.n_x :]  # views
+        self._z_next, self._report = self._newton.outputs
+        p[:] = model.parameters.values if parameters is None else parameters
+        q[:] = self._weights
+        reach[:] = self._upper
+        self._rest = model.rest()
+
+    def solve(
+        self,
+        reference: FloatArray,
+        disturbance: FloatArray | None = None,
+        guess: Target | None = None,
+    ) -> Target:
+        """The steady state for a reference.
+
+        Parameters
+        ----------
+        reference : (n_r,) array
+            Of ``model.controlled``, rad.
+        disturbance : (n_w,) array, optional
+            Constant torques on the model's equations, N m.
+        guess : Target, optional
+            Where to start: the target of the last sample makes this a matter of two or three
+            iterations.
+
+        Returns
+        -------
+        Target
+            Check ``converged`` before use: a disturbance that no input can hold has no target.
+        """
+        asked = reference.tolist()
+        for i, value in enumerate(asked):
+            self._r[i] = min(max(value, -self._stops[i]), self._stops[i])
+        self._w[:] = 0.0 if disturbance is None else disturbance
+        if guess is not None:
+            found = self._from(guess.x, guess.u, guess.active)
+            if found is not None:
+                target = self._target(asked, found)
+                # The closest point found from nearby may be closest in its neighbourhood only:
+                # it is believed where the search over all starts led to just before.
+                if not target.projected or _beside(guess, asked):
+                    return target
+        return self._from_afar(asked)
+
+    def _from(
+        self, x: FloatArray, u: FloatArray, active: tuple[int, ...]
+    ) -> tuple[int, ...] | None:
+        """Iterate from a point; the active set at the solution, or None when there is none."""
+        self._x[:] = x
+        self._u[:] = u
+        for _ in range(3**self.model.n_u):
+            if not self._converge(active):
+                return None
+            following = self._corrected(active)
+            if following == active:
+                return None if self._beyond_stops() else active
+            active = following
+        return None
+
+    def _converge(self, active: tuple[int, ...]) -> bool:
+        """Newton's method with the active inputs at their bounds."""
+        for i, side in enumerate(active):
+            self._active[i] = abs(side)
+            self._bound[i] = side * self._upper[i]
+        evaluate, report, state = self._newton, self._report, self._z
+        for _ in range(_ITERATIONS):
+            evaluate()
+            rate, move = report[0], report[1]
+            if rate <= TOLERANCE and move <= TOLERANCE:
+                return True
+            if not move < _RUNAWAY:
+                return False
+            state[:] = self._z_next
+        return False
+
+    def _corrected(self, active: tuple[int, ...]) -> tuple[int, ...]:
+        """The active set after violated bounds are added and pulling ones released."""
+        after = list(active)
+        for i, value in enumerate(self._u.tolist()):
+            if active[i] == 0:
+                high = self._upper[i] + _BOUND_TOLERANCE
+                after[i] = int(value > high) - int(value < -high)
+            elif self._report[2 + i] * active[i] > _SLOPE_TOLERANCE:
+                after[i] = 0
+        return tuple(after)
+
+    def _from_afar(self, asked: list[float]) -> Target:
+        """The best over several starts and all active sets."""
+        best: tuple[float, Target] | None = None
+        sets = itertools.product((0, 1, -1), repeat=self.model.n_u)
+        for active in sets:
+            for x, u in self._starts():
+                self._x[:], self._u[:] = x, u
+                if not self._converge(active) or self._outside(active):
+                    continue
+                target = self._target(asked, active)
+                if not target.projected:
+                    return target
+                cost = self._cost()
+                if best is None or cost < best[0] - _SLOPE_TOLERANCE:
+                    best = (cost, target)
+        if best is not None:
+            return best[1]
+        self._x[:], self._u[:] = self._rest, 0.0
+        self._newton()
+        return self._target(asked, (0,) * self.model.n_u)
+
+    def _outside(self, active: tuple[int, ...]) -> bool:
+        """Whether an input that is free is beyond its bound, or an angle beyond its stop."""
+        return self._beyond_stops() or any(
+            side == 0 and abs(value) > upper + _BOUND_TOLERANCE
+            for side, value, upper in zip(active, self._u.tolist(), self._upper, strict=True)
+        )
+
+    def _beyond_stops(self) -> bool:
+        return any(
+            abs(self._x[i]) > stop + REACHED
+            for i, stop in zip(self._controlled, self._stops, strict=True)
+        )
+
+    def _cost(self) -> float:
+        error = self._x[self._controlled] - self._r
+        return float(error @ (self._weights * error))
+
+    def _starts(self) -> Iterable[tuple[FloatArray, FloatArray]]:
+        """Points to start from: at the reference and at rest, the inputs at several levels.
+
+        None at zero, where a thrust has no slope.
+        """
+        at_reference = self._rest.copy()
+        at_reference[self._controlled] = self._r
+        for x in (at_reference, self._rest):
+            for shares in itertools.product((0.4, -0.4), repeat=self.model.n_u):
+                yield x, np.array(shares) * self._upper
+
+    def _target(self, asked: list[float], active: tuple[int, ...]) -> Target:
+        x, u = self._x.copy(), self._u.copy()
+        for i, side in enumerate(active):
+            if side:
+                u[i] = side * self._upper[i]
+        reached = [float(x[i]) for i in self._controlled]
+        residual = float(self._report[0])
+        return Target(
+            x,
+            u,
+            np.array(reached),
+            residual,
+            any(abs(a - b) > REACHED for a, b in zip(asked, reached, strict=True)),
+            residual <= TOLERANCE,
+            active,
+            tuple(asked),
+        )
+
+
+def _beside(guess: Target, asked: list[float]) -> bool:
+    return guess.projected and all(
+        abs(a - b) < _BESIDE for a, b in zip(asked, guess.asked, strict=True)
+    )
+
+
+def _newton_step(model: Model) -> ca.Function:
+    """One step on the optimality conditions from (x, u).
+
+    Active inputs go to their bound; the others are stationary. Returns the next x and u, and a
+    report: the largest rate |f|, the largest move of a controlled angle, and the slope of the cost
+    in each input.
+    """
+    n_x, n_u = model.n_x, model.n_u
+    _, _, p, w = model.symbols()
+    z = ca.SX.sym("z", n_x + n_u)
+    x, u = z[:n_x], z[n_x:]
+    rows = [model.state_index(name) for name in model.controlled]
+    n_r = len(rows)
+    r, q = ca.SX.sym("r", n_r), ca.SX.sym("q", n_r)
+    active, bound = ca.SX.sym("active", n_u), ca.SX.sym("bound", n_u)
+    reach = ca.SX.sym("reach", n_u)
+
+    f = model.dynamics(x, _arriving(model, u, p), p, w)
+    slopes = ca.jacobian(f, z)
+    f_x, f_u = slopes[:, :n_x], slopes[:, n_x:]
+    select = ca.SX(ca.DM.eye(n_x)[rows, :])
+    weigh = select.T @ ca.diag(q)
+
+    free = ca.diag(1 - active)
+    # Rows: stationarity in x, stationarity (or the bound) in u, the dynamics.
+    system = ca.blockcat(
+        [
+            [weigh @ select + _PROXIMAL * ca.SX.eye(n_x), ca.SX(n_x, n_u), f_x.T],
+            [ca.SX(n_u, n_x), _PROXIMAL * free + ca.diag(active), free @ f_u.T],
+            [f_x, f_u, -_PROXIMAL * ca.SX.eye(n_x)],
+        ]
+    )
+    right = ca.vertcat(-weigh @ (x[rows] - r), active * (bound - u), -f)
+    solution = _solved(system, right)
+    dx, du, multiplier = (
+        solution[:n_x],
+        solution[n_x : n_x + n_u],
+        solution[n_x + n_u :],
+    )
+    # Near the double root the slope is tiny and the step huge: no input moves by more than a
+    # quarter of its range at once.
+    largest = ca.mmax(ca.fabs(du) / reach)
+    shorten = ca.if_else(largest > 0.5, 0.5 / largest, 1.0)
+    report = ca.vertcat(ca.mmax(ca.fabs(f)), ca.mmax(ca.fabs(dx[rows])), f_u.T @ multiplier)
+    return ca.Function(
+        "steady_state_step",
+        [z, r, w, p, q, active, bound, reach],
+        [z + shorten * ca.vertcat(dx, du), report],
+        ["z", "r", "w", "p", "q", "active", "bound", "reach"],
+        ["z_next", "report"],
+    )
+
+
+def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Solution of a square system whose conditioning is poor by nature.
+
+    CasADi's QR is a modified Gram–Schmidt, accurate to the condition number squared; one step of
+    iterative refinement brings that back to the condition number.
+    """
+    q, r = ca.qr(matrix)
+
+    def solve(b: ca.SX) -> ca.SX:
+        return ca.solve(r, q.T @ b)
+
+    first = solve(right)
+    return first + solve(right - matrix @ first)
+
+
+def _arriving(model: Model, u: ca.SX, p: ca.SX) -> ca.SX:
+    """What reaches the motors after a long time at ``u``.
+
+    The memory of the input path is at the fixed point of its update; one Newton step from zero
+    finds it for every path that is linear in its memory (delays, lags).
+    """
+    n_m = len(model.memory(_MEMORY_STEP))
+    memory = ca.SX.sym("memory", n_m)
+    arriving, after = model.input_path(memory, u, p, (0.0, 1.0), _MEMORY_STEP)
+    if n_m == 0:
+        return arriving
+    change = after - memory
+    fixed = -ca.solve(ca.densify(ca.jacobian(change, memory)), change)
+    fixed = ca.substitute(fixed, memory, ca.SX.zeros(n_m))
+    return ca.substitute(arriving, memory, fixed)
