@@ -196,7 +196,9 @@ def test_messages_that_do_not_fit_are_a_clear_error(tmp_path: Path) -> None:
     writer = Writer(str(path))
     writer.start(library="trms 0")
     schema = orjson.dumps({"type": "object", "properties": {"x": {"type": "number"}}})
-    channel = writer.register_channel("/t", "json", writer.register_schema("x", "jsonschema", schema))
+    channel = writer.register_channel(
+        "/t", "json", writer.register_schema("x", "jsonschema", schema)
+    )
     writer.add_message(channel, 0, b'{"x": "text"}', 0)
     writer.finish()
     with pytest.raises(RecordingError, match="/t are not as trms writes them"):

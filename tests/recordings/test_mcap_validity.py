@@ -135,7 +135,9 @@ def test_an_indexed_reader_seeks(tmp_path: Path, write_run: Callable[..., Path])
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         part = list(
-            reader.iter_messages(["/command"], starting_at=1_500_000_000, ending_before=1_600_000_000)
+            reader.iter_messages(
+                ["/command"], starting_at=1_500_000_000, ending_before=1_600_000_000
+            )
         )
         assert [orjson.loads(m.data)["u_v"] for _, _, m in part] == [151.0 + k for k in range(10)]
         names = [metadata.name for metadata in reader.iter_metadata()]

@@ -7,7 +7,6 @@ the line, what was found there and what to do; nothing is repaired in silence.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -61,16 +60,16 @@ def read_csv(path: Path | str) -> Recording:
     if not ends_with_newline and len(table):
         remarks.append(_check_last_line(path, lines, line_numbers, table, columns))
 
-    named = {column.name: table[:, index] for index, column in enumerate(columns)}
-    time, _ = to_si(named.pop("t"), _unit_of("t", columns), ("s",), where=header_at, name="t")
-    _check_time(path, time, line_numbers)
+    time = np.empty(0)
     channels, units = {}, {}
-    for column in columns:
-        channel = find_channel(column.name)
-        if channel is not None:
-            channels[column.name], units[column.name] = to_si(
-                named[column.name], column.unit, channel.units, where=header_at, name=column.name
-            )
+    for column, values in zip(columns, table.T, strict=True):
+        converted, unit = _in_si(values, column, header_at)
+        if column.name == "t":
+            time = np.ascontiguousarray(converted)
+        else:
+            channels[column.name] = np.ascontiguousarray(converted)
+            units[column.name] = unit
+    _check_time(path, time, line_numbers)
     require_values(channels, header_at)
     return Recording(time, channels, units, metadata, path, tuple(remarks))
 
@@ -203,7 +202,15 @@ def _header_cell(cell: str, position: int, where: str) -> _Column:
             where=where,
             remedy=f"write {name}[{unit}], with the unit that the numbers are in",
         )
-    return _Column(name, match["unit"].strip())
+    column = _Column(name, match["unit"].strip())
+    _in_si(np.empty(0), column, where)  # a wrong unit is told before any wrong number
+    return column
+
+
+def _in_si(values: np.ndarray, column: _Column, where: str) -> tuple[np.ndarray, str]:
+    channel = _TIME if column.name == "t" else find_channel(column.name)
+    allowed = channel.units if channel else ()
+    return to_si(values, column.unit, allowed, where=where, name=column.name)
 
 
 def _numbers(
@@ -313,7 +320,8 @@ def _check_last_line(
             path,
             numbers[-1],
             f"the file ends in the middle of the last cell, {columns[-1].name!r}: {text!r}",
-            "the file was cut; copy it again, or delete its last line",
+            "if the file was cut, copy it again or delete its last line; if not, end it with a "
+            "line break",
         )
     return "the last line has no line end: was the file cut there?"
 
@@ -331,10 +339,6 @@ def _check_time(path: Path, time: np.ndarray, line_numbers: list[int]) -> None:
             f"time {what}: {now:.9g} s after {before:.9g} s{more}",
             "sort the rows and keep one per time; split a file of several runs",
         )
-
-
-def _unit_of(name: str, columns: Sequence[_Column]) -> str:
-    return next(column.unit for column in columns if column.name == name)
 
 
 def _refuse(path: Path, line: int, problem: str, remedy: str) -> NoReturn:

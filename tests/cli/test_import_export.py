@@ -1,0 +1,120 @@
+"""`trms import` and `trms export` as they are typed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trms_cli.commands import export, import_
+from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.recordings.recording import read_recording
+
+ROWS = "".join(
+    f"{k / 50:.3f},{k % 7},{k * 0.09:.2f},1500\n" for k in range(200) if k not in (90, 91)
+)
+CSV = "# rig: bench\n# loop: open\nt[s],u_v[%],alpha_v[deg],omega_v[rpm]\n" + ROWS
+
+
+@pytest.fixture
+def csv(tmp_path: Path) -> Path:
+    path = tmp_path / "lab" / "rec.csv"
+    path.parent.mkdir()
+    path.write_text(CSV)
+    return path
+
+
+def trms(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "trms_cli", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(import_.__file__).parents[2])}
+    return subprocess.run(
+        command, cwd=cwd, capture_output=True, text=True, timeout=60, env=environment, check=False
+    )
+
+
+def test_there_and_back(tmp_path: Path, csv: Path) -> None:
+    done = trms("import", csv, cwd=tmp_path)
+    assert done.returncode == 0 and not done.stderr
+    assert "198 samples from 0 to 3.98 s, 50 Hz, 1 gap" in done.stdout
+    assert "about 2 samples" in done.stdout
+    assert (tmp_path / "rec.mcap").is_file()  # in the working directory, not beside the CSV
+    assert [p.name for p in csv.parent.iterdir()] == ["rec.csv"]
+
+    done = trms("export", "rec.mcap", cwd=tmp_path)
+    assert done.returncode == 0 and not done.stderr
+    before, after = read_recording(csv), read_recording(tmp_path / "rec.csv")
+    np.testing.assert_array_equal(after.time, before.time)
+    for name, values in before.channels.items():
+        np.testing.assert_array_equal(after.channels[name], values)
+    assert after.metadata == before.metadata and after.units == before.units
+
+
+def test_json_has_the_printed_figures(tmp_path: Path, csv: Path) -> None:
+    done = trms("import", csv, "--json", "--out", "x.mcap", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    assert document["schema"] == "trms.import/1" and document["samples"] == 198
+    assert document["gaps"] == [{"start_s": 1.78, "end_s": 1.84}]
+    assert document["channels"]["u_v"]["unit"] == "1"
+    assert document["channels"]["u_v"]["quantum"] == pytest.approx(0.01)
+    assert document["channels"]["omega_v"]["min"] == pytest.approx(1500 * 2 * np.pi / 60)
+    log = read_log(tmp_path / "x.mcap")
+    assert log.run["imported"] == "true" and log.run["file_sha256"] == document["sha256"]
+
+    done = trms("export", "x.mcap", "--json", "--out", "x.parquet", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    assert document["format"] == "parquet" and document["complete"] is True
+    assert document["topics"]["/command"] == 198 and (tmp_path / "x.parquet").is_file()
+
+
+def test_a_fault_is_told_with_its_line_and_nothing_is_written(tmp_path: Path, csv: Path) -> None:
+    csv.write_text(CSV.replace("0.020,1,", "0.020,one,"))
+    done = trms("import", csv, cwd=tmp_path)
+    assert done.returncode == 2 and not done.stdout and "Traceback" not in done.stderr
+    assert "rec.csv:5" in done.stderr and "'one'" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["lab"]
+
+
+def test_nothing_is_overwritten_unless_forced(tmp_path: Path, csv: Path) -> None:
+    out = tmp_path / "rec.mcap"
+    out.write_text("mine")
+    done = trms("import", csv, cwd=tmp_path)
+    assert done.returncode == 2 and "--force" in done.stderr and out.read_text() == "mine"
+    assert trms("import", csv, "--force", cwd=tmp_path).returncode == 0
+    assert read_log(out).complete
+
+
+@pytest.mark.parametrize("module", [import_, export])
+def test_help(module: object, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        module.main(["--help"])  # type: ignore[attr-defined]
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    assert text.startswith("Usage: trms") and "Examples:" in text
+    assert max(map(len, text.splitlines())) <= 100 and len(text.splitlines()) < 45
+
+
+@pytest.mark.parametrize(
+    ("module", "argv", "problem"),
+    [
+        (import_, [], "required: file"),
+        (import_, ["a.csv", "--otu", "x"], "'--otu' is not understood; did you mean --out"),
+        (import_, ["a.csv", "b.csv"], "'b.csv' is not understood"),
+        (import_, ["a.csv", "--out"], "expected one argument"),
+        (export, ["a.mcap", "--format", "xml"], "invalid choice: 'xml'"),
+    ],
+)
+def test_wrong_options(module: object, argv: list[str], problem: str) -> None:
+    with pytest.raises(ConfigurationError, match=problem) as caught:
+        module.main(argv)  # type: ignore[attr-defined]
+    assert "--help" in caught.value.remedy
+
+
+def test_a_log_is_not_imported(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="log already"):
+        import_.main([str(tmp_path / "x.mcap")])

@@ -1,0 +1,108 @@
+"""Logs as CSV, Parquet and MAT: the same numbers, with their units."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import loadmat
+
+from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.recordings import output_file
+from trms_cli.recordings.export import export_log
+from trms_cli.recordings.log_reader import LoggedRun, read_log
+from trms_cli.recordings.recording import read_recording
+
+
+@pytest.fixture
+def log(tmp_path: Path, write_run: Callable[..., Path]) -> LoggedRun:
+    return read_log(write_run(tmp_path / "run.mcap", 120))
+
+
+def test_csv_is_the_recording(tmp_path: Path, log: LoggedRun) -> None:
+    out = tmp_path / "run.csv"
+    export_log(log, out, "csv")
+    direct, exported = read_recording(log.path), read_recording(out)
+    np.testing.assert_array_equal(exported.time, direct.time)
+    assert exported.units == direct.units and exported.metadata == direct.metadata
+    for name, values in direct.channels.items():
+        np.testing.assert_array_equal(exported.channels[name], values)
+
+
+def test_parquet_joins_all_topics_on_time(tmp_path: Path, log: LoggedRun) -> None:
+    out = tmp_path / "run.parquet"
+    export_log(log, out, "parquet")
+    table = pq.read_table(out)
+    assert table.schema.field("measurement.alpha_v").metadata == {b"unit": b"rad"}
+    assert table.schema.metadata[b"config.yaml"].decode() == log.config
+    assert table.num_rows == 121  # one time has two events
+    time = np.array(table["time"])
+    assert np.all(np.diff(time) >= 0) and list(time[5:7]) == [0.05, 0.05]
+    rows = table.to_pylist()
+    assert rows[3]["command.u_v"] == 4.0 and rows[3]["measurement.alpha_h"] is None
+    assert rows[3]["controller.status"] == "optimal" and rows[3]["prediction.time"] is None
+    assert rows[0]["prediction.time"] == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert rows[5]["event.kind"] == "saturation" and rows[6]["event.kind"] == "note"
+    assert rows[6]["command.u_v"] is None
+    command = [row["command.u_v"] for row in rows if row["command.u_v"] is not None]
+    np.testing.assert_array_equal(command, log.table("/command").columns["u_v"])
+
+
+def test_mat_has_a_struct_per_topic(tmp_path: Path, log: LoggedRun) -> None:
+    out = tmp_path / "run.mat"
+    export_log(log, out, "mat")
+    content = loadmat(out, simplify_cells=True)
+    state = content["plant_state"]
+    np.testing.assert_array_equal(state["omega_h"], np.arange(120.0))
+    assert state["units"]["omega_h"] == "rad/s" and state["units"]["time"] == "s"
+    assert content["prediction"]["time_from_now"].shape == (12, 4)
+    assert list(content["event"]["kind"]) == ["saturation", "note"]
+    assert content["run"]["seed"] == "3" and content["config"] == log.config
+
+
+@pytest.mark.parametrize("format_", ["csv", "parquet", "mat"])
+def test_a_dead_runs_log_is_exported_as_far_as_it_goes(
+    tmp_path: Path, write_run: Callable[..., Path], format_: str
+) -> None:
+    log = read_log(write_run(tmp_path / "run.mcap", 20, close=False))
+    export_log(log, tmp_path / "out", format_)
+    assert (tmp_path / "out").stat().st_size > 100
+
+
+@pytest.mark.parametrize("format_", ["csv", "parquet", "mat"])
+def test_never_half_and_never_over(
+    tmp_path: Path, log: LoggedRun, format_: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "there"
+    out.write_text("mine")
+    with pytest.raises(RecordingError, match="already"):
+        export_log(log, out, format_)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(output_file.os, "replace", full)
+        with pytest.raises(RecordingError, match="no room"):
+            export_log(log, out, format_, force=True)
+    assert out.read_text() == "mine"
+    export_log(log, out, format_, force=True)
+    assert out.read_bytes()[:4] != b"mine"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap", "there"]
+
+
+def test_a_folder_in_the_way(tmp_path: Path, log: LoggedRun) -> None:
+    for force in (False, True):
+        with pytest.raises(RecordingError, match="a folder of this name"):
+            export_log(log, tmp_path, "csv", force=force)
+
+
+def test_unknown_format(tmp_path: Path, log: LoggedRun) -> None:
+    with pytest.raises(ConfigurationError, match="'xml'") as caught:
+        export_log(log, tmp_path / "x", "xml")
+    assert "parquet" in caught.value.remedy

@@ -1,0 +1,106 @@
+"""A recording's own words, its levels, and its way through a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.recordings.mcap_recording import write_mcap
+from trms_cli.recordings.recording import Recording, quantum, read_recording
+
+
+@given(
+    step=st.floats(1e-4, 10.0),
+    offset=st.floats(-1, 1),
+    levels=st.lists(st.integers(-50, 50), min_size=3, max_size=100, unique=True),
+)
+def test_the_quantum_of_an_encoder(step: float, offset: float, levels: list[int]) -> None:
+    used = [*levels, levels[0] + 1]  # neighbours occur, as in any real recording
+    found = quantum(offset + step * np.array(used, dtype=float))
+    assert found == pytest.approx(step, rel=1e-3)
+
+
+def test_the_quantum_of_what_has_none() -> None:
+    rng = np.random.default_rng(0)
+    assert quantum(np.ones(10)) is None
+    assert quantum(np.full(10, np.nan)) is None
+    assert quantum(rng.standard_normal(1000)) is None
+
+
+def test_the_quantum_seen_through_rounding() -> None:
+    turns = np.round(np.arange(200) * 2 * np.pi / 4096, 6)
+    assert quantum(turns) == pytest.approx(2 * np.pi / 4096, rel=1e-4)
+
+
+def test_a_recording_goes_through_a_log(tmp_path: Path, recording: Recording) -> None:
+    path = tmp_path / "rec.mcap"
+    write_mcap(recording, path, {"imported": "true", "file": "rec.csv"})
+    back = read_recording(path)
+    np.testing.assert_array_equal(back.time, recording.time)
+    assert back.metadata == recording.metadata and back.units == recording.units
+    for name, values in recording.channels.items():
+        np.testing.assert_array_equal(back.channels[name], values)
+    log = read_log(path)
+    assert set(log.tables) == {"/command", "/measurement", "/reference", "/event"}
+    assert log.run["recording.rig"] == "bench" and log.run["imported"] == "true"
+    assert list(log.table("/event").columns["kind"]) == ["gap"]
+
+
+def test_times_before_zero_and_currents_and_disturbances_survive(tmp_path: Path) -> None:
+    names = {"u_v": "1", "omega_h": "rad/s", "i_h": "A", "d_push": "N*m"}
+    recording = Recording(
+        np.array([-0.5, -0.25, 0.0]),
+        {name: np.array([1.0, 2.0, np.nan]) for name in names},
+        dict(names),
+        {"outcome": "good", "schema": "mine"},  # words that the log has a meaning for
+    )
+    path = tmp_path / "rec.mcap"
+    write_mcap(recording, path, {"imported": "true"})
+    back = read_recording(path)
+    np.testing.assert_array_equal(back.time, recording.time)
+    assert back.units == names and back.metadata == recording.metadata
+    np.testing.assert_array_equal(back.channels["d_push"], [1.0, 2.0, np.nan])
+    assert read_log(path).outcome == "completed"
+
+
+def test_slow_commands_are_held_between_their_samples(tmp_path: Path) -> None:
+    from trms_cli.recordings.run_log import RunLog
+    from trms_cli.recordings.topics import Field, standard_topics
+
+    topics = standard_topics(inputs=[Field("u_v", "V")], outputs=[Field("alpha_v", "rad")])
+    path = tmp_path / "run.mcap"
+    with RunLog(path, topics, {}) as log:
+        for k in range(6):
+            log.write("/measurement", k * 10, (float(k),))
+            if k in (1, 4):
+                log.write("/command", k * 10, (float(k),))
+    u = read_recording(path).channels["u_v"]
+    np.testing.assert_array_equal(u, [np.nan, 1, 1, 1, 4, 4])
+
+
+def test_a_log_without_samples_is_no_recording(tmp_path: Path, topics: list) -> None:
+    from trms_cli.recordings.run_log import RunLog
+
+    path = tmp_path / "run.mcap"
+    RunLog(path, topics, {}).close("failed")
+    with pytest.raises(RecordingError, match="0 measurements"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("name", ["rec.xlsx", "rec", "rec.mcapp"])
+def test_unknown_endings(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("x")
+    with pytest.raises(RecordingError, match="no format") as caught:
+        read_recording(tmp_path / name)
+    assert ".csv" in caught.value.remedy
+
+
+def test_a_folder_is_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="folder"):
+        read_recording(tmp_path)
