@@ -54,10 +54,11 @@ class DiscreteModel:
         """``(x, u, p, w) → x⁺, ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂p, ∂x⁺/∂w``."""
         x, u, p, w = self.symbols()
         after = self.step(x, u, p, w)
+        slopes = [ca.densify(ca.jacobian(after, v)) for v in (x, u, p, w)]
         return ca.Function(
             "linearised",
             [x, u, p, w],
-            [after, *(ca.densify(ca.jacobian(after, v)) for v in (x, u, p, w))],
+            ca.cse([after, *slopes]),
             ["x", "u", "p", "w"],
             ["x_next", "A", "B", "P", "G"],
         )
@@ -118,9 +119,9 @@ def discretise(
         arriving, memory = model.input_path(memory, u, p, window, step_length)
         x = integrate(lambda z, a=arriving: model.dynamics(z, a, p, w), x, h)  # type: ignore[misc]
         x = model.impulse(x, arriving, p, w, h)
-    step = ca.Function(
-        "step", [full, u, p, w], [ca.vertcat(x, memory)], ["x", "u", "p", "w"], ["x_next"]
-    )
+    # The equations name the same sine or square many times over; sharing them halves the work.
+    (after,) = ca.cse([ca.vertcat(x, memory)])
+    step = ca.Function("step", [full, u, p, w], [after], ["x", "u", "p", "w"], ["x_next"])
     measurement = ca.Function(
         "measurement",
         [full, u, p],

@@ -1,0 +1,1 @@
+"""Quadratic programs of the Newton MPC: one solver a file."""

@@ -1,0 +1,89 @@
+"""DAQP: dual active-set solver (Arnström, Bemporad & Axehill 2022, IEEE TAC 67), dense, exact.
+
+Soft rows with a linear and a quadratic price are its own kind of constraint, so that an exact
+penalty costs no further variables.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import daqp
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.controllers.qp.problem import Qp, QpResult
+
+_HARD, _EQUALITY, _SOFT = 0, 5, 8
+_REASONS = {
+    -1: "infeasible",
+    -2: "cycling",
+    -3: "unbounded",
+    -4: "iteration limit",
+    -5: "not convex",
+    -6: "initial active set overdetermined",
+}
+
+
+@dataclass
+class _Workspace:
+    models: dict[tuple[int, int], Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Daqp:
+    """DAQP.
+
+    Attributes
+    ----------
+    max_iterations : int
+        Changes of the active set.
+    """
+
+    max_iterations: Annotated[int, Meta(ge=1)] = 1000
+
+    def start(self) -> _Workspace:
+        """A fresh workspace."""
+        return _Workspace()
+
+    def solve(self, workspace: _Workspace, qp: Qp) -> QpResult:
+        """See :class:`trms_cli.controllers.qp.problem.QpSolver`."""
+        upper = np.concatenate([qp.upper, qp.row_upper])
+        lower = np.concatenate([qp.lower, qp.row_lower])
+        size = qp.rows.shape
+        model = workspace.models.get(size)
+        if model is not None:
+            model.update(H=qp.hessian, f=qp.gradient, A=qp.rows, bupper=upper, blower=lower)
+        else:
+            model = daqp.Model()
+            model.settings = {"iter_limit": self.max_iterations}
+            model.setup(qp.hessian, qp.gradient, qp.rows, upper, lower, _kinds(qp))
+            self._set_prices(model, qp)
+            workspace.models[size] = model
+        z, _, flag, info = model.solve()
+        solved = flag in (1, 2) and bool(np.isfinite(z).all())
+        if not solved:
+            # A workspace that failed may hold a bad active set: the next solve starts afresh.
+            del workspace.models[size]
+        message = "" if solved else _REASONS.get(flag, f"exit flag {flag}")
+        return QpResult(z, solved, int(info["iterations"]), message)
+
+    @staticmethod
+    def _set_prices(model: Any, qp: Qp) -> None:
+        soft = np.isfinite(qp.linear)
+        if not soft.any():
+            return
+        n = len(qp.gradient)
+        linear = np.concatenate([np.zeros(n), np.where(soft, qp.linear, 0.0)])
+        # DAQP takes the reciprocal of the weight of ½ v².
+        reciprocal = np.concatenate([np.ones(n), np.where(soft, 0.5 / qp.quadratic, 1.0)])
+        model.soft_weights(rho_l=reciprocal, rho_u=reciprocal, w_l=linear, w_u=linear)
+
+
+def _kinds(qp: Qp) -> np.ndarray:
+    kinds = np.full(len(qp.gradient) + len(qp.linear), _HARD, dtype=np.int32)
+    rows = kinds[len(qp.gradient) :]
+    rows[np.isfinite(qp.linear)] = _SOFT
+    rows[~np.isfinite(qp.linear) & (qp.row_lower == qp.row_upper)] = _EQUALITY
+    return kinds

@@ -1,0 +1,86 @@
+"""What a plant is: it takes commands and gives measurements; nobody sees inside, but the log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.model import Signal
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PlantSetup:
+    """What a plant is told before a run.
+
+    Attributes
+    ----------
+    sample_time : float
+        Time between two measurements, s.
+    samples : int
+        Number of samples in the run.
+    seed : int
+        Of everything random in the plant.
+    """
+
+    sample_time: float
+    samples: int
+    seed: int
+
+
+class PlantRun(Protocol):
+    """A plant during one run."""
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Measured channels, the order of :meth:`measure`."""
+        ...
+
+    @property
+    def states(self) -> tuple[Signal, ...]:
+        """True states, the order of :attr:`state`."""
+        ...
+
+    @property
+    def noise_sd(self) -> Mapping[str, float]:
+        """Standard deviation of each channel's noise, quantum included, in its unit."""
+        ...
+
+    @property
+    def first_command(self) -> FloatArray:
+        """The command in force before time zero, shape (n_u,)."""
+        ...
+
+    @property
+    def input_limits(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the command, each (n_u,)."""
+        ...
+
+    @property
+    def state(self) -> FloatArray:
+        """The true state now, shape (n_x,)."""
+        ...
+
+    def measure(self) -> FloatArray:
+        """The measurement now, shape (n_y,); NaN where a sample is missing."""
+        ...
+
+    def advance(self, command: FloatArray) -> None:
+        """Hold a command (n_u,) for one sample."""
+        ...
+
+
+class Plant(Protocol):
+    """An immutable description of a rig."""
+
+    def init(self, setup: PlantSetup) -> Any:
+        """The rig at time zero; a :class:`PlantRun`."""
+        ...

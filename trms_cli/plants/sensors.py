@@ -1,0 +1,93 @@
+"""Sensors of a simulated rig: noise, quantum, lost samples; all drawn before the run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+
+FloatArray = npt.NDArray[np.float64]
+
+#: A perfect channel still gets this declared noise (its unit), so that an observer's covariance
+#: stays invertible.
+_LEAST_NOISE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensors:
+    """Which channels are measured, and how well.
+
+    Attributes
+    ----------
+    channels : list of str or None
+        Measured outputs; None takes all that the model has.
+    noise_sd : dict of str to float
+        Standard deviation of white noise per channel, rad or rad/s.
+    quantum : dict of str to float
+        Resolution per channel (an encoder's step, a tacho's bit), rad or rad/s; 0 for none.
+    loss_probability : float
+        Share of the samples that are lost, each sample with all its channels.
+    """
+
+    channels: tuple[str, ...] | None = None
+    noise_sd: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    quantum: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    loss_probability: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+
+    def measured(self, available: tuple[str, ...]) -> tuple[str, ...]:
+        """The measured channels, checked against what the model has.
+
+        Raises
+        ------
+        ConfigurationError
+            For a channel that the model does not have.
+        """
+        chosen = available if self.channels is None else tuple(self.channels)
+        for name in chosen:
+            if name not in available:
+                raise ConfigurationError(
+                    f"the model measures no {name!r}",
+                    where="sensors.channels",
+                    remedy=nearest(name, available),
+                )
+        if not chosen:
+            raise ConfigurationError(
+                "no channel is measured",
+                where="sensors.channels",
+                remedy=f"choose from: {', '.join(available)}",
+            )
+        return chosen
+
+    def declared_noise(self, channels: tuple[str, ...]) -> dict[str, float]:
+        """Standard deviation of noise and quantisation (uniform, q²/12) together."""
+        return {
+            name: max(
+                _LEAST_NOISE,
+                float(
+                    np.hypot(self.noise_sd.get(name, 0.0), self.quantum.get(name, 0.0) / 12**0.5)
+                ),
+            )
+            for name in channels
+        }
+
+    def draw_noise(
+        self, channels: tuple[str, ...], samples: int, generator: np.random.Generator
+    ) -> FloatArray:
+        """All noise of a run, shape (samples, n_y); NaN where the sample is lost."""
+        # Always the same number of draws, so that one channel's noise does not shift another's.
+        noise = generator.standard_normal((samples, len(channels)))
+        noise *= [self.noise_sd.get(name, 0.0) for name in channels]
+        lost = generator.random(samples) < self.loss_probability
+        noise[lost] = np.nan
+        return noise
+
+    def quanta(self, channels: tuple[str, ...]) -> FloatArray:
+        """Resolution of each channel, 0 for none, shape (n_y,)."""
+        return np.array([self.quantum.get(name, 0.0) for name in channels])

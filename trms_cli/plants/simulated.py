@@ -1,0 +1,201 @@
+"""A simulated rig: a model with its own parameters, and what the model does not know.
+
+It shares no object with the controller's model; its integration is its own and finer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import casadi as ca
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.plugins import nearest
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import extended
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.model import FloatArray, Model, Signal, names
+from trms_cli.models.parameters import ParameterSet
+from trms_cli.plants.disturbance import ScheduledDisturbance
+from trms_cli.plants.mechanical_stops import with_stops
+from trms_cli.plants.plant import PlantSetup
+from trms_cli.plants.sensors import Sensors
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedRig:
+    """A rig that is simulated.
+
+    Attributes
+    ----------
+    model : Model
+        Equations of the rig.
+    parameters : dict of str to float
+        True values that differ from the model's, SI.
+    prior_seed : int or None
+        Draws all parameters from their priors first; None keeps the model's values.
+    prior_scale : float
+        Multiplies the priors' standard deviations for that draw.
+    effects : dict of str to Effect
+        What the rig has and the model does not know.
+    integration_step : float
+        Longest integration step, s.
+    sensors : Sensors
+    initial : dict of str to float
+        Initial states that differ from rest, by name.
+    first_command : dict of str to float
+        Commands in force before time zero, by input.
+    disturbances : dict of str to ScheduledDisturbance
+        External torques by name.
+    mechanical_stops : bool
+        Whether the frame ends the travel of each axis.
+    """
+
+    model: Model
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    prior_seed: int | None = None
+    prior_scale: Annotated[float, Meta(ge=0)] = 1.0
+    effects: Mapping[str, Effect] = field(default_factory=dict)
+    integration_step: Annotated[float, Meta(gt=0)] = 0.005
+    sensors: Sensors = field(default_factory=Sensors)
+    initial: Mapping[str, float] = field(default_factory=dict)
+    first_command: Mapping[str, float] = field(default_factory=dict)
+    disturbances: Mapping[str, ScheduledDisturbance] = field(default_factory=dict)
+    mechanical_stops: bool = True
+
+    def init(self, setup: PlantSetup) -> SimulatedRun:
+        """The rig at time zero."""
+        return SimulatedRun(self, setup)
+
+    def true_model(self) -> Model:
+        """The rig's equations with effects and stops."""
+        effects = dict(self.effects)
+        if self.mechanical_stops:
+            effects |= with_stops(self.model)
+        return extended(self.model, effects)
+
+    def true_parameters(self, model: Model) -> ParameterSet:
+        """The rig's parameter values, effects' sizes among them."""
+        parameters = model.parameters
+        if self.prior_seed is not None:
+            parameters = parameters.drawn(self.prior_seed, self.prior_scale)
+        return parameters.replaced(self.parameters)
+
+
+class SimulatedRun:
+    """A simulated rig during one run; see :class:`trms_cli.plants.plant.PlantRun`."""
+
+    def __init__(self, rig: SimulatedRig, setup: PlantSetup) -> None:
+        model = rig.true_model()
+        self.model = model
+        self.parameters = rig.true_parameters(model)
+        substeps = max(1, math.ceil(setup.sample_time / rig.integration_step - 1e-9))
+        discrete = discretise(model, setup.sample_time, substeps)
+        self.inputs: tuple[Signal, ...] = model.inputs
+        self.states: tuple[Signal, ...] = model.states
+        available = names(model.outputs)
+        channels = rig.sensors.measured(available)
+        self.outputs = tuple(model.outputs[available.index(name)] for name in channels)
+        self.noise_sd = rig.sensors.declared_noise(channels)
+        self.first_command = _vector(rig.first_command, model.inputs, "first_command")
+        self.input_limits = model.input_bounds()
+        start = model.rest()
+        for name, value in rig.initial.items():
+            start[_known(name, names(model.states), "initial")] = value
+        # The buffers' arrays are fixed for life; the step writes beside its input and is copied
+        # back, the measurement reads the same state.
+        self._step = BufferedFunction(discrete.step)
+        self._sense = BufferedFunction(_selected(discrete.measurement, channels, available))
+        self._full = self._step.inputs[0]
+        self._full[:] = discrete.initial(start, self.first_command)
+        self._step.inputs[2][:] = self.parameters.values
+        self._sense.inputs[2][:] = self.parameters.values
+        self._n_x = model.n_x
+        generator = np.random.default_rng(np.random.SeedSequence([setup.seed, 0x504C414E]))
+        self._noise = rig.sensors.draw_noise(channels, setup.samples, generator)
+        quanta = rig.sensors.quanta(channels)
+        self._quanta = np.where(quanta > 0, quanta, 1.0)
+        self._rounded = quanta > 0
+        self._any_rounded = bool(self._rounded.any())
+        self._w = self._torques(rig, setup)
+        self.known_disturbances = self._known(rig, setup)
+        self._sample = 0
+
+    @property
+    def state(self) -> FloatArray:
+        return self._full[: self._n_x]
+
+    def measure(self) -> FloatArray:
+        sense = self._sense
+        sense.inputs[0][:] = self._full
+        sense()
+        y = sense.outputs[0] + self._noise[self._sample]
+        if self._any_rounded:
+            return np.where(self._rounded, np.round(y / self._quanta) * self._quanta, y)
+        return y
+
+    def advance(self, command: FloatArray) -> None:
+        step = self._step
+        step.inputs[1][:] = command
+        self._sense.inputs[1][:] = command
+        step.inputs[3][:] = self._w[self._sample]
+        step()
+        self._full[:] = step.outputs[0]
+        self._sample += 1
+        # One sum is the cheapest test of all states at once.
+        if not math.isfinite(float(self._full.sum())):
+            raise SimulationError(
+                f"the simulated rig's state is no longer finite at sample {self._sample}",
+                where="plant",
+                remedy="lower plant.integration_step, or look at the effects' sizes",
+            )
+
+    def _torques(self, rig: SimulatedRig, setup: PlantSetup) -> FloatArray:
+        """Disturbances at each sample, shape (samples, n_w), held over the sample."""
+        equations = names(self.model.disturbances)
+        times = np.arange(setup.samples) * setup.sample_time
+        w = np.zeros((setup.samples, len(equations)))
+        for name, disturbance in rig.disturbances.items():
+            column = _known(disturbance.equation, equations, f"disturbances.{name}.equation")
+            w[:, column] += disturbance.torque.sample(times)
+        return w
+
+    def _known(self, rig: SimulatedRig, setup: PlantSetup) -> dict[str, FloatArray]:
+        """Torques that are measured, by channel name ``d_<equation>``, each (samples,)."""
+        times = np.arange(setup.samples) * setup.sample_time
+        known: dict[str, FloatArray] = {}
+        for disturbance in rig.disturbances.values():
+            if disturbance.known:
+                channel = f"d_{disturbance.equation}"
+                known[channel] = known.get(channel, 0.0) + disturbance.torque.sample(times)
+        return known
+
+
+def _selected(
+    measurement: ca.Function, channels: tuple[str, ...], available: tuple[str, ...]
+) -> ca.Function:
+    """The measurement of some channels only."""
+    at = [ca.SX.sym(name, *measurement.size_in(name)) for name in ("x", "u", "p")]
+    rows = [available.index(name) for name in channels]
+    return ca.Function("sense", at, [measurement(*at)[rows]], ["x", "u", "p"], ["y"])
+
+
+def _vector(values: Mapping[str, float], signals: tuple[Signal, ...], where: str) -> FloatArray:
+    vector = np.zeros(len(signals))
+    for name, value in values.items():
+        vector[_known(name, names(signals), where)] = value
+    return vector
+
+
+def _known(name: str, known: tuple[str, ...], where: str) -> int:
+    if name not in known:
+        raise ConfigurationError(
+            f"unknown name {name!r}", where=f"{where}.{name}", remedy=nearest(name, known)
+        )
+    return known.index(name)

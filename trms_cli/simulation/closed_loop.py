@@ -1,0 +1,273 @@
+"""The closed loop: reference → controller → rig → observer, sample by sample.
+
+At each sample the rig is measured, the observer takes the measurement, the controller (at its own,
+slower or equal rate) takes the estimate, and the command is held until the next sample. All that
+passes is written to the history. Nothing in here depends on the wall clock but the times that the
+controller's work took.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup
+from trms_cli.controllers.controller import Status
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.model import Model, names
+from trms_cli.observers.observer import Estimate, Observer, ObserverSetup
+from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
+from trms_cli.references.trajectory import ReferenceTrajectory
+from trms_cli.simulation.history import History
+
+FloatArray = npt.NDArray[np.float64]
+#: Called once a simulated second with the time (s) and the largest present tracking error (rad).
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Everything that a closed-loop run is a pure function of.
+
+    Attributes
+    ----------
+    model : Model
+        What the controller and the observer believe.
+    plant, observer, controller, reference
+    duration, sample_time : float
+        s; the duration is rounded to whole samples.
+    seed : int
+    prediction_every : int
+        Every how many control samples the controller's prediction is logged; 0 for never.
+    """
+
+    model: Model
+    plant: Plant
+    observer: Observer
+    controller: Controller
+    reference: ReferenceTrajectory
+    duration: float
+    sample_time: float
+    seed: int = 0
+    prediction_every: int = 10
+
+    def __post_init__(self) -> None:
+        if not (self.sample_time > 0 and math.isfinite(self.sample_time)):
+            raise ConfigurationError(
+                f"{self.sample_time!r} given", where="sim.sample_time", remedy="a time above 0 s"
+            )
+        if not (self.sample_time <= self.duration < math.inf):
+            raise ConfigurationError(
+                f"{self.duration!r} given",
+                where="sim.duration",
+                remedy=f"at least one sample ({self.sample_time:g} s)",
+            )
+
+    @property
+    def samples(self) -> int:
+        return round(self.duration / self.sample_time)
+
+    @property
+    def samples_per_control(self) -> int:
+        """Samples between two control steps.
+
+        Raises
+        ------
+        ConfigurationError
+            If the control period is not a whole multiple of the sample time.
+        """
+        period = self.controller.sample_time or self.sample_time
+        ratio = round(period / self.sample_time)
+        if ratio < 1 or abs(ratio * self.sample_time - period) > 1e-9 * period:
+            raise ConfigurationError(
+                f"{period:g} s given, with sim.sample_time={self.sample_time:g} s",
+                where="controller.sample_time",
+                remedy="a whole multiple of sim.sample_time",
+            )
+        return ratio
+
+
+@dataclass
+class Loop:
+    """A run under way: made by :meth:`start`, advanced by :meth:`run`."""
+
+    experiment: Experiment
+    plant: PlantRun
+    references: FloatArray
+    preview: int
+    history: History
+    _observer_state: Any
+    _controller_state: Any
+    _saturated: list[bool] = field(default_factory=list)
+    done: int = 0
+
+    @classmethod
+    def start(cls, experiment: Experiment, make_history: Callable[[PlantRun], History]) -> Loop:
+        """Everything ready for the first sample.
+
+        Parameters
+        ----------
+        make_history : callable
+            Given the plant, returns where its run is kept.
+        """
+        e = experiment
+        ratio = e.samples_per_control
+        plant = e.plant.init(PlantSetup(e.sample_time, e.samples, e.seed))
+        if names(plant.inputs) != names(e.model.inputs):
+            raise ConfigurationError(
+                f"the rig takes {', '.join(names(plant.inputs))}, "
+                f"the model {', '.join(names(e.model.inputs))}",
+                where="plant.model",
+                remedy="rig and model need the same inputs",
+            )
+        control = ControlSetup(e.model, ratio * e.sample_time, plant.first_command)
+        preview = e.controller.preview(control)
+        # Sampled once, as far as the last preview reaches.
+        times = np.arange(e.samples + preview * ratio) * e.sample_time
+        references = e.reference.restricted_to(e.model.controlled).sample(times)
+        observing = ObserverSetup(
+            e.model,
+            e.sample_time,
+            names(plant.outputs),
+            plant.noise_sd,
+            plant.measure(),
+            plant.first_command,
+        )
+        return cls(
+            e,
+            plant,
+            references,
+            preview,
+            make_history(plant),
+            e.observer.init(observing),
+            e.controller.init(control),
+            [False] * len(plant.inputs),
+        )
+
+    def run(self, progress: Progress | None = None) -> None:
+        """Run to the end; what is done stays in the history if an exception ends it."""
+        e, plant, history = self.experiment, self.plant, self.history
+        ratio = e.samples_per_control
+        period = ratio * e.sample_time
+        per_second = max(1, round(1.0 / e.sample_time))
+        lookahead = np.arange(self.preview + 1) * ratio
+        lower, upper = (bound.tolist() for bound in plant.input_limits)
+        controlled = [e.model.state_index(name) for name in e.model.controlled]
+        state_names = names(plant.states)
+        log_reference, log_command = history.writer("/reference"), history.writer("/command")
+        log_measurement, log_state = history.writer("/measurement"), history.writer("/plant/state")
+        log_estimate = history.writer("/estimate")
+        u = plant.first_command.copy()
+
+        for k in range(self.done, e.samples):
+            now_ns = round(k * e.sample_time * 1e9)
+            y = plant.measure()
+            truth_row = plant.state.tolist()
+            truth = dict(zip(state_names, truth_row, strict=True)) if state_names else None
+            estimate = e.observer.step(self._observer_state, u, y, truth)
+            if k % ratio == 0:
+                sample = ControlSample(
+                    k * e.sample_time, self.references[k + lookahead], estimate, u
+                )
+                u = self._control(sample, k // ratio, now_ns, period, lower, upper)
+            log_reference(now_ns, self.references[k].tolist())
+            log_command(now_ns, u.tolist())
+            log_measurement(now_ns, y.tolist())
+            log_state(now_ns, truth_row)
+            log_estimate(now_ns, estimate_row(estimate))
+            plant.advance(u)
+            self.done = k + 1
+            if self.done % per_second == 0:
+                history.flush()
+                if progress is not None:
+                    error = estimate.x[controlled] - self.references[k]
+                    progress(self.done * e.sample_time, float(np.abs(error).max()))
+        history.flush()
+
+    def _control(
+        self,
+        sample: ControlSample,
+        count: int,
+        now_ns: int,
+        deadline: float,
+        lower: list[float],
+        upper: list[float],
+    ) -> FloatArray:
+        """One control step: its command within the limits, its words in the log."""
+        every = self.experiment.prediction_every
+        want_prediction = every > 0 and count % every == 0
+        begin = perf_counter()
+        command = self.experiment.controller.step(
+            self._controller_state, sample, want_prediction=want_prediction
+        )
+        spent = perf_counter() - begin
+        u = self._applied(command, sample.previous_command, now_ns, lower, upper)
+        self.history.writer("/controller")(
+            now_ns,
+            (
+                spent,
+                command.linearise_time,
+                command.qp_time,
+                command.iterations,
+                command.status.label,
+                command.objective,
+                command.slack,
+                command.kkt_residual,
+                bool(command.fallback),
+                spent > deadline,
+                command.message,
+            ),
+        )
+        if command.prediction is not None:
+            p = command.prediction
+            self.history.writer("/prediction")(now_ns, (p.time, *p.states.T, *p.inputs.T))
+        if command.status is Status.FAILED:
+            self.history.event(now_ns, "solver", "controller", command.message or "solve failed")
+        return u
+
+    def _applied(
+        self,
+        command: Command,
+        previous: FloatArray,
+        now_ns: int,
+        lower: list[float],
+        upper: list[float],
+    ) -> FloatArray:
+        """The command after limits; whatever a controller says, only finite numbers pass."""
+        applied = previous.copy()
+        for i, value in enumerate(command.u.tolist()):
+            if not math.isfinite(value):
+                self.history.event(
+                    now_ns, "fault", "controller", "a command was not finite; the last one is held"
+                )
+                continue
+            applied[i] = min(max(value, lower[i]), upper[i])
+            saturated = not lower[i] < value < upper[i]
+            if saturated != self._saturated[i]:
+                self._saturated[i] = saturated
+                name = self.plant.inputs[i].name
+                kind = "saturation_begin" if saturated else "saturation_end"
+                words = "reached its limit" if saturated else "left its limit"
+                self.history.event(now_ns, kind, name, f"{name} {words} (value in V)", value)
+        return applied
+
+
+def estimate_row(estimate: Estimate) -> list[float]:
+    """An estimate in the order of the log's fields; see :func:`estimate_fields`."""
+    row = [*estimate.x.tolist(), *estimate.disturbance.tolist()]
+    row += estimate.sd.tolist()
+    row += estimate.disturbance_sd.tolist()
+    for triple in zip(
+        estimate.predicted.tolist(),
+        estimate.innovation.tolist(),
+        estimate.innovation_sd.tolist(),
+        strict=True,
+    ):
+        row += triple
+    return row
