@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
-from trms_cli.core.errors import EXIT_OK, EXIT_WORSE
+from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, RecordingError
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
@@ -84,6 +84,13 @@ def main(argv: list[str]) -> int:
         options.error("--all goes with --baseline")
     if given.reason and not given.write_baseline:
         options.error("--reason goes with --write-baseline")
+
+    if given.write_baseline and given.write_baseline.exists() and not given.force:
+        raise RecordingError(
+            "there is a file of this name already; nothing is overwritten unasked",
+            where=str(given.write_baseline),
+            remedy="give another name, or --force to replace it",
+        )
 
     from trms_cli.recordings.log_reader import read_log
     from trms_cli.scoring.baseline import compare, read_baseline, regressed

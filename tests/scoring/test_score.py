@@ -1,0 +1,161 @@
+"""The score's document: its keys, its nulls, and the same from a log as from memory."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.scoring.score import Series, score_log, score_tables
+
+from .conftest import LIMITS, MakeLog, MakeTables
+
+
+def test_the_document_has_the_keys_of_the_schema(make_tables: MakeTables) -> None:
+    score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0, log="run.mcap")
+    assert list(score) == [
+        "schema", "log", "complete", "duration_s", "channels", "inputs", "estimate", "solver",
+        "constraint_violations",
+    ]  # fmt: skip
+    assert score["schema"] == "trms.score/1"
+    for channel in ("alpha_v", "alpha_h"):
+        assert set(score["channels"][channel]) >= {
+            "rmse", "iae", "ise", "itae", "max_abs_error", "overshoot_percent", "rise_time_s",
+            "settling_time_s", "steady_state_error", "unit",
+        }  # fmt: skip
+    assert set(score["inputs"]["u_h"]) >= {"effort", "total_variation", "saturation_share"}
+    assert set(score["estimate"]) >= {"rmse", "nees_mean", "innovation_whiteness_p"}
+    assert set(score["solver"]) == {
+        "time_ms", "deadline_misses", "iterations_mean", "failures", "objective_total",
+    }  # fmt: skip
+    assert set(score["solver"]["time_ms"]) == {"median", "p99", "max"}
+    json.dumps(score, allow_nan=False)
+
+
+def test_the_figures_are_those_of_the_run(make_tables: MakeTables) -> None:
+    score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0)
+    pitch = score["channels"]["alpha_v"]
+    overshoot = 100 * math.exp(-math.pi * 0.6 / 0.8)
+    assert pitch["steps"] == 4 and pitch["unsettled_steps"] == 0
+    assert pitch["overshoot_percent"] == pytest.approx(overshoot, abs=0.05)
+    assert pitch["steady_state_error"] < 1e-4
+    assert pitch["unit"] == "rad" and pitch["scored_on"] == "state"
+    # yaw is pitch times 5/3
+    yaw = score["channels"]["alpha_h"]
+    assert yaw["rmse"] == pytest.approx(pitch["rmse"] * 5 / 3)
+    assert yaw["ise"] == pytest.approx(pitch["ise"] * 25 / 9)
+    assert yaw["settling_time_s"] == pitch["settling_time_s"]
+    assert score["inputs"]["u_h"]["total_variation"] == pytest.approx(3.0)
+    assert score["inputs"]["u_v"]["saturation_share"] > 0
+    estimate = score["estimate"]
+    assert estimate["rmse"]["alpha_v"] == pytest.approx(0.01, rel=0.05)
+    assert estimate["nees_mean"] == pytest.approx(2.0, rel=0.1)
+    assert estimate["nees_expected"] == 2
+    assert estimate["innovation_whiteness_p"] > 0.01
+    assert estimate["prediction_rmse"]["alpha_h"] == pytest.approx(0.002, rel=0.05)
+    assert score["solver"]["time_ms"]["median"] == pytest.approx(0.1)
+    assert score["solver"]["time_ms"]["max"] == pytest.approx(5.0)
+    assert score["solver"]["deadline_misses"] == 1
+    assert score["solver"]["failures"] == 1
+    assert score["solver"]["objective_total"] == pytest.approx(400.0)
+    assert score["constraint_violations"]["u_v"] == {"samples": 0, "worst": 0.0, "unit": "V"}
+
+
+def test_a_log_scores_as_its_run_did_in_memory(make_tables: MakeTables, make_log: MakeLog) -> None:
+    from_file = score_log(read_log(make_log()))
+    tables = make_tables()
+    from_memory = score_tables(
+        tables, limits=LIMITS, duration_s=from_file["duration_s"], log=from_file["log"]
+    )
+    assert from_file == from_memory
+
+
+def test_without_truth_the_measurement_is_scored(make_tables: MakeTables) -> None:
+    tables = make_tables()
+    del tables["/plant/state"]
+    score = score_tables(tables, limits={}, duration_s=40.0)
+    assert score["channels"]["alpha_v"]["scored_on"] == "measurement"
+    assert score["estimate"]["rmse"] == {}
+    assert score["estimate"]["nees_mean"] is None
+    assert score["inputs"]["u_v"]["saturation_share"] is None
+    assert score["constraint_violations"] == {}
+
+
+def test_a_replayed_recording_without_references_is_scored_by_its_predictions(
+    make_tables: MakeTables,
+) -> None:
+    tables = make_tables()
+    replay = {topic: tables[topic] for topic in ("/measurement", "/command", "/estimate")}
+    score = score_tables(replay, limits={}, duration_s=40.0)
+    assert score["channels"] == {}
+    assert score["solver"]["failures"] is None
+    assert score["solver"]["time_ms"] == {"median": None, "p99": None, "max": None}
+    assert score["estimate"]["prediction_rmse"]["alpha_v"] == pytest.approx(0.002, rel=0.05)
+
+
+def test_a_run_of_nothing_is_all_null() -> None:
+    score = score_tables({}, limits=LIMITS, duration_s=0.0, complete=False)
+    assert score["channels"] == score["inputs"] == score["constraint_violations"] == {}
+    assert score["solver"]["deadline_misses"] is None
+    empty = Series(np.zeros(0), {"alpha_v": np.zeros(0)})
+    topics = ("/reference", "/plant/state", "/measurement", "/estimate", "/controller")
+    also = score_tables(dict.fromkeys(topics, empty), limits=LIMITS, duration_s=0.0, complete=False)
+    assert also == score
+
+
+def test_what_a_sine_does_not_have_is_null(make_tables: MakeTables) -> None:
+    tables = make_tables()
+    time = tables["/reference"].time
+    tables["/reference"] = Series(time, {"alpha_v": 0.3 * np.sin(time)})
+    channel = score_tables(tables, limits={}, duration_s=40.0)["channels"]["alpha_v"]
+    for key in ("overshoot_percent", "rise_time_s", "settling_time_s", "steady_state_error"):
+        assert channel[key] is None
+    assert channel["steps"] == 0
+    assert channel["rmse"] > 0
+
+
+def test_a_step_that_never_settles_makes_the_settling_time_null(make_tables: MakeTables) -> None:
+    tables = make_tables()
+    time = tables["/reference"].time
+    state = {
+        name: np.where(time < 10, values, 0.0)
+        for name, values in tables["/plant/state"].columns.items()
+    }
+    tables["/plant/state"] = Series(time, state)
+    channel = score_tables(tables, limits={}, duration_s=40.0)["channels"]["alpha_v"]
+    assert channel["settling_time_s"] is None
+    assert channel["unsettled_steps"] == 3
+
+
+def test_channels_of_different_rates_are_brought_together(make_tables: MakeTables) -> None:
+    tables = make_tables()
+    whole = score_tables(tables, limits={}, duration_s=40.0)["channels"]["alpha_v"]
+    reference = tables["/reference"]
+    slow = {name: values[::10] for name, values in reference.columns.items()}
+    tables["/reference"] = Series(reference.time[::10], slow)
+    coarse = score_tables(tables, limits={}, duration_s=40.0)["channels"]["alpha_v"]
+    assert coarse["rmse"] == pytest.approx(whole["rmse"], rel=0.1)
+    assert coarse["steps"] == whole["steps"]
+
+
+def test_limits_are_counted_where_they_are_exceeded(make_tables: MakeTables) -> None:
+    limits = {"alpha_v": (-0.2, 0.2), "u_h": (-0.5, 0.5), "elsewhere": (0.0, 1.0)}
+    found = score_tables(make_tables(), limits=limits, duration_s=40.0)["constraint_violations"]
+    assert set(found) == {"alpha_v", "u_h"}
+    assert found["u_h"]["samples"] == 0
+    assert found["alpha_v"]["samples"] > 3000
+    assert found["alpha_v"]["worst"] == pytest.approx(0.1 + 0.6 * math.exp(-math.pi * 0.75), 0.01)
+
+
+def test_scoring_needs_no_library_that_is_slow_to_import() -> None:
+    code = (
+        "import sys, trms_cli.scoring.score, trms_cli.scoring.baseline;"
+        "print([m for m in ('scipy', 'mcap', 'casadi', 'pyarrow', 'rich') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

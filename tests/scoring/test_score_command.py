@@ -1,0 +1,117 @@
+"""``trms score``: what it prints, writes and returns."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from trms_cli.commands import score
+from trms_cli.core.errors import ConfigurationError, RecordingError
+
+from .conftest import MakeLog
+
+
+def test_a_table_of_eighty_columns(
+    make_log: MakeLog, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    log = make_log()
+    assert score.main([str(log)]) == 0
+    printed = capsys.readouterr().out
+    assert "39.99 s, completed, scored on the true state" in printed
+    for word in ("RMSE", "overshoot, worst step", "effort", "NEES", "deadlines missed"):
+        assert word in printed
+    # the path may be longer; nothing else, and nothing is cut off
+    assert all(len(line) <= 80 for line in printed.splitlines()[1:])
+    assert "…" not in printed
+
+
+def test_the_json_has_the_printed_figures(
+    make_log: MakeLog, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(make_log())
+    score.main([log, "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "trms.score/1" and document["log"] == log
+    score.main([log])
+    assert f"{document['channels']['alpha_h']['ise']:.4g}" in capsys.readouterr().out
+    score.main([log, log, "--json"])
+    both = json.loads(capsys.readouterr().out)
+    assert both == {"schema": "trms.scores/1", "scores": [document, document]}
+
+
+def test_the_log_of_a_run_that_died_is_called_incomplete(
+    make_log: MakeLog, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = make_log(killed=True)
+    assert score.main([str(log)]) == 0
+    printed = capsys.readouterr().out
+    assert "died" in printed and "incomplete" in printed
+    score.main([str(log), "--json"])
+    assert json.loads(capsys.readouterr().out)["complete"] is False
+
+
+def test_a_slower_run_is_worse_than_the_baseline(
+    make_log: MakeLog, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    good, slow = str(make_log("good.mcap")), str(make_log("slow.mcap", frequency=1.5))
+    baseline = str(tmp_path / "baseline.json")
+    assert score.main([good, "--write-baseline", baseline, "--reason", "first"]) == 0
+    assert json.loads(Path(baseline).read_text())["reason"] == "first"
+    assert score.main([good, "--baseline", baseline]) == 0
+    assert "not worse than the baseline" in capsys.readouterr().out
+    assert score.main([slow, "--baseline", baseline]) == 1
+    printed = capsys.readouterr().out
+    assert "worse than the baseline" in printed and "alpha_h settling_time" in printed
+    assert score.main([good, slow, "--baseline", baseline, "--json"]) == 1
+    scores = json.loads(capsys.readouterr().out)["scores"]
+    assert [one["comparison"]["worse"] for one in scores] == [False, True]
+    assert score.main([good, "--baseline", baseline, "--all"]) == 0
+    assert "alpha_v rmse" in capsys.readouterr().out
+
+
+def test_a_printed_score_is_a_baseline_too(
+    make_log: MakeLog, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    log = str(make_log())
+    score.main([log, "--json"])
+    saved = tmp_path / "score.json"
+    saved.write_text(capsys.readouterr().out)
+    assert score.main([log, "--baseline", str(saved)]) == 0
+
+
+def test_a_baseline_is_not_overwritten_unasked(make_log: MakeLog, tmp_path: Path) -> None:
+    log, baseline = str(make_log()), tmp_path / "baseline.json"
+    baseline.write_text("mine")
+    with pytest.raises(RecordingError, match="already"):
+        score.main([log, "--write-baseline", str(baseline)])
+    assert baseline.read_text() == "mine"
+    assert score.main([log, "--write-baseline", str(baseline), "--force"]) == 0
+    assert json.loads(baseline.read_text())["schema"] == "trms.baseline/1"
+
+
+def test_wrong_files_and_options_are_told(tmp_path: Path, make_log: MakeLog) -> None:
+    text = tmp_path / "text.mcap"
+    text.write_text("no log")
+    for path in (tmp_path / "none.mcap", text):
+        with pytest.raises(RecordingError) as caught:
+            score.main([str(path)])
+        assert caught.value.where == str(path)
+    for wrong in (
+        [],
+        ["--jsn", "a"],
+        ["a", "b", "--write-baseline", "c"],
+        ["a", "--reason", "x"],
+        ["a", "--all"],
+    ):
+        with pytest.raises(ConfigurationError):
+            score.main(wrong)
+
+
+def test_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        score.main(["--help"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out == score.HELP
