@@ -31,7 +31,9 @@ class CoulombFriction(Effect):
     torque: Annotated[float, Meta(ge=0)]
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("torque", self.torque, "N*m", lower=0.0),)
+        return (
+            Parameter("torque", self.torque, "N*m", lower=0.0, description="Coulomb torque F_c"),
+        )
 
     def check(self, model: Model) -> None:
         axis_of(model, self.axis)

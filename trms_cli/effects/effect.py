@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 
@@ -53,8 +54,7 @@ class EffectContext:
 
     def rate(self, axis: str) -> ca.SX:
         """Angular rate of an axis, rad/s."""
-        row = self.model.state_index(self.axis(axis).angle)
-        return self.model.dynamics(self.x, self.u, self.p, self.w)[row]
+        return _rate_function(self.model, axis)(self.x, self.u, self.p, self.w)
 
     def quantity(self, name: str) -> ca.SX:
         """A physical quantity that the model names (``thrust_main``, ``inertia_yaw``…).
@@ -72,16 +72,18 @@ class EffectContext:
             )
         return known[name]
 
-    def acceleration(self, axis: str) -> tuple[ca.SX, ca.SX]:
-        """Angular acceleration (rad/s²) and what one N m on the axis adds to it (1/(kg m²))."""
-        at = self.model.symbols()
-        row = self.model.state_index(self.axis(axis).angle)
-        f = self.model.dynamics(*at)
-        acceleration = ca.jtimes(f[row], at[0], f)
-        column = index_of(self.model.disturbances, self.axis(axis).moment, "a disturbance")
-        mobility = ca.jacobian(acceleration, at[3])[column]
-        both = ca.Function("acceleration", list(at), [acceleration, mobility])
-        return both(self.x, self.u, self.p, self.w)
+    def accelerations(self, *axes: str) -> tuple[ca.SX, ca.SX]:
+        """Angular accelerations of some axes, and what torques on them add.
+
+        Returns
+        -------
+        acceleration : (n, 1)
+            rad/s², with all that the model beneath and its disturbances ``w`` do; impulses (dry
+            friction, stops) are no part of it.
+        mobility : (n, n)
+            1/(kg m²): ``mobility[i, j]`` is what one N m on axis ``j`` adds to axis ``i``.
+        """
+        return _acceleration_function(self.model, axes)(self.x, self.u, self.p, self.w)
 
     def on(self, disturbance: str, value: ca.SX) -> ca.SX:
         """A disturbance vector (n_w, 1) with ``value`` on one equation and zero elsewhere."""
@@ -181,20 +183,57 @@ def resisting_impulse(
     duration : float
         s.
     """
-    model = at.model
-    x, u, p, w = model.symbols()
-    moment = index_of(model.disturbances, axis_of(model, axis).moment, "a disturbance")
-    f = model.dynamics(x, u, p, w)
-    rate = f[model.state_index(axis_of(model, axis).angle)]
-    push = ca.jacobian(f, w)[:, moment]
-    # A torque that is constant over the interval moves the angle too, by half of what its final
-    # rate would; leaving that out lets an axis at rest creep by a·h/2.
-    direction = push + duration / 2 * ca.jtimes(f, x, push)
-    gain = ca.jtimes(rate, x, direction)
-    terms = ca.Function("friction_terms", [x, u, p, w], [rate, direction, gain])
+    terms = _resistance_function(at.model, axis, duration)
     free_rate, change, gain = terms(at.x, at.u, at.p, at.w)
     needed = free_rate / gain
     if torque is not None:
         available = torque * duration
         needed = ca.fmin(ca.fmax(needed, -available), available)
     return at.x - change * needed
+
+
+# The functions below are built once for a model and inlined wherever they are called: an effect is
+# asked at every stage of every substep, and each effect asks the model beneath it, which without
+# them would take a time that doubles with each effect.
+
+
+@lru_cache(maxsize=128)
+def _rate_function(model: Model, axis: str) -> ca.Function:
+    at = model.symbols()
+    row = model.state_index(axis_of(model, axis).angle)
+    return ca.Function("rate", list(at), [model.dynamics(*at)[row]])
+
+
+@lru_cache(maxsize=128)
+def _acceleration_function(model: Model, axes: tuple[str, ...]) -> ca.Function:
+    x, u, p, w = model.symbols()
+    f = model.dynamics(x, u, p, w)
+    rates = f[[model.state_index(axis_of(model, axis).angle) for axis in axes]]
+    acceleration = ca.jtimes(rates, x, f)
+    columns = [_moment_index(model, axis) for axis in axes]
+    mobility = ca.jacobian(acceleration, w)[:, columns]
+    return ca.Function("accelerations", [x, u, p, w], [acceleration, mobility])
+
+
+@lru_cache(maxsize=256)
+def _resistance_function(model: Model, axis: str, duration: float) -> ca.Function:
+    """``(x, u, p, w) → rate, change, gain``: what a unit torque over the duration does, over it.
+
+    A torque that is constant over the interval moves the angle too, by about half of what its
+    final rate would, and meets damping and stiffness on the way. ``change`` is the response
+    ``∫ exp(J s) ds / h`` of the linearised model to the order h²; with fewer terms an axis that
+    should rest creeps under a constant load (at a·h/2 with the first term alone).
+    """
+    x, u, p, w = model.symbols()
+    f = model.dynamics(x, u, p, w)
+    rate = f[model.state_index(axis_of(model, axis).angle)]
+    change = term = ca.jacobian(f, w)[:, _moment_index(model, axis)]
+    for order in (2, 3):
+        term = duration / order * ca.jtimes(f, x, term)
+        change = change + term
+    gain = ca.jtimes(rate, x, change)
+    return ca.Function("resistance", [x, u, p, w], [rate, change, gain])
+
+
+def _moment_index(model: Model, axis: str) -> int:
+    return index_of(model.disturbances, axis_of(model, axis).moment, "a disturbance")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -51,6 +52,9 @@ class ExtendedModel(Model):
         return np.concatenate([self.base.rest(), np.zeros(self.n_x - self.base.n_x)])
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        return _dynamics_function(self)(x, u, p, w)
+
+    def _dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         at = self._context(x, u, p, w)
         pushed = w + self.effect.disturbance(at)
         return ca.vertcat(
@@ -74,14 +78,14 @@ class ExtendedModel(Model):
     ) -> tuple[ca.SX, ca.SX]:
         n = len(self.base.memory(step))
         n_p = len(self.base.parameters)
-        arriving, beneath = self.base.input_path(memory[:n], u, p[:n_p], window, step)
+        arriving, beneath = self.base.input_path(memory[:n, :], u, p[:n_p, :], window, step)
         at = EffectContext(
             self.base,
             ca.SX.zeros(self.base.n_x),
             arriving,
-            p[:n_p],
+            p[:n_p, :],
             ca.SX.zeros(self.n_w),
-            memory[n:],
+            memory[n:, :],
             self._named(p),
         )
         arriving, own = self.effect.input_path(at, window, step)
@@ -95,7 +99,7 @@ class ExtendedModel(Model):
     def _context(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> EffectContext:
         n = self.base.n_x
         n_p = len(self.base.parameters)
-        return EffectContext(self.base, x[:n], u, p[:n_p], w, x[n:], self._named(p))
+        return EffectContext(self.base, x[:n, :], u, p[:n_p, :], w, x[n:, :], self._named(p))
 
     def _named(self, p: ca.SX) -> dict[str, ca.SX]:
         n = len(self.base.parameters)
@@ -103,10 +107,27 @@ class ExtendedModel(Model):
 
 
 def extended(model: Model, effects: Mapping[str, Effect]) -> Model:
-    """A model with effects added in order; a command passes their input paths in that order."""
-    for name, effect in effects.items():
+    """A model with effects added; a command passes their input paths in the order given.
+
+    Effects with impulses (dry friction, stops) are added after all others, so that the order in
+    which effects are named does not matter to the mechanics: an impulse has to meet the inertia
+    that the other effects leave.
+    """
+    ordered = sorted(effects.items(), key=lambda item: _has_impulse(item[1]))
+    for name, effect in ordered:
         model = ExtendedModel(model, name, effect)
     return model
+
+
+def _has_impulse(effect: Effect) -> bool:
+    return type(effect).impulse is not Effect.impulse
+
+
+@lru_cache(maxsize=128)
+def _dynamics_function(model: ExtendedModel) -> ca.Function:
+    """The equations as a function, inlined where it is called: effects beneath are built once."""
+    at = model.symbols()
+    return ca.Function("dynamics", list(at), [model._dynamics(*at)])
 
 
 def _prefixed(signals: tuple[Signal, ...], name: str) -> tuple[Signal, ...]:

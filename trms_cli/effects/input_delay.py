@@ -37,7 +37,16 @@ class InputDelay(Effect):
     longest: Annotated[float, Meta(gt=0)] = 0.2
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("delay", self.delay, "s", lower=0.0, upper=self._reach),)
+        return (
+            Parameter(
+                "delay",
+                self.delay,
+                "s",
+                lower=0.0,
+                upper=self._reach,
+                description="transport delay d",
+            ),
+        )
 
     @property
     def _reach(self) -> float:
@@ -67,4 +76,4 @@ class InputDelay(Effect):
             arriving = arriving + share * commands[k]
         u = ca.SX(at.u)
         u[channel] = arriving
-        return u, (commands[:-1] if end >= 1 else at.own)
+        return u, (commands[:-1, :] if end >= 1 else at.own)

@@ -1,0 +1,57 @@
+"""First-order lag between the command of a rotor and its motor: ``τ v̇ = u − v``.
+
+An amplifier with a filter, or a speed loop inside it. The command is constant over a step, so the
+lagged command is known exactly; each integration step receives its mean over that step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, rotor_input
+from trms_cli.effects.first_order import first_order
+from trms_cli.models.model import Model, Signal
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActuatorLag(Effect):
+    """Lag of one command.
+
+    Attributes
+    ----------
+    rotor : {"main", "tail"}
+    time_constant : float
+        τ, s.
+    """
+
+    rotor: Literal["main", "tail"]
+    time_constant: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter(
+                "time_constant", self.time_constant, "s", lower=0.0, description="time constant τ"
+            ),
+        )
+
+    def check(self, model: Model) -> None:
+        rotor_input(model, self.rotor)
+
+    def memory(self, step: float) -> tuple[Signal, ...]:
+        return (Signal("lagged", "V", "command after the lag"),)
+
+    def input_path(
+        self, at: EffectContext, window: tuple[float, float], step: float
+    ) -> tuple[ca.SX, ca.SX]:
+        channel = rotor_input(at.model, self.rotor)
+        duration = (window[1] - window[0]) * step
+        u = ca.SX(at.u)
+        u[channel], lagged = first_order(
+            at.own[0], at.u[channel], at.sizes["time_constant"], duration
+        )
+        return u, lagged

@@ -1,0 +1,72 @@
+"""Hysteresis of the cable of an axis: a torque that remembers where it came from.
+
+Bouc–Wen (Bouc 1967; Wen 1976, J. Eng. Mech. Div. 102; Ismail, Ikhouane & Rodellar 2009, Arch.
+Comput. Methods Eng. 16), normalised so that the memory ``z`` stays in [−1, 1]::
+
+    τ = −T z        ż = [Ω − β |Ω| |z|ⁿ⁻¹ z − (1 − β) Ω |z|ⁿ] / width
+
+It depends on the path of the angle and not on the speed at which it is travelled. At small strokes
+it is a spring of stiffness ``T/width``, at large ones a friction of ``T``. With ``1/2 ≤ β ≤ 1`` it
+takes energy out of every closed cycle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of
+from trms_cli.models.model import Model, Signal
+from trms_cli.models.parameters import Parameter
+
+#: rad: narrower loops would be stiffer than any integration step allows.
+_NARROWEST = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class CableHysteresis(Effect):
+    """Bouc–Wen hysteresis.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"}
+    torque : float
+        T, N m: half the height of the loop.
+    width : float
+        rad: the travel after a reversal over which the torque turns.
+    beta : float
+        β: 1/2 unloads along a straight line, 1 along the same exponential as it loads (Dahl).
+    exponent : float
+        n: how sharply the loop bends into saturation.
+    """
+
+    axis: Literal["pitch", "yaw"]
+    torque: Annotated[float, Meta(ge=0)]
+    width: Annotated[float, Meta(ge=_NARROWEST)]
+    beta: Annotated[float, Meta(ge=0.5, le=1)] = 0.5
+    exponent: Annotated[float, Meta(ge=1)] = 1.0
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("torque", self.torque, "N*m", lower=0.0, description="half height T"),
+            Parameter("width", self.width, "rad", lower=_NARROWEST, description="turning travel"),
+        )
+
+    def check(self, model: Model) -> None:
+        axis_of(model, self.axis)
+
+    def states(self) -> tuple[Signal, ...]:
+        return (Signal("memory", "1", "share of the hysteresis torque, −1 to 1"),)
+
+    def derivative(self, at: EffectContext) -> ca.SX:
+        rate, z = at.rate(self.axis), at.own[0]
+        fullness = ca.fabs(z) ** self.exponent
+        # |z|ⁿ⁻¹ z is written by the sign: a power n − 1 < 1 has no derivative at zero.
+        against = self.beta * ca.fabs(rate) * fullness * ca.sign(z)
+        return (rate - against - (1 - self.beta) * rate * fullness) / at.sizes["width"]
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        return at.on(at.axis(self.axis).moment, -at.sizes["torque"] * at.own[0])

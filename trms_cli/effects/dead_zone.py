@@ -1,0 +1,47 @@
+"""Dead zone of a rotor's drive: a command below a size has no effect.
+
+``v = u − clip(u, −d, d)``: what is beyond the dead zone reaches the motor, less its width (a drive
+that needs ``d`` before it moves), so that the drive stays continuous.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, rotor_input
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadZone(Effect):
+    """Dead zone of one command.
+
+    Attributes
+    ----------
+    rotor : {"main", "tail"}
+    width : float
+        d, V: to either side of zero.
+    """
+
+    rotor: Literal["main", "tail"]
+    width: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("width", self.width, "V", lower=0.0, description="half width d"),)
+
+    def check(self, model: Model) -> None:
+        rotor_input(model, self.rotor)
+
+    def input_path(
+        self, at: EffectContext, window: tuple[float, float], step: float
+    ) -> tuple[ca.SX, ca.SX]:
+        channel = rotor_input(at.model, self.rotor)
+        width = at.sizes["width"]
+        u = ca.SX(at.u)
+        u[channel] = u[channel] - ca.fmin(ca.fmax(u[channel], -width), width)
+        return u, at.own

@@ -1,0 +1,183 @@
+"""Model files: fitted parameters and diagnosed effects as a YAML that stands for a model.
+
+``trms run model=fit.yaml`` takes one anywhere a built-in model is taken. The form is that of a
+parameter set (:class:`trms_cli.models.parameters.ParameterFile`)::
+
+    name: rig_7
+    model: newtonian                 # an option of configs/model, which the values belong to
+    parameters: {k_fvp: {value: 1.7e-5, unit: N*s^2, sd: 2.0e-7}, …}
+    limits: {u_v: 2.5, …}
+    effects:                         # optional: options of configs/effect, with their sizes
+      yaw_coulomb_friction: {torque: 0.004}
+
+An effect that is not in the library gives its class by ``_target_``, and all its arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from trms_cli.core.errors import ModelError, TrmsError
+from trms_cli.core.plugins import TARGET, build, nearest
+from trms_cli.core.resources import config_folder
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import extended
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import ParameterFile, parameter_file
+
+
+def load_model(path: str, parameters: Mapping[str, float] | None = None) -> Model:
+    """The model that a file describes, with its effects.
+
+    Parameters
+    ----------
+    path : str
+        A YAML file.
+    parameters : mapping
+        Other values for some parameters (``k_fvp``) or sizes (``yaw_coulomb_friction.torque``).
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such file, or ``parameters`` names none or is out of range.
+    ModelError
+        If the file's content does not fit; it names the file and the key.
+    """
+    content = parameter_file(path, where="model.path")
+    model = _nominal(content, path)
+    _check_parameters(content, model, path)
+    _check_limits(content, model, path)
+    effects = {
+        name: _effect(name, sizes, f"{path}: effects.{name}")
+        for name, sizes in content.effects.items()
+    }
+    try:
+        model = extended(model, effects)
+    except TrmsError as error:
+        raise _of_file(error, f"{path}: effects") from error
+    if parameters:
+        model.parameters = model.parameters.replaced(parameters, where="model.parameters")
+    return model
+
+
+def _nominal(content: ParameterFile, path: str) -> Model:
+    """The built-in model with the file's parameters."""
+    where = f"{path}: model"
+    node = dict(_option("model", content.model, where))
+    if "parameter_set" not in node:
+        raise ModelError(
+            f"{content.model!r} does not take its parameters from a file",
+            where=where,
+            remedy=nearest("", _parametric_models()),
+        )
+    node["parameter_set"] = path
+    model = _built(node, where, content.parameters)
+    if not isinstance(model, Model):
+        raise ModelError(f"{content.model!r} is not a model", where=where)
+    return model
+
+
+def _built(node: Mapping[str, Any], where: str, parameters: Mapping[str, Any]) -> Any:
+    try:
+        return build(node, where)
+    except KeyError as error:
+        raise ModelError(
+            f"parameter {error} is missing",
+            where=where.replace(": model", ": parameters"),
+            remedy=f"the file gives: {', '.join(parameters)}",
+        ) from None
+    except TrmsError as error:
+        raise _of_file(error, where) from error
+
+
+def _check_parameters(content: ParameterFile, model: Model, path: str) -> None:
+    """Refuse a file whose parameters are not those of the built-in model."""
+    reference = build(_option("model", content.model, path), path).parameters
+    for name in content.parameters:
+        if name not in reference:
+            raise ModelError(
+                f"model {content.model!r} has no parameter {name!r}",
+                where=f"{path}: parameters.{name}",
+                remedy=nearest(name, reference.names),
+            )
+    for name in reference.names:
+        if name not in model.parameters:
+            raise ModelError(
+                "the parameter is missing",
+                where=f"{path}: parameters.{name}",
+                remedy=f"give its value in {reference[name].unit or '1'}, "
+                f"for instance {reference[name].value:g}",
+            )
+    for parameter in model.parameters:
+        if not parameter.lower <= parameter.value <= parameter.upper:  # also refuses NaN
+            raise ModelError(
+                f"{parameter.value!r} given",
+                where=f"{path}: parameters.{parameter.name}",
+                remedy=f"give a number from {parameter.lower:g} to {parameter.upper:g}",
+            )
+
+
+def _check_limits(content: ParameterFile, model: Model, path: str) -> None:
+    # A model with a locked axis keeps the limits of the whole rig in its file.
+    known = {*model.input_limits, *model.stops, "u_v", "u_h", "alpha_v", "alpha_h"}
+    for name, limit in content.limits.items():
+        if name not in known:
+            raise ModelError(
+                f"there is no input or angle {name!r}",
+                where=f"{path}: limits.{name}",
+                remedy=nearest(name, known),
+            )
+        if not limit > 0:
+            raise ModelError(
+                f"{limit!r} given", where=f"{path}: limits.{name}", remedy="give a positive number"
+            )
+
+
+def _effect(name: str, sizes: Mapping[str, Any], where: str) -> Effect:
+    if TARGET in sizes:
+        node = dict(sizes)
+    else:
+        node = dict(_option("effect", name, where).get(name, {}))
+        for key in sizes:
+            if key not in node:
+                allowed = [known for known in node if known != TARGET]
+                raise ModelError(
+                    f"effect {name!r} has no size {key!r}",
+                    where=f"{where}.{key}",
+                    remedy=nearest(key, allowed),
+                )
+        node |= sizes
+    try:
+        effect = build(node, where)
+    except TrmsError as error:
+        raise _of_file(error, where) from error
+    if not isinstance(effect, Effect):
+        raise ModelError(f"{node[TARGET]!r} is not an effect", where=f"{where}.{TARGET}")
+    return effect
+
+
+def _option(group: str, name: str, where: str) -> dict[str, Any]:
+    """The content of a built-in YAML, as plain data."""
+    import yaml
+
+    folder = config_folder() / group
+    path = folder / f"{name}.yaml"
+    if name == "from_file" or not path.is_file():
+        options = {option.stem for option in folder.glob("*.yaml")} - {"from_file"}
+        raise ModelError(
+            f"there is no {group} {name!r}", where=where, remedy=nearest(name, options)
+        )
+    return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
+
+
+def _parametric_models() -> list[str]:
+    folder = config_folder() / "model"
+    names = [option.stem for option in folder.glob("*.yaml") if option.stem != "from_file"]
+    return [name for name in names if "parameter_set" in _option("model", name, "")]
+
+
+def _of_file(error: TrmsError, where: str) -> ModelError:
+    """A plugin's complaint as one about the file."""
+    place = error.where if error.where.startswith(where) else where
+    return ModelError(error.problem, where=place, remedy=error.remedy)

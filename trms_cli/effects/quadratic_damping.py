@@ -1,0 +1,47 @@
+"""Quadratic damping of an axis: air drag of the moving beam, ``τ = −c Ω|Ω|``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuadraticDamping(Effect):
+    """Damping that grows with the square of the rate.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"}
+    coefficient : float
+        c, N m s²/rad².
+    """
+
+    axis: Literal["pitch", "yaw"]
+    coefficient: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter(
+                "coefficient",
+                self.coefficient,
+                "N*m*s^2/rad^2",
+                lower=0.0,
+                description="damping coefficient c",
+            ),
+        )
+
+    def check(self, model: Model) -> None:
+        axis_of(model, self.axis)
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        rate = at.rate(self.axis)
+        torque = -at.sizes["coefficient"] * rate * ca.fabs(rate)
+        return at.on(at.axis(self.axis).moment, torque)

@@ -1,0 +1,77 @@
+"""Stribeck friction of an axis: it takes more torque to break away than to keep turning.
+
+::
+
+    τ = −F(Ω) sgn(Ω),   F(Ω) = F_c (1 + e exp(−(Ω/v_s)²)),   |τ| ≤ F_c (1 + e) at rest
+
+(Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, Automatica 30). The torque is split in a
+set-valued part of constant size, the break-away torque F_s = F_c (1 + e), which is an impulse like
+Coulomb friction, and in the fall of the friction with the rate,
+
+    +F_c e (1 − exp(−(Ω/v_s)²)) sgn(Ω),
+
+which is smooth through rest and belongs to the differential equation. So the break-away torque is
+exact, nothing creeps, and the falling branch has the accuracy of the integrator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+#: Below this rate (rad/s) the falling branch would be too steep for any integration step.
+_SLOWEST = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class StribeckFriction(Effect):
+    """Stribeck friction; with no excess it is Coulomb friction, bit for bit.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"}
+    torque : float
+        F_c, N m: friction of the turning axis.
+    excess : float
+        e = F_s/F_c − 1: break-away torque over it.
+    velocity : float
+        v_s, rad/s: rate at which the excess has fallen to 1/e.
+    """
+
+    axis: Literal["pitch", "yaw"]
+    torque: Annotated[float, Meta(ge=0)]
+    excess: Annotated[float, Meta(ge=0)]
+    velocity: Annotated[float, Meta(ge=_SLOWEST)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("torque", self.torque, "N*m", lower=0.0, description="Coulomb torque F_c"),
+            Parameter("excess", self.excess, "1", lower=0.0, description="F_s/F_c − 1"),
+            Parameter(
+                "velocity",
+                self.velocity,
+                "rad/s",
+                lower=_SLOWEST,
+                description="Stribeck velocity v_s",
+            ),
+        )
+
+    def check(self, model: Model) -> None:
+        axis_of(model, self.axis)
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        rate = at.rate(self.axis)
+        fallen = 1 - ca.exp(-((rate / at.sizes["velocity"]) ** 2))
+        relief = at.sizes["torque"] * at.sizes["excess"] * fallen * ca.sign(rate)
+        return at.on(at.axis(self.axis).moment, relief)
+
+    def impulse(self, at: EffectContext, duration: float) -> ca.SX:
+        break_away = at.sizes["torque"] * (1 + at.sizes["excess"])
+        return resisting_impulse(at, self.axis, break_away, duration)

@@ -1,0 +1,69 @@
+"""The drive of a rotor weakens as it warms up, or as its supply sags under load.
+
+The warmth ``θ`` follows the load, the square of the command over its limit, with a first-order
+lag, and takes gain away::
+
+    v = u (1 − depth θ)        τ θ̇ = (u/u_max)² − θ
+
+A long time constant (10 to 300 s) is a gain that falls with time in use, a zero one a supply that
+sags at once. Full command for ever ends at a gain of ``1 − depth``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, rotor_input
+from trms_cli.effects.first_order import first_order
+from trms_cli.models.model import Model, Signal, names
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupplyDerating(Effect):
+    """Thermal derating of one drive; it begins cold.
+
+    Attributes
+    ----------
+    rotor : {"main", "tail"}
+    depth : float
+        Share of the gain that is lost at full load for ever.
+    time_constant : float
+        τ, s.
+    """
+
+    rotor: Literal["main", "tail"]
+    depth: Annotated[float, Meta(ge=0, le=1)]
+    time_constant: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter(
+                "depth", self.depth, "1", lower=0.0, upper=1.0, description="gain lost at full load"
+            ),
+            Parameter(
+                "time_constant", self.time_constant, "s", lower=0.0, description="time constant τ"
+            ),
+        )
+
+    def check(self, model: Model) -> None:
+        rotor_input(model, self.rotor)
+
+    def memory(self, step: float) -> tuple[Signal, ...]:
+        return (Signal("warmth", "1", "0 cold, 1 after full load for ever"),)
+
+    def input_path(
+        self, at: EffectContext, window: tuple[float, float], step: float
+    ) -> tuple[ca.SX, ca.SX]:
+        channel = rotor_input(at.model, self.rotor)
+        limit = at.model.input_limits[names(at.model.inputs)[channel]]
+        duration = (window[1] - window[0]) * step
+        u = ca.SX(at.u)
+        load = (u[channel] / limit) ** 2
+        warmth, after = first_order(at.own[0], load, at.sizes["time_constant"], duration)
+        u[channel] = u[channel] * (1 - at.sizes["depth"] * warmth)
+        return u, after
