@@ -143,7 +143,8 @@ def read_yaml(file: Path) -> Any:
     import yaml
 
     try:
-        return yaml.load(file.read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C one where it was built
+        return yaml.load(file.read_bytes(), loader)
     except yaml.YAMLError as error:
         raise yaml_error(error, file) from None
 
@@ -151,7 +152,7 @@ def read_yaml(file: Path) -> Any:
 def yaml_error(error: Exception, file: Path | None = None) -> ConfigurationError:
     """A YAML syntax error as one that names file, line and problem."""
     mark = getattr(error, "problem_mark", None)
-    place = str(file or getattr(mark, "name", "") or "a YAML file")
+    place = str(file) if file is not None else str(getattr(mark, "name", "a YAML file"))
     if mark is not None:
         place += f", line {mark.line + 1}, column {mark.column + 1}"
     return ConfigurationError(

@@ -67,10 +67,10 @@ class Composition:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a task may return instead of a bare exit code: the figure that a sweeper minimises."""
+    """What a task may return instead of a bare `exit_code`: also a figure to minimise."""
 
     exit_code: int = EXIT_OK
-    objective: float | None = None
+    objective: float | None = None  #: smaller is better; None where a sweeper does not search
 
 
 Task = Callable[[Composition], "int | Outcome"]

@@ -114,12 +114,10 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
     Raises
     ------
     ConfigurationError
-        For an unknown key or option, or one that is given twice.
+        For an unknown key or option.
     """
     prepared: list[str] = []
-    seen: dict[str, str] = {}
-    for text in request.overrides:
-        override = parse(text, groups)
+    for override in _last_of_each_choice(request, primary, groups):
         if override.key.split(".")[0].split("/")[0] == "hydra":
             _check_hydra_key(override, request)
             prepared.append(str(override))
@@ -128,17 +126,22 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
             prepared.append(str(_placed_choice(override, primary, groups)))
             continue
         _check_first_name(override, primary, groups)
-        if not override.prefix and seen.setdefault(override.key, text) is not text:
-            raise ConfigurationError(
-                f"given twice: {seen[override.key]} and {text}",
-                where=override.key,
-                remedy="keep one of the two",
-            )
         if override.key in primary.defaults:
             prepared += map(str, _choice(override, primary, groups, request.multirun))
         else:
             prepared.append(str(_value(override, request.multirun)))
     return prepared
+
+
+def _last_of_each_choice(request: Request, primary: Primary, groups: Groups) -> list[Override]:
+    """The overrides; of a group that is chosen twice the later choice, as it is with values."""
+    kept: list[Override] = []
+    for text in request.overrides:
+        override = parse(text, groups)
+        if override.key in primary.defaults:
+            kept = [other for other in kept if other[1:3] != override[1:3]]
+        kept.append(override)
+    return kept
 
 
 def _check_hydra_key(override: Override, request: Request) -> None:
@@ -208,6 +211,9 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
     # `+ref=sine` is meant as `ref=sine`: the group has its place in the defaults
     override = override._replace(prefix="")
     several = isinstance(primary.defaults[group], list)
+    path = value.strip("'\"")
+    if _is_path(path) and not several and not (multirun and "," in value):
+        return _from_file(override, [path], groups)
     names = _names(value)
     if names is None:  # quotes, functions or interpolations: Hydra's to judge
         return [override]

@@ -1,0 +1,228 @@
+"""The dispatcher: what every command has in common."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from trms_cli import __version__, cli
+from trms_cli.core.errors import TrmsError
+
+
+def test_alone_it_prints_the_picture_the_commands_and_what_to_try(trms):
+    result = trms()
+    assert result.returncode == 0
+    assert "controller ──u──▶ rig (the plant)" in result.stdout
+    assert all(f"  {name} " in result.stdout for name in cli.COMMANDS)
+    assert result.stdout.count("\n  trms ") == 3
+
+
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_help(trms, flag):
+    result = trms(flag)
+    assert result.returncode == 0
+    assert "usage: trms COMMAND" in result.stdout
+    assert "--debug" in result.stdout
+
+
+def test_version(trms):
+    assert trms("--version").stdout == f"trms {__version__}\n"
+
+
+def test_module_is_the_same_program(trms):
+    result = subprocess.run(
+        [sys.executable, "-m", "trms_cli", "--version"], capture_output=True, text=True
+    )
+    assert result.stdout == trms("--version").stdout
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_command_has_help_and_the_summary_that_the_table_shows(trms, name):
+    module = cli.load_command(name)
+    assert cli.COMMANDS[name] == module.SUMMARY
+    for argv in ((name, "--help"), ("help", name)):
+        result = trms(*argv)
+        assert result.returncode == 0, result.stderr
+        assert f"trms {name}" in result.stdout
+        assert result.stderr == ""
+
+
+def test_every_module_with_a_summary_is_in_the_table():
+    folder = Path(cli.__file__).parent / "commands"
+    with_summary = {
+        file.stem.rstrip("_")
+        for file in folder.glob("*.py")
+        for node in ast.parse(file.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "SUMMARY"
+    }
+    assert with_summary == set(cli.COMMANDS)
+
+
+def test_the_help_of_run_shows_the_choices(trms):
+    text = trms("run", "--help").stdout
+    assert "* square" in text
+    assert "newtonian_full" in text
+    assert "sample_time: 0.02" in text
+
+
+@pytest.mark.parametrize(
+    ("typed", "hint"),
+    [
+        ("rnu", "did you mean `trms run`?"),
+        ("zzz", "there are: run, "),
+        ("controller=pid", "`trms run controller=pid`"),
+        ("--nope", "there are: run, "),
+    ],
+)
+def test_unknown_command(trms, typed, hint):
+    result = trms(typed)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert repr(typed) in result.stderr
+    assert hint in " ".join(result.stderr.split())
+
+
+def test_debug_shows_the_trace_of_an_error_that_is_a_message_otherwise(trms):
+    quiet, loud = trms("list", "nope"), trms("list", "nope", "--debug")
+    assert "Traceback" not in quiet.stderr
+    assert "Traceback" in loud.stderr
+    assert quiet.returncode == 2
+
+
+def test_a_closed_pipe_is_quiet(executable):
+    # the reader ends before the writer starts
+    result = subprocess.run(
+        f"'{executable}' list --json | true",
+        shell=True,
+        capture_output=True,
+        text=True,
+        executable="/bin/bash",
+    )
+    assert result.stderr == ""
+
+
+def test_a_terminal_without_greek_gets_question_marks_not_a_traceback(trms):
+    result = trms(PYTHONIOENCODING="ascii", PYTHONUTF8="0", LC_ALL="C")
+    assert result.returncode == 0
+    assert "controller ??u???" in result.stdout
+
+
+class TestErrors:
+    """What the dispatcher makes of exceptions."""
+
+    @staticmethod
+    def run(monkeypatch, error):
+        class Command:
+            @staticmethod
+            def main(argv):
+                raise error
+
+        monkeypatch.setattr(cli, "load_command", lambda name: Command)
+        return cli.main(["run"])
+
+    def test_our_error(self, monkeypatch, capsys):
+        error = TrmsError("it was -1", where="controller.horizon", remedy="give 1 or more")
+        assert self.run(monkeypatch, error) == 2
+        assert capsys.readouterr().err == (
+            "error  it was -1\n   in  controller.horizon\n   do  give 1 or more\n"
+        )
+
+    def test_interruption(self, monkeypatch, capsys):
+        assert self.run(monkeypatch, KeyboardInterrupt()) == 130
+        assert "interrupted" in capsys.readouterr().err
+
+    def test_bug(self, monkeypatch, capsys):
+        assert self.run(monkeypatch, ZeroDivisionError("oops")) == cli.EXIT_BUG
+        message = capsys.readouterr().err
+        assert "ZeroDivisionError: oops" in message
+        assert "bug in trms" in message
+        assert "trms --debug run" in message
+        assert "Traceback" not in message
+
+    def test_colour_only_when_asked_for(self):
+        error = TrmsError("wrong", where="here", remedy="that")
+        assert "\033[" not in cli.describe_error(error, colour=False)
+        assert "\033[" in cli.describe_error(error, colour=True)
+
+    def test_long_texts_stay_on_the_screen(self):
+        error = TrmsError("word " * 100, where="key", remedy="name, " * 100)
+        assert max(map(len, cli.describe_error(error, colour=False).splitlines())) <= 92
+
+
+class TestList:
+    """``trms list``."""
+
+    def test_groups_with_descriptions(self, trms):
+        result = trms("list")
+        assert result.returncode == 0
+        assert "model  (what the controller and the observer believe)" in result.stdout
+        assert "newtonian_full" in result.stdout
+
+    def test_json_says_the_same(self, trms):
+        document = json.loads(trms("list", "--json").stdout)
+        assert document["schema"] == "trms.list/1"
+        options = document["groups"]["model"]["options"]
+        assert "newtonian" in [option["name"] for option in options]
+        assert all(option["summary"] for option in options)
+
+    def test_one_option_with_its_comments(self, trms):
+        text = trms("list", "model", "newtonian").stdout
+        assert "_target_:" in text
+        assert "# " in text
+
+    def test_own_folder(self, trms, lab):
+        text = trms("list", "controller", "--config-dir", str(lab)).stdout
+        assert "the user's own controller" in text
+        assert str(lab) in text
+
+    @pytest.mark.parametrize(
+        ("argv", "hint"),
+        [
+            (["modle"], "did you mean model?"),
+            (["model", "newtonain"], "did you mean newtonian?"),
+            (["--jsn"], "usage: trms list"),
+            (["model", "newtonian", "again"], "usage: trms list"),
+        ],
+    )
+    def test_what_is_not_there(self, trms, argv, hint):
+        result = trms("list", *argv)
+        assert result.returncode == 2
+        assert hint in result.stderr
+
+
+class TestDoctor:
+    """``trms doctor``."""
+
+    def test_this_machine_is_ready(self, trms):
+        result = trms("doctor")
+        assert result.returncode == 0
+        assert result.stdout.endswith("\nready\n")
+
+    def test_json(self, trms):
+        document = json.loads(trms("doctor", "--json").stdout)
+        assert document["usable"] is True
+        assert {"Python", "C compiler", "cache", "disk"} <= {
+            finding["what"] for finding in document["findings"]
+        }
+
+    def test_without_a_compiler_it_is_a_note_with_a_remedy(self, trms):
+        result = trms("doctor", CC="/nowhere/cc")
+        assert result.returncode == 0
+        assert "install a C compiler" in result.stdout
+
+    def test_a_compiler_that_does_not_work(self, trms):
+        assert "does not build a generated function" in trms("doctor", CC="false").stdout
+
+    def test_unwritable_cache(self, trms, tmp_path):
+        (tmp_path / "file").touch()
+        result = trms("doctor", TRMS_CACHE=str(tmp_path / "file" / "cache"))
+        assert result.returncode == 0
+        assert "cannot be written" in result.stdout
+
+    def test_unknown_option(self, trms):
+        assert trms("doctor", "--jsn").returncode == 2

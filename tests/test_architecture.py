@@ -1,0 +1,218 @@
+"""The house rules that no reviewer should have to remember."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import trms_cli
+from trms_cli.core.resources import config_folder
+
+PACKAGE = Path(trms_cli.__file__).parent
+MODULES = sorted(PACKAGE.rglob("*.py"))
+LONGEST_MODULE = 400  # lines; beyond it there is usually a second room inside
+
+# Imports point down this list or stay on their level, never up.
+LEVELS = [
+    {"core"},
+    {"models"},
+    {"controllers", "observers", "references", "effects"},
+    {"simulation", "plants"},
+    {"gap", "identification", "stability", "reporting", "scoring"},
+    {"commands"},
+    {"cli", "__main__"},
+]
+# `recordings` stands beside the levels: it knows files and the core, and these may use it.
+READERS_OF_RECORDINGS = {"commands", "plants", "references", "scoring"}
+
+# Who may import what, everywhere in a module, inside functions too.
+RESTRICTED = {
+    "hydra": {"commands"},
+    "omegaconf": {"commands"},
+    "rich": {"commands"},
+    "matplotlib": {"reporting"},
+    "mcap": {"recordings"},
+    "pyarrow": {"recordings"},
+    "pint": {"recordings"},
+    "scipy.io": {"recordings"},
+}
+
+# What `trms --help` must not wait for.
+HEAVY = {"numpy", "scipy", "casadi", "hydra", "omegaconf", "rich", "matplotlib", "pyarrow"}
+LIGHT_ENOUGH = {"yaml", "msgspec"}  # but not for the first page
+
+
+def _name(module: Path) -> str:
+    return module.relative_to(PACKAGE).as_posix()
+
+
+def _room(module: Path) -> str:
+    parts = module.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else module.stem
+
+
+def _imports(module: Path) -> Iterator[str]:
+    """Dotted names of all that a module imports, wherever the statement stands."""
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{_name(module)}: imports are absolute"
+            yield str(node.module)
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _level(room: str) -> int:
+    return next(i for i, rooms in enumerate(LEVELS) if room in rooms)
+
+
+def _rooms_imported(module: Path) -> set[str]:
+    names = (name.split(".") for name in _imports(module) if name.startswith("trms_cli."))
+    return {parts[1] for parts in names} - {"__version__"}
+
+
+@pytest.mark.parametrize("module", MODULES, ids=_name)
+class TestModule:
+    """Rules that each module keeps by itself."""
+
+    def test_imports_point_down(self, module):
+        room = _room(module)
+        if room == "__init__":
+            assert not _rooms_imported(module)
+        elif room == "recordings":
+            assert _rooms_imported(module) <= {"recordings", "core"}
+        else:
+            imported = _rooms_imported(module)
+            if "recordings" in imported:
+                assert room in READERS_OF_RECORDINGS
+            # a command may ask the dispatcher which commands there are
+            if room == "commands":
+                imported -= {"cli"}
+            above = {other for other in imported - {"recordings"} if _level(other) > _level(room)}
+            assert not above, f"{_name(module)} imports upwards: {above}"
+
+    def test_libraries_stay_in_their_rooms(self, module):
+        for name in _imports(module):
+            for library, rooms in RESTRICTED.items():
+                if name == library or name.startswith(f"{library}."):
+                    assert _room(module) in rooms, f"{library} in {_name(module)}"
+
+    def test_is_short_enough_to_hold_one_idea(self, module):
+        assert len(module.read_text(encoding="utf-8").splitlines()) <= LONGEST_MODULE
+
+    def test_says_what_it_is_for(self, module):
+        docstring = ast.get_docstring(ast.parse(module.read_text(encoding="utf-8")))
+        assert docstring, f"{_name(module)} has no docstring"
+
+    def test_fields_of_public_dataclasses_are_explained(self, module):
+        source = module.read_text(encoding="utf-8")
+        missing = [
+            f"{node.name}.{field}"
+            for node in ast.walk(ast.parse(source))
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+            if any("dataclass" in ast.unparse(mark) for mark in node.decorator_list)
+            for field in _unexplained_fields(node, source.splitlines())
+        ]
+        assert not missing, f"{_name(module)}: unexplained {missing}"
+
+
+def _unexplained_fields(node: ast.ClassDef, lines: list[str]) -> Iterator[str]:
+    """Public fields without a word in the docstring, a comment or a string after them."""
+    docstring = ast.get_docstring(node) or ""
+    for statement, after in zip(node.body, [*node.body[1:], None], strict=True):
+        if not isinstance(statement, ast.AnnAssign) or not isinstance(statement.target, ast.Name):
+            continue
+        name = statement.target.id
+        if name.startswith("_") or "ClassVar" in ast.unparse(statement.annotation):
+            continue
+        described = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+        above = lines[statement.lineno - 2].strip() if statement.lineno > 1 else ""
+        own = lines[statement.lineno - 1 : statement.end_lineno]
+        commented = above.startswith("#") or any("#" in line for line in own)
+        if not described and not commented and not re.search(rf"\b{name}\b", docstring):
+            yield name
+
+
+def _configs() -> list[Path]:
+    return sorted(config_folder().rglob("*.yaml"))
+
+
+@pytest.mark.parametrize(
+    "file", _configs(), ids=lambda file: file.relative_to(config_folder()).as_posix()
+)
+class TestConfiguration:
+    """Rules for each YAML that travels with the program."""
+
+    def test_begins_with_its_description(self, file):
+        from trms_cli.commands.catalogue import first_comment
+
+        assert len(first_comment(file)) >= 10
+
+    def test_its_class_is_there(self, file):
+        from trms_cli.commands.catalogue import read_yaml
+        from trms_cli.core.plugins import TARGET, locate
+
+        nodes = [read_yaml(file)]
+        while nodes:
+            node = nodes.pop()
+            if isinstance(node, dict):
+                if TARGET in node:
+                    locate(node[TARGET], file.name)
+                nodes += node.values()
+            elif isinstance(node, list):
+                nodes += node
+
+    def test_every_key_is_explained(self, file):
+        """A figure or a switch of a plugin carries a comment: its unit and what it means."""
+        text = file.read_text(encoding="utf-8")
+        if "_target_:" not in text:
+            return
+        bare = [
+            line
+            for line in text.splitlines()
+            if re.match(r"\s*[A-Za-z]\w*:\s*([-.\d]|true|false|null)", line) and "#" not in line
+        ]
+        assert not bare
+
+
+def test_every_option_of_the_groups_has_a_line_for_trms_list():
+    from trms_cli.commands.catalogue import read_groups
+
+    for options in read_groups().values():
+        for option in options.values():
+            assert option.summary, option.file
+
+
+def test_the_defaults_of_run_are_explained_and_exist():
+    from trms_cli.commands.catalogue import read_groups, read_primary
+
+    declared, groups = read_primary("run"), read_groups()
+    for group, option in declared.defaults.items():
+        assert declared.about[group], group
+        if isinstance(option, str):
+            assert option in groups[group], f"{group}={option}"
+
+
+def test_the_first_page_waits_for_nothing_heavy():
+    code = "import sys, trms_cli.cli as c; c.main(['--help']); print(*sys.modules, file=sys.stderr)"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    loaded = {name.split(".")[0] for name in result.stderr.split()}
+    assert not loaded & (HEAVY | LIGHT_ENOUGH)
+
+
+@pytest.mark.parametrize("argv", [["list"], ["run", "--help"], ["completion", "bash"]])
+def test_the_quick_commands_load_no_solver(argv):
+    code = f"import sys, trms_cli.cli as c; c.main({argv}); print(*sys.modules, file=sys.stderr)"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    loaded = {name.split(".")[0] for name in result.stderr.split()}
+    assert not loaded & HEAVY
