@@ -163,6 +163,13 @@ def test_a_prbs_is_balanced_and_white(bits: int) -> None:
     np.testing.assert_array_equal(correlation, -1.0)
 
 
+@pytest.mark.parametrize("bits", range(2, 17))
+def test_a_prbs_is_the_shift_register_of_scipy(bits: int) -> None:
+    times = np.arange(2**bits - 1) * 0.5 + 0.25
+    levels = Prbs(amplitude=1.0, hold=0.5, bits=bits).sample(times)
+    np.testing.assert_array_equal(levels, 2.0 * scipy.signal.max_len_seq(bits)[0] - 1)
+
+
 def test_a_prbs_leads_by_its_phase() -> None:
     times = np.arange(500) * 0.1
     plain = Prbs(amplitude=1.0, hold=0.5, bits=5)
