@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from trms_cli import __version__
-from trms_cli.core.errors import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_OK, TrmsError
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
 
 EXIT_BUG = 70  #: an error that no code of ours expected (EX_SOFTWARE of sysexits.h)
 
