@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.recordings import append_stream
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.mcap_recording import write_mcap
 from trms_cli.recordings.recording import Recording, quantum, read_recording
@@ -67,6 +70,20 @@ def test_times_before_zero_and_currents_and_disturbances_survive(tmp_path: Path)
     assert back.units == names and back.metadata == recording.metadata
     np.testing.assert_array_equal(back.channels["d_push"], [1.0, 2.0, np.nan])
     assert read_log(path).outcome == "completed"
+
+
+def test_a_full_disk_leaves_no_half_log(
+    tmp_path: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = tmp_path / "rec.mcap"
+    monkeypatch.setattr(append_stream.os, "write", refuse)
+    with pytest.raises(RecordingError, match="no room") as caught:
+        write_mcap(recording, path, {})
+    assert caught.value.where == str(path) and "safe" not in caught.value.problem
+    assert not list(tmp_path.iterdir())
 
 
 def test_slow_commands_are_held_between_their_samples(tmp_path: Path) -> None:

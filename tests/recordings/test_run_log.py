@@ -103,6 +103,12 @@ def test_wrong_number_of_values_names_the_fields(tmp_path: Path) -> None:
         log.flush()
 
 
+def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "run.mcap", [NUMBERS], {})
+    with pytest.raises(KeyError, match="'/x' in this log: /numbers, /event"):
+        log.write("/x", 0, ())
+
+
 def test_nothing_is_overwritten(tmp_path: Path, write_run: Callable[..., Path]) -> None:
     path = write_run(tmp_path / "run.mcap")
     before = path.read_bytes()
@@ -242,8 +248,7 @@ def test_sigkill_loses_nothing_that_was_flushed(tmp_path: Path, seconds: int) ->
 
 def test_ctrl_c_leaves_a_complete_marked_log(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    code = textwrap.dedent(KILLED).replace("log = RunLog(", "log = RunLog(", 1)
-    head, loop = code.split("k = 0\n")
+    head, loop = textwrap.dedent(KILLED).split("k = 0\n")
     guarded = f"{head}with log:\n" + textwrap.indent("k = 0\n" + loop, "    ")
     process = run_python(guarded, path)
     assert process.stdout is not None

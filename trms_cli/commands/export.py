@@ -13,7 +13,7 @@ SUMMARY = "turn an MCAP log into CSV, Parquet or MAT"
 FORMATS = ("csv", "parquet", "mat")
 
 HELP = """\
-Usage: trms export LOG [--format csv|parquet|mat] [--out FILE] [--force] [--json]
+usage: trms export LOG [--format csv|parquet|mat] [--out FILE] [--force] [--json]
 
 Writes a run's log for programs that read no MCAP. The log of a run that died is written as
 far as it goes. The file appears when it is whole; nothing is overwritten unless told so.
@@ -29,7 +29,7 @@ far as it goes. The file appears when it is whole; nothing is overwritten unless
   --force        replace FILE if it exists
   --json         print what was written as JSON
 
-Examples:
+examples
   trms export outputs/2025-01-31/run.mcap
   trms export run.mcap --format parquet
   trms export run.mcap --out for_matlab.mat --force

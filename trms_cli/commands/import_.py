@@ -12,7 +12,7 @@ from trms_cli.commands.plain_options import PlainOptions
 SUMMARY = "turn a recording (CSV, MAT) into an MCAP log"
 
 HELP = """\
-Usage: trms import FILE [--out LOG.mcap] [--force] [--json]
+usage: trms import FILE [--out LOG.mcap] [--force] [--json]
 
 Checks a recording and writes it as an MCAP log, which `trms score`, `trms run plant=replay`,
 Foxglove and every other MCAP reader open. Prints what is in it: channels with units, span,
@@ -37,7 +37,7 @@ input and one output are required. Any unit that fits is converted: deg, rpm, ms
 An empty cell is a missing sample. A MAT file holds vectors of these names in SI units, or a
 struct `units` that says otherwise: units.alpha_v = 'deg'.
 
-Examples:
+examples
   trms import recording.csv
   trms import recording.csv --out logs/monday.mcap
   trms import recording.csv --json
@@ -55,7 +55,6 @@ def main(argv: list[str]) -> int:
 
     from trms_cli.core.errors import RecordingError
     from trms_cli.recordings.mcap_recording import sha256_of, write_mcap
-    from trms_cli.recordings.output_file import whole_file
     from trms_cli.recordings.recording import read_recording
 
     if given.file.suffix.lower() == ".mcap":
@@ -71,8 +70,7 @@ def main(argv: list[str]) -> int:
         "file": str(given.file),
         "file_sha256": sha256,
     }
-    with whole_file(log_path, force=given.force) as temporary:
-        write_mcap(recording, temporary, run_metadata)
+    write_mcap(recording, log_path, run_metadata, force=given.force)
 
     document = _document(recording, given.file, log_path, sha256)
     if given.json:

@@ -40,7 +40,7 @@ class PlainOptions(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise what argparse would print before it exits."""
-        first_line = self._help_text.splitlines()[0].removeprefix("Usage: ")
+        first_line = self._help_text.splitlines()[0].removeprefix("usage: ")
         raise ConfigurationError(
             message, where=self.prog, remedy=f"{first_line}; more by {self.prog} --help"
         )

@@ -87,7 +87,10 @@ def write_csv(recording: Recording, path: Path | str, *, force: bool = False) ->
     names = list(recording.channels)
     header = ["t[s]", *(unit_fields(recording.units)[name] for name in names)]
     columns = [recording.time, *(recording.channels[name] for name in names)]
-    with whole_file(Path(path), force=force) as temporary, temporary.open("w", newline="") as file:
+    with (
+        whole_file(Path(path), force=force) as temporary,
+        temporary.open("w", encoding="utf-8", newline="") as file,
+    ):
         for key, value in recording.metadata.items():
             file.write(f"# {_one_line(key).replace(':', ' ')}: {_one_line(value)}\n")
         file.write(",".join(header) + "\n")

@@ -10,6 +10,7 @@ import numpy as np
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.channels import AXIS_OF_REFERENCE, REFERENCE_OF_AXIS, find_channel
 from trms_cli.recordings.log_reader import LoggedRun, Table, read_log
+from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import Recording
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
@@ -56,7 +57,9 @@ def recording_of(log: LoggedRun) -> Recording:
     return Recording(time, channels, units, _own_metadata(log.run), log.path, remarks)
 
 
-def write_mcap(recording: Recording, path: Path | str, run_metadata: dict[str, str]) -> None:
+def write_mcap(
+    recording: Recording, path: Path | str, run_metadata: dict[str, str], *, force: bool = False
+) -> None:
     """Write a recording as a run log with the rig's own time stamps.
 
     MCAP times are not negative: a recording that begins before zero is shifted, and the
@@ -67,7 +70,7 @@ def write_mcap(recording: Recording, path: Path | str, run_metadata: dict[str, s
     recording : Recording
         Missing samples become null.
     path : Path
-        Must not exist.
+        Appears when it is whole; an existing file is refused unless ``force``.
     run_metadata : dict of str to str
         For the ``trms.run`` record, beside the recording's own metadata.
     """
@@ -85,15 +88,23 @@ def write_mcap(recording: Recording, path: Path | str, run_metadata: dict[str, s
         for topic in topics
         if topic.name in _TOPICS
     }
-    with RunLog(path, topics, metadata, publish_time="log") as log:
-        for index, time_ns in enumerate(times):
-            for topic, values in rows.items():
-                log.write(topic, time_ns, values[index])
-            if index % 1000 == 999:  # chunks that a reader can seek in
-                log.flush()
-        for start, end in recording.gaps:
-            time_ns = round(start * 1e9) + offset_ns
-            log.event(time_ns, "gap", "recording", f"no samples until {end:.6g} s", end - start)
+    with whole_file(Path(path), force=force) as temporary:
+        try:
+            with RunLog(temporary, topics, metadata, publish_time="log") as log:
+                for index, time_ns in enumerate(times):
+                    for topic, values in rows.items():
+                        log.write(topic, time_ns, values[index])
+                    if index % 1000 == 999:  # chunks that a reader can seek in
+                        log.flush()
+                for start, end in recording.gaps:
+                    message = f"no samples until {end:.6g} s"
+                    time_ns = round(start * 1e9) + offset_ns
+                    log.event(time_ns, "gap", "recording", message, end - start)
+        except RecordingError as error:
+            # What the log says of a part that is safe is not so here: nothing is left of it.
+            if isinstance(error.__cause__, OSError):
+                raise error.__cause__ from None
+            raise
 
 
 def _own_metadata(run: dict[str, str]) -> dict[str, str]:

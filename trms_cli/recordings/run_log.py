@@ -118,7 +118,10 @@ class RunLog:
         values : sequence
             In the order of the topic's fields; a field of kind "array" takes a (k,) array.
         """
-        channel = self._channels[topic]
+        try:
+            channel = self._channels[topic]
+        except KeyError:
+            raise KeyError(f"no topic {topic!r} in this log: {', '.join(self._channels)}") from None
         if channel.has_arrays:
             row = tuple(v.tolist() if isinstance(v, np.ndarray) else v for v in values)
         elif type(values) is np.ndarray:
