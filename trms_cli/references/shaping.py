@@ -74,6 +74,13 @@ class ShapedSignal:
 
     The grid is planned from t = 0 onward as far as it is needed and then remembered: each point
     depends only on the points before it, so that what was asked for first cannot matter.
+
+    Parameters
+    ----------
+    signal : Signal
+        What is to be followed.
+    shaping : Shaping
+        The limits.
     """
 
     signal: Signal

@@ -26,7 +26,15 @@ Verdict = Literal["better", "same", "worse", "new", "gone"]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """How far a figure may move: ``absolute`` in its unit, ``relative`` as a fraction."""
+    """How far a figure may move: ``absolute + relative·|baseline|``.
+
+    Attributes
+    ----------
+    absolute : float
+        In the figure's unit.
+    relative : float
+        Fraction of the baseline.
+    """
 
     absolute: float = 0.0
     relative: float = 0.0
@@ -38,7 +46,17 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Figure:
-    """What is compared of a score, and how."""
+    """What is compared of a score, and how.
+
+    Attributes
+    ----------
+    unit : str
+        ``{}`` stands for the unit of the channel.
+    tolerance : Tolerance
+        How far it may move.
+    judged : bool
+        Whether it decides about the run.
+    """
 
     unit: str
     tolerance: Tolerance
