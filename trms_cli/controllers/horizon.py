@@ -188,9 +188,7 @@ class Horizon:
         total = ca.MX(0)
         for name in self.weighted:
             row = model.state_index(name)
-            goal = (
-                r[model.controlled.index(name), :] if name in model.controlled else x_s[row]
-            )
+            goal = r[model.controlled.index(name), :] if name in model.controlled else x_s[row]
             total += self.weights.states[name] * ca.sumsqr(trajectory[row, :] - goal)
         periods = np.bincount(self.blocks)
         for j, name in enumerate(names(model.inputs)):
@@ -202,9 +200,7 @@ class Horizon:
                 total += self.weights.moves[name] * ca.sumsqr(moves)
         return total
 
-    def _merit(
-        self, objective: ca.MX, trajectory: ca.MX, residual: ca.MX
-    ) -> tuple[ca.MX, ca.MX]:
+    def _merit(self, objective: ca.MX, trajectory: ca.MX, residual: ca.MX) -> tuple[ca.MX, ca.MX]:
         merit, violation = objective, ca.MX(0)
         if self.terminal is not None:
             merit += self.terminal.linear * ca.sum1(ca.fabs(residual))

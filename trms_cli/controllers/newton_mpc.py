@@ -222,9 +222,7 @@ class NewtonMpcState:
         self.target = self.steady_state.solve(
             sample.reference[-1], self._disturbance, previous_target
         )
-        newton.set_problem(
-            self._full, sample.previous_command, self._disturbance, self.target
-        )
+        newton.set_problem(self._full, sample.previous_command, self._disturbance, self.target)
         steady = np.repeat(self.target.u[:, None], newton.plan.shape[1], axis=1)
         if self._first:
             newton.plan[:] = steady
@@ -245,9 +243,7 @@ class NewtonMpcState:
         period = self.discrete.step_length
         states = np.vstack([self._full[: self.model.n_x], newton.trajectory[: self.model.n_x].T])
         inputs = newton.plan[:, newton.horizon.blocks].T
-        return Prediction(
-            np.arange(len(states)) * period, states, np.vstack([inputs, inputs[-1]])
-        )
+        return Prediction(np.arange(len(states)) * period, states, np.vstack([inputs, inputs[-1]]))
 
     def fall_back(self, policy: str, reason: str) -> Command:
         """The declared command of a sample whose solve failed.

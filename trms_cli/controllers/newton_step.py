@@ -154,9 +154,7 @@ class NewtonStep:
         for i in (0, 2, 4, 5, 6, 7):
             other[i][...] = self._arguments[i]
         for row, goal in enumerate(self._goal):
-            self._goals[row] = (
-                self.reference[goal] if goal >= 0 else target.x[self._row_index[row]]
-            )
+            self._goals[row] = self.reference[goal] if goal >= 0 else target.x[self._row_index[row]]
 
     def advance(self, full: FloatArray, u: FloatArray) -> FloatArray:
         """The full state one control period later without disturbance, for its memory."""
@@ -196,7 +194,9 @@ class NewtonStep:
         linearise = horizon.linearise
         linearise.inputs[1][:] = self.plan
         linearise()
-        trajectory, slopes, terminal_slope, terminal, objective, merit, violation = linearise.outputs
+        trajectory, slopes, terminal_slope, terminal, objective, merit, violation = (
+            linearise.outputs
+        )
         merit_now = float(merit[0])
         if not merit_now < np.inf:
             self.linearise_time += perf_counter() - begin

@@ -48,5 +48,3 @@ def with_stops(model: Model) -> dict[str, Effect]:
         for name, axis in model.axes.items()
         if model.stops.get(axis.angle, float("inf")) < float("inf")
     }
-
-

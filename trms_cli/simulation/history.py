@@ -25,16 +25,17 @@ class History:
 
     Parameters
     ----------
-    fields : dict of str to tuple of str
-        Names of the fields of each topic, in the order of the rows.
+    units : dict of str to dict of str to str
+        Unit of each field of each topic, the fields in the order of the rows.
     sink : Sink or None
         The log; None keeps the rows in memory only.
     """
 
-    def __init__(self, fields: dict[str, tuple[str, ...]], sink: Sink | None) -> None:
-        self.fields = fields
+    def __init__(self, units: dict[str, dict[str, str]], sink: Sink | None) -> None:
+        self.units = units
+        self.fields = {topic: tuple(fields) for topic, fields in units.items()}
         self._sink = sink
-        self._rows: dict[str, list[tuple[int, Sequence[Any]]]] = {name: [] for name in fields}
+        self._rows: dict[str, list[tuple[int, Sequence[Any]]]] = {name: [] for name in units}
         self.events: list[tuple[int, str, str, str, float]] = []
 
     def writer(self, topic: str) -> Callable[[int, Sequence[Any]], None]:

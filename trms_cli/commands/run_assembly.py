@@ -1,0 +1,186 @@
+"""From a composed configuration to an experiment, its log's topics and its records."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from trms_cli import __version__
+from trms_cli.commands.composition import Composition
+from trms_cli.core.plugins import build
+from trms_cli.models.model import Model, Signal
+from trms_cli.models.parameters import ParameterSet
+from trms_cli.plants.plant import PlantRun
+from trms_cli.recordings.topics import Field, Topic, standard_topics
+from trms_cli.scoring.score import LIMITS_KEY
+from trms_cli.simulation.closed_loop import Experiment
+
+#: Packages whose version may change a figure of a run.
+_COMPUTING_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "hydra-core", "mcap")
+
+
+def experiment_of(config: Mapping[str, Any]) -> Experiment:
+    """Build every plugin of a composed configuration.
+
+    Raises
+    ------
+    ConfigurationError
+        For the first key that is wrong.
+    """
+    simulation = config["sim"]
+    return Experiment(
+        model=build(config["model"], "model"),
+        plant=build(config["plant"], "plant"),
+        observer=build(config["observer"], "observer"),
+        controller=build(config["controller"], "controller"),
+        reference=build(config["ref"], "ref"),
+        duration=number(simulation["duration"], "sim.duration"),
+        sample_time=number(simulation["sample_time"], "sim.sample_time"),
+        seed=whole_number(config["seed"], "seed"),
+        prediction_every=whole_number(simulation["prediction_every"], "sim.prediction_every"),
+    )
+
+
+def number(value: Any, where: str) -> float:
+    """A finite number from the configuration.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is none.
+    """
+    from trms_cli.core.errors import ConfigurationError
+
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
+        raise ConfigurationError(f"{value!r} given", where=where, remedy="give a number")
+    return float(value)
+
+
+def whole_number(value: Any, where: str) -> int:
+    """A whole number from zero on from the configuration.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is none.
+    """
+    from trms_cli.core.errors import ConfigurationError
+
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ConfigurationError(
+            f"{value!r} given", where=where, remedy="give a whole number from 0 on"
+        )
+    return value
+
+
+def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
+    """The topics of a closed-loop run's log."""
+    model = experiment.model
+    states = [_field(signal) for signal in model.states]
+    controlled = [states[model.state_index(name)] for name in model.controlled]
+    return standard_topics(
+        references=controlled,
+        inputs=[_field(signal) for signal in plant.inputs],
+        outputs=[_field(signal) for signal in plant.outputs],
+        states=[_field(signal) for signal in plant.states],
+        estimates=[*states, *(_field(signal) for signal in model.disturbances)],
+        disturbances=[],
+        controller=True,
+    ) + [
+        Topic(
+            "/prediction",
+            tuple(
+                Field(f.name, f.unit, f"predicted {f.description or f.name}", "array")
+                for f in (
+                    Field("time", "s", "time from now"),
+                    *states,
+                    *(_field(signal) for signal in plant.inputs),
+                )
+            ),
+            "The controller's predicted trajectories over the horizon",
+        )
+    ]
+
+
+def run_metadata(composition: Composition, model: Model, plant: PlantRun) -> dict[str, str]:
+    """What the log says of the run besides its samples."""
+    lower, upper = plant.input_limits
+    limits = {
+        signal.name: [low, high]
+        for signal, low, high in zip(plant.inputs, lower.tolist(), upper.tolist(), strict=True)
+    }
+    limits |= {name: [-stop, stop] for name, stop in model.stops.items() if stop < float("inf")}
+    return {
+        "command": shlex.join(["trms", *sys.argv[1:]]),
+        "seed": str(composition.config["seed"]),
+        "git": git_revision(),
+        "versions": json.dumps(_versions()),
+        "platform": platform.platform(),
+        "overrides": json.dumps(list(composition.overrides)),
+        LIMITS_KEY: json.dumps(limits),
+    }
+
+
+def attachments(
+    composition: Composition, model: Model, true_parameters: ParameterSet | None
+) -> dict[str, tuple[str, bytes]]:
+    """The resolved configuration, and the parameters of model and rig, as YAML."""
+    parameters = {"model": _as_data(model.parameters)}
+    if true_parameters is not None:
+        parameters["plant"] = _as_data(true_parameters)
+    text = yaml.dump(parameters, Dumper=_dumper(), sort_keys=False, allow_unicode=True)
+    return {
+        "config.yaml": ("application/yaml", composition.yaml.encode()),
+        "parameters.yaml": ("application/yaml", text.encode()),
+    }
+
+
+def git_revision() -> str:
+    """Revision of the checkout that the program runs from; empty when it is installed."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return ""
+    try:
+        found = subprocess.run(
+            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=5,
+            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+        )
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return found.stdout.strip()
+
+
+def _versions() -> dict[str, str]:
+    found = {"trms": __version__, "python": platform.python_version()}
+    for package in _COMPUTING_PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _field(signal: Signal) -> Field:
+    return Field(signal.name, signal.unit, signal.description)
+
+
+def _as_data(parameters: ParameterSet) -> dict[str, dict[str, Any]]:
+    return {p.name: {"value": p.value, "unit": p.unit} for p in parameters}
+
+
+def _dumper() -> Any:
+    return getattr(yaml, "CSafeDumper", yaml.SafeDumper)
