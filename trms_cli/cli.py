@@ -20,8 +20,8 @@ PICTURE = """\
   reference ──r──▶ controller ──u──▶ rig (the plant) ──y──▶ observer ──x̂──┐
                       ▲                                                    │
                       └────────────────────────────────────────────────────┘
-              every sample of r, u, y, x, x̂ and the solver's own words ──▶ one MCAP log
-              log ──▶ score · report · identify · validate · diagnose
+  every sample of r, u, y, x, x̂ and the solver's own words ──▶ one MCAP log
+  log ──▶ score · report · identify · validate · diagnose
 """
 
 #: The commands in the order in which a newcomer meets them, each with its module's ``SUMMARY``

@@ -194,12 +194,24 @@ def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:
     groups = read_groups(config_dirs)
     lines = ["choices (the default is marked *; `trms list GROUP OPTION` shows an option's keys)"]
     for group, chosen in declared.defaults.items():
-        lines.append(f"  {group:12}{declared.about.get(group, '')}".rstrip())
+        lines.append(row(f"  {group:12}", declared.about.get(group, "")))
         for name, option in groups.get(group, {}).items():
             mark = "*" if name == chosen else " "
-            lines.append(f"   {mark} {name:24} {option.summary}".rstrip())
+            lines.append(row(f"   {mark} {name:24} ", option.summary))
     lines += ["", "other keys", *_key_lines(primary_file(primary, config_dirs))]
     return "\n".join(lines) + "\n"
+
+
+def row(head: str, text: str) -> str:
+    """One line of a table; on a terminal that is narrower, `text` goes on under itself."""
+    if not sys.stdout.isatty():
+        return f"{head}{text}".rstrip()
+    import shutil
+    import textwrap
+
+    width = max(shutil.get_terminal_size().columns - len(head), 20)
+    margin = f"\n{' ' * len(head)}"
+    return (head + margin.join(textwrap.wrap(text, width, break_on_hyphens=False))).rstrip()
 
 
 def _key_lines(file: Path) -> list[str]:

@@ -6,7 +6,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from trms_cli.commands.catalogue import Groups, Option, read_groups, read_primary, take_config_dirs
+from trms_cli.commands.catalogue import (
+    Groups,
+    Option,
+    read_groups,
+    read_primary,
+    row,
+    take_config_dirs,
+)
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 
 SUMMARY = "the plugins there are, with one line each"
@@ -96,7 +103,7 @@ def _table(groups: Groups, about: dict[str, str], config_dirs: Sequence[Path]) -
         lines = [f"{group}  ({purpose})" if purpose else group]
         for option in options.values():
             own = f"  [{option.source}]" if option.source in config_dirs else ""
-            lines.append(f"  {option.name:{width}}{option.summary}{own}".rstrip())
+            lines.append(row(f"  {option.name:{width}}", option.summary + own))
         blocks.append("\n".join(lines) + "\n")
     return "\n".join(blocks)
 
