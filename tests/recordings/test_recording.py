@@ -47,7 +47,7 @@ def test_a_recording_goes_through_a_log(tmp_path: Path, recording: Recording) ->
     back = read_recording(path)
     np.testing.assert_array_equal(back.time, recording.time)
     assert back.metadata == recording.metadata and back.units == recording.units
-    assert back.duration_s == 0.12
+    assert back.duration_s == 0.1
     for name, values in recording.channels.items():
         np.testing.assert_array_equal(back.channels[name], values)
     log = read_log(path)

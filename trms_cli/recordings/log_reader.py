@@ -97,18 +97,13 @@ class LoggedRun:
 
     @property
     def duration_s(self) -> float:
-        """Time that the samples cover, the last one's interval included [s].
-
-        A run of 60 s at 100 Hz has its last sample at 59.99 s and lasts 60 s.
-        """
+        """Time from the first sample to the last one, of any topic but /event [s]."""
         tables = [t for name, t in self.tables.items() if name != "/event" and len(t)]
         if not tables:
             return 0.0
-        finest = max(tables, key=len).time_ns
-        interval = float(np.median(np.diff(finest))) if len(finest) > 1 else 0.0
         start = min(int(t.time_ns[0]) for t in tables)
         end = max(int(t.time_ns[-1]) for t in tables)
-        return (end - start + interval) / 1e9
+        return (end - start) / 1e9
 
     def table(self, topic: str) -> Table:
         """Return a topic's table, or raise RecordingError naming the topics there are."""

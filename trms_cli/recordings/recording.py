@@ -55,8 +55,8 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Time that the samples cover, the last one's interval included [s]."""
-        return round(float(self.time[-1] - self.time[0]) + self.sample_time, 9)
+        """Time from the first sample to the last [s]."""
+        return round(float(self.time[-1] - self.time[0]), 9)
 
     @cached_property
     def gaps(self) -> list[tuple[float, float]]:
