@@ -18,6 +18,10 @@ from trms_cli.references.sine import Sine
 from trms_cli.references.square import Square
 from trms_cli.references.step import Step
 
+from .conftest import needs_planner
+
+pytestmark = needs_planner
+
 limit = st.one_of(st.none(), st.floats(0.05, 20.0))
 limits = st.tuples(limit, limit, limit).filter(any)
 

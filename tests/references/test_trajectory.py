@@ -19,6 +19,8 @@ from trms_cli.references.square import Square
 from trms_cli.references.step import Step
 from trms_cli.references.trajectory import ReferenceTrajectory
 
+from .conftest import needs_planner
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 REFERENCES = sorted(path.stem for path in (CONFIGS / "ref").glob("*.yaml"))
 TIMES = np.arange(0, 60, 0.01)
@@ -113,6 +115,7 @@ def test_columns_are_the_axes_in_order() -> None:
         yaw.restricted_to(["alpha_v"])
 
 
+@needs_planner
 def test_shaping_holds_on_every_axis() -> None:
     shaped = ReferenceTrajectory(
         alpha_v=Step(amplitude=0.3), alpha_h=Step(amplitude=-0.5), shaping=Shaping(max_rate=0.1)

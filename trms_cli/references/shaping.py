@@ -148,7 +148,7 @@ def _planner(shaping: Shaping, begin: float) -> Callable[[float], float]:
         raise ConfigurationError(
             "shaping needs the package ruckig, which is not installed",
             where="shaping",
-            remedy="pip install ruckig",
+            remedy="pip install ruckig (where PyPI has no wheel of it, that takes a C++ compiler)",
         ) from error
 
     planner = ruckig.Ruckig(1, GRID)
