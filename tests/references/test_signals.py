@@ -98,6 +98,14 @@ def test_a_square_has_its_edges_on_the_samples_they_were_meant_for(
     np.testing.assert_array_equal(values, np.where((samples // int(half)) % 2 == 0, 1.0, -1.0))
 
 
+@every_signal
+def test_a_piece_of_a_schedule_starts_on_its_sample(signal: Signal) -> None:
+    # 3 · 0.1 − 0.3 is a rounding error away from the signal's own start of 2 s
+    times = 0.1 * np.arange(60)
+    piece = Schedule(pieces=[Piece(start=0.3, signal=signal)], offset=0.2).sample(times)
+    np.testing.assert_allclose(piece[3:], signal.sample(times[:-3]), atol=1e-9)
+
+
 def test_a_step_comes_on_the_sample_nearest_to_its_time() -> None:
     times = np.cumsum(np.full(100, 0.1))  # 0.1, 0.2, 0.30000000000000004, …
     values = Step(amplitude=1.0, start=0.8).sample(times)

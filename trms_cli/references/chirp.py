@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from trms_cli.references.signal import Array, Duration, Frequency
+from trms_cli.references.signal import Array, Duration, Frequency, has_started
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,4 +63,4 @@ class Chirp:
             exponent = np.log(ratio) * swept / self.duration
             cycles = self.frequency * self.duration / np.log(ratio) * np.expm1(exponent)
         wave = self.amplitude * np.sin(2 * np.pi * (cycles + self.phase))
-        return self.offset + np.where(elapsed >= 0, wave, 0.0)
+        return self.offset + np.where(has_started(times, self.start), wave, 0.0)
