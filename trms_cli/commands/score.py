@@ -202,9 +202,11 @@ def _print_estimate(estimate: dict[str, Any]) -> None:
     names = [n for n in names if rmse.get(n) is not None or prediction.get(n) is not None]
     if not names:
         return
-    table = _table("estimate", "RMSE of state", "RMSE of 1-step prediction")
+    columns = {"RMSE of state": rmse, "RMSE of 1-step prediction": prediction}
+    columns = {title: values for title, values in columns.items() if any(values.values())}
+    table = _table("estimate", *columns)
     for name in names:
-        numbers = _number(rmse.get(name)), _number(prediction.get(name))
+        numbers = [_number(values.get(name)) for values in columns.values()]
         table.add_row(name, unit_by_name(name), *numbers)
     console = _console()
     console.print(table)
@@ -214,7 +216,8 @@ def _print_estimate(estimate: dict[str, Any]) -> None:
     if estimate["innovation_whiteness_p"] is not None:
         p = estimate["innovation_whiteness_p"]
         meaning = "white" if p >= 0.05 else "correlated in time: the model misses something"
-        console.print(f"  innovations: p = {p:.2g}, {meaning}", highlight=False)
+        value = f"= {p:.2g}" if p > 1e-99 else "< 1e-99"
+        console.print(f"  innovations: p {value}, {meaning}", highlight=False)
     console.print()
 
 
