@@ -28,6 +28,15 @@ from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
 
+#: Arguments of both compiled functions: initial state with memory, plan, last command, parameters,
+#: disturbances, references, steady-state target; then what stays the same during a run: weights of
+#: the rows, inputs and moves, limits (lower; upper), prices (linear and quadratic of the terminal
+#: equality and of the limits), scale of the terminal residual.
+ARGUMENTS = (
+    ("x0", "z", "u_previous", "p", "w", "r", "x_s", "u_s")
+    + ("q", "rho", "s", "limits", "prices", "scale")
+)
+
 
 @dataclass(frozen=True)
 class Weights:
@@ -110,11 +119,15 @@ class Horizon:
     Attributes
     ----------
     linearise : BufferedFunction
-        (x0, z, u_previous, p, w, r, x_s, u_s) → states (n_x, N), sensitivities of the rows
-        (n_rows·N, n_z), of the terminal state, scaled (n_x, n_z), terminal residual, scaled,
-        objective, merit, violation.
+        :data:`ARGUMENTS` → states (n_x, N), sensitivities of the rows (n_rows·N, n_z), of the
+        terminal state, scaled (n_x, n_z), terminal residual, scaled, objective, merit, violation.
     evaluate : BufferedFunction
         The same arguments → states, terminal residual, objective, merit, violation.
+
+    Notes
+    -----
+    Weights, limits, prices and parameters are arguments, not constants: one compiled function
+    serves every tuning of one structure.
     """
 
     def __init__(
@@ -143,74 +156,107 @@ class Horizon:
         self.rows = tuple(dict.fromkeys(self.weighted + self.limited))
         self.linearise = BufferedFunction(self._function(with_sensitivities=True))
         self.evaluate = BufferedFunction(self._function(with_sensitivities=False))
+        for function in (self.linearise, self.evaluate):
+            for name, value in self._settings().items():
+                function.inputs[ARGUMENTS.index(name)][...] = value
+
+    def _settings(self) -> dict[str, FloatArray]:
+        """Values of the arguments that stay the same during a run."""
+        model, weights, soft, terminal = (
+            self.model,
+            self.weights,
+            self.soft_limits,
+            self.terminal or TerminalPrice(0.0, 0.0),
+        )
+        limits = [soft.states[name] for name in self.limited]
+        return {
+            "p": model.parameters.values,
+            "q": np.array([weights.states.get(name, 0.0) for name in self.rows]),
+            "rho": np.array([weights.inputs.get(name, 0.0) for name in names(model.inputs)]),
+            "s": np.array([weights.moves.get(name, 0.0) for name in names(model.inputs)]),
+            "limits": np.array(limits).reshape(-1, 2),
+            "prices": np.array([terminal.linear, terminal.quadratic, soft.linear, soft.quadratic]),
+            "scale": self.scale,
+        }
 
     def _function(self, *, with_sensitivities: bool) -> ca.Function:
         discrete, model, n = self.discrete, self.model, self.n_periods
         stage = _stage(discrete, with_sensitivities)
-        n_full, n_x, n_u = discrete.n_x, model.n_x, model.n_u
-        x0 = ca.MX.sym("x0", n_full)
-        z = ca.MX.sym("z", n_u, self.n_blocks)
-        u_previous = ca.MX.sym("u_previous", n_u)
-        p = ca.MX.sym("p", len(model.parameters))
-        w = ca.MX.sym("w", model.n_w)
-        r = ca.MX.sym("r", len(model.controlled), n)
-        x_s = ca.MX.sym("x_s", n_x)
-        u_s = ca.MX.sym("u_s", n_u)
-        arguments = [x0, z, u_previous, p, w, r, x_s, u_s]
+        n_x, n_u = model.n_x, model.n_u
+        sizes = {
+            "x0": (discrete.n_x, 1),
+            "z": (n_u, self.n_blocks),
+            "u_previous": (n_u, 1),
+            "p": (len(model.parameters), 1),
+            "w": (model.n_w, 1),
+            "r": (len(model.controlled), n),
+            "x_s": (n_x, 1),
+            "u_s": (n_u, 1),
+            "q": (len(self.rows), 1),
+            "rho": (n_u, 1),
+            "s": (n_u, 1),
+            "limits": (len(self.limited), 2),
+            "prices": (4, 1),
+            "scale": (n_x, 1),
+        }
+        at = {name: ca.MX.sym(name, *sizes[name]) for name in ARGUMENTS}
 
-        state, states, sensitivity, row_sensitivities = x0, [], None, []
+        state, states, sensitivity, row_sensitivities = at["x0"], [], None, []
         rows = [model.state_index(name) for name in self.rows]
         for k in range(n):
-            u = z[:, int(self.blocks[k])]
+            u = at["z"][:, int(self.blocks[k])]
             if not with_sensitivities:
-                state = stage(state, u, p, w)
+                state = stage(state, u, at["p"], at["w"])
             else:
-                state, a, b = stage(state, u, p, w)
+                state, a, b = stage(state, u, at["p"], at["w"])
                 sensitivity = _propagated(sensitivity, a, b, k, self.blocks)
                 padding = ca.MX.zeros(len(rows), self.n_z - sensitivity.shape[1])
                 row_sensitivities.append(ca.horzcat(sensitivity[rows, :], padding))
             states.append(state)
         trajectory = ca.horzcat(*states)
-        residual = (trajectory[:n_x, -1] - x_s) / ca.DM(self.scale)
-        objective = self._objective(trajectory, z, u_previous, r, x_s, u_s)
-        merit, violation = self._merit(objective, trajectory, residual)
+        residual = (trajectory[:n_x, -1] - at["x_s"]) / at["scale"]
+        objective = self._objective(trajectory, at)
+        merit, violation = self._merit(objective, trajectory, residual, at)
         tail = [residual, objective, merit, violation]
+        arguments = list(at.values())
         if not with_sensitivities:
             return ca.Function("horizon_evaluate", arguments, [trajectory, *tail])
-        terminal = ca.diag(1 / ca.DM(self.scale)) @ sensitivity[:n_x, :]
+        terminal = sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z)
         slopes = [ca.densify(ca.vertcat(*row_sensitivities)), ca.densify(terminal)]
         return ca.Function("horizon_linearise", arguments, [trajectory, *slopes, *tail])
 
-    def _objective(
-        self, trajectory: ca.MX, z: ca.MX, u_previous: ca.MX, r: ca.MX, x_s: ca.MX, u_s: ca.MX
-    ) -> ca.MX:
+    def _objective(self, trajectory: ca.MX, at: Mapping[str, ca.MX]) -> ca.MX:
         model = self.model
         total = ca.MX(0)
-        for name in self.weighted:
+        for i, name in enumerate(self.rows):
             row = model.state_index(name)
-            goal = r[model.controlled.index(name), :] if name in model.controlled else x_s[row]
-            total += self.weights.states[name] * ca.sumsqr(trajectory[row, :] - goal)
-        periods = np.bincount(self.blocks)
-        for j, name in enumerate(names(model.inputs)):
-            if self.weights.inputs.get(name):
-                deviation = ca.sqrt(ca.DM(periods).T) * (z[j, :] - u_s[j])
-                total += self.weights.inputs[name] * ca.sumsqr(deviation)
-            if self.weights.moves.get(name):
-                moves = z[j, :] - ca.horzcat(u_previous[j], z[j, :-1])
-                total += self.weights.moves[name] * ca.sumsqr(moves)
+            controlled = name in model.controlled
+            goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
+            total += at["q"][i] * ca.sumsqr(trajectory[row, :] - goal)
+        periods = ca.DM(np.bincount(self.blocks)).T
+        for j in range(model.n_u):
+            z = at["z"][j, :]
+            total += at["rho"][j] * ca.sum2(periods * (z - at["u_s"][j]) ** 2)
+            moves = z - ca.horzcat(at["u_previous"][j], z[:, :-1])
+            total += at["s"][j] * ca.sumsqr(moves)
         return total
 
-    def _merit(self, objective: ca.MX, trajectory: ca.MX, residual: ca.MX) -> tuple[ca.MX, ca.MX]:
+    def _merit(
+        self,
+        objective: ca.MX,
+        trajectory: ca.MX,
+        residual: ca.MX,
+        at: Mapping[str, ca.MX],
+    ) -> tuple[ca.MX, ca.MX]:
+        prices = at["prices"]
         merit, violation = objective, ca.MX(0)
         if self.terminal is not None:
-            merit += self.terminal.linear * ca.sum1(ca.fabs(residual))
-            merit += self.terminal.quadratic * ca.sumsqr(residual)
-        for name in self.limited:
-            lower, upper = self.soft_limits.states[name]
+            merit += prices[0] * ca.sum1(ca.fabs(residual)) + prices[1] * ca.sumsqr(residual)
+        for i, name in enumerate(self.limited):
             value = trajectory[self.model.state_index(name), :]
+            lower, upper = at["limits"][i, 0], at["limits"][i, 1]
             beyond = ca.fmax(ca.fmax(lower - value, value - upper), 0)
-            merit += self.soft_limits.linear * ca.sum2(beyond)
-            merit += self.soft_limits.quadratic * ca.sumsqr(beyond)
+            merit += prices[2] * ca.sum2(beyond) + prices[3] * ca.sumsqr(beyond)
             violation = ca.fmax(violation, ca.mmax(beyond))
         return merit, violation
 

@@ -70,8 +70,6 @@ class NewtonStep:
         self.trajectory = horizon.linearise.outputs[0].copy()
         self.linearise_time = self.qp_time = 0.0
         self._arguments = horizon.linearise.inputs
-        for function in (horizon.linearise, horizon.evaluate):
-            function.inputs[4 - 1][:] = model.parameters.values
         self._step = BufferedFunction(horizon.discrete.step)
         self._step.inputs[2][:] = model.parameters.values
         # The plan in the order of the unknowns: block by block, input by input.
@@ -144,7 +142,7 @@ class NewtonStep:
         self, full: FloatArray, u_previous: FloatArray, disturbance: FloatArray, target: Target
     ) -> None:
         """Initial state (with memory), last command, disturbances and target of this sample."""
-        x0, _, previous, _, w, _, x_s, u_s = self._arguments
+        x0, _, previous, _, w, _, x_s, u_s = self._arguments[:8]
         x0[:] = full
         previous[:] = self._u_previous = u_previous
         w[:] = disturbance
