@@ -198,12 +198,16 @@ def _print_estimate(estimate: dict[str, Any]) -> None:
     from trms_cli.scoring.score import unit_by_name
 
     rmse, prediction = estimate["rmse"], estimate["prediction_rmse"]
-    names = [*rmse, *(name for name in prediction if name not in rmse)]
-    names = [n for n in names if rmse.get(n) is not None or prediction.get(n) is not None]
+    columns = {"RMSE of state": rmse, "RMSE of 1-step prediction": prediction}
+    # an observer that is handed the true state has no error worth a column
+    columns = {title: values for title, values in columns.items() if any(values.values())}
+    names = [
+        name
+        for name in dict.fromkeys([*rmse, *prediction])
+        if any(values.get(name) is not None for values in columns.values())
+    ]
     if not names:
         return
-    columns = {"RMSE of state": rmse, "RMSE of 1-step prediction": prediction}
-    columns = {title: values for title, values in columns.items() if any(values.values())}
     table = _table("estimate", *columns)
     for name in names:
         numbers = [_number(values.get(name)) for values in columns.values()]
