@@ -25,7 +25,8 @@ class TestWhatWorks:
     def test_defaults_and_values(self, trms, own):
         config = _shown(trms, *own, "seed=3", "sim.duration=1e1")
         assert config["seed"] == 3
-        assert config["sim"] == {"duration": 10.0, "sample_time": 0.02}
+        assert config["sim"]["duration"] == 10.0
+        assert config["sim"]["sample_time"] == 0.02
         assert config["controller"]["gain"] == 1.5
         assert config["effect"] == {}
 
@@ -47,6 +48,13 @@ class TestWhatWorks:
         config = _shown(trms, *own, "plant.parameters.k_g=0.05", "model.parameters.k_g=0.1")
         assert config["plant"]["parameters"] == {"k_g": 0.05}
         assert config["model"]["parameters"] == {"k_g": 0.1}
+
+    @pytest.mark.parametrize(
+        "typed", ["controller.parameters={a: 2.0}", "effect=late", "effect.late.gain=1"]
+    )
+    def test_open_mappings_beside_other_overrides(self, trms, own, typed):
+        config = _shown(trms, *own, "effect=late", typed, "controller.parameters.b=1.0")
+        assert config["controller"]["parameters"]["b"] == 1.0
 
     def test_an_experiment_chooses_and_sets(self, trms, own):
         assert _shown(trms, *own, "experiment=short")["sim"]["duration"] == 3.0
@@ -149,6 +157,7 @@ BAD_INPUT = [
     ("controller=[own]", "[own]", "did you mean own?"),
     ("controller.horizn=3", "controller.horizn", "given: 3", "did you mean horizon?"),
     ("controller.weights.alpha_q=1", "controller.weights.alpha_q", "did you mean alpha_v?"),
+    ("controller.weights={alpha_q: 1}", "controller.weights", "allowed: alpha_v"),
     ("controller.gain.x=1", "controller.gain", "single value"),
     ("sim.duratoin=3", "sim.duratoin", "given: 3", "did you mean duration?"),
     ("+sim.duratoin=3", "sim.duratoin", "given: 3", "did you mean duration?"),

@@ -153,7 +153,13 @@ def _unknown_key(
             where=key,
             remedy=f"set {where}=VALUE",
         )
-    wrong = parts[min(depth, len(parts) - 1)]
+    if depth == len(parts):
+        return ConfigurationError(
+            f"{value} has a key that {where} has not",
+            where=key,
+            remedy=f"allowed: {', '.join(map(str, node))}",
+        )
+    wrong = parts[depth]
     return ConfigurationError(
         f"there is no key {wrong!r} (given: {value})",
         where=key,

@@ -5,8 +5,8 @@ that does. Three forms are ours and rewritten:
 
 - ``model=fit.yaml``: a path chooses the option ``from_file`` with that path;
 - ``effect=yaw_coulomb_friction``: a group that takes several options also takes one;
-- ``plant.parameters.k_g=0.05``: the keys of an open mapping need no ``+``; their names are
-  checked by the plugin that knows them.
+- ``plant.parameters.k_g=0.05``: the keys of a mapping that is empty in its YAML need no ``+``;
+  their names are checked by the plugin that knows them.
 """
 
 from __future__ import annotations
@@ -17,11 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from trms_cli.commands.catalogue import Groups, Primary, take_config_dirs
+from trms_cli.commands.declared_keys import DeclaredKeys
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 
-#: Mappings whose names only a plugin knows: ``model.parameters.k_g``.
-OPEN_MAPPINGS = ("parameters",)
 #: Keys whose value is a path: quoted for Hydra's grammar, which forbids ``=``, ``(`` and others.
 PATH_KEYS = ("out", "file", "path")
 
@@ -117,6 +116,7 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
         For an unknown key or option.
     """
     prepared: list[str] = []
+    keys = DeclaredKeys(primary, groups, request.overrides)
     for override in _last_of_each_choice(request, primary, groups):
         if override.key.split(".")[0].split("/")[0] == "hydra":
             _check_hydra_key(override, request)
@@ -129,7 +129,7 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
         if override.key in primary.defaults:
             prepared += map(str, _choice(override, primary, groups, request.multirun))
         else:
-            prepared.append(str(_value(override, request.multirun)))
+            prepared.append(str(_value(override, keys, request.multirun)))
     return prepared
 
 
@@ -290,11 +290,13 @@ def _from_file(override: Override, names: Sequence[str], groups: Groups) -> list
     ]
 
 
-def _value(override: Override, multirun: bool) -> Override:
+def _value(override: Override, keys: DeclaredKeys, multirun: bool) -> Override:
     """A value's override, with open mappings opened and paths quoted."""
     parts = override.key.split(".")
-    if any(part in OPEN_MAPPINGS for part in parts[:-1]) and override.prefix != "~":
-        override = override._replace(prefix="++")
+    if override.prefix != "~" and len(parts) > 1:
+        places = (override.key, ".".join(parts[:-1]))
+        if any(keys.value(place) == {} for place in places):
+            override = override._replace(prefix="++")
     value = override.value
     if parts[-1] in PATH_KEYS and value and not multirun and _needs_quotes(value):
         override = override._replace(value=quoted(value))
