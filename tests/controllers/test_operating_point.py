@@ -1,0 +1,157 @@
+"""Steady states satisfy the dynamics, at double roots and out of reach too."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.controllers.operating_point import SteadyState, Target
+from trms_cli.core.errors import ModelError
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian
+
+BOTH = Newtonian()
+SOLVER = SteadyState(BOTH)
+
+
+def rates(model: Model, target: Target, w: np.ndarray) -> np.ndarray:
+    at = model.symbols()
+    f = ca.Function("f", list(at), [model.dynamics(*at)])
+    return np.array(f(target.x, target.u, model.parameters.values, w)).ravel()
+
+
+def is_steady(model: Model, target: Target, w: np.ndarray) -> None:
+    assert target.converged
+    np.testing.assert_allclose(rates(model, target, w), 0.0, atol=2e-8)
+    assert target.residual <= 1e-8
+    lower, upper = model.input_bounds()
+    assert np.all((target.u >= lower - 1e-8) & (target.u <= upper + 1e-8))
+    rows = [model.state_index(name) for name in model.controlled]
+    np.testing.assert_array_equal(target.x[rows], target.reference_reached)
+
+
+@given(
+    pitch=st.floats(-0.9, 0.95),
+    yaw=st.floats(-2.0, 2.0),
+    torques=st.tuples(st.floats(-0.01, 0.01), st.floats(-0.005, 0.005)),
+    warm=st.booleans(),
+)
+@settings(max_examples=200, deadline=None)
+def test_a_reachable_reference_is_reached(
+    pitch: float, yaw: float, torques: tuple[float, float], warm: bool
+) -> None:
+    reference, w = np.array([pitch, yaw]), np.array([*torques, 0.0, 0.0])
+    guess = SOLVER.solve(np.array([0.1, 0.4])) if warm else None
+    target = SOLVER.solve(reference, w, guess)
+    is_steady(BOTH, target, w)
+    assert not target.projected
+    np.testing.assert_allclose(target.reference_reached, reference, atol=1e-6)
+
+
+def test_the_equilibria_are_those_of_the_rig() -> None:
+    hover = SOLVER.solve(np.zeros(2))
+    assert hover.u[0] == pytest.approx(1.413, abs=1e-3)
+    assert hover.x[BOTH.state_index("omega_v")] == pytest.approx(196.3, abs=0.05)
+    assert abs(hover.u[1]) < 1e-4  # no thrust is needed: the double root
+    turned = SOLVER.solve(np.array([0.0, 1.56]))
+    assert turned.u[1] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_double_root_is_left_and_entered(sign: float) -> None:
+    rest = SOLVER.solve(np.zeros(2))
+    turned = SOLVER.solve(np.array([0.3, sign * 0.5]), None, rest)
+    assert not turned.projected
+    back = SOLVER.solve(np.zeros(2), None, turned)
+    is_steady(BOTH, back, np.zeros(4))
+    np.testing.assert_allclose(back.u, rest.u, atol=2e-4)
+
+
+def test_the_answer_depends_on_nothing_but_the_arguments() -> None:
+    solver = SteadyState(BOTH)
+    reference, guess = np.array([0.2, -0.3]), solver.solve(np.zeros(2))
+    first = solver.solve(reference, None, guess)
+    solver.solve(np.array([0.9, 2.0]), np.array([-0.1, 0.0, 0.0, 0.0]))
+    second = solver.solve(reference, None, guess)
+    np.testing.assert_array_equal(first.x, second.x)
+    np.testing.assert_array_equal(first.u, second.u)
+
+
+def test_out_of_reach_the_closest_is_found_and_flagged() -> None:
+    w = np.array([-0.1, 0.0, 0.0, 0.0])  # the main rotor cannot lift this to 0.9 rad
+    target = SOLVER.solve(np.array([0.9, 0.5]), w)
+    is_steady(BOTH, target, w)
+    assert target.projected
+    assert target.active == (1, 0)
+    assert target.u[0] == 2.5
+    np.testing.assert_allclose(target.reference_reached[1], 0.5, atol=1e-6)
+    # more thrust is more pitch here, so that the closest is at the limit: nothing inside is closer
+    for u_v in (2.3, 2.4, 2.49):
+        limited = Newtonian()
+        limited.input_limits = {"u_v": u_v, "u_h": 2.5}
+        closer = SteadyState(limited).solve(np.array([0.9, 0.5]), w)
+        assert closer.reference_reached[0] < target.reference_reached[0]
+    again = SOLVER.solve(np.array([0.9, 0.51]), w, target)
+    np.testing.assert_allclose(again.reference_reached, [target.reference_reached[0], 0.51])
+    released = SOLVER.solve(np.array([0.1, 0.5]), w, target)
+    assert not released.projected and released.active == (0, 0)
+
+
+def test_weights_share_what_one_input_cannot_reach_for_both_axes() -> None:
+    """With the tail rotor alone holding yaw, only its own axis suffers."""
+    w = np.array([0.0, -0.2, 0.0, 0.0])
+    target = SOLVER.solve(np.array([0.2, 2.5]), w)
+    is_steady(BOTH, target, w)
+    assert target.active == (0, 1)
+    np.testing.assert_allclose(target.reference_reached[0], 0.2, atol=1e-6)
+
+
+def test_references_beyond_a_stop_end_at_it() -> None:
+    target = SOLVER.solve(np.array([1.4, 0.0]))
+    assert target.projected
+    assert target.reference_reached[0] == pytest.approx(1.05, abs=1e-6)
+
+
+def test_where_nothing_can_hold_the_rig_it_says_so() -> None:
+    w = np.array([-1.0, 0.0, 0.0, 0.0])
+    target = SOLVER.solve(np.array([0.3, 0.0]), w)
+    assert not target.converged and target.projected
+    assert target.residual > 1e-3
+    assert np.all(np.isfinite(target.x)) and np.all(np.isfinite(target.u))
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        Newtonian(currents="dynamic"),
+        Newtonian(freedom="vertical"),
+        Newtonian(freedom="horizontal"),
+        extended(Newtonian(), {"late": InputDelay(rotor="tail", delay=0.13)}),
+    ],
+    ids=["currents", "vertical", "horizontal", "delay"],
+)
+def test_every_model_has_its_steady_states(model: Model) -> None:
+    solver = SteadyState(model)
+    guess = None
+    for angle in (0.3, -0.3, 0.0):
+        reference = np.full(len(model.controlled), angle)
+        target = solver.solve(reference, None, guess)
+        is_steady(model, target, np.zeros(model.n_w))
+        np.testing.assert_allclose(target.reference_reached, reference, atol=1e-6)
+        guess = target
+    full = {n: i for i, n in enumerate(BOTH.state_names)}
+    same = SOLVER.solve(np.full(2, 0.3))
+    if len(model.controlled) == 2:
+        found = solver.solve(np.full(2, 0.3))
+        for name in ("omega_v", "omega_h", "alpha_v"):
+            assert found.x[model.state_index(name)] == pytest.approx(same.x[full[name]], rel=1e-6)
+
+
+def test_weights_are_positive() -> None:
+    with pytest.raises(ModelError, match="weights"):
+        SteadyState(BOTH, {"alpha_v": 0.0})
