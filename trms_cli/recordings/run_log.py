@@ -12,8 +12,9 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -107,7 +108,7 @@ class RunLog:
         return tuple(self._channels)
 
     def write(self, topic: str, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
-        """Log one message. Hot path: it only keeps a copy until :meth:`flush`.
+        """Log one message; it is kept until :meth:`flush`.
 
         Parameters
         ----------
@@ -118,20 +119,28 @@ class RunLog:
         values : sequence
             In the order of the topic's fields; a field of kind "array" takes a (k,) array.
         """
+        self._append(self._channel(topic), time_ns, values)
+
+    def writer(self, topic: str) -> Callable[[int, Sequence[Any]], None]:
+        """Return :meth:`write` for one topic: what a loop calls several times a step."""
+        return partial(self._append, self._channel(topic))
+
+    def _append(self, channel: _Channel, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
+        if channel.has_arrays:
+            values = [v.tolist() if isinstance(v, np.ndarray) else v for v in values]
+        elif type(values) is np.ndarray:
+            values = values.tolist()
+        wall = time.time_ns() if self._wall_clock else time_ns
+        rows = self._rows
+        rows.append((channel, time_ns, wall, tuple(values)))
+        if len(rows) >= _MAX_BUFFERED_ROWS:
+            self.flush()
+
+    def _channel(self, topic: str) -> _Channel:
         try:
-            channel = self._channels[topic]
+            return self._channels[topic]
         except KeyError:
             raise KeyError(f"no topic {topic!r} in this log: {', '.join(self._channels)}") from None
-        if channel.has_arrays:
-            row = tuple(v.tolist() if isinstance(v, np.ndarray) else v for v in values)
-        elif type(values) is np.ndarray:
-            row = tuple(values.tolist())
-        else:
-            row = tuple(values)
-        wall = time.time_ns() if self._wall_clock else time_ns
-        self._rows.append((channel, time_ns, wall, row))
-        if len(self._rows) >= _MAX_BUFFERED_ROWS:
-            self.flush()
 
     def event(
         self, time_ns: int, kind: str, source: str, message: str, value: float = float("nan")
@@ -255,13 +264,16 @@ class _Channel:
 
     def encode(self, values: tuple[Any, ...]) -> bytes:
         """Return the JSON message; numbers that are not finite become null."""
-        names = self._topic.field_names
-        if len(values) != len(names):
+        try:
+            return _encode(self._message(*values))
+        except TypeError:
+            names = self._topic.field_names
+            if len(values) == len(names):
+                raise
             raise ValueError(
                 f"{self._topic.name} takes {len(names)} values ({', '.join(names)}), "
                 f"got {len(values)}: {values!r}"
-            )
-        return _encode(self._message(*values))
+            ) from None
 
 
 def _plain(value: Any) -> Any:

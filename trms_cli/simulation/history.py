@@ -7,11 +7,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
+#: Takes a time (ns) and a topic's values at that time.
+Writer = Callable[[int, Sequence[Any]], None]
+
 
 class Sink(Protocol):
     """Where a run's rows go; a :class:`trms_cli.recordings.run_log.RunLog` is one."""
 
-    def write(self, topic: str, time_ns: int, values: Sequence[Any]) -> None: ...
+    def writer(self, topic: str) -> Writer: ...
 
     def event(
         self, time_ns: int, kind: str, source: str, message: str, value: float = ...
@@ -38,18 +41,18 @@ class History:
         self._rows: dict[str, list[tuple[int, Sequence[Any]]]] = {name: [] for name in units}
         self.events: list[tuple[int, str, str, str, float]] = []
 
-    def writer(self, topic: str) -> Callable[[int, Sequence[Any]], None]:
+    def writer(self, topic: str) -> Writer:
         """A function ``(time_ns, values)`` for one topic; does nothing for a topic that is not kept."""
         if topic not in self.fields:
             return lambda time_ns, values: None
         rows = self._rows[topic]
         if self._sink is None:
             return lambda time_ns, values: rows.append((time_ns, values))
-        write = self._sink.write
+        write = self._sink.writer(topic)
 
         def both(time_ns: int, values: Sequence[Any]) -> None:
             rows.append((time_ns, values))
-            write(topic, time_ns, values)
+            write(time_ns, values)
 
         return both
 
