@@ -1,0 +1,214 @@
+"""Measured curves of rotors: speed and thrust against the command, as smooth functions.
+
+A table of steady values (``u[1],omega[rpm],thrust[N]``) becomes two functions of the speed: the
+command that holds it, H⁻¹(ω), and the thrust F(ω). Each is a least-squares cubic spline, so that
+the scatter of single points does not become slope, with continuous second derivatives for the
+Newton-type solvers. It has as many knots as it can have while it rises throughout; beyond the
+table it goes on straight.
+
+The spline is written in truncated powers, ``P(s) + Σ_j c_j max(0, s − s_j)³`` on a scaled speed
+s in [−1, 1]: a handful of operations a knot, without a branch, in any CasADi graph.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ModelError
+
+FloatArray = npt.NDArray[np.float64]
+
+_HEADER = "u[1],omega[rpm],thrust[N]"
+#: Factor to rad/s.
+_SPEED_UNITS = {"rad/s": 1.0, "rpm": np.pi / 30.0}
+_FEWEST_ROWS = 8
+#: Most pieces of a spline; a table has fewer when it is short or scattered.
+_MOST_PIECES = 16
+_POINTS_PER_PIECE = 4
+
+
+@dataclass(frozen=True)
+class StaticCurve:
+    """Steady values of a rotor at rising commands.
+
+    Attributes
+    ----------
+    command : (n,) array
+        Normalised, "1".
+    speed : (n,) array
+        rad/s, rising.
+    thrust : (n,) array
+        N.
+    """
+
+    command: FloatArray
+    speed: FloatArray
+    thrust: FloatArray
+
+
+@dataclass(frozen=True)
+class RisingSpline:
+    """A cubic spline that rises throughout, straight beyond its ends.
+
+    Attributes
+    ----------
+    centre, scale : float
+        The argument becomes ``s = (x − centre)/scale``, in [−1, 1].
+    polynomial : (4,) array
+        Of the first piece, in powers of s + 1 from the constant on.
+    knots, jumps : (m,) arrays
+        Where, in s, the third derivative jumps, and by how much (over 6).
+    slopes : (float, float)
+        df/ds at both ends.
+    """
+
+    centre: float
+    scale: float
+    polynomial: FloatArray
+    knots: FloatArray
+    jumps: FloatArray
+    slopes: tuple[float, float]
+
+    def __call__(self, x: ca.SX) -> ca.SX:
+        """The function as an expression."""
+        free = (x - self.centre) / self.scale
+        s = ca.fmin(ca.fmax(free, -1.0), 1.0)
+        from_left = s + 1.0
+        value = ca.SX(0)
+        for coefficient in self.polynomial[::-1]:
+            value = value * from_left + coefficient
+        for knot, jump in zip(self.knots, self.jumps, strict=True):
+            beyond = ca.fmax(s - knot, 0.0)
+            value += jump * beyond * beyond * beyond
+        outside = free - s
+        slope = ca.if_else(free < 0, self.slopes[0], self.slopes[1])
+        return value + slope * outside
+
+
+def rising_spline(x: FloatArray, y: FloatArray) -> RisingSpline | None:
+    """The least-squares spline of a table with the most pieces that rises; None if none does.
+
+    Parameters
+    ----------
+    x, y : (n,) arrays
+        x rising.
+    """
+    from scipy.interpolate import PPoly, make_lsq_spline
+
+    centre, scale = float(x[-1] + x[0]) / 2, float(x[-1] - x[0]) / 2
+    s = (x - centre) / scale
+    for pieces in range(min(_MOST_PIECES, len(x) // _POINTS_PER_PIECE), 0, -1):
+        inner = np.quantile(s, np.arange(1, pieces) / pieces)
+        knots = np.concatenate([[-1.0] * 4, inner, [1.0] * 4])
+        piecewise = PPoly.from_spline(make_lsq_spline(s, y, knots, k=3))
+        slope = piecewise.derivative()
+        if np.min(slope(np.linspace(-1.0, 1.0, 2001))) <= 0:
+            continue
+        # `from_spline` keeps the repeated end knots as pieces of no length.
+        real = np.flatnonzero(np.diff(piecewise.x) > 0)
+        cubic = piecewise.c[:, real]
+        return RisingSpline(
+            centre,
+            scale,
+            cubic[::-1, 0].copy(),
+            piecewise.x[real][1:].copy(),
+            np.diff(cubic[0]),
+            (float(slope(-1.0)), float(slope(1.0))),
+        )
+    return None
+
+
+def read_static_curve(path: str, where: str) -> StaticCurve:
+    """Read a table of steady values from CSV.
+
+    Parameters
+    ----------
+    path : str
+        Columns ``u[1]``, ``omega[rpm]`` or ``omega[rad/s]``, ``thrust[N]`` in any order; lines
+        that begin with ``#`` are skipped.
+    where : str
+        The configuration key, for messages.
+
+    Raises
+    ------
+    ModelError
+        If there is no such file, or its content is not such a table.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise ModelError(
+            f"cannot read {path!r}: {reason}",
+            where=where,
+            remedy=f"give a CSV of steady values with the header {_HEADER}",
+        ) from error
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise ModelError("the file is empty", where=path, remedy=f"it begins with {_HEADER}")
+    factors, order = _columns(lines[0][1], f"{path}:{lines[0][0]}")
+    table = np.array([_row(line, len(order), f"{path}:{number}") for number, line in lines[1:]])
+    if len(table) < _FEWEST_ROWS:
+        raise ModelError(
+            f"{len(table)} points given",
+            where=path,
+            remedy=f"a curve needs {_FEWEST_ROWS} points or more, over both directions",
+        )
+    u, omega, thrust = (table[:, order[name]] * factors[name] for name in ("u", "omega", "thrust"))
+    rising = np.argsort(u)
+    u, omega, thrust = u[rising], omega[rising], thrust[rising]
+    if np.any(np.diff(u) <= 0) or np.any(np.diff(omega) <= 0):
+        worst = int(np.argmin(np.diff(omega)))
+        raise ModelError(
+            f"the speed does not rise with the command between u = {u[worst]:g} and "
+            f"{u[worst + 1]:g}",
+            where=path,
+            remedy="give each command once, with the speed that it holds; leave a dead zone out",
+        )
+    return StaticCurve(u, omega, thrust)
+
+
+def _columns(header: str, where: str) -> tuple[dict[str, float], dict[str, int]]:
+    """Factor to SI and position of each column."""
+    factors: dict[str, float] = {}
+    order: dict[str, int] = {}
+    for position, cell in enumerate(header.split(",")):
+        name, _, unit = cell.strip().rstrip("]").partition("[")
+        allowed = {"u": {"1": 1.0}, "omega": _SPEED_UNITS, "thrust": {"N": 1.0}}.get(name, {})
+        if unit not in allowed or name in order:
+            raise ModelError(
+                f"column {cell.strip()!r} is not part of a static curve",
+                where=where,
+                remedy=f"write the header {_HEADER} (omega also in rad/s)",
+            )
+        factors[name], order[name] = allowed[unit], position
+    if len(order) < 3:
+        raise ModelError(
+            f"the header {header.strip()!r} lacks a column",
+            where=where,
+            remedy=f"write the header {_HEADER}",
+        )
+    return factors, order
+
+
+def _row(line: str, width: int, where: str) -> list[float]:
+    try:
+        row = [float(cell) for cell in line.split(",")]
+    except ValueError:
+        row = []
+    if len(row) != width or not np.isfinite(row).all():
+        raise ModelError(
+            f"{line.strip()!r} is no row of {width} numbers",
+            where=where,
+            remedy="write decimals with a point and separate columns by commas",
+        )
+    return row

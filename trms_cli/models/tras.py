@@ -1,0 +1,159 @@
+"""INTECO's two rotor aerodynamical system (TRAS), the TRMS's sister rig.
+
+Normalised commands u (±1 is ±24 V, PWM) turn the rotors by their static curves (sources in
+``configs/parameters/tras.yaml``); the beam is one thin rigid body on two axes::
+
+    ω̇  = K (u − H⁻¹(ω)) + w_motor/J_r
+    F_v = c_fv F(ω_v),  F_h = c_fh F(ω_h)                 F: thrust measured on the bench
+    J_v Ṡ_v = l_m F_v + k_hv u_h − k_ov S_v − gBA cos α_v − gC sin α_v
+              − ½ (D − E) S_h² sin 2α_v + w_pitch
+    J_h(α_v) Ṡ_h = (l_t F_h + k_vh u_v) cos α_v − k_oh S_h + (D − E) S_h S_v sin 2α_v + w_yaw
+    α̇_v = S_v,  α̇_h = S_h
+    J_h(α_v) = D cos²α_v + E sin²α_v
+
+The maker gives the inertias J_v and J_h with the beam level. For a body in the plane of the beam
+and the counterweight's rod they fix the rest: D = J_h, E = J_v − J_h. The centrifugal moment and
+the change of inertia are Lagrange's for that body, so that energy is kept without friction.
+
+The rotors act on the other axis by their command (k_hv, k_vh), as the maker's model has it, and
+not by their momentum: S is the angular rate itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.models.model import Axis, FloatArray, Model, Signal
+from trms_cli.models.parameters import ParameterSet, parameter_file
+from trms_cli.models.rotors import ParametricRotor, rotor_of
+
+
+class Tras(Model):
+    """Two rotor aerodynamical system.
+
+    Parameters
+    ----------
+    parameter_set : str
+        A built-in set (``tras``, ``tras_record``) or the path of a parameter file.
+    parameters : mapping
+        Other values for some parameters, in SI.
+    main_curve, tail_curve : str or None
+        Path of a rotor's measured static curve (CSV: ``u[1],omega[rpm],thrust[N]``), in place of
+        the coefficients of the parameter set, which then has none for this rotor.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown set or parameter.
+    ModelError
+        For a curve that cannot be used.
+    """
+
+    def __init__(
+        self,
+        *,
+        parameter_set: str = "tras",
+        parameters: Mapping[str, float] | None = None,
+        main_curve: str | None = None,
+        tail_curve: str | None = None,
+    ) -> None:
+        content = parameter_file(parameter_set)
+        self._main = rotor_of("v", main_curve, "model.main_curve")
+        self._tail = rotor_of("h", tail_curve, "model.tail_curve")
+        unused = {name for axis in "vh" for name in ParametricRotor(axis).parameter_names}
+        unused -= {*self._main.parameter_names, *self._tail.parameter_names}
+        known = content.parameter_set()
+        self.parameters = ParameterSet(
+            (parameter for parameter in known if parameter.name not in unused), known.name
+        ).replaced(parameters or {})
+
+        self.name = "tras"
+        self.states = (
+            Signal("omega_h", "rad/s", "speed of the tail rotor"),
+            Signal("S_h", "rad/s", "yaw angular momentum over inertia"),
+            Signal("alpha_h", "rad", "yaw angle"),
+            Signal("omega_v", "rad/s", "speed of the main rotor"),
+            Signal("S_v", "rad/s", "pitch angular momentum over inertia"),
+            Signal("alpha_v", "rad", "pitch angle, 0 with the beam level"),
+        )
+        self.inputs = (
+            Signal("u_v", "1", "command of the main rotor, 1: full"),
+            Signal("u_h", "1", "command of the tail rotor, 1: full"),
+        )
+        self.outputs = tuple(
+            self.states[self.state_index(name)]
+            for name in ("alpha_v", "alpha_h", "omega_v", "omega_h")
+        )
+        self.disturbances = (
+            Signal("pitch_moment", "N*m", "torque on pitch"),
+            Signal("yaw_moment", "N*m", "torque on yaw"),
+            Signal("main_motor", "N*m", "torque on the main rotor"),
+            Signal("tail_motor", "N*m", "torque on the tail rotor"),
+        )
+        limits = {"u_v": 1.0, "u_h": 1.0, "alpha_v": np.inf, "alpha_h": np.inf} | content.limits
+        self.controlled = ("alpha_v", "alpha_h")
+        self.input_limits = {name: limits[name] for name in ("u_v", "u_h")}
+        self.stops = {name: limits[name] for name in self.controlled}
+        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.rotors = {"main": "u_v", "tail": "u_h"}
+
+    def rest(self) -> FloatArray:
+        x = np.zeros(self.n_x)
+        gravity = {name: self.parameters[name].value for name in ("gBA", "gC")}
+        x[self.state_index("alpha_v")] = -np.arctan2(gravity["gBA"], gravity["gC"])
+        return x
+
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        return self._equations(x, u, p, w)[0]
+
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        return ca.vertcat(*(x[self.state_index(signal.name)] for signal in self.outputs))
+
+    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
+        return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
+
+    def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """All rows, and the quantities met on the way."""
+        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        omega_h, rate_h, omega_v, rate_v, alpha_v = x[0], x[1], x[3], x[4], x[5]
+        u_v, u_h = u[0], u[1]
+        pitch_moment, yaw_moment, main_motor, tail_motor = w[0], w[1], w[2], w[3]
+
+        thrust_v = c["c_fv"] * self._main.thrust(omega_v, c)
+        thrust_h = c["c_fh"] * self._tail.thrust(omega_h, c)
+        along, across = c["J_h"], c["J_v"] - c["J_h"]  # D and E
+        inertia_h = along * ca.cos(alpha_v) ** 2 + across * ca.sin(alpha_v) ** 2
+        gravity = -c["gBA"] * ca.cos(alpha_v) - c["gC"] * ca.sin(alpha_v)
+        swing = (along - across) * rate_h * ca.sin(2 * alpha_v)
+        moment_v = (
+            c["l_m"] * thrust_v
+            + c["k_hv"] * u_h
+            - c["k_ov"] * rate_v
+            + gravity
+            - 0.5 * swing * rate_h
+            + pitch_moment
+        )
+        moment_h = (
+            (c["l_t"] * thrust_h + c["k_vh"] * u_v) * ca.cos(alpha_v)
+            - c["k_oh"] * rate_h
+            + swing * rate_v
+            + yaw_moment
+        )
+        rows = ca.vertcat(
+            c["K_h"] * (u_h - self._tail.held_by(omega_h, c)) + tail_motor / c["J_tr"],
+            moment_h / inertia_h,
+            rate_h,
+            c["K_v"] * (u_v - self._main.held_by(omega_v, c)) + main_motor / c["J_mr"],
+            moment_v / c["J_v"],
+            rate_v,
+        )
+        return rows, {
+            "thrust_main": thrust_v,
+            "thrust_tail": thrust_h,
+            "inertia_pitch": c["J_v"],
+            "inertia_yaw": inertia_h,
+            "gravity_moment": gravity,
+        }
