@@ -261,6 +261,11 @@ class TestSweep:
         assert output.err.count("two is bad") == 2
         assert not list(tmp_path.rglob(".hydra"))
 
+    def test_the_configuration_of_the_first_job(self, trms, own):
+        config = _shown(trms, *own, "-m", "seed=5,6", "effect=late,sticky")
+        assert config["seed"] == 5
+        assert set(config["effect"]) == {"late"}
+
     def test_all_done(self, own, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         assert execute([*own, "-m", "seed=1,4"], "run", self.task) == 0

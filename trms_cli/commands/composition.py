@@ -95,11 +95,14 @@ def execute(argv: Sequence[str], primary: str, task: Task) -> int:
         Exit code; that of a sweep is 1 when any job failed.
     """
     request = read_request(argv)
-    if request.multirun and not request.show:
-        from trms_cli.commands.sweep import sweep
+    if request.multirun:
+        from trms_cli.commands.sweep import first_job, sweep
 
-        return sweep(request, primary, task)
-    composition = _compose(request._replace(multirun=False), primary)
+        if not request.show:
+            return sweep(request, primary, task)
+        composition = first_job(request, primary)
+    else:
+        composition = _compose(request, primary)
     if request.show:
         sys.stdout.write(composition.yaml)
         return EXIT_OK

@@ -94,8 +94,9 @@ def _python() -> list[Finding]:
 
 def _packages() -> list[Finding]:
     """Every package that trms requires, as its own metadata lists them, imported or not."""
-    import re
     from importlib import metadata
+
+    from packaging.requirements import Requirement
 
     try:
         required = metadata.requires("trms-cli") or []
@@ -103,16 +104,14 @@ def _packages() -> list[Finding]:
         return [Finding("packages", BROKEN, "trms is not installed", "pip install trms-cli")]
     findings: list[Finding] = []
     versions: list[str] = []
-    for requirement in required:
-        if "extra ==" in requirement:
+    for requirement in map(Requirement, required):
+        if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
             continue
-        name = re.match(r"[\w.-]+", requirement)
-        assert name is not None
         try:
-            versions.append(f"{name[0]} {metadata.version(name[0])}")
+            versions.append(f"{requirement.name} {metadata.version(requirement.name)}")
         except metadata.PackageNotFoundError:
-            remedy = f"pip install '{requirement.split(';')[0].strip()}'"
-            findings.append(Finding(name[0], BROKEN, "not installed", remedy))
+            remedy = f"pip install '{requirement.name}{requirement.specifier}'"
+            findings.append(Finding(requirement.name, BROKEN, "not installed", remedy))
     rows = [", ".join(versions[i : i + 4]) for i in range(0, len(versions), 4)]
     return [
         *(Finding("packages" if i == 0 else "", OK, row) for i, row in enumerate(rows)),

@@ -24,7 +24,7 @@ from trms_cli.commands.catalogue import (
     read_groups,
     read_primary,
 )
-from trms_cli.commands.composition import Outcome, Task, checked
+from trms_cli.commands.composition import Composition, Outcome, Task, checked, compose
 from trms_cli.commands.composition_errors import explained
 from trms_cli.commands.overrides import Request, parse, prepare, quoted
 from trms_cli.commands.run_folder import new_folder
@@ -92,7 +92,7 @@ def sweep(request: Request, primary: str, task: Task) -> int:
     request = request._replace(overrides=rest)
     overrides = prepare(request, declared, groups)
     make_importable(request.config_dirs)
-    _check_each_choice(overrides, request, primary)
+    _first_job(overrides, request, primary)
 
     folder = new_folder(None if out in (None, "null", "") else out.strip("'\""), f"{primary}-sweep")
     settings = [
@@ -109,14 +109,23 @@ def sweep(request: Request, primary: str, task: Task) -> int:
         if not any(folder.glob(f"*/{STATUS_FILE}")):  # refused before the first job
             shutil.rmtree(folder)
         raise
+    except KeyboardInterrupt:
+        _tell(folder)
+        raise
     return _tell(folder)
 
 
-def _check_each_choice(overrides: Sequence[str], request: Request, primary: str) -> None:
+def first_job(request: Request, primary: str) -> Composition:
+    """The configuration of a sweep's first job, for ``-m --cfg job``."""
+    declared = read_primary(primary, request.config_dirs)
+    return _first_job(
+        prepare(request, declared, read_groups(request.config_dirs)), request, primary
+    )
+
+
+def _first_job(overrides: Sequence[str], request: Request, primary: str) -> Composition:
     """Compose the first job alone: its errors name the key, those inside a sweep do not."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
-
-    from trms_cli.commands.composition import compose
 
     first = []
     for override in OverridesParser.create().parse_overrides(list(overrides)):
@@ -129,7 +138,7 @@ def _check_each_choice(overrides: Sequence[str], request: Request, primary: str)
             continue
         first.append(text)
     folders = [word for place in request.config_dirs for word in ("--config-dir", str(place))]
-    compose([*folders, *first], primary)
+    return compose([*folders, *first], primary)
 
 
 def _hydra_main(overrides: Sequence[str], primary: str, job: _Job, request: Request) -> None:
