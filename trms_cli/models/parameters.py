@@ -216,7 +216,7 @@ def parse_parameter_file(text: str, source: str) -> ParameterFile:
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        content = _numbers(yaml.load(text, loader))  # noqa: S506 (a safe loader)
+        content = _numbers(yaml.load(text, loader))
         return msgspec.convert(content, ParameterFile)
     except yaml.YAMLError as error:
         raise ModelError(
