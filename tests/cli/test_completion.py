@@ -112,13 +112,14 @@ def test_a_press_of_tab_in_an_interactive_bash(executable, tmp_path):
     try:
         os.write(master, b"source <(trms completion bash); echo loa''ded\n")
         _read_until(master, "loaded")
-        os.write(master, b"trms run sim.dur\t5 model=newtonian_f\t seed=1\n")
-        output = _read_until(master, "seed=1>")
+        os.write(master, b"trms run sim.dur\t5 model=newtonian_f\t 'effect=[yaw_cou\t] seed=1\n")
+        output = _read_until(master, "seed=1>")  # bash closes the quote that was opened
     finally:
         shell.kill()
         shell.wait()
         os.close(master)
-    assert "<run><sim.duration=5><model=newtonian_full><seed=1>" in output
+    choices = "<model=newtonian_full><effect=[yaw_coulomb_friction]>"
+    assert f"<run><sim.duration=5>{choices}<seed=1>" in output
 
 
 def _read_until(descriptor: int, words: str, seconds: float = 30.0) -> str:

@@ -27,13 +27,15 @@ examples
 """
 
 # Bash takes `=`, `:` and `@` as ends of a word (COMP_WORDBREAKS): what stands before the last
-# of them must not come back. A word that goes on (`controller=`, `effect=[a`) gets no space.
+# of them must not come back, unless the word is quoted. A word that goes on (`controller=`,
+# `effect=[a`) gets no space.
 _BASH = r"""
 _trms_complete() {
     local line=${COMP_LINE:0:COMP_POINT} word kept reply
     word=${line##*[[:space:]]}
     kept=""
     case $word in
+        [\'\"]*) ;;
         *[=:@]*) kept=${word%"${word##*[=:@]}"} ;;
     esac
     COMPREPLY=()
@@ -50,7 +52,8 @@ complete -F _trms_complete trms
 _ZSH = r"""
 _trms_complete() {
     local -a replies
-    replies=("${(@f)$("${words[1]}" completion --query "$LBUFFER" 2>/dev/null)}")
+    local line="${(j: :)words[1,CURRENT-1]} $PREFIX"
+    replies=("${(@f)$("${words[1]}" completion --query "$line" 2>/dev/null)}")
     [[ -n "$replies" ]] && compadd -Q -U -S '' -- "${replies[@]}"
 }
 compdef _trms_complete trms

@@ -36,7 +36,7 @@ def suggest(line: str) -> list[str]:
     list of str
         Whole words; one that ends in ``=``, ``.``, ``/``, ``[`` or ``,`` goes on.
     """
-    *before, word = re.split(r"\s+", line.lstrip())
+    *before, word = (part.lstrip("'\"") for part in re.split(r"\s+", line.lstrip()))
     before = before[1:]
     if not before:
         return _starting(word, [*COMMANDS, "--help", "--version"])
