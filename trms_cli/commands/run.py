@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -16,25 +17,64 @@ COMPOSES = "run"
 
 HELP = """\
 usage: trms run [GROUP=OPTION]… [KEY=VALUE]… [-m] [--cfg job] [--config-dir DIR]…
+       trms run --from LOG [GROUP=OPTION]… [KEY=VALUE]…
+
+Closes the loop once and leaves a folder with the log (run.mcap), the score (score.json) and a
+picture (run.png). The same configuration and seed give the same run, byte for byte.
+
+examples
+  trms run controller=pid ref=sine                          another controller, another reference
+  trms run ref.alpha_h.amplitude=0.3 sim.duration=40        rad, s
+  trms run signal@ref.alpha_v=sawtooth                      one axis follows something else
+  trms run effect=yaw_coulomb_friction effect.yaw_coulomb_friction.torque=0.01    N m
+  trms run effect=[tail_dead_zone,main_input_delay]         what the model does not know
+  trms run plant.parameters.k_g=0.1 plant.prior_seed=3      a rig that differs from the model
+  trms run disturbance@plant.disturbances=[yaw_push]        a push that nobody announces
+  trms run -m controller=pid,lqr,newton_mpc seed=1,2,3      nine runs, one after another
+  trms run controller=pid --cfg job                         every key with its value, no run
+  trms run --from outputs/…/run.mcap                        that run again, bit for bit
+  trms run --from outputs/…/run.mcap controller=lqr         the same, but for the controller
+  trms run --config-dir mylab/configs controller=mine       a plugin of your own
+
+options
+  --from LOG         repeat the run of a log; what follows changes it
+  -m, --multirun     one run for each combination of the values that commas part
+  --cfg job          print the composed configuration and stop
+  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
 """
 
 LOG_NAME = "run.mcap"
+SCORE_NAME = "score.json"
+PICTURE_NAME = "run.png"
 
 
 def main(argv: Sequence[str]) -> int:
     """Compose and run."""
-    return execute(argv, COMPOSES, perform)
+    from trms_cli.commands.run_repeat import repeat, take_log
+
+    log, rest = take_log(argv)
+    with _rare_collection():
+        if log is not None:
+            return repeat(log, rest, COMPOSES, perform)
+        return execute(rest, COMPOSES, perform)
 
 
 def perform(composition: Composition) -> Outcome:
     """Run one composed experiment: log it, score it, print and draw it."""
+    from trms_cli.commands import run_replay
+
+    if run_replay.is_replay(composition.config):
+        return run_replay.perform_replay(composition)
     from trms_cli.commands import run_assembly as assembly
+    from trms_cli.commands.git_revision import GitRevision
     from trms_cli.commands.run_screen import RunScreen
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
 
+    begin = perf_counter()
+    assembly.check_files(composition.config)
     experiment = assembly.experiment_of(composition.config)
-    folder: list[Path] = []
+    revision = GitRevision.ask()
     logs: list[Any] = []
 
     def make_history(plant: Any) -> History:
@@ -42,41 +82,67 @@ def perform(composition: Composition) -> Outcome:
         from trms_cli.recordings.run_log import RunLog
 
         topics = assembly.topics_of(experiment, plant)
-        folder.append(composition.folder("run"))
         log = RunLog(
-            folder[0] / LOG_NAME,
+            composition.folder("run") / LOG_NAME,
             topics,
-            assembly.run_metadata(composition, experiment.model, plant),
+            assembly.run_metadata(composition, experiment.model, plant, revision.answer()),
             assembly.attachments(composition, experiment.model, getattr(plant, "parameters", None)),
         )
         logs.append(log)
         return History({topic.name: _units(topic) for topic in topics}, log)
 
-    loop = Loop.start(experiment, make_history)
-    log = logs[0]
-    screen = RunScreen(experiment.duration, sys.stderr)
-    begin = perf_counter()
-    try:
-        with screen:
-            loop.run(screen.progress)
-    except KeyboardInterrupt:
-        log.close("interrupted", _score(loop, log.path, complete=False))
-        screen.say_interrupted(log.path, loop.done * experiment.sample_time)
-        return Outcome(EXIT_INTERRUPTED)
-    except BaseException:
-        log.close("failed")
-        raise
-    spent = perf_counter() - begin
-    score = _score(loop, log.path, complete=True)
-    log.close("completed", score)
-    picture = None
-    if composition.config["picture"]:
-        from trms_cli.reporting.run_picture import draw_run
-
-        picture = folder[0] / "run.png"
-        draw_run(loop.history, score, picture, title=_title(composition))
-    screen.say_finished(score, log.path, picture, spent)
+    with _painter(composition) as painter:
+        try:
+            loop = Loop.start(experiment, make_history)
+        except Exception as error:
+            assembly.raise_explained(error, experiment, 0.0)
+        log = logs[0]
+        screen = RunScreen(composition, experiment, log.path)
+        try:
+            with screen:
+                loop.run(screen.progress)
+        except KeyboardInterrupt:
+            score = _score(loop, log.path, complete=False)
+            log.close("interrupted", score)
+            screen.say_interrupted(loop.done * experiment.sample_time)
+            return Outcome(EXIT_INTERRUPTED)
+        except BaseException as error:
+            log.close("failed")
+            if isinstance(error, Exception):
+                reached = loop.done * experiment.sample_time
+                assembly.raise_explained(error, experiment, reached, log.path)
+            raise
+        score = _score(loop, log.path, complete=True)
+        log.close("completed", score)
+        _write_score(score, log.path.with_name(SCORE_NAME))
+        picture = log.path.with_name(PICTURE_NAME) if composition.config["picture"] else None
+        if picture is not None:
+            words = {"title": _title(composition), "limits": _limits(loop)}
+            painter.draw(loop.history, score, picture, **words)
+    screen.say_finished(score, picture, perf_counter() - begin)
     return Outcome(EXIT_OK, _objective(score))
+
+
+@contextmanager
+def _rare_collection() -> Iterator[None]:
+    """Look for unused objects rarely: what start-up and history hold stays in use to the end.
+
+    Looking through it again and again costs a tenth of a short run.
+    """
+    before = gc.get_threshold()
+    gc.set_threshold(100_000, 50, 1000)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+def _painter(composition: Composition) -> Any:
+    """Who draws: beside the run, which hides the plotting library's start; in a sweep, in line."""
+    from trms_cli.reporting.painter import Painter
+
+    wanted = bool(composition.config["picture"])
+    return Painter(beside=wanted and composition.job is None)
 
 
 def _units(topic: Any) -> dict[str, str]:
@@ -92,20 +158,36 @@ def _score(loop: Any, path: Path, *, complete: bool) -> dict[str, Any]:
         for topic in history.fields
         if topic != "/prediction"
     }
+    return score_tables(
+        tables,
+        limits=_limits(loop),
+        duration_s=loop.done * loop.experiment.sample_time,
+        log=str(path),
+        complete=complete,
+    )
+
+
+def _limits(loop: Any) -> dict[str, tuple[float, float]]:
+    """Of the inputs (V) and of the angles (rad), by name."""
     lower, upper = loop.plant.input_limits
     limits = {
         signal.name: (low, high)
         for signal, low, high in zip(loop.plant.inputs, lower.tolist(), upper.tolist(), strict=True)
     }
-    stops = loop.experiment.model.stops
-    limits |= {name: (-stop, stop) for name, stop in stops.items()}
-    return score_tables(
-        tables,
-        limits=limits,
-        duration_s=loop.done * loop.experiment.sample_time,
-        log=str(path),
-        complete=complete,
-    )
+    return limits | {name: (-stop, stop) for name, stop in loop.experiment.model.stops.items()}
+
+
+def _write_score(score: dict[str, Any], path: Path) -> None:
+    """The JSON twin of what is printed."""
+    import json
+
+    from trms_cli.recordings.output_file import explain_os_error
+
+    text = json.dumps(score, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise explain_os_error(error, path) from error
 
 
 def _objective(score: dict[str, Any]) -> float | None:

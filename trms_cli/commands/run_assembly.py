@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import shlex
-import subprocess
 import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
 
@@ -25,6 +23,8 @@ from trms_cli.recordings.topics import Field, Topic, standard_topics
 from trms_cli.scoring.score import LIMITS_KEY
 from trms_cli.simulation.closed_loop import Experiment
 
+#: Keys of the log's ``trms.run`` record, each with JSON: what ``trms run --from LOG`` reads.
+OVERRIDES_KEY, CONFIG_DIRS_KEY, VERSIONS_KEY = "overrides", "config_dirs", "versions"
 #: Packages whose version may change a figure of a run.
 _COMPUTING_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "hydra-core", "mcap")
 
@@ -49,6 +49,57 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
         seed=whole_number(config["seed"], "seed"),
         prediction_every=whole_number(simulation["prediction_every"], "sim.prediction_every"),
     )
+
+
+def check_files(config: Mapping[str, Any]) -> None:
+    """Refuse what ``out`` and ``picture`` cannot be, before any work is done.
+
+    Raises
+    ------
+    ConfigurationError
+        For the first key that is wrong.
+    """
+    from trms_cli.core.errors import ConfigurationError
+
+    out, picture = config["out"], config["picture"]
+    if out is not None and not (isinstance(out, str) and out):
+        raise ConfigurationError(f"{out!r} given", where="out", remedy="name a folder, or null")
+    if not isinstance(picture, bool):
+        raise ConfigurationError(f"{picture!r} given", where="picture", remedy="true or false")
+
+
+def raise_explained(
+    error: Exception, experiment: Experiment, time: float, log: Path | None = None
+) -> NoReturn:
+    """Raise an exception of a plugin as a message that names it; any other as it is.
+
+    Parameters
+    ----------
+    time : float
+        Simulated time that was reached, s.
+    log : Path or None
+        Where the run up to there can be read.
+    """
+    from trms_cli.commands.plugin_failure import plugin_failure
+    from trms_cli.core.errors import TrmsError
+
+    if isinstance(error, TrmsError):
+        failure: TrmsError | None = error
+    else:
+        parts = {
+            "controller": experiment.controller,
+            "observer": experiment.observer,
+            "plant": experiment.plant,
+        }
+        failure = plugin_failure(error, parts, time)
+    if failure is None:
+        raise error
+    if log is not None and str(log) != failure.where:
+        kept = f"the log up to {time:.2f} s: {log}"
+        failure.remedy = f"{failure.remedy}\n{kept}" if failure.remedy else kept
+    if failure is error:
+        raise error
+    raise failure from error
 
 
 def number(value: Any, where: str) -> float:
@@ -88,7 +139,7 @@ def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
     model = experiment.model
     states = [_field(signal) for signal in model.states]
     controlled = [states[model.state_index(name)] for name in model.controlled]
-    return standard_topics(
+    topics = standard_topics(
         references=controlled,
         inputs=[_field(signal) for signal in plant.inputs],
         outputs=[_field(signal) for signal in plant.outputs],
@@ -96,7 +147,9 @@ def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
         estimates=[*states, *(_field(signal) for signal in model.disturbances)],
         disturbances=[],
         controller=True,
-    ) + [
+    )
+    return [
+        *topics,
         Topic(
             "/prediction",
             tuple(
@@ -108,11 +161,13 @@ def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
                 )
             ),
             "The controller's predicted trajectories over the horizon",
-        )
+        ),
     ]
 
 
-def run_metadata(composition: Composition, model: Model, plant: PlantRun) -> dict[str, str]:
+def run_metadata(
+    composition: Composition, model: Model, plant: PlantRun, revision: str
+) -> dict[str, str]:
     """What the log says of the run besides its samples."""
     lower, upper = plant.input_limits
     limits = {
@@ -123,10 +178,11 @@ def run_metadata(composition: Composition, model: Model, plant: PlantRun) -> dic
     return {
         "command": shlex.join(["trms", *sys.argv[1:]]),
         "seed": str(composition.config["seed"]),
-        "git": git_revision(),
-        "versions": json.dumps(_versions()),
+        "git": revision,
+        VERSIONS_KEY: json.dumps(versions()),
         "platform": platform.platform(),
-        "overrides": json.dumps(list(composition.overrides)),
+        OVERRIDES_KEY: json.dumps(list(composition.overrides)),
+        CONFIG_DIRS_KEY: json.dumps([str(folder) for folder in composition.config_dirs]),
         LIMITS_KEY: json.dumps(limits),
     }
 
@@ -145,26 +201,8 @@ def attachments(
     }
 
 
-def git_revision() -> str:
-    """Revision of the checkout that the program runs from; empty when it is installed."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return ""
-    try:
-        found = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=5,
-            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return found.stdout.strip()
-
-
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of what computes, by package."""
     found = {"trms": __version__, "python": platform.python_version()}
     for package in _COMPUTING_PACKAGES:
         try:

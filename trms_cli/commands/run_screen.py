@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
+import os
+import shlex
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
-from typing import Any, Self, TextIO
+from typing import TYPE_CHECKING, Any, Self, TextIO
+
+if TYPE_CHECKING:
+    from trms_cli.commands.composition import Composition
+    from trms_cli.simulation.closed_loop import Experiment
+
+#: The figures that tell most of a channel: key, label, unit ({} is the channel's).
+_TRACKING = (
+    ("rmse", "RMSE", "{}"),
+    ("overshoot_percent", "overshoot", "%"),
+    ("settling_time_s", "settling time", "s"),
+    ("steady_state_error", "steady-state error", "{}"),
+)
+_WORST_OF_STEPS = ("overshoot_percent", "settling_time_s")
 
 
 class RunScreen:
-    """Progress on a stream that is a terminal; silence elsewhere.
+    """Progress on standard error if that is a terminal; the score on standard output.
 
     Parameters
     ----------
-    duration : float
-        Simulated time of the whole run, s.
-    stream : text stream
+    composition : Composition
+    experiment : Experiment
+    log : Path
     """
 
     #: A run that ends before this needs no bar (s), and none of the time that drawing it takes.
     _PATIENCE = 0.5
 
-    def __init__(self, duration: float, stream: TextIO) -> None:
-        self._duration, self._stream = duration, stream
+    def __init__(self, composition: Composition, experiment: Experiment, log: Path) -> None:
+        self._composition, self._experiment, self._log = composition, experiment, log
+        self._stream = sys.stderr
         self._bar: Any = None
         self._task: Any = None
+        self._visible = self._stream.isatty()
         self._begin = perf_counter()
-        self._visible = stream.isatty()
+        self._spent = 0.0
 
     def __enter__(self) -> Self:
         self._begin = perf_counter()
@@ -38,6 +57,7 @@ class RunScreen:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._spent = perf_counter() - self._begin
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
@@ -48,27 +68,167 @@ class RunScreen:
         if not self._visible or spent < self._PATIENCE:
             return
         if self._bar is None:
-            self._bar, self._task = _bar(self._duration, self._stream)
+            self._bar, self._task = _bar(self._experiment.duration, self._stream)
             self._bar.start()
-        speed = time / spent
-        self._bar.update(self._task, completed=time, speed=f"{speed:.0f}×", error=f"{error:.3f}")
+        speed = f"{time / spent:.0f}× real time"
+        self._bar.update(self._task, completed=time, speed=speed, error=f"error {error:.3f} rad")
 
-    def say_interrupted(self, log: Path, time: float) -> None:
+    def say_interrupted(self, time: float) -> None:
         """Where the log of an interrupted run is."""
-        self._stream.write(f"\ninterrupted at {time:.2f} s; the log up to there: {log}\n")
+        self._stream.write(
+            f"\ninterrupted at {time:.2f} s; the log up to there is complete and readable\n"
+            f"  log  {self._log}\n"
+            f"  try  trms score {shlex.quote(str(self._log))}\n"
+        )
 
-    def say_finished(
-        self, score: dict[str, Any], log: Path, picture: Path | None, spent: float
-    ) -> None:
-        """The score, and where the files are."""
-        from trms_cli.commands.score import print_score
+    def say_finished(self, score: dict[str, Any], picture: Path | None, whole: float) -> None:
+        """The score in short, the files, and what to do next; one line for a job of a sweep."""
+        if self._composition.job is not None:
+            print(self._job_line(score))
+            return
+        bold = ("\033[1m", "\033[0m") if _has_colour(sys.stdout) else ("", "")
+        for line in self._lines(score, picture, whole):
+            head = line[:10].rstrip()
+            if head and not head.startswith(" "):
+                line = f"{bold[0]}{head}{bold[1]}{line[len(head) :]}"
+            print(line)
 
-        print_score(score)
-        speed = score["duration_s"] / spent if spent > 0 else float("inf")
-        print(f"\n{score['duration_s']:g} s simulated in {spent:.2f} s ({speed:.0f}× real time)")
-        print(f"log      {log}")
+    def _lines(self, score: dict[str, Any], picture: Path | None, whole: float) -> Iterator[str]:
+        yield f"run        {self._what()}"
+        yield ""
+        yield from _channel_lines(score["channels"])
+        yield from _input_lines(score["inputs"])
+        yield from _estimate_lines(score["estimate"])
+        yield from _solver_lines(score["solver"])
+        yield from _violation_lines(score["constraint_violations"])
+        yield ""
+        speed = score["duration_s"] / self._spent if self._spent > 0 else float("inf")
+        yield (
+            f"time       {score['duration_s']:g} s simulated in {self._spent:.2f} s "
+            f"({speed:.0f}× real time), {whole:.2f} s in all"
+        )
+        yield f"log        {self._log}"
         if picture is not None:
-            print(f"picture  {picture}")
+            yield f"picture    {picture}"
+        log = shlex.quote(str(self._log))
+        yield ""
+        yield f"next       trms score {log}"
+        yield f"           trms export {log}"
+        yield f"           trms run --from {log} {self._another()}"
+
+    def _what(self) -> str:
+        e, choices = self._experiment, self._composition.choices
+        parts = [str(choices.get("controller")), f"ref {choices.get('ref')}"]
+        parts += [f"{group} {choices.get(group)}" for group in ("observer", "plant")]
+        effects = choices.get("effect")
+        if effects:
+            parts.append(f"effect {', '.join(effects)}")
+        return f"{' · '.join(parts)} · {e.duration:g} s at {1 / e.sample_time:g} Hz"
+
+    def _another(self) -> str:
+        """An override that would be interesting next."""
+        effects = self._composition.choices.get("effect")
+        if self._composition.choices.get("plant") == "simulated" and not effects:
+            return "effect=yaw_coulomb_friction"
+        return "ref=sine" if self._composition.choices.get("ref") != "sine" else "ref=square"
+
+    def _job_line(self, score: Mapping[str, Any]) -> str:
+        figures = [
+            f"{name} {_number(channel['rmse'])} {channel['unit']}"
+            for name, channel in score["channels"].items()
+        ]
+        what = " ".join(self._composition.overrides) or self._what()
+        return f"{self._composition.job:>4}  {what}  RMSE {', '.join(figures) or '–'}"
+
+
+def _channel_lines(channels: Mapping[str, Any]) -> Iterator[str]:
+    if not channels:
+        return
+    yield _row("tracking", "", channels)
+    units = {channel["unit"] for channel in channels.values()}
+    unit = units.pop() if len(units) == 1 else ""
+    steps = max(channel["steps"] for channel in channels.values())
+    for key, label, of in _TRACKING:
+        values = [channel[key] for channel in channels.values()]
+        if all(value is None for value in values):
+            continue
+        note = f"worst of {steps} steps" if key in _WORST_OF_STEPS and steps > 1 else ""
+        yield _row(f"  {label}", of.format(unit), map(_number, values), note)
+    unsettled = sum(channel["unsettled_steps"] for channel in channels.values())
+    if unsettled:
+        yield f"  {unsettled} steps had not settled when the next one came"
+
+
+def _input_lines(inputs: Mapping[str, Any]) -> Iterator[str]:
+    if not inputs:
+        return
+    yield _row("inputs", "", inputs)
+    yield _row("  effort ∫u²dt", "V² s", (_number(u["effort"]) for u in inputs.values()))
+    shares = [u["saturation_share"] for u in inputs.values()]
+    if any(share is not None for share in shares):
+        percent = (None if share is None else 100 * share for share in shares)
+        yield _row("  at a limit", "% of time", map(_number, percent))
+
+
+def _estimate_lines(estimate: Mapping[str, Any]) -> Iterator[str]:
+    parts = []
+    errors = {n: v for n, v in estimate["rmse"].items() if n.startswith("alpha") and v}
+    if errors:
+        parts.append("RMSE " + ", ".join(f"{n} {_number(v)} rad" for n, v in errors.items()))
+    if estimate["nees_mean"] is not None:
+        expected = _number(estimate["nees_expected"])
+        parts.append(f"NEES {_number(estimate['nees_mean'])} ({expected} is consistent)")
+    if not errors and estimate["nees_mean"] is None:
+        steps = estimate["prediction_rmse"].items()
+        figures = ", ".join(f"{n} {_number(v)}" for n, v in steps if v)
+        if figures:
+            parts.append(f"1-step prediction RMSE {figures}")
+    if parts:
+        yield f"estimate   {', '.join(parts)}"
+
+
+def _solver_lines(solver: Mapping[str, Any]) -> Iterator[str]:
+    times = solver["time_ms"]
+    if times["median"] is None:
+        return
+    figures = ", ".join(f"{_number(times[key])} {key}" for key in ("median", "p99", "max"))
+    troubles = [
+        f"{solver[key]} {words if solver[key] != 1 else words.replace('s ', ' ', 1)}"
+        for key, words in (("deadline_misses", "deadlines missed"), ("failures", "solves failed"))
+        if solver[key]
+    ]
+    yield f"solver     {figures} ms a step; {', '.join(troubles) or 'no deadline missed'}"
+
+
+def _violation_lines(violations: Mapping[str, Any]) -> Iterator[str]:
+    for name, found in violations.items():
+        if found["samples"]:
+            worst = f"{_number(found['worst'])} {found['unit']}"
+            yield f"limits     {name} beyond its limit on {found['samples']} samples, by {worst}"
+
+
+def _row(label: str, unit: str, values: Any, note: str = "") -> str:
+    cells = "".join(f"{value:>11}" for value in values)
+    return f"{label:<21}{unit:<10}{cells}   {note}".rstrip()
+
+
+def _number(value: float | int | None) -> str:
+    """Three digits; a dash for what does not exist, 0 for what rounding made."""
+    if value is None:
+        return "–"
+    if isinstance(value, int):
+        return str(value)
+    if abs(value) < 1e-9:
+        return "0"
+    if not 1e-3 <= abs(value) < 1e5:
+        return f"{value:.1e}"
+    return f"{value:.3g}"
+
+
+def _has_colour(stream: TextIO) -> bool:
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return False
+    return stream.isatty()
 
 
 def _bar(duration: float, stream: TextIO) -> tuple[Any, Any]:
@@ -76,11 +236,11 @@ def _bar(duration: float, stream: TextIO) -> tuple[Any, Any]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     bar = Progress(
-        TextColumn("{task.completed:6.1f} / {task.total:g} s"),
-        BarColumn(),
-        TextColumn("{task.fields[speed]} real time"),
-        TextColumn("error {task.fields[error]} rad"),
-        TimeRemainingColumn(),
+        TextColumn("{task.completed:.0f} / {task.total:g} s"),
+        BarColumn(bar_width=20),
+        TextColumn("{task.fields[speed]}"),
+        TextColumn("{task.fields[error]}"),
+        TimeRemainingColumn(compact=True),
         console=Console(file=stream),
         transient=True,
     )

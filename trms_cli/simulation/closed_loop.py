@@ -17,9 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup
-from trms_cli.controllers.controller import Status
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.controllers.controller import (
+    Command,
+    Controller,
+    ControlSample,
+    ControlSetup,
+    Status,
+)
+from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import Estimate, Observer, ObserverSetup
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
@@ -104,8 +109,9 @@ class Loop:
     history: History
     _observer_state: Any
     _controller_state: Any
-    _saturated: list[bool] = field(default_factory=list)
     done: int = 0
+    _saturated: set[str] = field(default_factory=set)
+    _not_finite: set[str] = field(default_factory=set)
 
     @classmethod
     def start(cls, experiment: Experiment, make_history: Callable[[PlantRun], History]) -> Loop:
@@ -114,7 +120,8 @@ class Loop:
         Parameters
         ----------
         make_history : callable
-            Given the plant, returns where its run is kept.
+            Given the plant, returns where its run is kept. Called last: a plugin that refuses
+            its configuration leaves no file behind.
         """
         e = experiment
         ratio = e.samples_per_control
@@ -139,15 +146,10 @@ class Loop:
             plant.measure(),
             plant.first_command,
         )
+        observer_state = e.observer.init(observing)
+        controller_state = e.controller.init(control)
         return cls(
-            e,
-            plant,
-            references,
-            preview,
-            make_history(plant),
-            e.observer.init(observing),
-            e.controller.init(control),
-            [False] * len(plant.inputs),
+            e, plant, references, preview, make_history(plant), observer_state, controller_state
         )
 
     def run(self, progress: Progress | None = None) -> None:
@@ -240,21 +242,30 @@ class Loop:
         upper: list[float],
     ) -> FloatArray:
         """The command after limits; whatever a controller says, only finite numbers pass."""
+        asked = np.asarray(command.u, dtype=float)
+        if asked.shape != previous.shape:
+            raise SimulationError(
+                f"the controller's command has shape {asked.shape}, the rig takes {previous.shape}",
+                where="controller",
+                remedy="Command.u has one value (V) for each of the model's inputs, in their order",
+            )
         applied = previous.copy()
-        for i, value in enumerate(command.u.tolist()):
-            if not math.isfinite(value):
-                self.history.event(
-                    now_ns, "fault", "controller", "a command was not finite; the last one is held"
-                )
-                continue
-            applied[i] = min(max(value, lower[i]), upper[i])
-            saturated = not lower[i] < value < upper[i]
-            if saturated != self._saturated[i]:
-                self._saturated[i] = saturated
-                name = self.plant.inputs[i].name
-                kind = "saturation_begin" if saturated else "saturation_end"
+        for i, value in enumerate(asked.tolist()):
+            finite = math.isfinite(value)
+            if finite:
+                applied[i] = min(max(value, lower[i]), upper[i])
+            name = self.plant.inputs[i].name
+            saturated = finite and not lower[i] < value < upper[i]
+            if saturated != (name in self._saturated):
+                self._saturated ^= {name}
                 words = "reached its limit" if saturated else "left its limit"
+                kind = "saturation_begin" if saturated else "saturation_end"
                 self.history.event(now_ns, kind, name, f"{name} {words} (value in V)", value)
+            if finite == (name in self._not_finite):
+                self._not_finite ^= {name}
+                words = "is finite again" if finite else "is not finite; the last command is held"
+                kind = "fault_end" if finite else "fault"
+                self.history.event(now_ns, kind, "controller", f"{name} {words}", value)
         return applied
 
 

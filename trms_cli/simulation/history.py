@@ -42,7 +42,7 @@ class History:
         self.events: list[tuple[int, str, str, str, float]] = []
 
     def writer(self, topic: str) -> Writer:
-        """A function ``(time_ns, values)`` for one topic; does nothing for a topic that is not kept."""
+        """What takes the rows of one topic; it does nothing with a topic that is not kept."""
         if topic not in self.fields:
             return lambda time_ns, values: None
         rows = self._rows[topic]

@@ -1,0 +1,181 @@
+"""``trms run --from LOG``: a run again, from what its log says of it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trms_cli.commands.composition import Composition, Outcome, Task, compose, execute
+from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
+
+if TYPE_CHECKING:
+    from trms_cli.recordings.log_reader import LoggedRun
+
+OPTION = "--from"
+#: What a run is given for itself: a repetition writes elsewhere.
+_OWN_KEYS = ("out",)
+
+
+def take_log(argv: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """Take ``--from LOG`` off `argv`.
+
+    Raises
+    ------
+    ConfigurationError
+        If it names nothing, or stands twice.
+    """
+    log: str | None = None
+    rest: list[str] = []
+    words = iter(argv)
+    for word in words:
+        if word != OPTION and not word.startswith(f"{OPTION}="):
+            rest.append(word)
+            continue
+        if log is not None:
+            raise ConfigurationError(
+                "given twice", where=OPTION, remedy="a run is repeated from one log"
+            )
+        log = word.partition("=")[2] if "=" in word else next(words, "")
+        if not log or (log.startswith("-") or ("=" in log and not Path(log).exists())):
+            raise ConfigurationError(
+                f"{log!r} given" if log else "no log given",
+                where=OPTION,
+                remedy=f"write {OPTION} outputs/…/run.mcap",
+            )
+    return (None if log is None else Path(log)), rest
+
+
+def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
+    """Run the experiment of a log, with the overrides of `argv` on top.
+
+    What was typed then and what is typed now are composed together, so that an override means
+    what it always means. That needs option files that say what they said: where they have
+    changed since, the log's own configuration still runs, but nothing can be laid on top.
+    """
+    run = _read(log)
+    then = tuple(json.loads(run.run.get("overrides", "[]")))
+    folders = [Path(folder) for folder in json.loads(run.run.get("config_dirs", "[]"))]
+    logged = _config(run)
+    typed = [word for word in then if not _is_own(word)]
+    places = [word for folder in folders for word in ("--config-dir", str(folder))]
+    _tell_what_differs(run)
+    changed = _changed(logged, [*places, *typed], primary)
+    if not changed:
+        return execute([*places, *typed, *argv], primary, task)
+    own = [word for word in argv if _is_own(word)]
+    if len(own) != len(argv):
+        raise ConfigurationError(
+            f"option files have changed since that run, so {' '.join(argv)} cannot be laid on it: "
+            f"{changed}",
+            where=str(log),
+            remedy=f"repeat it as it was: trms run {OPTION} {log}\n"
+            f"or run anew: trms run {' '.join([*typed, *argv])}",
+        )
+    sys.stderr.write(f"note   option files have changed since; the log's own count ({changed})\n")
+    composition = _as_logged(run, logged, own, folders)
+    outcome = task(composition)
+    return outcome.exit_code if isinstance(outcome, Outcome) else outcome
+
+
+def _read(path: Path) -> LoggedRun:
+    from trms_cli.recordings.log_reader import read_log
+    from trms_cli.recordings.run_log import RUN_SCHEMA
+
+    run = read_log(path, topics=())
+    schema = run.run.get("schema", "")
+    if schema != RUN_SCHEMA:
+        raise RecordingError(
+            f"the log is of the schema {schema or 'unnamed'}, this program repeats {RUN_SCHEMA}",
+            where=str(path),
+            remedy=f"repeat it with the version that wrote it: {_writer(run)}",
+        )
+    if not run.config:
+        raise RecordingError(
+            "the log holds no configuration, so there is nothing to repeat",
+            where=str(path),
+            remedy="logs of `trms run` hold one; an imported recording is played back by "
+            "plant=replay plant.file=FILE",
+        )
+    return run
+
+
+def _config(run: LoggedRun) -> dict[str, Any]:
+    import yaml
+
+    try:
+        config = yaml.load(run.config, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    except yaml.YAMLError as error:
+        raise RecordingError(
+            f"the log's configuration is not valid YAML: {error}", where=str(run.path)
+        ) from None
+    if not isinstance(config, dict):
+        raise RecordingError("the log's configuration is no mapping", where=str(run.path))
+    return {str(key): value for key, value in config.items()}
+
+
+def _changed(logged: Mapping[str, Any], argv: Sequence[str], primary: str) -> str:
+    """The first keys whose value is not what it was; empty if all are."""
+    try:
+        now = compose(argv, primary).config
+    except TrmsError as error:
+        return f"{error.where}: {error.problem}"
+    keys = list(_differences(logged, now, ""))
+    return ", ".join(keys[:3]) + (f" and {len(keys) - 3} more" if len(keys) > 3 else "")
+
+
+def _differences(then: Any, now: Any, where: str) -> list[str]:
+    if isinstance(then, Mapping) and isinstance(now, Mapping):
+        found = []
+        for key in {**then, **now}:
+            place = f"{where}.{key}" if where else str(key)
+            if place in _OWN_KEYS:
+                continue
+            missing = object()
+            found += _differences(then.get(key, missing), now.get(key, missing), place)
+        return found
+    return [] if then == now and type(then) is type(now) else [where]
+
+
+def _as_logged(
+    run: LoggedRun, logged: Mapping[str, Any], own: Sequence[str], folders: Sequence[Path]
+) -> Composition:
+    from trms_cli.commands.catalogue import make_importable
+
+    make_importable(folders)
+    config = {**logged, "out": None}
+    config |= {word.partition("=")[0]: word.partition("=")[2] for word in own}
+    overrides = tuple(json.loads(run.run.get("overrides", "[]")))
+    choices = {
+        key: value
+        for key, equals, value in (word.partition("=") for word in overrides)
+        if key in config
+    }
+    groups = {key: choices.get(key, "logged") for key, v in config.items() if isinstance(v, dict)}
+    groups["effect"] = list(config.get("effect") or {})
+    return Composition(config, overrides, groups, tuple(folders))
+
+
+def _is_own(word: str) -> bool:
+    return word.lstrip("+").partition("=")[0] in _OWN_KEYS
+
+
+def _tell_what_differs(run: LoggedRun) -> None:
+    """Say which packages are not those of the log: figures may differ in their last digits."""
+    from trms_cli.commands.run_assembly import VERSIONS_KEY, versions
+
+    then, now = json.loads(run.run.get(VERSIONS_KEY, "{}")), versions()
+    changed = [
+        f"{name} {then[name]} → {now.get(name, 'absent')}"
+        for name in then
+        if then[name] != now.get(name)
+    ]
+    if changed:
+        sys.stderr.write(f"note   not as it was then: {', '.join(changed)}\n")
+
+
+def _writer(run: LoggedRun) -> str:
+    version = json.loads(run.run.get("versions", "{}")).get("trms", "")
+    return f"trms {version}".strip()

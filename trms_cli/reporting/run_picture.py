@@ -1,0 +1,319 @@
+"""One picture of a run: what was asked, what happened, what it took."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+Columns = Mapping[str, Any]
+
+_LABELS = {"alpha_v": "pitch", "alpha_h": "yaw", "u_v": "main rotor", "u_h": "tail rotor"}
+_INK, _GREY, _PALE = "#222222", "#777777", "#dddddd"
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+_ALARM = "#c1272d"
+_WIDTH, _DPI = 9.0, 110
+#: Longest line drawn with every sample; a longer one is thinned, which no eye sees.
+_MOST_POINTS = 20_000
+
+
+class Drawable(Protocol):
+    """What a picture is drawn from: :class:`trms_cli.simulation.history.History` is one."""
+
+    @property
+    def events(self) -> list[tuple[int, str, str, str, float]]:
+        """(time_ns, kind, source, message, value)."""
+        ...
+
+    def times(self, topic: str) -> Any:
+        """Times of a topic (n,), s."""
+        ...
+
+    def columns(self, topic: str) -> dict[str, Any]:
+        """Columns of a topic by name, each (n,)."""
+        ...
+
+
+def draw_run(
+    history: Drawable,
+    score: Mapping[str, Any],
+    path: Path,
+    *,
+    title: str = "",
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> None:
+    """Draw a run as a PNG.
+
+    Parameters
+    ----------
+    history : Drawable
+    score : dict
+        ``trms.score/1`` of the run.
+    path : Path
+        File to write.
+    title : str
+    limits : dict of str to (float, float)
+        Lower and upper limit by channel and input.
+    """
+    import matplotlib
+
+    with matplotlib.rc_context({"font.size": 9.0}):
+        figure = _figure(history, score, title, limits or {})
+        content = io.BytesIO()
+        figure.savefig(content, dpi=_DPI, format="png")
+    path.write_bytes(content.getvalue())  # whole, or an error of the disk
+
+
+def warm_up() -> None:
+    """Do once what the first picture pays for: fonts and the first canvas."""
+    figure = Figure(figsize=(1, 1))
+    FigureCanvasAgg(figure)
+    figure.subplots().set_title("α")
+    figure.savefig(io.BytesIO(), format="png")
+
+
+def _figure(
+    history: Drawable,
+    score: Mapping[str, Any],
+    title: str,
+    limits: Mapping[str, tuple[float, float]],
+) -> Figure:
+    channels = _channels(history)
+    torques = _torques(history)
+    solver = history.columns("/controller").get("solve_time_s", ())
+    heights = [3.0] * len(channels) + [2.0] + [1.4] * bool(torques) + [1.2] * bool(len(solver))
+    figure = Figure(figsize=(_WIDTH, 0.7 + 0.75 * sum(heights)), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(
+        len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
+    )[:, 0]
+    for panel in panels:
+        _dress(panel)
+    left = iter(panels)
+    for name in channels:
+        _draw_channel(next(left), name, history, score["channels"].get(name, {}), limits)
+    _draw_commands(next(left), history, limits)
+    if torques:
+        _draw_torques(next(left), history, torques)
+    if len(solver):
+        _draw_solver(next(left), history, score["solver"])
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].set_xlim(0.0, max(float(score["duration_s"]), 1e-3))
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=_INK)
+    return figure
+
+
+def _channels(history: Drawable) -> list[str]:
+    """What is controlled; without references, the measured angles."""
+    wanted = list(history.columns("/reference"))
+    return wanted or [n for n in history.columns("/measurement") if n.startswith("alpha")]
+
+
+def _draw_channel(
+    panel: Axes,
+    name: str,
+    history: Drawable,
+    score: Mapping[str, Any],
+    limits: Mapping[str, tuple[float, float]],
+) -> None:
+    truth, measured = history.columns("/plant/state"), history.columns("/measurement")
+    reference = history.columns("/reference")
+    seen: list[np.ndarray] = []
+    if name in truth:
+        time, values = _thin(history.times("/plant/state"), truth[name])
+        panel.plot(time, values, color=_COLOURS[0], lw=1.4, label="rig", zorder=4)
+        seen.append(values)
+    elif name in measured:
+        time, values = _thin(history.times("/measurement"), measured[name])
+        panel.plot(time, values, color=_COLOURS[0], lw=1.2, label="measured", zorder=4)
+        seen.append(values)
+    if name in reference:
+        time, values = _thin(history.times("/reference"), reference[name])
+        panel.plot(
+            time, values, color=_INK, lw=1.0, ls=(0, (4, 2)), label="reference", zorder=3,
+            drawstyle="steps-post",
+        )  # fmt: skip
+        seen.append(values)
+    _draw_estimate(panel, name, history)
+    _frame(panel, seen)
+    for bound in limits.get(name, ()):
+        panel.axhline(bound, color=_ALARM, lw=0.8, ls=":")
+    panel.set_ylabel(f"{_LABELS.get(name, name)} [rad]")
+    panel.set_title(_score_line(score), loc="right", fontsize=8, color=_GREY, pad=3)
+    _legend(panel)
+
+
+def _draw_estimate(panel: Axes, name: str, history: Drawable) -> None:
+    """The estimate with two standard deviations, if it is one: a full-state observer has none."""
+    estimate = history.columns("/estimate")
+    deviation = estimate.get(f"sd_{name}")
+    if name not in estimate or deviation is None or not np.any(deviation > 0):
+        return
+    time, values = _thin(history.times("/estimate"), estimate[name])
+    _, sd = _thin(history.times("/estimate"), deviation)
+    panel.fill_between(
+        time, values - 2 * sd, values + 2 * sd, color=_COLOURS[1], alpha=0.25, lw=0, zorder=1
+    )
+    panel.plot(time, values, color=_COLOURS[1], lw=0.9, label="estimate ± 2 sd", zorder=5)
+
+
+def _draw_commands(
+    panel: Axes, history: Drawable, limits: Mapping[str, tuple[float, float]]
+) -> None:
+    time, commands = history.times("/command"), history.columns("/command")
+    seen = []
+    for colour, (name, values) in zip(_COLOURS, commands.items(), strict=False):
+        thinned, held = _thin(time, values)
+        label = f"{_LABELS.get(name, name)} {name}"
+        panel.plot(thinned, held, color=colour, lw=1.0, drawstyle="steps-post", label=label)
+        seen.append(held)
+    bounds = {abs(b) for name in commands for b in limits.get(name, ()) if np.isfinite(b)}
+    reach = max((float(np.nanmax(np.abs(v))) for v in seen if len(v)), default=1.0)
+    for bound in bounds:
+        if bound < 2.5 * reach:
+            panel.axhline(bound, color=_ALARM, lw=0.8, ls=":")
+            panel.axhline(-bound, color=_ALARM, lw=0.8, ls=":")
+    for colour, name in zip(_COLOURS, commands, strict=False):
+        for begin, end in _saturated(history, name):
+            panel.axvspan(begin, end, color=colour, alpha=0.18, lw=0, zorder=0)
+    panel.set_ylabel("command [V]")
+    _legend(panel)
+
+
+def _draw_torques(panel: Axes, history: Drawable, names: Sequence[str]) -> None:
+    estimate = history.columns("/estimate")
+    for colour, name in zip(_COLOURS, names, strict=False):
+        time, values = _thin(history.times("/estimate"), estimate[name])
+        _, sd = _thin(history.times("/estimate"), estimate[f"sd_{name}"])
+        label = name.replace("_", " ")
+        panel.fill_between(
+            time, 1e3 * (values - 2 * sd), 1e3 * (values + 2 * sd), color=colour, alpha=0.2, lw=0
+        )
+        panel.plot(time, 1e3 * values, color=colour, lw=1.0, label=label)
+    panel.axhline(0.0, color=_PALE, lw=0.8, zorder=0)
+    _frame(panel, [1e3 * np.asarray(estimate[name], dtype=float) for name in names])
+    panel.set_ylabel("estimated\ntorque [mN m]")
+    _legend(panel)
+
+
+def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> None:
+    """Time of each step against its deadline; a mark where a fall-back acted or a fault began."""
+    columns, time = history.columns("/controller"), history.times("/controller")
+    milliseconds = 1e3 * np.asarray(columns["solve_time_s"], dtype=float)
+    panel.plot(time, milliseconds, ".", color=_GREY, ms=2.0)
+    panel.set_yscale("log")
+    deadline = 1e3 * float(np.median(np.diff(time))) if len(time) > 1 else np.nan
+    panel.axhline(deadline, color=_ALARM, lw=0.8, ls=":")
+    top = 3 * max(deadline, float(milliseconds.max())) if np.isfinite(deadline) else None
+    panel.set_ylim(0.5 * max(float(milliseconds.min()), 1e-4), top)
+    fallback = np.asarray(columns.get("fallback", np.zeros(len(time))), dtype=float) > 0
+    marks = [
+        ("fall-back", _COLOURS[1], time[fallback]),
+        ("event", _ALARM, np.array(list(_faults(history)))),
+    ]
+    for label, colour, at in marks:
+        if len(at):
+            panel.plot(
+                at, np.full(len(at), 0.9), "v", color=colour, ms=5, label=label,
+                transform=panel.get_xaxis_transform(),
+            )  # fmt: skip
+    panel.set_ylabel("step\ntime [ms]")
+    times = solver["time_ms"]
+    words = f"median {_digits(times['median'])} ms, deadline {_digits(deadline)} ms"
+    if solver.get("deadline_misses"):
+        words += f", {solver['deadline_misses']} missed"
+    if solver.get("failures"):
+        words += f", {solver['failures']} fall-backs"
+    panel.set_title(words, loc="right", fontsize=8, color=_GREY, pad=3)
+    if panel.get_legend_handles_labels()[0]:
+        _legend(panel)
+
+
+def _torques(history: Drawable) -> list[str]:
+    """Disturbances that are estimated at all."""
+    estimate = history.columns("/estimate")
+    return [
+        name
+        for name in estimate
+        if (name.endswith(("_moment", "_motor")) and not name.startswith(("sd_", "innov", "pred")))
+        and f"sd_{name}" in estimate
+        and np.any(np.asarray(estimate[f"sd_{name}"], dtype=float) > 0)
+    ]
+
+
+def _saturated(history: Drawable, name: str) -> Iterator[tuple[float, float]]:
+    """Spans (s) in which an input was at its limit."""
+    begin = None
+    for time_ns, kind, source, _, _ in history.events:
+        if source == name and kind == "saturation_begin":
+            begin = time_ns * 1e-9
+        elif source == name and kind == "saturation_end" and begin is not None:
+            yield begin, time_ns * 1e-9
+            begin = None
+    times = history.times("/command")
+    if begin is not None and len(times):
+        yield begin, float(times[-1])
+
+
+def _faults(history: Drawable) -> Iterator[float]:
+    for time_ns, kind, _, _, _ in history.events:
+        if not kind.startswith("saturation") and not kind.endswith("_end"):
+            yield time_ns * 1e-9
+
+
+def _score_line(score: Mapping[str, Any]) -> str:
+    if not score:
+        return ""
+    parts = [f"RMSE {_digits(score['rmse'])} rad"]
+    for key, words, unit in (
+        ("overshoot_percent", "overshoot", " %"),
+        ("settling_time_s", "settles in", " s"),
+        ("steady_state_error", "steady-state error", " rad"),
+    ):
+        if score.get(key) is not None:
+            parts.append(f"{words} {_digits(score[key])}{unit}")
+    return " · ".join(parts)
+
+
+def _digits(value: float | None) -> str:
+    if value is None:
+        return "–"
+    return "0" if abs(value) < 1e-6 else f"{value:.3g}"
+
+
+def _thin(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
+    step = max(1, len(time) // _MOST_POINTS)
+    return np.asarray(time, dtype=float)[::step], np.asarray(values, dtype=float)[::step]
+
+
+def _frame(panel: Axes, seen: Sequence[np.ndarray]) -> None:
+    """Limits by what happened: an uncertain start must not flatten the rest."""
+    values = np.concatenate([v[np.isfinite(v)] for v in seen]) if seen else np.zeros(0)
+    if values.size:
+        low, high = float(values.min()), float(values.max())
+        margin = 0.08 * (high - low) or 0.05
+        panel.set_ylim(low - margin, high + margin)
+
+
+def _dress(panel: Axes) -> None:
+    panel.grid(color=_PALE, lw=0.5)
+    panel.set_axisbelow(True)
+    for side in ("top", "right"):
+        panel.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        panel.spines[side].set_color(_GREY)
+    panel.tick_params(colors=_GREY, labelcolor=_INK, length=3)
+
+
+def _legend(panel: Axes) -> None:
+    """Above the panel, where it hides nothing."""
+    panel.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 0.985), ncols=6, frameon=False, fontsize=8,
+        handlelength=1.6, columnspacing=1.2, borderaxespad=0.0, borderpad=0.1,
+    )  # fmt: skip
