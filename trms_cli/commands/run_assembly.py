@@ -23,6 +23,9 @@ from trms_cli.recordings.topics import Field, Topic, standard_topics
 from trms_cli.scoring.score import LIMITS_KEY
 from trms_cli.simulation.closed_loop import Experiment
 
+if TYPE_CHECKING:
+    from trms_cli.plants.replay import RecordedRun
+
 #: Keys of the log's ``trms.run`` record, each with JSON: what ``trms run --from LOG`` reads.
 OVERRIDES_KEY, CONFIG_DIRS_KEY, VERSIONS_KEY = "overrides", "config_dirs", "versions"
 #: Packages whose version may change a figure of a run.
@@ -166,7 +169,7 @@ def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
 
 
 def run_metadata(
-    composition: Composition, model: Model, plant: PlantRun, revision: str
+    composition: Composition, model: Model, plant: PlantRun | RecordedRun, revision: str
 ) -> dict[str, str]:
     """What the log says of the run besides its samples."""
     lower, upper = plant.input_limits

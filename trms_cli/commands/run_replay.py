@@ -1,0 +1,309 @@
+"""``trms run plant=replay``: an observer over a recording, logged, scored and drawn."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from trms_cli.commands import run_assembly as assembly
+from trms_cli.commands.composition import Composition, Outcome
+from trms_cli.commands.git_revision import GitRevision
+from trms_cli.commands.plugin_failure import plugin_failure
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError
+from trms_cli.core.plugins import TARGET, build, locate
+from trms_cli.models.model import Model, Signal
+from trms_cli.plants.replay import RecordedRig, RecordedRun
+from trms_cli.recordings.run_log import RunLog
+from trms_cli.recordings.topics import Field, Topic, standard_topics
+from trms_cli.scoring.innovations import innovation_table
+from trms_cli.scoring.score import Series, score_tables
+from trms_cli.simulation.history import History
+from trms_cli.simulation.replay import Replay, time_offset
+
+LOG_NAME, SCORE_NAME, PICTURE_NAME = "run.mcap", "score.json", "run.png"
+INNOVATIONS_NAME = "innovations.json"
+#: Groups that a recording makes no use of.
+_NO_PART = ("controller", "ref", "effect", "sim")
+#: File names of measured rotor curves, by the key of a model that takes one.
+_CURVES = {"main_curve": "static_main.csv", "tail_curve": "static_tail.csv"}
+
+
+def is_replay(config: Mapping[str, Any]) -> bool:
+    """Whether the chosen plant is a recording."""
+    node = config["plant"]
+    if not isinstance(node, Mapping) or TARGET not in node:
+        return False
+    target = locate(str(node[TARGET]), "plant")
+    return isinstance(target, type) and issubclass(target, RecordedRig)
+
+
+def perform_replay(composition: Composition) -> Outcome:
+    """Run the observer over the recording: log, score, print and draw."""
+    begin = perf_counter()
+    config = composition.config
+    model = build(config["model"], "model")
+    observer = build(config["observer"], "observer")
+    plant = build(config["plant"], "plant")
+    try:
+        rig = plant.load(model)
+    except ConfigurationError as error:
+        if not error.where.startswith("plant"):
+            error.where = f"plant.{error.where}"
+        raise
+    revision = GitRevision.ask()
+    topics = _topics(model, rig)
+    logs: list[RunLog] = []
+
+    def make_history(rig: RecordedRun) -> History:
+        metadata = assembly.run_metadata(composition, model, rig, revision.answer())
+        log = RunLog(
+            composition.folder("run") / LOG_NAME,
+            topics,
+            metadata | _about(rig),
+            assembly.attachments(composition, model, None),
+            publish_time="log",
+        )
+        logs.append(log)
+        return History({t.name: {f.name: f.unit for f in t.fields} for t in topics}, log)
+
+    replay = Replay.start(model, rig, observer, make_history)
+    log = logs[0]
+    screen = ReplayScreen(composition, rig, log.path)
+    try:
+        replay.run(screen.progress)
+    except KeyboardInterrupt:
+        log.close("interrupted", _score(replay, log.path, complete=False))
+        screen.say_interrupted(replay.done * rig.sample_time)
+        return Outcome(EXIT_INTERRUPTED)
+    except BaseException as error:
+        log.close("failed")
+        reached = replay.done * rig.sample_time
+        if isinstance(error, Exception):
+            failure = plugin_failure(error, {"observer": observer}, reached)
+            if failure is not None:
+                raise failure from error
+        raise
+    spent = perf_counter() - begin
+    score = _score(replay, log.path, complete=True)
+    table = _innovations(replay)
+    log.close("completed", score)
+    for name, document in ((SCORE_NAME, score), (INNOVATIONS_NAME, table)):
+        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+        log.path.with_name(name).write_text(text + "\n", encoding="utf-8")
+    picture = None
+    if config["picture"]:
+        from trms_cli.reporting.replay_picture import draw_replay
+
+        picture = log.path.with_name(PICTURE_NAME)
+        draw_replay(replay.history, table, picture, title=screen.what)
+    screen.say_finished(score, table, picture, spent)
+    return Outcome(EXIT_OK, _objective(table))
+
+
+def _topics(model: Model, rig: RecordedRun) -> list[Topic]:
+    def fields(*signals: Signal) -> list[Field]:
+        return [Field(s.name, s.unit, s.description) for s in signals]
+
+    return standard_topics(
+        references=fields(*(model.states[model.state_index(name)] for name in rig.references)),
+        inputs=fields(*rig.inputs),
+        outputs=fields(*rig.outputs),
+        estimates=fields(*model.states, *model.disturbances),
+        controller=False,
+    )
+
+
+def _about(rig: RecordedRun) -> dict[str, str]:
+    """What the log says of the recording."""
+    from trms_cli.recordings.mcap_recording import sha256_of
+
+    source = rig.recording.source
+    about = {f"recording.{key}": text for key, text in rig.recording.metadata.items()}
+    about |= {"recording.file": str(source), "recording.sha256": sha256_of(source)}
+    offset = time_offset(rig)
+    return about | ({"time_offset_s": repr(offset)} if offset else {})
+
+
+def _tables(replay: Replay) -> dict[str, Series]:
+    history = replay.history
+    return {
+        topic: Series(history.times(topic), history.columns(topic), history.units[topic])
+        for topic in history.fields
+    }
+
+
+def _score(replay: Replay, path: Path, *, complete: bool) -> dict[str, Any]:
+    rig, model = replay.rig, replay.model
+    lower, upper = rig.input_limits
+    limits = {
+        signal.name: (low, high)
+        for signal, low, high in zip(rig.inputs, lower.tolist(), upper.tolist(), strict=True)
+    }
+    limits |= {name: (-stop, stop) for name, stop in model.stops.items()}
+    return score_tables(
+        _tables(replay),
+        limits=limits,
+        duration_s=round(replay.done * rig.sample_time, 9),
+        log=str(path),
+        complete=complete,
+    )
+
+
+def _innovations(replay: Replay) -> dict[str, Any]:
+    tables, outputs = _tables(replay), replay.rig.outputs
+    return innovation_table(
+        tables["/estimate"],
+        tables["/measurement"],
+        [signal.name for signal in outputs],
+        [signal.unit for signal in outputs],
+    )
+
+
+def _objective(table: Mapping[str, Any]) -> float | None:
+    """What a sweeper minimises: prediction error over that of no change, summed over channels."""
+    ratios = []
+    for figures in table["channels"].values():
+        if not figures["unchanged_rmse"] or figures["prediction_rmse"] is None:
+            return None
+        ratios.append(figures["prediction_rmse"] / figures["unchanged_rmse"])
+    return float(sum(ratios))
+
+
+class ReplayScreen:
+    """What a person sees: progress on a terminal, then figures, notes and files.
+
+    Parameters
+    ----------
+    composition : Composition
+    rig : RecordedRun
+    log : Path
+    """
+
+    _PATIENCE = 0.5  # s, before progress is worth a line
+
+    def __init__(self, composition: Composition, rig: RecordedRun, log: Path) -> None:
+        self._composition, self._rig, self._log = composition, rig, log
+        self._begin = perf_counter()
+        self._line = ""
+        choices = composition.choices
+        duration = len(rig) * rig.sample_time
+        self.what = (
+            f"{rig.recording.source.name} · {choices.get('model')} · observer "
+            f"{choices.get('observer')} · {duration:g} s at {1 / rig.sample_time:g} Hz"
+        )
+
+    def progress(self, time: float, surprise: float) -> None:
+        """Recorded time (s) and the largest present innovation of an angle (rad)."""
+        if not sys.stderr.isatty() or perf_counter() - self._begin < self._PATIENCE:
+            return
+        line = f"{time:.0f} / {len(self._rig) * self._rig.sample_time:g} s, off {surprise:.4f} rad"
+        sys.stderr.write("\r" + line.ljust(len(self._line)))
+        sys.stderr.flush()
+        self._line = line
+
+    def say_interrupted(self, time: float) -> None:
+        """Where the log of an interrupted replay is."""
+        self._clear()
+        sys.stderr.write(
+            f"\ninterrupted at {time:.2f} s; the log up to there is complete and readable\n"
+            f"  log  {self._log}\n"
+        )
+
+    def say_finished(
+        self, score: Mapping[str, Any], table: Mapping[str, Any], picture: Path | None, spent: float
+    ) -> None:
+        """The figures in short, what to know about them, and the files."""
+        self._clear()
+        if self._composition.job is not None:
+            what = " ".join(self._composition.overrides) or self.what
+            print(f"{self._composition.job:>4}  {what}  {_in_short(table)}")
+            return
+        print(f"replay     {self.what}")
+        for note in self._notes():
+            print(f"note       {note}")
+        print()
+        for line in _table_lines(table["channels"]):
+            print(line)
+        tracking = [
+            f"{name} {channel['rmse']:.3g} {channel['unit']}"
+            for name, channel in score["channels"].items()
+        ]
+        if tracking:
+            print(f"\nrecorded   tracking RMSE {', '.join(tracking)}")
+        print(f"\ntime       {score['duration_s']:g} s replayed in {spent:.2f} s")
+        print(f"log        {self._log}")
+        if picture is not None:
+            print(f"picture    {picture}")
+        print(f"next       trms score {shlex.quote(str(self._log))}")
+
+    def _notes(self) -> Iterator[str]:
+        ignored = [text for text in self._composition.overrides if _has_no_part(text)]
+        given = f" ({' '.join(ignored)})" if ignored else ""
+        yield (
+            "a recording cannot be steered: commands, references and sample time are its own; "
+            f"{', '.join(_NO_PART)} have no part in it{given}"
+        )
+        yield from self._rig.remarks
+        lost = sum(1 for happening in self._rig.happenings if happening.kind == "gap")
+        if lost:
+            yield "the observer predicts across gaps with the last command held: see /event"
+        model = self._composition.config["model"]
+        beside = {
+            key: self._rig.recording.source.with_name(name)
+            for key, name in _CURVES.items()
+            if key in model and model[key] is None
+        }
+        found = {key: path for key, path in beside.items() if path.is_file()}
+        if found:
+            words = " ".join(f"model.{key}={shlex.quote(str(p))}" for key, p in found.items())
+            yield f"measured rotor curves lie beside the recording, to be used by {words}"
+
+    def _clear(self) -> None:
+        if self._line:
+            sys.stderr.write("\r" + " " * len(self._line) + "\r")
+            self._line = ""
+
+
+def _has_no_part(override: str) -> bool:
+    key = override.partition("=")[0].lstrip("+~")
+    return any(word in _NO_PART for word in re.split(r"[.@/]", key))
+
+
+def _table_lines(channels: Mapping[str, Any]) -> Iterator[str]:
+    """One step ahead: a column a channel."""
+
+    def row(label: str, texts: Any) -> str:
+        return f"{label:<34}" + "".join(f"{text:>11}" for text in texts)
+
+    def figures(key: str, scale: float = 1.0) -> list[str]:
+        values = [channel[key] for channel in channels.values()]
+        return ["–" if value is None else f"{scale * value:.3g}" for value in values]
+
+    yield row("one step ahead", channels)
+    yield row("", (channel["unit"] for channel in channels.values()))
+    yield row("  RMSE of the prediction", figures("prediction_rmse"))
+    yield row("  RMSE if nothing changed", figures("unchanged_rmse"))
+    yield row("  mean (ν/σ)², 1 is consistent", figures("normalised_square"))
+    yield row("  within ±2σ, 95 is consistent   %", figures("within_2sd", 100.0))
+    yield row("  correlation with the next", figures("correlation"))
+    p_values = [channel["whiteness_p"] for channel in channels.values()]
+    yield row("  white? p", ["–" if p is None else _p(p) for p in p_values])
+
+
+def _p(p: float) -> str:
+    return f"{p:.2g}" if p >= 1e-3 else "<0.001"
+
+
+def _in_short(table: Mapping[str, Any]) -> str:
+    parts = [
+        f"{name} {'–' if c['prediction_rmse'] is None else format(c['prediction_rmse'], '.3g')} "
+        f"{c['unit']}"
+        for name, c in table["channels"].items()
+    ]
+    return f"one step ahead: RMSE {', '.join(parts)}"

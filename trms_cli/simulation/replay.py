@@ -1,0 +1,123 @@
+"""The loop over a recording: predict with its command, update with its measurement.
+
+The picture is the closed loop's without its left half: the recording stands for reference,
+controller and rig, and only the observer works.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trms_cli.models.model import Model, names
+from trms_cli.observers.observer import Observer, ObserverSetup
+from trms_cli.plants.replay import RecordedRun
+from trms_cli.simulation.closed_loop import Progress, estimate_row
+from trms_cli.simulation.history import History
+
+
+@dataclass
+class Replay:
+    """A replay under way: made by :meth:`start`, advanced by :meth:`run`.
+
+    Attributes
+    ----------
+    model : Model
+        What the observer believes.
+    rig : RecordedRun
+    observer : Observer
+    history : History
+        Gets the rows, at the rig's own times.
+    done : int
+        Samples so far.
+    """
+
+    model: Model
+    rig: RecordedRun
+    observer: Observer
+    history: History
+    _observer_state: Any
+    done: int = 0
+
+    @classmethod
+    def start(
+        cls,
+        model: Model,
+        rig: RecordedRun,
+        observer: Observer,
+        make_history: Callable[[RecordedRun], History],
+    ) -> Replay:
+        """Everything ready for the first sample.
+
+        Parameters
+        ----------
+        make_history : callable
+            Given the recording, returns where the run is kept.
+        """
+        setup = ObserverSetup(
+            model,
+            rig.sample_time,
+            names(rig.outputs),
+            rig.noise_sd,
+            rig.measurements[0],
+            # What was in force before is not recorded; the first command is the best guess.
+            rig.commands[0],
+        )
+        state = observer.init(setup)
+        return cls(model, rig, observer, make_history(rig), state)
+
+    def run(self, progress: Progress | None = None) -> None:
+        """Run to the end; what is done stays in the history if an exception ends it.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called once a recorded second with the time passed (s) and the largest innovation of
+            an angle (rad).
+        """
+        rig, history = self.rig, self.history
+        per_second = max(1, round(1.0 / rig.sample_time))
+        angles = [i for i, signal in enumerate(rig.outputs) if signal.unit == "rad"]
+        references = np.column_stack([*rig.references.values()]) if rig.references else None
+        log_reference, log_command = history.writer("/reference"), history.writer("/command")
+        log_measurement, log_estimate = history.writer("/measurement"), history.writer("/estimate")
+        times_ns = log_times(rig)
+        happenings = list(reversed(rig.happenings))
+        u = rig.commands[max(self.done - 1, 0)]
+
+        for k in range(self.done, len(rig)):
+            now_ns, y = times_ns[k], rig.measurements[k]
+            while happenings and happenings[-1].sample <= k:
+                event = happenings.pop()
+                history.event(now_ns, event.kind, event.source, event.message, event.value)
+            estimate = self.observer.step(self._observer_state, u, y, None)
+            u = rig.commands[k]
+            if references is not None:
+                log_reference(now_ns, references[k].tolist())
+            log_command(now_ns, u.tolist())
+            log_measurement(now_ns, y.tolist())
+            log_estimate(now_ns, estimate_row(estimate))
+            self.done = k + 1
+            if self.done % per_second == 0:
+                history.flush()
+                if progress is not None:
+                    surprise = np.abs(estimate.innovation[angles])
+                    progress(
+                        self.done * rig.sample_time,
+                        float(np.nanmax(surprise, initial=0.0)),
+                    )
+        history.flush()
+
+
+def time_offset(rig: RecordedRun) -> float:
+    """What is added to the rig's time for the log, whose times are not negative, s."""
+    return max(0.0, -float(rig.time[0]))
+
+
+def log_times(rig: RecordedRun) -> list[int]:
+    """Time stamps of the samples, ns."""
+    times: list[int] = np.round((rig.time + time_offset(rig)) * 1e9).astype(np.int64).tolist()
+    return times
