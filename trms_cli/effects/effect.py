@@ -9,7 +9,7 @@ leaves every bit of a simulation as it was.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -83,7 +83,9 @@ class EffectContext:
         mobility : (n, n)
             1/(kg m²): ``mobility[i, j]`` is what one N m on axis ``j`` adds to axis ``i``.
         """
-        return _acceleration_function(self.model, axes)(self.x, self.u, self.p, self.w)
+        both = _acceleration_function(self.model, axes)
+        acceleration, mobility = both(self.x, self.u, self.p, self.w)
+        return acceleration, mobility
 
     def on(self, disturbance: str, value: ca.SX) -> ca.SX:
         """A disturbance vector (n_w, 1) with ``value`` on one equation and zero elsewhere."""
@@ -167,7 +169,10 @@ def rotor_input(model: Model, rotor: str) -> int:
 
 
 def resisting_impulse(
-    at: EffectContext, axis: str, torque: ca.SX | None, duration: float
+    at: EffectContext,
+    axis: str,
+    torque: ca.SX | Callable[[ca.SX], ca.SX] | None,
+    duration: float,
 ) -> ca.SX:
     """States after dry friction has acted on an axis for a time, set-valued at rest.
 
@@ -178,18 +183,34 @@ def resisting_impulse(
 
     Parameters
     ----------
-    torque : casadi.SX or None
-        N m, not negative; None removes the whole rate (an inelastic stop).
+    torque : casadi.SX, callable or None
+        N m, not negative; a function of the rate (rad/s), for which the mean rate over the
+        interval is found by iteration; None removes the whole rate (an inelastic stop).
     duration : float
         s.
     """
     terms = _resistance_function(at.model, axis, duration)
-    free_rate, change, gain = terms(at.x, at.u, at.p, at.w)
+    free_rate, change, gain, acceleration = terms(at.x, at.u, at.p, at.w)
     needed = free_rate / gain
-    if torque is not None:
-        available = torque * duration
-        needed = ca.fmin(ca.fmax(needed, -available), available)
-    return at.x - change * needed
+    if torque is None:
+        return at.x - change * needed
+    if not callable(torque):
+        return at.x - change * _clipped(needed, torque * duration)
+    # The rate before the interval is that after it less what the model did in between.
+    rate_before = free_rate - duration * acceleration
+    mean = rate_before
+    for _ in range(_MEAN_RATE_ITERATIONS):
+        impulse = _clipped(needed, torque(mean) * duration)
+        mean = (rate_before + free_rate - gain * impulse) / 2
+    return at.x - change * _clipped(needed, torque(mean) * duration)
+
+
+#: Each shrinks the error of the mean rate by about ``h |dτ/dΩ| / 2J``, a few percent.
+_MEAN_RATE_ITERATIONS = 2
+
+
+def _clipped(value: ca.SX, bound: ca.SX) -> ca.SX:
+    return ca.fmin(ca.fmax(value, -bound), bound)
 
 
 # The functions below are built once for a model and inlined wherever they are called: an effect is
@@ -217,7 +238,7 @@ def _acceleration_function(model: Model, axes: tuple[str, ...]) -> ca.Function:
 
 @lru_cache(maxsize=256)
 def _resistance_function(model: Model, axis: str, duration: float) -> ca.Function:
-    """``(x, u, p, w) → rate, change, gain``: what a unit torque over the duration does, over it.
+    """``(x, u, p, w) → rate, change, gain, acceleration``, for a torque over the duration.
 
     A torque that is constant over the interval moves the angle too, by about half of what its
     final rate would, and meets damping and stiffness on the way. ``change`` is the response
@@ -232,7 +253,8 @@ def _resistance_function(model: Model, axis: str, duration: float) -> ca.Functio
         term = duration / order * ca.jtimes(f, x, term)
         change = change + term
     gain = ca.jtimes(rate, x, change)
-    return ca.Function("resistance", [x, u, p, w], [rate, change, gain])
+    acceleration = ca.jtimes(rate, x, f)
+    return ca.Function("resistance", [x, u, p, w], [rate, change, gain, acceleration])
 
 
 def _moment_index(model: Model, axis: str) -> int:

@@ -4,14 +4,9 @@
 
     τ = −F(Ω) sgn(Ω),   F(Ω) = F_c (1 + e exp(−(Ω/v_s)²)),   |τ| ≤ F_c (1 + e) at rest
 
-(Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, Automatica 30). The torque is split in a
-set-valued part of constant size, the break-away torque F_s = F_c (1 + e), which is an impulse like
-Coulomb friction, and in the fall of the friction with the rate,
-
-    +F_c e (1 − exp(−(Ω/v_s)²)) sgn(Ω),
-
-which is smooth through rest and belongs to the differential equation. So the break-away torque is
-exact, nothing creeps, and the falling branch has the accuracy of the integrator.
+(Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, Automatica 30). An impulse like Coulomb
+friction, of the size that belongs to the mean rate of each integration step: exact at break-away,
+without creep, of second order while the axis turns.
 """
 
 from __future__ import annotations
@@ -66,12 +61,10 @@ class StribeckFriction(Effect):
     def check(self, model: Model) -> None:
         axis_of(model, self.axis)
 
-    def disturbance(self, at: EffectContext) -> ca.SX:
-        rate = at.rate(self.axis)
-        fallen = 1 - ca.exp(-((rate / at.sizes["velocity"]) ** 2))
-        relief = at.sizes["torque"] * at.sizes["excess"] * fallen * ca.sign(rate)
-        return at.on(at.axis(self.axis).moment, relief)
-
     def impulse(self, at: EffectContext, duration: float) -> ca.SX:
-        break_away = at.sizes["torque"] * (1 + at.sizes["excess"])
-        return resisting_impulse(at, self.axis, break_away, duration)
+        torque, excess, velocity = (at.sizes[key] for key in ("torque", "excess", "velocity"))
+
+        def friction(rate: ca.SX) -> ca.SX:
+            return torque * (1 + excess * ca.exp(-((rate / velocity) ** 2)))
+
+        return resisting_impulse(at, self.axis, friction, duration)

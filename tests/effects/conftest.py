@@ -1,0 +1,133 @@
+"""A rig simple enough for closed forms, simulation by compiled steps, the library as shipped."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+import yaml
+
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
+from trms_cli.effects.extended_model import extended
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.model import Axis, Model, Signal
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.parameters import Parameter, ParameterSet
+
+#: The size of each effect that is zero when the effect is absent; the others are shapes.
+SIZES = {
+    "coulomb_friction": ["torque"],
+    "stribeck_friction": ["torque"],
+    "quadratic_damping": ["coefficient"],
+    "cable_stiffness": ["stiffness", "cubic"],
+    "cable_hysteresis": ["torque"],
+    "mass_imbalance": ["mass"],
+    "input_delay": ["delay"],
+    "actuator_lag": ["time_constant"],
+    "dead_zone": ["width"],
+    "supply_derating": ["depth"],
+}
+NAMES = sorted(path.stem for path in (config_folder() / "effect").glob("*.yaml"))
+
+
+class Turntable(Model):
+    """Independent axes driven by torques: ``J α̈ = u − b α̇ + w`` for pitch and yaw alike."""
+
+    def __init__(self, *, inertia: float = 0.05, damping: float = 0.0) -> None:
+        self.name = "turntable"
+        self.states = tuple(
+            Signal(name, unit)
+            for axis in "vh"
+            for name, unit in ((f"alpha_{axis}", "rad"), (f"rate_{axis}", "rad/s"))
+        )
+        self.inputs = (Signal("u_v", "N*m"), Signal("u_h", "N*m"))
+        self.outputs = (self.states[0], self.states[2])
+        self.disturbances = (Signal("pitch_moment", "N*m"), Signal("yaw_moment", "N*m"))
+        self.parameters = ParameterSet(
+            [Parameter("J", inertia, "kg*m^2"), Parameter("b", damping, "N*m*s")]
+        )
+        self.controlled = ("alpha_v", "alpha_h")
+        self.input_limits = {"u_v": 2.5, "u_h": 2.5}
+        self.stops = {}
+        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.rotors = {"main": "u_v", "tail": "u_h"}
+
+    def dynamics(self, x, u, p, w):
+        return ca.vertcat(
+            x[1], (u[0] - p[1] * x[1] + w[0]) / p[0], x[3], (u[1] - p[1] * x[3] + w[1]) / p[0]
+        )
+
+    def measurement(self, x, u, p):
+        return ca.vertcat(x[0], x[2])
+
+
+def _node(name: str) -> dict:
+    text = (config_folder() / "effect" / f"{name}.yaml").read_text(encoding="utf-8")
+    return yaml.safe_load(text)[name]
+
+
+def _effect(name: str, **sizes):
+    return build(_node(name) | sizes, name)
+
+
+def _absent(name: str):
+    kind = name.split("_", 1)[1]
+    return _effect(name, **dict.fromkeys(SIZES[kind], 0.0))
+
+
+def _simulate(model, inputs, step=0.02, substeps=4, start=None, method="auto", w=None):
+    """States (n + 1, n_x), memory included, under inputs (n, n_u) held over each step."""
+    inputs = np.asarray(inputs, dtype=float)
+    discrete = discretise(model, step, substeps, method)
+    function = BufferedFunction(discrete.step)
+    p = model.parameters.values
+    w = np.zeros(model.n_w) if w is None else w
+    x = np.zeros((len(inputs) + 1, discrete.n_x))
+    x[0, : model.n_x] = model.rest()
+    if start is not None:
+        x[0, : len(start)] = start
+    for k, u in enumerate(inputs):
+        x[k + 1] = function.evaluate(x[k], u, p, w)[0]
+    return x
+
+
+def _rich_input(samples: int, step: float = 0.02, seed: int = 1) -> np.ndarray:
+    """Slow sines, steps and noise over the whole range, both signs, both rotors."""
+    t = np.arange(samples) * step
+    noise = np.random.default_rng(seed).normal(size=(samples, 2))
+    u_v = 1.2 * np.sin(0.7 * t) + 0.8 * np.sign(np.sin(2.1 * t)) + 0.3 * noise[:, 0]
+    u_h = np.sin(1.3 * t) + 0.5 * noise[:, 1]
+    return np.column_stack([u_v, u_h]).clip(-2.5, 2.5)
+
+
+def _right_hand_side(model):
+    """``f(x, u, w)`` in NumPy."""
+    at = model.symbols()
+    function = ca.Function("f", list(at), [model.dynamics(*at)])
+    p = model.parameters.values
+    return lambda x, u, w: np.asarray(function(x, u, p, w)).ravel()
+
+
+@pytest.fixture(scope="session")
+def rig() -> SimpleNamespace:
+    return SimpleNamespace(
+        names=NAMES,
+        node=_node,
+        effect=_effect,
+        absent=_absent,
+        simulate=_simulate,
+        rich_input=_rich_input,
+        right_hand_side=_right_hand_side,
+        turntable=Turntable,
+        newtonian=Newtonian,
+        extended=extended,
+    )
+
+
+def pytest_generate_tests(metafunc) -> None:
+    if "effect_name" in metafunc.fixturenames:
+        metafunc.parametrize("effect_name", NAMES)

@@ -1,0 +1,180 @@
+"""What holds for every effect of the library, alone and together."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from trms_cli.core.errors import ModelError
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import ExtendedModel
+from trms_cli.models.discretisation import discretise
+
+FORMS = ["quasi_static", "dynamic"]
+#: Largest error ratio that a halved substep must give, by kind; 1/2 is order one.
+ORDERS = {"coulomb_friction": 0.9, "stribeck_friction": 0.9}
+
+
+@pytest.fixture(scope="module")
+def nominal(rig):
+    u = rig.rich_input(1600)
+    return {form: (u, rig.simulate(rig.newtonian(currents=form), u)) for form in FORMS}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_size_zero_changes_no_bit(rig, nominal, form, effect_name):
+    u, expected = nominal[form]
+    model = rig.extended(rig.newtonian(currents=form), {effect_name: rig.absent(effect_name)})
+    x = rig.simulate(model, u)[:, : expected.shape[1]]
+    np.testing.assert_array_equal(x, expected)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_all_effects_of_size_zero_together_change_no_bit(rig, nominal, form):
+    u, expected = nominal[form]
+    effects = {name: rig.absent(name) for name in rig.names}
+    model = rig.extended(rig.newtonian(currents=form), effects)
+    np.testing.assert_array_equal(rig.simulate(model, u)[:, : expected.shape[1]], expected)
+
+
+def test_every_effect_changes_something(rig, nominal, effect_name):
+    u, expected = nominal["quasi_static"]
+    model = rig.extended(rig.newtonian(), {effect_name: rig.effect(effect_name)})
+    x = rig.simulate(model, u)
+    assert np.all(np.isfinite(x))
+    angles = [rig.newtonian().state_index(name) for name in ("alpha_v", "alpha_h")]
+    assert np.abs(x[:, angles] - expected[:, angles]).max() > 2e-3
+
+
+def test_halving_the_substep_converges(rig, effect_name):
+    u = 0.6 * rig.rich_input(150)
+    model = rig.extended(rig.newtonian(), {effect_name: rig.effect(effect_name)})
+    # Many short steps instead of one with many substeps: the answer may not depend on it.
+    finest = rig.simulate(model, np.repeat(u, 32, axis=0), 0.02 / 32, 1)[::32, :6]
+    scale = np.abs(finest).max(axis=0)
+    errors = [
+        (np.abs(rig.simulate(model, u, substeps=n)[:, :6] - finest) / scale).max()
+        for n in (1, 2, 4)
+    ]
+    kind = effect_name.split("_", 1)[1]
+    ratio = ORDERS.get(kind, 0.5)
+    assert errors[0] < 0.02
+    assert errors[2] < max(ratio**2 * errors[0], 1e-9), errors
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("present", [True, False])
+def test_jacobians_are_finite_at_rest_and_in_motion(rig, effect_name, form, present):
+    effect = rig.effect(effect_name) if present else rig.absent(effect_name)
+    model = rig.extended(rig.newtonian(currents=form), {effect_name: effect})
+    discrete = discretise(model, 0.02, 1)
+    slopes = discrete.linearised()
+    moving = np.linspace(-0.5, 0.7, discrete.n_x)
+    for x in (np.zeros(discrete.n_x), moving):
+        for u in (np.zeros(2), np.array([1.4, -0.3])):
+            results = slopes(x, u, model.parameters.values, np.zeros(model.n_w))
+            assert all(np.all(np.isfinite(np.asarray(result))) for result in results)
+
+
+def test_jacobians_equal_differences_in_motion(rig, effect_name):
+    model = rig.extended(rig.newtonian(), {effect_name: rig.effect(effect_name)})
+    discrete = discretise(model, 0.02, 2)
+    slopes = discrete.linearised()
+    generator = np.random.default_rng(3)
+    x = generator.uniform(0.2, 0.6, discrete.n_x)
+    x[[0, 3]] *= 200
+    at = [x, np.array([1.3, -0.7]), model.parameters.values, np.full(model.n_w, 1e-3)]
+    _, *exact = slopes(*at)
+    for which, jacobian in enumerate(exact):
+        for column in range(at[which].size):
+            size = 1e-6 * max(abs(at[which][column]), 1e-3)
+            sides = []
+            for sign in (1, -1):
+                there = [value.copy() for value in at]
+                there[which][column] += sign * size
+                sides.append(np.asarray(discrete.step(*there)).ravel())
+            difference = (sides[0] - sides[1]) / (2 * size)
+            got = np.asarray(jacobian)[:, column]
+            scale = 1 + np.abs(difference).max()
+            np.testing.assert_allclose(got, difference, atol=2e-4 * scale)
+
+
+def test_a_model_without_the_axis_or_rotor_is_refused(rig, effect_name):
+    effect = rig.effect(effect_name)
+    part = effect_name.split("_")[0]
+    freedom = "horizontal" if part in ("pitch", "main") else "vertical"
+    with pytest.raises(ModelError, match=f"has no {part}") as caught:
+        rig.extended(rig.newtonian(freedom=freedom), {effect_name: effect})
+    assert "it has:" in caught.value.remedy
+
+
+def test_every_effect_works_on_its_own_axis_alone(rig, effect_name):
+    part = effect_name.split("_")[0]
+    freedom = "vertical" if part in ("pitch", "main") else "horizontal"
+    base = rig.newtonian(freedom=freedom)
+    model = rig.extended(base, {effect_name: rig.effect(effect_name)})
+    x = rig.simulate(model, rig.rich_input(200)[:, :1])
+    assert np.all(np.isfinite(x))
+
+
+def test_parameters_and_states_carry_the_name_of_the_effect(rig):
+    names = ["yaw_cable_hysteresis", "main_actuator_lag"]
+    model = rig.extended(rig.newtonian(), {name: rig.effect(name) for name in names})
+    assert model.state_names[-1] == "yaw_cable_hysteresis.memory"
+    assert [signal.name for signal in model.memory(0.02)] == ["main_actuator_lag.lagged"]
+    assert model.parameters["main_actuator_lag.time_constant"].unit == "s"
+    assert model.parameters.names[:39] == rig.newtonian().parameters.names
+
+
+def test_all_effects_together_run_with_their_memory_in_place(rig):
+    """Input-path effects in a row, states and impulses: sizes of x and x⁺ agree."""
+    effects = {name: rig.effect(name) for name in rig.names}
+    for order in (list(effects), list(reversed(effects))):
+        model = rig.extended(rig.newtonian(), {name: effects[name] for name in order})
+        discrete = discretise(model, 0.02, 4)
+        assert discrete.step.size_in(0) == discrete.step.size_out(0) == (len(discrete.states), 1)
+        assert np.all(np.isfinite(rig.simulate(model, rig.rich_input(300))))
+
+
+def test_a_command_passes_the_input_paths_in_the_order_of_their_names(rig):
+    effects = {
+        "main_actuator_lag": rig.effect("main_actuator_lag"),
+        "main_dead_zone": rig.effect("main_dead_zone", width=0.5),
+    }
+    results = [
+        rig.simulate(rig.extended(rig.newtonian(), {name: effects[name] for name in order}), u)
+        for u in [np.tile([0.6, 0.0], (10, 1))]
+        for order in (list(effects), list(reversed(effects)))
+    ]
+    lag_first, dead_zone_first = (x[-1, 6] for x in results)
+    assert lag_first > 0.5  # the lag saw the whole command,
+    assert dead_zone_first < 0.11  # or what the dead zone had left
+
+
+def test_the_work_grows_with_the_effects_and_not_with_their_combinations(rig):
+    def instructions(*names):
+        effects = {name: rig.effect(name) for name in names}
+        return discretise(rig.extended(rig.newtonian(), effects), 0.02, 4).step.n_instructions()
+
+    alone = instructions()
+    three = instructions("pitch_coulomb_friction", "yaw_stribeck_friction", "main_actuator_lag")
+    assert three < 2 * alone
+    together = instructions(*rig.names)
+    assert together - alone < 3 * sum(instructions(name) - alone for name in rig.names)
+
+
+def test_a_base_of_one_state_keeps_its_size(rig):
+    """CasADi gives an empty slice of a 1 × 1 matrix the shape (1, 0), which adds a row of zeros."""
+
+    class Nothing(Effect):
+        def parameters(self):
+            return ()
+
+        def check(self, model):
+            pass
+
+    model = ExtendedModel(rig.newtonian(), "lag", rig.effect("main_actuator_lag"))
+    model = ExtendedModel(model, "nothing", Nothing())
+    memory = ca.SX.sym("m", 1)
+    p = ca.SX.sym("p", len(model.parameters))
+    _, after = model.input_path(memory, ca.SX.sym("u", 2), p, (0.0, 1.0), 0.02)
+    assert after.shape == (1, 1)

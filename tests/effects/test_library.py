@@ -1,0 +1,100 @@
+"""The library as the command line meets it: YAML options, ranges, overrides."""
+
+import dataclasses
+import re
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
+
+#: One bad value for each range there is in the library.
+BAD = {"ge": -1.0, "gt": 0.0, "le": 5.0}
+
+
+def test_each_option_describes_itself(rig, effect_name):
+    text = (config_folder() / "effect" / f"{effect_name}.yaml").read_text(encoding="utf-8")
+    first, head, *lines = text.splitlines()
+    assert re.match(r"# \w.{20,80}$", first)
+    assert head == f"{effect_name}:"
+    part = effect_name.split("_")[0]
+    for line in lines[1:]:
+        key, value = re.match(r"  (\w+): +(\S+)", line).groups()
+        if key in ("axis", "rotor"):
+            assert value == part
+        else:
+            assert re.search(r"  # .*\w", line), f"{key} has no unit and meaning"
+
+
+def test_each_size_has_a_unit_and_a_meaning(rig, effect_name):
+    effect = rig.effect(effect_name)
+    for parameter in effect.parameters():
+        assert parameter.unit and parameter.description
+        assert getattr(effect, parameter.name) == parameter.value
+        assert parameter.lower <= parameter.value <= parameter.upper
+
+
+def test_a_size_out_of_range_is_refused_by_its_key(rig, effect_name):
+    effect = rig.effect(effect_name)
+    sizes = [parameter.name for parameter in effect.parameters()]
+    hints = {field.name: field.type for field in dataclasses.fields(effect) if field.name in sizes}
+    assert hints
+    for name in sizes:
+        parameter = next(p for p in effect.parameters() if p.name == name)
+        with pytest.raises(ConfigurationError) as caught:
+            build(rig.node(effect_name) | {name: parameter.lower - 1.0}, f"effect.{effect_name}")
+        assert caught.value.where == f"effect.{effect_name}.{name}"
+
+
+@given(value=st.one_of(st.floats(max_value=-1e-9), st.text(), st.booleans(), st.none()))
+@settings(max_examples=50)
+def test_nothing_but_a_size_is_taken_for_one(rig, value):
+    with pytest.raises(ConfigurationError):
+        build(rig.node("yaw_coulomb_friction") | {"torque": value}, "effect.yaw_coulomb_friction")
+
+
+def test_an_axis_that_does_not_exist_is_refused():
+    with pytest.raises(ConfigurationError, match="roll"):
+        build(
+            {
+                "_target_": "trms_cli.effects.coulomb_friction.CoulombFriction",
+                "axis": "roll",
+                "torque": 0.1,
+            },
+            "effect.mine",
+        )
+
+
+def test_effects_are_data(rig, effect_name):
+    """Equal by value, hashable, unchangeable."""
+    effect = rig.effect(effect_name)
+    assert effect == rig.effect(effect_name)
+    assert hash(effect) == hash(rig.effect(effect_name))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        effect.anything = 1
+    assert msgspec.json.encode(dataclasses.asdict(effect))
+
+
+def test_several_effects_and_their_sizes_are_chosen_on_the_command_line(rig, tmp_path):
+    hydra = pytest.importorskip("hydra")
+    from omegaconf import OmegaConf
+
+    (tmp_path / "tiny.yaml").write_text("defaults:\n  - effect: []\n", encoding="utf-8")
+    with hydra.initialize_config_dir(str(tmp_path), version_base="1.3"):
+        config = hydra.compose(
+            "tiny",
+            overrides=[
+                f"hydra.searchpath=[file://{config_folder()}]",
+                "effect=[yaw_coulomb_friction,main_input_delay]",
+                "effect.yaw_coulomb_friction.torque=0.004",
+            ],
+        )
+    plain = OmegaConf.to_container(config, resolve=True)
+    effects = {name: build(node, f"effect.{name}") for name, node in plain["effect"].items()}
+    assert list(effects) == ["yaw_coulomb_friction", "main_input_delay"]
+    assert effects["yaw_coulomb_friction"].torque == 0.004
+    assert effects["main_input_delay"] == rig.effect("main_input_delay")

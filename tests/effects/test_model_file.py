@@ -1,0 +1,172 @@
+"""Models from files: what is accepted, and how a mistake is told."""
+
+import numpy as np
+import pytest
+import yaml
+
+from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
+from trms_cli.effects.model_file import load_model
+from trms_cli.models.newtonian import Newtonian
+
+
+@pytest.fixture
+def content():
+    return yaml.safe_load((config_folder() / "parameters" / "bench.yaml").read_text("utf-8"))
+
+
+@pytest.fixture
+def written(tmp_path, content):
+    def write(**changes):
+        path = tmp_path / "rig.yaml"
+        path.write_text(yaml.safe_dump(content | changes, sort_keys=False), encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+def test_a_parameter_set_is_a_model(written):
+    model = load_model(written())
+    assert isinstance(model, Newtonian)
+    np.testing.assert_array_equal(model.parameters.values, Newtonian().parameters.values)
+    assert model.input_limits == Newtonian().input_limits
+
+
+def test_effects_come_with_their_sizes(rig, written):
+    sizes = {"yaw_coulomb_friction": {"torque": 0.004}, "main_input_delay": {}}
+    model = load_model(written(effects=sizes))
+    assert model.parameters["yaw_coulomb_friction.torque"].value == 0.004
+    assert model.parameters["main_input_delay.delay"].value == 0.04
+    u = rig.rich_input(100)
+    same = rig.extended(
+        Newtonian(),
+        {
+            "yaw_coulomb_friction": rig.effect("yaw_coulomb_friction", torque=0.004),
+            "main_input_delay": rig.effect("main_input_delay"),
+        },
+    )
+    np.testing.assert_array_equal(rig.simulate(model, u), rig.simulate(same, u))
+
+
+def test_another_effect_of_the_same_class_has_a_name_of_its_own(written):
+    own = {
+        "second_lag": {
+            "_target_": "trms_cli.effects.actuator_lag.ActuatorLag",
+            "rotor": "tail",
+            "time_constant": 0.01,
+        }
+    }
+    model = load_model(written(effects=own))
+    assert model.parameters["second_lag.time_constant"].value == 0.01
+
+
+def test_values_are_replaced_by_name(written):
+    path = written(effects={"yaw_coulomb_friction": {}})
+    changed = {"k_g": 0.05, "yaw_coulomb_friction.torque": 0.003}
+    model = load_model(path, changed)
+    assert {name: model.parameters[name].value for name in changed} == changed
+    with pytest.raises(ConfigurationError) as caught:
+        load_model(path, {"k_q": 0.05})
+    assert caught.value.where == "model.parameters.k_q"
+
+
+def test_the_option_builds(written):
+    node = yaml.safe_load((config_folder() / "model" / "from_file.yaml").read_text("utf-8"))
+    assert node["path"] == "???"
+    model = build(node | {"path": written()}, "model")
+    assert model.name == "newtonian"
+
+
+@pytest.mark.parametrize("option", ["newtonian_full", "newtonian_vertical", "newtonian_horizontal"])
+def test_it_names_any_built_in_form(written, option):
+    model = load_model(written(model=option))
+    node = yaml.safe_load((config_folder() / "model" / f"{option}.yaml").read_text("utf-8"))
+    assert model.state_names == build(node, "model").state_names
+
+
+def test_a_fitted_file_keeps_its_standard_deviations_and_scientific_numbers(written, content):
+    entry = {"value": "1.7e-5", "unit": "N*s^2", "sd": "2e-7", "prior_sd": 0.06}
+    model = load_model(written(parameters=content["parameters"] | {"k_fvp": entry}))
+    assert model.parameters["k_fvp"].value == 1.7e-5
+
+
+MISTAKES = [
+    ({"model": "newtonain"}, "model", "newtonian"),
+    ({"model": "from_file"}, "model", "newtonian"),
+    ({"effects": {"yaw_columb_friction": {}}}, "effects.yaw_columb_friction", "yaw_coulomb"),
+    (
+        {"effects": {"yaw_coulomb_friction": {"toque": 1.0}}},
+        "effects.yaw_coulomb_friction.toque",
+        "torque",
+    ),
+    (
+        {"effects": {"yaw_coulomb_friction": {"torque": -1.0}}},
+        "effects.yaw_coulomb_friction.torque",
+        ">= 0",
+    ),
+    (
+        {"effects": {"yaw_coulomb_friction": {"torque": "much"}}},
+        "effects.yaw_coulomb_friction.torque",
+        "float",
+    ),
+    (
+        {"effects": {"yaw_coulomb_friction": {"axis": "pitch", "torque": float("nan")}}},
+        "effects.yaw_coulomb_friction.torque",
+        "",
+    ),
+    ({"effects": {"mine": {"_target_": "no.such.Class"}}}, "effects.mine._target_", "install"),
+    (
+        {"effects": {"mine": {"_target_": "trms_cli.models.newtonian.Newtonian"}}},
+        "effects.mine._target_",
+        "",
+    ),
+    (
+        {"model": "newtonian_vertical", "effects": {"yaw_coulomb_friction": {}}},
+        "effects",
+        "pitch",
+    ),
+    ({"limits": {"u_x": 1.0}}, "limits.u_x", "u_v"),
+    ({"limits": {"u_v": -1.0}}, "limits.u_v", "positive"),
+]
+
+
+@pytest.mark.parametrize(("changes", "key", "remedy"), MISTAKES)
+def test_a_mistake_is_told_by_file_and_key(written, changes, key, remedy):
+    path = written(**changes)
+    with pytest.raises(TrmsError) as caught:
+        load_model(path)
+    assert isinstance(caught.value, ModelError)
+    assert caught.value.where == f"{path}: {key}"
+    assert remedy in caught.value.remedy
+
+
+@pytest.mark.parametrize("name", ["k_fvp", "k_chn", "g"])
+def test_a_missing_parameter_is_named(written, content, name):
+    parameters = {key: value for key, value in content["parameters"].items() if key != name}
+    path = written(parameters=parameters)
+    with pytest.raises(ModelError) as caught:
+        load_model(path)
+    assert name in str(caught.value) and caught.value.where.startswith(f"{path}: parameters")
+
+
+def test_a_misspelt_parameter_is_named(written, content):
+    path = written(parameters=content["parameters"] | {"k_fvq": {"value": 1.0}})
+    with pytest.raises(ModelError, match="k_fvq") as caught:
+        load_model(path)
+    assert "did you mean k_fvp" in caught.value.remedy
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2]", "name: [", "name: a\nmodel: newtonian\n"])
+def test_another_kind_of_file_is_refused(tmp_path, text):
+    path = tmp_path / "other.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        load_model(str(path))
+    assert str(path) in caught.value.where
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(ConfigurationError, match="nowhere") as caught:
+        load_model(str(tmp_path / "nowhere.yaml"))
+    assert caught.value.where == "model.path"
