@@ -32,9 +32,13 @@ FloatArray = npt.NDArray[np.float64]
 #: disturbances, references, steady-state target; then what stays the same during a run: weights of
 #: the rows, inputs and moves, limits (lower; upper), prices (linear and quadratic of the terminal
 #: equality and of the limits), scale of the terminal residual.
-ARGUMENTS = (
-    ("x0", "z", "u_previous", "p", "w", "r", "x_s", "u_s")
-    + ("q", "rho", "s", "limits", "prices", "scale")
+ARGUMENTS = ("x0", "z", "u_previous", "p", "w", "r", "x_s", "u_s") + (
+    "q",
+    "rho",
+    "s",
+    "limits",
+    "prices",
+    "scale",
 )
 
 
@@ -79,8 +83,8 @@ class SoftLimits:
 class TerminalPrice:
     """Price of missing the terminal equality, in scaled units (see :class:`Horizon`)."""
 
-    linear: float
-    quadratic: float
+    linear: float  #: μ
+    quadratic: float  #: ν
 
 
 def blocks_of(prediction_horizon: int, lengths: tuple[int, ...]) -> npt.NDArray[np.int64]:
@@ -201,7 +205,8 @@ class Horizon:
         }
         at = {name: ca.MX.sym(name, *sizes[name]) for name in ARGUMENTS}
 
-        state, states, sensitivity, row_sensitivities = at["x0"], [], None, []
+        state, states, row_sensitivities = at["x0"], [], []
+        sensitivity = ca.MX(discrete.n_x, 0)
         rows = [model.state_index(name) for name in self.rows]
         for k in range(n):
             u = at["z"][:, int(self.blocks[k])]
@@ -271,10 +276,10 @@ def _stage(discrete: DiscreteModel, with_sensitivities: bool) -> ca.Function:
 
 
 def _propagated(
-    sensitivity: ca.MX | None, a: ca.MX, b: ca.MX, k: int, blocks: npt.NDArray[np.int64]
+    sensitivity: ca.MX, a: ca.MX, b: ca.MX, k: int, blocks: npt.NDArray[np.int64]
 ) -> ca.MX:
     """∂x_{k+1}/∂z for the blocks begun so far: S⁺ = A S, plus B in the present block."""
-    if sensitivity is None:
+    if k == 0:
         return b
     n_u = b.shape[1]
     moved = a @ sensitivity

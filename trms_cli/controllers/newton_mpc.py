@@ -15,8 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from time import perf_counter
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -40,8 +39,9 @@ from trms_cli.controllers.newton_step import NewtonStep
 from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.controllers.qp.daqp import Daqp
 from trms_cli.controllers.qp.problem import QpSolver
+from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import SimulationError
-from trms_cli.models.discretisation import discretise
+from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import names
 
 FloatArray = npt.NDArray[np.float64]
@@ -154,7 +154,7 @@ class NewtonMpc:
             outcome.kkt_residual,
             newton.linearise_time - begin_linearise,
             newton.qp_time - begin_qp,
-            message=status.meaning if status is Status.RELAXED else "",
+            message=_message(status, target),
             prediction=state.prediction() if want_prediction else None,
         )
 
@@ -213,15 +213,19 @@ class NewtonMpcState:
         self._full[:n_x] = sample.estimate.x
         known = len(sample.reference)
         reference = newton.reference
-        reference[:, :known] = sample.reference[: reference.shape[1]].T
-        # `reference` holds r(t+1) … r(t+N): the first sample, r(t), is not a prediction.
-        if known > 1:
-            reference[:, : known - 1] = sample.reference[1:].T
-        reference[:, max(known - 1, 0) :] = sample.reference[-1][:, None]
+        # `reference` holds r(t+1) … r(t+N), the last known one held to the end of the horizon.
+        reference[:, : known - 1] = sample.reference[1:].T
+        reference[:, known - 1 :] = sample.reference[-1][:, None]
         previous_target = self.target
         self.target = self.steady_state.solve(
             sample.reference[-1], self._disturbance, previous_target
         )
+        if self.target.projected:
+            # What cannot be held must not be striven for either: the objective would pull away
+            # from the terminal state.
+            asked = sample.reference[-1][:, None]
+            reached = self.target.reference_reached[:, None]
+            reference[:] = np.where(reference == asked, reached, reference)
         newton.set_problem(self._full, sample.previous_command, self._disturbance, self.target)
         steady = np.repeat(self.target.u[:, None], newton.plan.shape[1], axis=1)
         if self._first:
@@ -243,7 +247,11 @@ class NewtonMpcState:
         period = self.discrete.step_length
         states = np.vstack([self._full[: self.model.n_x], newton.trajectory[: self.model.n_x].T])
         inputs = newton.plan[:, newton.horizon.blocks].T
-        return Prediction(np.arange(len(states)) * period, states, np.vstack([inputs, inputs[-1]]))
+        return Prediction(
+            np.arange(len(states), dtype=np.float64) * period,
+            states,
+            np.vstack([inputs, inputs[-1]]),
+        )
 
     def fall_back(self, policy: str, reason: str) -> Command:
         """The declared command of a sample whose solve failed.
@@ -276,14 +284,19 @@ class NewtonMpcState:
         )
 
 
-def typical_sizes(discrete: Any) -> FloatArray:
+def _message(status: Status, target: Target | None) -> str:
+    words = [status.meaning] if status is Status.RELAXED else []
+    if target is not None and target.projected:
+        words.append("the reference is out of reach; the nearest steady state is the target")
+    return "; ".join(words)
+
+
+def typical_sizes(discrete: DiscreteModel) -> FloatArray:
     """How far each state of a model moves within seconds under full inputs, shape (n_x,).
 
     From rest, each input is held at either limit; the largest excursion counts. It makes one
     terminal price serve angles (rad) and rotor speeds (hundreds of rad/s) alike.
     """
-    from trms_cli.core.compilation import BufferedFunction
-
     model = discrete.model
     step = BufferedFunction(discrete.step)
     sizes = np.full(model.n_x, 1e-3)

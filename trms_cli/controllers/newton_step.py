@@ -25,7 +25,25 @@ _REGULARISATION = 1e-6
 
 @dataclass
 class Outcome:
-    """How the iterations of a sample ended."""
+    """How the iterations of a sample ended.
+
+    Attributes
+    ----------
+    iterations : int
+    converged : bool
+        Whether the last Newton step moved no input by more than the tolerance.
+    failed : bool
+        Whether there is no usable answer; ``message`` says why.
+    stalled : bool
+        Whether no step along the Newton direction lowered the merit.
+    objective, merit : float
+        J and φ of the plan.
+    violation, terminal_residual : float
+        Largest violation of a soft limit, and of the scaled terminal equality.
+    kkt_residual : float
+        Largest component of the Lagrangian's gradient before the last step.
+    message : str
+    """
 
     iterations: int
     converged: bool
@@ -192,9 +210,7 @@ class NewtonStep:
         linearise = horizon.linearise
         linearise.inputs[1][:] = self.plan
         linearise()
-        trajectory, slopes, terminal_slope, terminal, objective, merit, violation = (
-            linearise.outputs
-        )
+        trajectory, slopes, terminal_slope, terminal, objective, merit, _ = linearise.outputs
         merit_now = float(merit[0])
         if not merit_now < np.inf:
             self.linearise_time += perf_counter() - begin

@@ -125,9 +125,9 @@ class BufferedFunction:
             _array(function.size_out(i)) for i in range(function.n_out())
         )
         for i, array in enumerate(self.inputs):
-            self._buffer.set_arg(i, memoryview(array.ravel(order="K")))
+            self._buffer.set_arg(i, array.ravel(order="K").data)
         for i, array in enumerate(self.outputs):
-            self._buffer.set_res(i, memoryview(array.ravel(order="K")))
+            self._buffer.set_res(i, array.ravel(order="K").data)
 
     def __call__(self) -> None:
         """Evaluate from the present inputs into the outputs."""

@@ -29,9 +29,9 @@ FloatArray = npt.NDArray[np.float64]
 class Signal:
     """A named physical signal: a state, input, output or disturbance."""
 
-    name: str
-    unit: str
-    description: str = ""
+    name: str  #: unique within its kind
+    unit: str  #: SI, "1" for a normalised command
+    description: str = ""  #: what it is, without the unit
 
 
 @dataclass(frozen=True)

@@ -159,7 +159,7 @@ class SimulatedRun:
     def _torques(self, rig: SimulatedRig, setup: PlantSetup) -> FloatArray:
         """Disturbances at each sample, shape (samples, n_w), held over the sample."""
         equations = names(self.model.disturbances)
-        times = np.arange(setup.samples) * setup.sample_time
+        times = np.arange(setup.samples, dtype=np.float64) * setup.sample_time
         w = np.zeros((setup.samples, len(equations)))
         for name, disturbance in rig.disturbances.items():
             column = _known(disturbance.equation, equations, f"disturbances.{name}.equation")
@@ -168,12 +168,13 @@ class SimulatedRun:
 
     def _known(self, rig: SimulatedRig, setup: PlantSetup) -> dict[str, FloatArray]:
         """Torques that are measured, by channel name ``d_<equation>``, each (samples,)."""
-        times = np.arange(setup.samples) * setup.sample_time
+        times = np.arange(setup.samples, dtype=np.float64) * setup.sample_time
         known: dict[str, FloatArray] = {}
         for disturbance in rig.disturbances.values():
             if disturbance.known:
                 channel = f"d_{disturbance.equation}"
-                known[channel] = known.get(channel, 0.0) + disturbance.torque.sample(times)
+                torque = known.setdefault(channel, np.zeros(setup.samples))
+                torque += disturbance.torque.sample(times)
         return known
 
 

@@ -136,7 +136,7 @@ class Loop:
         control = ControlSetup(e.model, ratio * e.sample_time, plant.first_command)
         preview = e.controller.preview(control)
         # Sampled once, as far as the last preview reaches.
-        times = np.arange(e.samples + preview * ratio) * e.sample_time
+        times = np.arange(e.samples + preview * ratio, dtype=np.float64) * e.sample_time
         references = e.reference.restricted_to(e.model.controlled).sample(times)
         observing = ObserverSetup(
             e.model,

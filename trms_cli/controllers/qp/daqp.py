@@ -54,7 +54,9 @@ class Daqp:
         size = qp.rows.shape
         model = workspace.models.get(size)
         if model is not None:
-            model.update(H=qp.hessian, f=qp.gradient, A=qp.rows, bupper=upper, blower=lower)
+            # Without rows, `update` would look at the first of none.
+            rows = qp.rows if len(qp.rows) else None
+            model.update(H=qp.hessian, f=qp.gradient, A=rows, bupper=upper, blower=lower)
         else:
             model = daqp.Model()
             model.settings = {"iter_limit": self.max_iterations}

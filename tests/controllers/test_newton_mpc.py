@@ -1,0 +1,485 @@
+"""The Newton MPC against textbook solutions, and its promises one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from linear_model import DoubleMass, matrices
+
+from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
+from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
+from trms_cli.controllers.qp.daqp import Daqp
+from trms_cli.controllers.qp.osqp import Osqp
+from trms_cli.controllers.qp.problem import Qp, QpResult
+from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.observers.observer import Estimate
+
+CONVERGED = {"max_iterations": 60, "tolerance": 1e-7}
+SHORT = {"prediction_horizon": 20, "move_blocks": (1,) * 20}
+
+
+def sample_at(
+    model: Any, x: np.ndarray, reference: list[float], u: np.ndarray | None = None
+) -> ControlSample:
+    """A control sample with a constant reference and no disturbance."""
+    zeros = np.zeros(model.n_w)
+    estimate = Estimate(x, np.zeros_like(x), zeros, zeros)
+    return ControlSample(0.0, np.array([reference]), estimate, np.zeros(2) if u is None else u)
+
+
+def first_command(mpc: NewtonMpc, model: Any, x: np.ndarray, reference: list[float]) -> Any:
+    """State and command of one sample."""
+    setup = ControlSetup(model, mpc.sample_time, np.zeros(model.n_u))
+    state = mpc.init(setup)
+    return state, mpc.step(state, sample_at(model, x, reference), want_prediction=True)
+
+
+def constant(*values: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda times: np.tile(values, (len(times), 1))
+
+
+def square(times: np.ndarray) -> np.ndarray:
+    """±0.3 rad pitch and ±0.5 rad yaw, 0.1 Hz."""
+    sign = np.where(np.mod(times * 0.1, 1.0) < 0.5, 1.0, -1.0)
+    return np.column_stack([0.3 * sign, 0.5 * sign])
+
+
+# -- against other solutions ------------------------------------------------------------------
+
+
+def test_equals_the_finite_horizon_lqr_without_constraints() -> None:
+    model = DoubleMass()
+    mpc = NewtonMpc(
+        sample_time=0.2,
+        prediction_horizon=15,
+        move_blocks=(1,) * 15,
+        state_weights={"p1": 3.0, "p2": 1.0, "v1": 0.2},
+        input_weights={"f1": 0.5, "f2": 0.1},
+        move_weights={},
+        terminal="none",
+        max_iterations=3,
+    )
+    x = np.array([0.3, -0.2, 0.5, 0.1])
+    _, command = first_command(mpc, model, x, [0.0, 0.0])
+
+    a, b = matrices(discretise(model, 0.2).step, model)
+    q, r = np.diag([3.0, 0.2, 1.0, 0.0]), np.diag([0.5, 0.1])
+    value = q  # Riccati recursion from the end; x_1 … x_N are weighted
+    for _ in range(15):
+        gain = np.linalg.solve(r + b.T @ value @ b, b.T @ value @ a)
+        value = q + a.T @ value @ (a - b @ gain)
+    assert command.u == pytest.approx(-gain @ x, abs=1e-5)
+    assert command.status is Status.OK
+
+
+def ipopt_solution(
+    mpc: NewtonMpc, model: Any, x0: np.ndarray, target: Any, goal: np.ndarray, u0: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Inputs (n_u, N) and objective by multiple shooting with IPOPT, terminal equality hard."""
+    step = discretise(model, mpc.sample_time, mpc.integration_steps).step
+    n = mpc.prediction_horizon
+    opti = ca.Opti()
+    x, u = opti.variable(model.n_x, n + 1), opti.variable(model.n_u, n)
+    lower, upper = model.input_bounds()
+    scale = np.maximum(np.abs(target.x), 1.0)
+    cost = 0
+    opti.subject_to(x[:, 0] == x0)
+    for k in range(n):
+        after = step(x[:, k], u[:, k], model.parameters.values, np.zeros(model.n_w))
+        opti.subject_to((x[:, k + 1] - after) / scale == 0)
+        for i, name in enumerate(model.controlled):
+            error = x[model.state_index(name), k + 1] - goal[i]
+            cost += mpc.state_weights[name] * error**2
+        previous = u[:, k - 1] if k else u0
+        for j, signal in enumerate(model.inputs):
+            cost += mpc.move_weights[signal.name] * (u[j, k] - previous[j]) ** 2
+            opti.subject_to(opti.bounded(lower[j], u[j, k], upper[j]))
+    opti.subject_to((x[:, n] - target.x) / scale == 0)
+    opti.minimize(cost)
+    opti.set_initial(u, np.tile(target.u[:, None], n))
+    opti.set_initial(x, np.tile(x0[:, None], n + 1))
+    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "tol": 1e-10, "sb": "yes"})
+    solution = opti.solve()
+    return solution.value(u), float(solution.value(cost))
+
+
+@pytest.mark.parametrize(
+    ("start", "goal"),
+    [
+        ({"alpha_v": -0.619}, [0.1, 0.3]),
+        ({"alpha_v": 0.3, "alpha_h": 0.5, "omega_v": 220.0, "omega_h": 120.0}, [0.0, 0.2]),
+        ({"alpha_v": -0.2, "alpha_h": -0.3, "omega_v": 160.0, "omega_h": -80.0}, [-0.3, 0.2]),
+    ],
+)
+def test_equals_ipopt_with_constraints(start: dict[str, float], goal: list[float]) -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(
+        prediction_horizon=35,
+        move_blocks=(1,) * 35,
+        state_weights={"alpha_v": 1.0, "alpha_h": 1.0},
+        move_weights={"u_v": 0.01, "u_h": 0.01},
+        **CONVERGED,
+    )
+    x = model.rest()
+    for name, value in start.items():
+        x[model.state_index(name)] = value
+    state, command = first_command(mpc, model, x, goal)
+    assert command.slack < 1e-5
+    u, cost = ipopt_solution(mpc, model, x, state.target, np.array(goal), np.zeros(2))
+    assert command.objective == pytest.approx(cost, rel=1e-4)
+    assert state.newton.plan == pytest.approx(u, abs=2e-2)
+    assert np.abs(state.newton.plan).max() <= 2.5
+
+
+def test_qp_solvers_agree(close_loop: Callable[..., Any]) -> None:
+    model = Newtonian()
+    base = NewtonMpc(
+        **SHORT,
+        input_rate_limits={"u_v": 15.0},
+        soft_limits={"alpha_v": (-0.7, 0.25)},
+    )
+    daqp = close_loop(replace(base, qp=Daqp()), model, square, 4.0)
+    osqp = close_loop(replace(base, qp=Osqp()), model, square, 4.0)
+    assert {c.status for c in osqp.commands} <= {Status.OK, Status.BUDGET, Status.RELAXED}
+    assert osqp.inputs == pytest.approx(daqp.inputs, abs=2e-3)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000))
+def test_qp_solvers_agree_on_random_programs(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    n, m = 8, 5
+    root = generator.standard_normal((n, n))
+    linear = np.where(generator.random(m) < 0.5, np.inf, 3.0)
+    width = generator.uniform(0.0, 1.0, m)
+    rows = generator.standard_normal((m, n))
+    centre = rows @ generator.uniform(-0.4, 0.4, n)  # the hard rows can be met within the bounds
+    qp = Qp(
+        root @ root.T + 0.1 * np.eye(n),
+        3.0 * generator.standard_normal(n),
+        np.full(n, -0.5),
+        np.full(n, 0.5),
+        rows,
+        np.where(np.isinf(linear), centre - width, centre + 2.0),
+        np.where(np.isinf(linear), centre + width, centre + 2.0 + width),
+        linear,
+        np.full(m, 10.0),
+    )
+    first = Daqp().solve(Daqp().start(), qp)
+    second = Osqp().solve(Osqp().start(), qp)
+    assert first.solved and second.solved
+    assert first.z == pytest.approx(second.z, abs=1e-5)
+
+
+# -- the horizon ------------------------------------------------------------------------------
+
+
+def test_cost_equals_the_direct_sum() -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(
+        prediction_horizon=12,
+        move_blocks=(1, 1, 2, 3),
+        state_weights={"alpha_v": 2.0, "alpha_h": 0.7, "S_v": 0.3},
+        input_weights={"u_v": 0.05, "u_h": 0.02},
+        move_weights={"u_v": 0.01, "u_h": 0.03},
+    )
+    state, command = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    x, u = command.prediction.states, command.prediction.inputs
+    target, direct = state.target, 0.0
+    for k in range(12):
+        after = dict(zip(model.state_names, x[k + 1], strict=True))
+        direct += 2.0 * (after["alpha_v"] - 0.1) ** 2 + 0.7 * (after["alpha_h"] - 0.2) ** 2
+        direct += 0.3 * (after["S_v"] - target.x[model.state_index("S_v")]) ** 2
+        direct += 0.05 * (u[k, 0] - target.u[0]) ** 2 + 0.02 * (u[k, 1] - target.u[1]) ** 2
+        move = u[k] - (u[k - 1] if k else np.zeros(2))
+        direct += 0.01 * move[0] ** 2 + 0.03 * move[1] ** 2
+    assert command.objective == pytest.approx(direct, rel=1e-10)
+
+
+def test_prediction_is_what_the_model_does() -> None:
+    model = Newtonian()
+    mpc = NewtonMpc()
+    _, command = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    step = discretise(model, mpc.sample_time, mpc.integration_steps).step
+    prediction = command.prediction
+    x = model.rest()
+    assert prediction.time == pytest.approx(np.arange(41) * 0.1)
+    for k in range(40):
+        x = np.array(step(x, prediction.inputs[k], model.parameters.values, np.zeros(4))).ravel()
+        assert prediction.states[k + 1] == pytest.approx(x, rel=1e-9, abs=1e-12)
+
+
+def test_warm_start_shifts_in_time_and_not_across_inputs() -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(prediction_horizon=6, move_blocks=(1, 1, 2, 2))
+    state, _ = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    state.newton.plan[:] = [[0.1, 0.2, 0.3, 0.4], [1.1, 1.2, 1.3, 1.4]]
+    again = sample_at(model, model.rest(), [0.1, 0.2])
+    state.begin_sample(again)
+    u_v, u_h = state.target.u
+    # Periods before: a b c c d d; after: b c c d d s, so that the blocks are b, c, (c d), (d s).
+    assert state.newton.plan[0] == pytest.approx([0.2, 0.3, 0.35, 0.5 * (0.4 + u_v)])
+    assert state.newton.plan[1] == pytest.approx([1.2, 1.3, 1.35, 0.5 * (1.4 + u_h)])
+
+
+def test_merit_never_rises_within_a_sample() -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(**SHORT)
+    generator = np.random.default_rng(5)
+    for _ in range(30):
+        x = model.rest()
+        x += generator.uniform(-1, 1, 6) * [150, 0.6, 0.8, 150, 0.6, 0.5]
+        setup = ControlSetup(model, 0.1, np.zeros(2))
+        state = mpc.init(setup)
+        state.begin_sample(sample_at(model, x, generator.uniform(-0.4, 0.4, 2).tolist()))
+        merits = []
+        for _ in range(8):
+            outcome = state.newton.solve(1, 1e-9)
+            assert not outcome.failed
+            merits.append(outcome.merit)
+        assert (np.diff(merits) <= 1e-9 * (1 + np.abs(merits[:-1]))).all()
+
+
+# -- constraints ------------------------------------------------------------------------------
+
+
+def test_terminal_equality_is_met_when_it_can_be(close_loop: Callable[..., Any]) -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(**CONVERGED)
+    ran = close_loop(mpc, model, constant(0.2, 0.4), 3.0)
+    assert max(command.slack for command in ran.commands) < 1e-4
+    assert all(command.status is Status.OK for command in ran.commands)
+
+
+def test_terminal_equality_is_relaxed_and_reported_when_it_cannot_be() -> None:
+    model = Newtonian()
+    short = NewtonMpc(prediction_horizon=5, move_blocks=(1,) * 5, **CONVERGED)
+    _, command = first_command(short, model, model.rest(), [0.4, 1.0])
+    assert command.status is Status.RELAXED
+    assert command.slack > 0.01
+    assert "relaxed" in command.message
+    assert np.isfinite(command.u).all()
+
+
+def test_reference_out_of_reach_is_projected(close_loop: Callable[..., Any]) -> None:
+    model = Newtonian()
+    ran = close_loop(NewtonMpc(), model, constant(0.0, 9.0), 12.0)
+    last = dict(zip(model.state_names, ran.states[-1], strict=True))
+    assert last["alpha_h"] == pytest.approx(model.stops["alpha_h"], abs=0.01)
+    assert last["alpha_v"] == pytest.approx(0.0, abs=0.01)
+    assert "out of reach" in ran.commands[-1].message
+
+
+def test_inputs_and_rates_stay_within_hard_limits(close_loop: Callable[..., Any]) -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(**SHORT, input_rate_limits={"u_v": 4.0, "u_h": 6.0})
+    ran = close_loop(mpc, model, square, 15.0)
+    assert np.abs(ran.inputs).max() <= 2.5
+    moves = np.diff(np.vstack([np.zeros(2), ran.inputs]), axis=0)
+    assert np.abs(moves[:, 0]).max() <= 0.4 + 1e-9
+    assert np.abs(moves[:, 1]).max() <= 0.6 + 1e-9
+    assert np.abs(moves[:, 0]).max() > 0.39  # and they are used
+
+
+def test_soft_limit_holds_exactly_when_it_can(close_loop: Callable[..., Any]) -> None:
+    model = Newtonian()
+    swinging = NewtonMpc(
+        state_weights={"alpha_v": 1.0, "alpha_h": 1.0}, move_weights={"u_v": 0.003, "u_h": 0.003}
+    )
+    free = close_loop(swinging, model, square, 14.0)
+    limited = close_loop(
+        replace(swinging, soft_limits={"alpha_v": (-0.62, 0.31)}, max_iterations=20),
+        model,
+        square,
+        14.0,
+    )
+    row = model.state_index("alpha_v")
+    assert free.states[:, row].max() > 0.34
+    assert limited.states[:, row].max() < 0.31 + 2e-3
+
+
+def test_soft_limit_gives_way_when_it_must(close_loop: Callable[..., Any]) -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(soft_limits={"alpha_v": (-0.2, 0.6)})  # the run starts at −0.619
+    ran = close_loop(mpc, model, constant(0.1, 0.0), 6.0)
+    assert all(command.status is not Status.FAILED for command in ran.commands)
+    assert ran.commands[0].slack > 0.1
+    assert ran.states[-1, model.state_index("alpha_v")] == pytest.approx(0.1, abs=5e-3)
+
+
+# -- the closed loop --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("preview", [0, 15])
+def test_tracks_without_steady_state_error(close_loop: Callable[..., Any], preview: int) -> None:
+    model = Newtonian()
+    ran = close_loop(NewtonMpc(preview_horizon=preview), model, square, 20.0)
+    before_the_edge = ran.states[-20 if preview else -2]
+    state = dict(zip(model.state_names, before_the_edge, strict=True))
+    assert state["alpha_v"] == pytest.approx(-0.3, abs=3e-3)
+    assert state["alpha_h"] == pytest.approx(-0.5, abs=3e-3)
+
+
+def test_preview_lowers_the_tracking_error(close_loop: Callable[..., Any]) -> None:
+    model = Newtonian()
+
+    def error(preview: int) -> float:
+        ran = close_loop(NewtonMpc(preview_horizon=preview), model, square, 20.0)
+        y = ran.states[:, [model.state_index("alpha_v"), model.state_index("alpha_h")]]
+        return float(np.square(y - square(np.arange(len(y)) * 0.1))[50:].sum())
+
+    assert error(15) < 0.8 * error(0)
+
+
+def test_known_constant_torque_leaves_no_offset(close_loop: Callable[..., Any]) -> None:
+    model = Newtonian()
+    push = np.array([0.01, 0.008, 0.0, 0.0])
+    ran = close_loop(NewtonMpc(), model, constant(0.1, 0.2), 10.0, disturbance=push)
+    last = dict(zip(model.state_names, ran.states[-1], strict=True))
+    assert last["alpha_v"] == pytest.approx(0.1, abs=1e-3)
+    assert last["alpha_h"] == pytest.approx(0.2, abs=1e-3)
+
+
+def test_yaw_is_left_from_the_point_where_its_linearisation_is_uncontrollable(
+    close_loop: Callable[..., Any],
+) -> None:
+    # At rest with ω_h = 0 no first-order change of u_h moves yaw.
+    model = Newtonian(freedom="horizontal")
+    ran = close_loop(NewtonMpc(), model, constant(0.4), 8.0)
+    assert ran.states[-1, model.state_index("alpha_h")] == pytest.approx(0.4, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(Newtonian(currents="dynamic"), id="8 states"),
+        pytest.param(Newtonian(freedom="vertical"), id="vertical"),
+        pytest.param(
+            extended(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)}), id="delay"
+        ),
+    ],
+)
+def test_other_models(close_loop: Callable[..., Any], model: Any) -> None:
+    goal = [0.1, 0.2][: len(model.controlled)]
+    if model.memory(0.1):
+        # The rig's memory is kept by its simulation; the controller keeps a copy of its own.
+        ran = run_with_memory(NewtonMpc(**SHORT), model, goal, 9.0)
+    else:
+        ran = close_loop(NewtonMpc(**SHORT), model, constant(*goal), 9.0)
+    last = ran.states[-1]
+    for name, value in zip(model.controlled, goal, strict=True):
+        assert last[model.state_index(name)] == pytest.approx(value, abs=6e-3)
+
+
+def run_with_memory(mpc: NewtonMpc, model: Any, goal: list[float], seconds: float) -> Any:
+    """As close_loop, for a rig whose input path has memory."""
+    from conftest import Ran
+
+    discrete = discretise(model, mpc.sample_time, 10)
+    full = discrete.initial(model.rest(), np.zeros(model.n_u))
+    state = mpc.init(ControlSetup(model, mpc.sample_time, np.zeros(model.n_u)))
+    u, ran = np.zeros(model.n_u), Ran()
+    for _ in range(round(seconds / mpc.sample_time)):
+        sample = sample_at(model, full[: model.n_x].copy(), goal, u)
+        u = mpc.step(state, sample, want_prediction=False).u
+        full = np.array(
+            discrete.step(full, u, model.parameters.values, np.zeros(model.n_w))
+        ).ravel()
+        ran.x.append(full[: model.n_x].copy())
+    return ran
+
+
+def test_second_run_equals_the_first(close_loop: Callable[..., Any]) -> None:
+    model, mpc = Newtonian(), NewtonMpc(**SHORT)
+    once = close_loop(mpc, model, square, 6.0)
+    again = close_loop(mpc, model, square, 6.0)
+    assert np.array_equal(once.states, again.states)
+    assert np.array_equal(once.inputs, again.inputs)
+
+
+# -- what happens when a solve fails ----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FailingQp:
+    """Solves as DAQP does, until it does not."""
+
+    after: int
+
+    def start(self) -> list[Any]:
+        return [0, Daqp().start()]
+
+    def solve(self, workspace: list[Any], qp: Qp) -> QpResult:
+        workspace[0] += 1
+        if workspace[0] > self.after:
+            return QpResult(np.full(len(qp.gradient), np.nan), False, 0, "made to fail")
+        return Daqp().solve(workspace[1], qp)
+
+
+@pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input"])
+def test_fall_back_acts_and_is_reported(policy: Any) -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(**SHORT, fallback=policy, qp=FailingQp(after=1))
+    state, first = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    planned = state.newton.plan.copy()
+    sample = sample_at(model, model.rest(), [0.1, 0.2], first.u)
+    command = mpc.step(state, sample, want_prediction=False)
+    assert command.status is Status.FAILED
+    assert command.fallback == policy
+    assert "made to fail" in command.message
+    expected = {
+        "shifted_plan": planned[:, 1],
+        "hold": first.u,
+        "steady_input": state.target.u,
+    }[policy]
+    assert command.u == pytest.approx(expected)
+
+
+def test_run_may_be_stopped_instead() -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(**SHORT, fallback="stop", qp=FailingQp(after=0))
+    with pytest.raises(SimulationError, match="made to fail"):
+        first_command(mpc, model, model.rest(), [0.1, 0.2])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
+def test_estimate_that_is_no_number_never_reaches_the_rig(bad: float) -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(**SHORT)
+    state, first = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    x = model.rest()
+    x[2] = bad
+    command = mpc.step(state, sample_at(model, x, [0.1, 0.2], first.u), want_prediction=False)
+    assert command.status is Status.FAILED
+    assert np.isfinite(command.u).all()
+    healthy = sample_at(model, model.rest(), [0.1, 0.2], command.u)
+    assert mpc.step(state, healthy, want_prediction=False).status is not Status.FAILED
+
+
+# -- configuration ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("blocks", [(), (0, 2), (30, 30)])
+def test_impossible_blocks_are_refused(blocks: tuple[int, ...]) -> None:
+    with pytest.raises(ConfigurationError, match="prediction_horizon"):
+        NewtonMpcState(NewtonMpc(move_blocks=blocks), ControlSetup(Newtonian(), 0.1, np.zeros(2)))
+
+
+def test_weight_on_an_unknown_state_names_the_nearest() -> None:
+    with pytest.raises(ConfigurationError) as raised:
+        NewtonMpcState(
+            NewtonMpc(state_weights={"alpha_w": 1.0}),
+            ControlSetup(Newtonian(), 0.1, np.zeros(2)),
+        )
+    assert "alpha_" in raised.value.remedy
