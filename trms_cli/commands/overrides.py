@@ -169,8 +169,9 @@ def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Over
             where=override.key + override.package,
             remedy=nearest(first, allowed),
         )
-    for name in _names(override.value or "") or []:
-        if name != "null" and name not in groups[override.key]:
+    given = [item.strip("[]") for item in _names(override.value or "") or []]
+    for name in (name.strip() for item in given for name in item.split(",")):
+        if name and name != "null" and name not in groups[override.key]:
             raise ConfigurationError(
                 f"{override.key} has no option {name!r}",
                 where=override.key + override.package,

@@ -29,7 +29,7 @@ examples
   trms run effect=yaw_coulomb_friction effect.yaw_coulomb_friction.torque=0.01    N m
   trms run effect=[tail_dead_zone,main_input_delay]         what the model does not know
   trms run plant.parameters.k_g=0.1 plant.prior_seed=3      a rig that differs from the model
-  trms run disturbance@plant.disturbances=[yaw_push]        a push that nobody announces
+  trms run disturbance@plant.disturbances=yaw_push          a push that nobody announces
   trms run -m controller=pid,lqr,newton_mpc seed=1,2,3      nine runs, one after another
   trms run controller=pid --cfg job                         every key with its value, no run
   trms run --from outputs/…/run.mcap                        that run again, bit for bit
@@ -201,6 +201,7 @@ def _objective(score: dict[str, Any]) -> float | None:
 def _title(composition: Composition) -> str:
     choices = composition.choices
     words = [f"{choices.get('controller')}", f"ref {choices.get('ref')}"]
+    words += [f"{group} {choices.get(group)}" for group in ("model", "observer", "plant")]
     effects = choices.get("effect")
     if effects:
         words.append(f"effect {', '.join(effects)}")

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 Columns = Mapping[str, Any]
 
@@ -18,7 +19,9 @@ _LABELS = {"alpha_v": "pitch", "alpha_h": "yaw", "u_v": "main rotor", "u_h": "ta
 _INK, _GREY, _PALE = "#222222", "#777777", "#dddddd"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 _ALARM = "#c1272d"
-_WIDTH, _DPI = 9.0, 110
+_DPI = 110
+#: Inches: of the figure, around the panels, and between two of them.
+_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 9.0, 0.78, 0.14, 0.55, 0.45, 0.27
 #: Longest line drawn with every sample; a longer one is thinned, which no eye sees.
 _MOST_POINTS = 20_000
 
@@ -66,7 +69,7 @@ def draw_run(
     with matplotlib.rc_context({"font.size": 9.0}):
         figure = _figure(history, score, title, limits or {})
         content = io.BytesIO()
-        figure.savefig(content, dpi=_DPI, format="png")
+        figure.savefig(content, dpi=_DPI, format="png", pil_kwargs={"compress_level": 3})
     path.write_bytes(content.getvalue())  # whole, or an error of the disk
 
 
@@ -87,14 +90,8 @@ def _figure(
     channels = _channels(history)
     torques = _torques(history)
     solver = history.columns("/controller").get("solve_time_s", ())
-    heights = [3.0] * len(channels) + [2.0] + [1.4] * bool(torques) + [1.2] * bool(len(solver))
-    figure = Figure(figsize=(_WIDTH, 0.7 + 0.75 * sum(heights)), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(
-        len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
-    )[:, 0]
-    for panel in panels:
-        _dress(panel)
+    heights = [2.1] * len(channels) + [1.4] + [1.0] * bool(torques) + [0.75] * bool(len(solver))
+    figure, panels = _sheet(heights)
     left = iter(panels)
     for name in channels:
         _draw_channel(next(left), name, history, score["channels"].get(name, {}), limits)
@@ -105,8 +102,33 @@ def _figure(
         _draw_solver(next(left), history, score["solver"])
     panels[-1].set_xlabel("time [s]")
     panels[-1].set_xlim(0.0, max(float(score["duration_s"]), 1e-3))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=_INK)
+    figure.text(
+        0.01, 1 - 0.12 / figure.get_figheight(), title, va="top", fontsize=11,
+        fontweight="bold", color=_INK,
+    )  # fmt: skip
     return figure
+
+
+def _sheet(heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
+    """A figure with panels of the given heights (inches) under each other, top first.
+
+    Placed by hand: to have the places found takes as long as all the drawing.
+    """
+    whole = _TOP + sum(heights) + _GAP * (len(heights) - 1) + _BOTTOM
+    figure = Figure(figsize=(_WIDTH, whole))
+    FigureCanvasAgg(figure)
+    panels: list[Axes] = []
+    ceiling = whole - _TOP
+    for height in heights:
+        width = _WIDTH - _LEFT - _RIGHT
+        place = (_LEFT / _WIDTH, (ceiling - height) / whole, width / _WIDTH, height / whole)
+        panel = figure.add_axes(place, sharex=panels[0] if panels else None)
+        panel.yaxis.set_label_coords(-0.42 / width, 0.5)
+        panel.tick_params(labelbottom=len(panels) == len(heights) - 1)
+        _dress(panel)
+        panels.append(panel)
+        ceiling -= height + _GAP
+    return figure, panels
 
 
 def _channels(history: Drawable) -> list[str]:
@@ -127,7 +149,7 @@ def _draw_channel(
     seen: list[np.ndarray] = []
     if name in truth:
         time, values = _thin(history.times("/plant/state"), truth[name])
-        panel.plot(time, values, color=_COLOURS[0], lw=1.4, label="rig", zorder=4)
+        panel.plot(time, values, color=_COLOURS[0], lw=2.6, alpha=0.6, label="rig", zorder=4)
         seen.append(values)
     elif name in measured:
         time, values = _thin(history.times("/measurement"), measured[name])
@@ -197,7 +219,8 @@ def _draw_torques(panel: Axes, history: Drawable, names: Sequence[str]) -> None:
         )
         panel.plot(time, 1e3 * values, color=colour, lw=1.0, label=label)
     panel.axhline(0.0, color=_PALE, lw=0.8, zorder=0)
-    _frame(panel, [1e3 * np.asarray(estimate[name], dtype=float) for name in names])
+    begun = len(history.times("/estimate")) // 20  # an observer that finds its feet
+    _frame(panel, [1e3 * np.asarray(estimate[name], dtype=float)[begun:] for name in names])
     panel.set_ylabel("estimated\ntorque [mN m]")
     _legend(panel)
 
@@ -208,6 +231,8 @@ def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> N
     milliseconds = 1e3 * np.asarray(columns["solve_time_s"], dtype=float)
     panel.plot(time, milliseconds, ".", color=_GREY, ms=2.0)
     panel.set_yscale("log")
+    panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panel.yaxis.set_minor_locator(NullLocator())
     deadline = 1e3 * float(np.median(np.diff(time))) if len(time) > 1 else np.nan
     panel.axhline(deadline, color=_ALARM, lw=0.8, ls=":")
     top = 3 * max(deadline, float(milliseconds.max())) if np.isfinite(deadline) else None
