@@ -1,0 +1,172 @@
+"""A model made linear at an operating point, for designs that need one.
+
+The yaw of the rig is uncontrollable where the tail rotor stands still: its thrust goes as ω|ω|,
+with no slope at ω_h = 0. A point to linearise at has ω_h ≠ 0, as at any yaw that the cable pulls
+back from; :func:`require_drivable` refuses the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.controllers.operating_point import SteadyState, Target
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.discretisation import DiscreteModel, discretise
+from trms_cli.models.model import Model
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Longest explicit integration step over which the rig's dynamics are smooth, s.
+_LONGEST_SUBSTEP = 0.02
+#: Least share of the strongest direction that the weakest must have to count as driven.
+_LEAST_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """``x⁺ = A x + B u``, ``y = C x`` around a steady state, y the controlled angles.
+
+    Attributes
+    ----------
+    discrete : DiscreteModel
+        Its states, memory of the input path included, are those of ``A``.
+    target : Target
+        The steady state.
+    A : (n, n) array
+    B : (n, n_u) array
+    C : (n_r, n) array
+    """
+
+    discrete: DiscreteModel
+    target: Target
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+
+    @property
+    def step_length(self) -> float:
+        return self.discrete.step_length
+
+
+class Linearisation:
+    """Linear models of one model over one step, at any steady state.
+
+    Parameters
+    ----------
+    model : Model
+    step_length : float
+        s.
+    steady : SteadyState
+        Of this model.
+    """
+
+    def __init__(self, model: Model, step_length: float, steady: SteadyState) -> None:
+        substeps = max(1, int(np.ceil(step_length / _LONGEST_SUBSTEP)))
+        self.model = model
+        self._steady = steady
+        self._discrete = discretise(model, step_length, substeps)
+        x, u, p, w = self._discrete.symbols()
+        after = self._discrete.step(x, u, p, w)
+        # Evaluated a few times only: not worth compiling.
+        self._slopes = ca.Function(
+            "slopes",
+            [x, u, p, w],
+            [ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(after, u))],
+        )
+
+    def at(self, angles: Mapping[str, float], where: str) -> LinearModel:
+        """The linear model where the rig rests at the given controlled angles.
+
+        Parameters
+        ----------
+        angles : dict of str to float
+            rad, by controlled angle; 0 where none is given. Angles of an axis that this model
+            does not have are ignored.
+        where : str
+            Configuration key of ``angles``, for messages.
+
+        Raises
+        ------
+        ConfigurationError
+            For a name that is no angle, or if the rig cannot rest there.
+        """
+        model, discrete = self.model, self._discrete
+        known = {"alpha_v", "alpha_h", *model.controlled}
+        for name in angles:
+            if name not in known:
+                raise ConfigurationError(
+                    f"{name!r} is not a controlled angle", where=where, remedy=nearest(name, known)
+                )
+        asked = np.array([angles.get(name, 0.0) for name in model.controlled])
+        target = self._steady.solve(asked)
+        if target.projected or not target.converged:
+            wanted, reached = (
+                ", ".join(f"{n}={v:.3g}" for n, v in zip(model.controlled, values, strict=True))
+                for values in (asked, target.reference_reached)
+            )
+            raise ConfigurationError(
+                f"the rig cannot rest at {wanted} rad",
+                where=where,
+                remedy=f"the closest that it can: {reached} rad",
+            )
+        full = discrete.initial(target.x, target.u)
+        A, B = (
+            np.array(value)
+            for value in self._slopes(full, target.u, model.parameters.values, np.zeros(model.n_w))
+        )
+        C = np.zeros((len(model.controlled), discrete.n_x))
+        for row, name in enumerate(model.controlled):
+            C[row, model.state_index(name)] = 1.0
+        return LinearModel(discrete, target, A, B, C)
+
+
+def require_drivable(linear: LinearModel, where: str) -> None:
+    """Refuse an operating point from which some controlled angle cannot be held.
+
+    Two conditions for a linear controller with integral action to exist: the inputs can give every
+    combination of controlled angles in steady state (no zero at z = 1), and they move every mode
+    that does not decay by itself (Popov, Belevitch and Hautus).
+
+    Raises
+    ------
+    ConfigurationError
+        With the angle or mode that is not driven, and a point that will do.
+    """
+    model = linear.discrete.model
+    names_of_angles = model.controlled
+    gain = steady_gain(linear)
+    left, strength, _ = np.linalg.svd(gain)
+    if strength[-1] < _LEAST_SHARE * strength[0] or not np.all(np.isfinite(gain)):
+        weakest = names_of_angles[int(np.argmax(np.abs(left[:, -1])))]
+        raise ConfigurationError(
+            f"no input holds {weakest} at this operating point: its mode is uncontrollable "
+            "(a rotor that stands still has a thrust without slope)",
+            where=where,
+            remedy=f"choose one with the rotor turning, as {where}.{weakest}=0.5",
+        )
+    values, left_vectors = np.linalg.eig(linear.A.T)
+    scale = 1.0 / np.maximum(np.abs(left_vectors).max(axis=0), 1e-300)
+    for value, vector in zip(values, (left_vectors * scale).T, strict=True):
+        if abs(value) >= 1.0 and np.abs(vector @ linear.B).max() < 1e-9:
+            state = linear.discrete.states[int(np.argmax(np.abs(vector)))].name
+            raise ConfigurationError(
+                f"a mode of {state} (z = {value:.4g}) does not decay and no input moves it",
+                where=where,
+                remedy="choose another operating point, or leave that state out of the model",
+            )
+
+
+def steady_gain(linear: LinearModel) -> FloatArray:
+    """Change of the controlled angles in steady state by the inputs, rad/V, shape (n_r, n_u)."""
+    n = linear.A.shape[0]
+    try:
+        return linear.C @ np.linalg.solve(np.eye(n) - linear.A, linear.B)
+    except np.linalg.LinAlgError:
+        # An axis that nothing pulls back integrates: look at the gain a little above z = 1.
+        return linear.C @ np.linalg.solve((1 + 1e-6) * np.eye(n) - linear.A, linear.B)

@@ -1,0 +1,259 @@
+"""Gains of a PID law from the linearised model, and how robust they are.
+
+The rig's axes are lightly damped and lag behind a rotor: rules for plants without overshoot
+(Ziegler–Nichols, SIMC) do not fit them, and maximising k_i alone leaves them ringing. The rule is
+optimal output feedback (Levine & Athans 1970, IEEE TAC 15) under a bound on the sensitivity:
+among the gains with
+
+    max_ω |S(e^{jωT})| ≤ M,    S = 1/(1 + G C),    closed loop stable
+
+the ones that, after a step of the load, minimise
+
+    J = Σ_j ∫ (α² + ρ² α̇² + λ² (u − u_∞)²) dt        per volt of the load
+
+over several operating points j, at each of which the bound holds: the rig's gain in pitch grows by
+three quarters from −0.3 to 0.3 rad, while its frequency falls. G is the discretised model between
+an input and its angle, with the hold and the sampling in it,
+and C the law exactly as it is computed, filter included: what is tuned is what runs. M bounds the
+distance to the critical point (gain margin above M/(M − 1), phase margin above 2 asin 1/(2M)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ConfigurationError
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+_FREQUENCIES = 160
+#: Decades searched around the inverse of the plant's gain: k_p, k_i (per s), k_d (times s).
+_LOWEST, _HIGHEST = np.array([-2.5, -2.5, -1.5]), np.array([1.0, 1.0, 1.0])
+_FIRST_GRID, _GRID, _ROUNDS, _SHRINK = 12, 5, 9, 0.65
+#: Squarings of the closed loop's transition: the cost is summed over 2¹³ samples.
+_DOUBLINGS = 13
+#: Weight of the command, rad/V. It only keeps the cost from being flat in it.
+_EFFORT = 0.05
+
+
+class Gains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Gains of one axis: ``u = kp e + ki ∫e dt − kd dα/dt``.
+
+    Attributes
+    ----------
+    kp, ki, kd : float
+        V/rad, V/(rad s), V s/rad.
+    """
+
+    kp: float
+    ki: float
+    kd: float = 0.0
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Robustness of a loop.
+
+    Attributes
+    ----------
+    gain_margin : float
+        Factor by which the loop gain may grow (inf when it never crosses −180°).
+    phase_margin : float
+        Phase that may be lost at the crossover, rad.
+    crossover : float
+        Highest frequency at which the loop gain is 1, rad/s.
+    peak_sensitivity : float
+        max |S|.
+    """
+
+    gain_margin: float
+    phase_margin: float
+    crossover: float
+    peak_sensitivity: float
+
+
+@dataclass(frozen=True)
+class AxisPlant:
+    """One input to one angle, ``x⁺ = A x + b u``, ``y = c x``, every ``step`` s."""
+
+    A: FloatArray
+    b: FloatArray
+    c: FloatArray
+    step: float
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """``c (z − A)⁻¹ b`` at each z, shape as z."""
+        resolvent = z[:, None, None] * np.eye(self.b.size) - self.A
+        right = np.broadcast_to(self.b[:, None], (z.size, self.b.size, 1))
+        return np.linalg.solve(resolvent, right)[..., 0] @ self.c
+
+
+def frequencies(step: float) -> FloatArray:
+    """From a slow loop's to half the sampling rate, rad/s, logarithmic."""
+    return np.geomspace(1e-2, math.pi / step, _FREQUENCIES)
+
+
+def terms(z: ComplexArray, step: float, filter_time: float) -> ComplexArray:
+    """Responses of the three terms of the law to the measured angle, shape (3, n).
+
+    As in :mod:`trms_cli.controllers.pid`: the integral is advanced after its use, the derivative
+    is a backward difference behind a first-order filter.
+    """
+    keep = filter_time / (filter_time + step)
+    return np.stack([np.ones_like(z), step / (z - 1), (1 - keep) / step * (z - 1) / (z - keep)])
+
+
+def closed_loop(
+    plant: AxisPlant, gains: FloatArray, filter_time: float
+) -> tuple[FloatArray, FloatArray]:
+    """Transition of [plant state, integral, filtered derivative, last angle], and u as a row.
+
+    Parameters
+    ----------
+    gains : (k, 3) array
+        k_p, k_i, k_d of k candidates.
+
+    Returns
+    -------
+    (k, n + 3, n + 3) array, (k, n + 3) array
+    """
+    count, n, T, c = gains.shape[0], plant.b.size, plant.step, plant.c
+    keep = filter_time / (filter_time + T)
+    share = (1 - keep) / T
+    kp, ki, kd = gains[:, :1], gains[:, 1:2], gains[:, 2:]
+    # u = −kp y + I + D,  D = keep D₋ − kd share (y − y₋)
+    u = np.zeros((count, n + 3))
+    u[:, :n] = -(kp + kd * share) * c
+    u[:, n], u[:, n + 1], u[:, n + 2] = 1.0, keep, kd[:, 0] * share
+    after = np.zeros((count, n + 3, n + 3))
+    after[:, :n, :n] = plant.A
+    after[:, :n] += plant.b[:, None] * u[:, None, :]
+    after[:, n, :n], after[:, n, n] = -ki * T * c, 1.0
+    after[:, n + 1, :n] = -kd * share * c
+    after[:, n + 1, n + 1], after[:, n + 1, n + 2] = keep, kd[:, 0] * share
+    after[:, n + 2, :n] = c
+    return after, u
+
+
+def load_costs(
+    plant: AxisPlant, gains: FloatArray, filter_time: float, smoothness: float
+) -> FloatArray:
+    """J of k candidates, infinite where the loop is not stable, shape (k,)."""
+    n, T = plant.b.size, plant.step
+    A, u = closed_loop(plant, gains, filter_time)
+    angle, rate = np.zeros(n + 3), np.zeros(n + 3)
+    angle[:n] = plant.c
+    rate[:n] = plant.c @ (plant.A - np.eye(n)) / T
+    X = T * (
+        np.outer(angle, angle)
+        + smoothness**2 * np.outer(rate, rate)
+        + _EFFORT**2 * u[:, :, None] * u[:, None, :]
+    )
+    # In deviations from its end, the run after a step of the load begins with the integral off by
+    # that step and everything else at its end.
+    with np.errstate(all="ignore"):  # an unstable candidate overflows
+        for _ in range(_DOUBLINGS):
+            before = X[:, n, n]
+            X = X + A.transpose(0, 2, 1) @ X @ A
+            A = A @ A
+        cost = X[:, n, n]
+        settled = cost - before < 1e-3 * cost
+    return np.where(settled, cost, np.inf)
+
+
+def tuned(
+    plants: Sequence[AxisPlant], filter_time: float, peak: float, smoothness: float, where: str
+) -> Gains:
+    """The gains of least cost whose sensitivity stays below a peak.
+
+    A grid over the logarithms of the gains that is drawn together around the best: deterministic,
+    and done before an optimiser would have been imported.
+
+    Parameters
+    ----------
+    plants : sequence of AxisPlant
+        The axis at each operating point.
+    filter_time : float
+        Time constant of the derivative's filter, s.
+    peak : float
+        M, above 1.
+    smoothness : float
+        ρ, s.
+    where : str
+        Configuration key, for messages.
+
+    Raises
+    ------
+    ConfigurationError
+        If no gains in the searched range meet the bound.
+    """
+    step = plants[0].step
+    z = np.exp(1j * frequencies(step) * step)
+    responses = [plant.response(z) for plant in plants]
+    loops = terms(z, step, filter_time)[:, None, :] * np.array(responses)
+    largest = max((response[0] for response in responses), key=abs)
+    scale = math.copysign(1.0 / max(abs(largest), 1e-12), largest.real)
+    best_cost, best = math.inf, np.zeros(3)
+    low, high = _LOWEST, _HIGHEST
+    for count in (_FIRST_GRID, *(_GRID,) * _ROUNDS):
+        axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        gains = scale * 10.0**grid
+        distance = np.abs(1 + np.tensordot(gains, loops, axes=1)).min(axis=(1, 2))
+        robust = np.flatnonzero(distance >= 1 / peak)
+        if robust.size:
+            costs = np.sum(
+                [load_costs(p, gains[robust], filter_time, smoothness) for p in plants], axis=0
+            )
+            least = int(np.argmin(costs))
+            if costs[least] < best_cost:
+                best_cost, best = float(costs[least]), grid[robust[least]]
+        if not math.isfinite(best_cost):
+            break
+        half = (high - low) * _SHRINK / 2
+        low, high = best - half, best + half
+    if not math.isfinite(best_cost):
+        raise ConfigurationError(
+            f"no gains keep the sensitivity of this axis below {peak:g}",
+            where=where,
+            remedy="raise max_sensitivity, shorten derivative_filter, or give kp, ki and kd",
+        )
+    kp, ki, kd = (scale * 10.0**best).tolist()
+    return Gains(kp, ki, kd)
+
+
+def margins(plant: AxisPlant, gains: Gains, filter_time: float) -> Margins:
+    """Margins of the loop broken at the input."""
+    omega = np.geomspace(1e-2, math.pi / plant.step, 20 * _FREQUENCIES)
+    z = np.exp(1j * omega * plant.step)
+    weights = np.array([gains.kp, gains.ki, gains.kd])
+    L = (weights @ terms(z, plant.step, filter_time)) * plant.response(z)
+    crossings = np.flatnonzero(np.diff(np.sign(np.abs(L) - 1)) != 0)
+    turns = np.flatnonzero((np.diff(np.sign(L.imag)) != 0) & (L.real[:-1] < 0))
+    above = -1 / L.real[turns]
+    above = above[above > 1]
+    lag = np.abs(np.angle(-L[crossings]))
+    return Margins(
+        gain_margin=float(above.min()) if above.size else math.inf,
+        phase_margin=float(lag.min()) if lag.size else math.inf,
+        crossover=float(omega[crossings[-1]]) if crossings.size else 0.0,
+        peak_sensitivity=float((1 / np.abs(1 + L)).max()),
+    )
+
+
+def worst(several: Iterable[Margins]) -> Margins:
+    """The least margins, and the largest peak and crossover, of several loops."""
+    all_of_them = list(several)
+    return Margins(
+        gain_margin=min(m.gain_margin for m in all_of_them),
+        phase_margin=min(m.phase_margin for m in all_of_them),
+        crossover=max(m.crossover for m in all_of_them),
+        peak_sensitivity=max(m.peak_sensitivity for m in all_of_them),
+    )
