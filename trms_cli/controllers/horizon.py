@@ -32,13 +32,9 @@ FloatArray = npt.NDArray[np.float64]
 #: disturbances, references, steady-state target; then what stays the same during a run: weights of
 #: the rows, inputs and moves, limits (lower; upper), prices (linear and quadratic of the terminal
 #: equality and of the limits), scale of the terminal residual.
-ARGUMENTS = ("x0", "z", "u_previous", "p", "w", "r", "x_s", "u_s") + (
-    "q",
-    "rho",
-    "s",
-    "limits",
-    "prices",
-    "scale",
+ARGUMENTS = (
+    *("x0", "z", "u_previous", "p", "w", "r", "x_s", "u_s"),
+    *("q", "rho", "s", "limits", "prices", "scale"),
 )
 
 

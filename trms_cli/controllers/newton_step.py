@@ -210,7 +210,7 @@ class NewtonStep:
         linearise = horizon.linearise
         linearise.inputs[1][:] = self.plan
         linearise()
-        trajectory, slopes, terminal_slope, terminal, objective, merit, _ = linearise.outputs
+        trajectory, slopes, terminal_slope, terminal, _, merit, _ = linearise.outputs
         merit_now = float(merit[0])
         if not merit_now < np.inf:
             self.linearise_time += perf_counter() - begin
