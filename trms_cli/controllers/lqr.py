@@ -1,0 +1,261 @@
+"""Linear quadratic regulator with integral action.
+
+The model is linearised at an operating point (with ω_h ≠ 0: the yaw is uncontrollable where the
+tail rotor stands still) and discretised. With Δx = x − x_s the distance to the steady state at the
+reference, and ξ the integral of the controlled angles' errors,
+
+    minimise  Σ_k  Δxᵀ Q Δx + ξᵀ Q_i ξ + Δuᵀ R Δu        u = u_s − K Δx − K_i ξ
+
+The steady state (x_s, u_s) is that of the nonlinear model at the reference and at the estimated
+disturbance; the integral supplies what neither knows.
+
+When the reference moves, ξ jumps to where the cost to go is least, ξ = −P_ii⁻¹ P_ix Δx, with P of
+the Riccati equation: without that, the error of every transient is integrated and paid back as
+overshoot. Written with the plain integral z it is ``ξ = z + P_ii⁻¹ P_ix x_s``, so that no event
+has to be detected.
+
+Source: Anderson & Moore, "Optimal Control: Linear Quadratic Methods", 1990.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.linear_design import Linearisation, LinearModel, require_drivable
+from trms_cli.controllers.operating_point import SteadyState, Target
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.discretisation import DiscreteModel
+from trms_cli.models.model import names
+
+FloatArray = npt.NDArray[np.float64]
+_Positive = Annotated[float, Meta(gt=0)]
+_NotNegative = Annotated[float, Meta(ge=0)]
+
+
+@dataclass(frozen=True)
+class Regulator:
+    """The gains of one design.
+
+    Attributes
+    ----------
+    K : (n_u, n) array
+        On the state, memory of the input path included.
+    K_i : (n_u, n_r) array
+        On the integral.
+    M : (n_r, n) array
+        ``P_ii⁻¹ P_ix``.
+    unwind : (n_r, n_u) array
+        Integral by which a volt beyond the limit is taken back.
+    """
+
+    K: FloatArray
+    K_i: FloatArray
+    M: FloatArray
+    unwind: FloatArray
+
+
+@dataclass
+class LqrState:
+    """The design, and what is remembered.
+
+    Attributes
+    ----------
+    integral : (n_r,) array
+        z, rad s.
+    memory : (n_m,) array
+        Memory of the input path after the commands so far.
+    """
+
+    regulator: Regulator
+    linear: LinearModel
+    steady: SteadyState
+    advance_memory: BufferedFunction | None
+    integral: FloatArray
+    memory: FloatArray
+    target: Target
+    target_memory: FloatArray
+    rows: list[int]
+    lower: FloatArray
+    upper: FloatArray
+    period: float
+    started: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lqr:
+    """Linear quadratic regulator with integral action.
+
+    Attributes
+    ----------
+    operating_point : dict of str to float
+        Controlled angles at which the model is linearised, rad.
+    output_weights : dict of str to float
+        Of the controlled angles, 1/rad²; 1/(error that is worth one volt)².
+    rate_weights : dict of str to float
+        Of the controlled angles' rates, 1/(rad/s)².
+    integral_weights : dict of str to float
+        Of the integrals of the controlled angles' errors, 1/(rad s)².
+    input_weights : dict of str to float
+        1/V².
+    use_disturbance : bool
+        Whether the steady state is that at the estimated disturbance.
+    tracking_time : float
+        How fast the integral unwinds at a limit, s.
+    sample_time : float or None
+        Control period, s; None takes every sample.
+    """
+
+    operating_point: Mapping[str, float] = field(default_factory=lambda: {"alpha_h": 0.5})
+    output_weights: Mapping[str, _Positive] = field(default_factory=dict)
+    rate_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
+    integral_weights: Mapping[str, _Positive] = field(default_factory=dict)
+    input_weights: Mapping[str, _Positive] = field(default_factory=dict)
+    use_disturbance: bool = True
+    tracking_time: _Positive = 1.0
+    sample_time: _Positive | None = None
+
+    def preview(self, setup: ControlSetup) -> int:
+        return 0
+
+    def init(self, setup: ControlSetup) -> LqrState:
+        model = setup.model
+        steady = SteadyState(model)
+        key = "controller.operating_point"
+        linear = Linearisation(model, setup.sample_time, steady).at(self.operating_point, key)
+        require_drivable(linear, key)
+        lower, upper = model.input_bounds()
+        memory = linear.discrete.initial(model.rest(), setup.first_command)[model.n_x :]
+        return LqrState(
+            self.designed(linear),
+            linear,
+            steady,
+            _memory_function(linear.discrete) if memory.size else None,
+            np.zeros(len(model.controlled)),
+            memory,
+            linear.target,
+            memory.copy(),
+            [model.state_index(name) for name in model.controlled],
+            lower,
+            upper,
+            setup.sample_time,
+        )
+
+    def designed(self, linear: LinearModel) -> Regulator:
+        """Solve the Riccati equation of the model augmented by the integrals.
+
+        Raises
+        ------
+        ConfigurationError
+            For weights of names that the model does not have, or if there is no solution.
+        """
+        from scipy.linalg import solve_discrete_are
+
+        model, T = linear.discrete.model, linear.step_length
+        n, n_r, n_u = linear.A.shape[0], len(model.controlled), model.n_u
+        A = np.eye(n + n_r)
+        A[:n, :n], A[n:, :n] = linear.A, T * linear.C
+        B = np.vstack([linear.B, np.zeros((n_r, n_u))])
+        rates = (linear.C @ linear.A - linear.C) / T
+        outputs = _by_name(self.output_weights, model.controlled, 100.0, "output_weights")
+        smooth = _by_name(self.rate_weights, model.controlled, 30.0, "rate_weights")
+        integrals = _by_name(self.integral_weights, model.controlled, 20.0, "integral_weights")
+        Q = np.zeros((n + n_r, n + n_r))
+        Q[:n, :n] = linear.C.T * outputs @ linear.C + rates.T * smooth @ rates
+        Q[n:, n:] = np.diag(integrals)
+        r = _by_name(self.input_weights, names(model.inputs), 1.0, "input_weights")
+        try:
+            P = solve_discrete_are(A, B, T * Q, T * np.diag(r))
+        except (np.linalg.LinAlgError, ValueError) as error:
+            raise ConfigurationError(
+                f"the Riccati equation has no solution here: {error}",
+                where="controller.operating_point",
+                remedy="choose a point with both rotors turning, and weights closer to each other",
+            ) from error
+        gain = np.linalg.solve(T * np.diag(r) + B.T @ P @ B, B.T @ P @ A)
+        K, K_i = gain[:, :n], gain[:, n:]
+        return Regulator(
+            np.ascontiguousarray(K),
+            np.ascontiguousarray(K_i),
+            np.linalg.solve(P[n:, n:], P[n:, :n]),
+            np.linalg.pinv(K_i) * min(1.0, T / self.tracking_time),
+        )
+
+    def step(self, state: LqrState, sample: ControlSample, *, want_prediction: bool) -> Command:
+        estimate, previous = sample.estimate, sample.previous_command
+        reference = sample.reference[0]
+        w = estimate.disturbance
+        if not math.isfinite(sum(estimate.x.tolist()) + sum(w.tolist()) + sum(reference.tolist())):
+            return Command(
+                previous.copy(),
+                Status.FAILED,
+                fallback="hold",
+                message="the estimate or the reference is not finite; the last command is held",
+            )
+        message = self._aim(state, reference, w)
+        x, x_s, target = estimate.x, state.target.x, state.target
+        if state.advance_memory is not None:
+            if state.started:
+                state.memory[:] = state.advance_memory.evaluate(state.memory, previous)[0]
+            x = np.concatenate([x, state.memory])
+            x_s = np.concatenate([x_s, state.target_memory])
+        law = state.regulator
+        if not state.started:
+            state.started = True
+            state.integral = -law.M @ x
+        xi = state.integral + law.M @ x_s
+        v = target.u - law.K @ (x - x_s) - law.K_i @ xi
+        u = np.minimum(np.maximum(v, state.lower), state.upper)
+        error = estimate.x[state.rows] - target.reference_reached
+        state.integral = state.integral + state.period * error + law.unwind @ (v - u)
+        return Command(u, message=message)
+
+    def _aim(self, state: LqrState, reference: FloatArray, w: FloatArray) -> str:
+        """Move the target; a word if the reference cannot be reached."""
+        target = state.steady.solve(reference, w if self.use_disturbance else None, state.target)
+        if not target.converged:
+            return "nothing holds the rig at the estimated disturbance; the last target stays"
+        state.target = target
+        if state.advance_memory is not None:
+            for _ in range(state.memory.size):
+                state.target_memory[:] = state.advance_memory.evaluate(
+                    state.target_memory, target.u
+                )[0]
+        return (
+            "the reference is out of reach; the closest is the target" if target.projected else ""
+        )
+
+
+def _memory_function(discrete: DiscreteModel) -> BufferedFunction:
+    """``(memory, u) → memory⁺``; it does not depend on the rest of the state."""
+    model = discrete.model
+    memory = ca.SX.sym("memory", discrete.n_x - model.n_x)
+    u = ca.SX.sym("u", model.n_u)
+    p = ca.DM(model.parameters.values)
+    after = discrete.step(ca.vertcat(ca.SX.zeros(model.n_x), memory), u, p, ca.DM.zeros(model.n_w))
+    return BufferedFunction(ca.Function("memory_step", [memory, u], [after[model.n_x :]]))
+
+
+def _by_name(
+    given: Mapping[str, float], known: tuple[str, ...], default: float, key: str
+) -> FloatArray:
+    """Weights in the order of ``known``. Names of an axis that this model lacks are passed over."""
+    everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *known}
+    for name in given:
+        if name not in everywhere:
+            raise ConfigurationError(
+                f"{name!r} is not a name that a weight can have here",
+                where=f"controller.{key}",
+                remedy=nearest(name, known),
+            )
+    return np.array([given.get(name, default) for name in known])
