@@ -36,8 +36,9 @@ def plugin_failure(
 def _words(error: Exception, key: str, part: Any, time: float) -> SimulationError:
     kind = type(part)
     last = traceback.extract_tb(error.__traceback__)[-1]
+    moment = f"at {time:.2f} s" if time > 0 else "at the start"
     return SimulationError(
-        f"the {key} {kind.__module__}.{kind.__qualname__} failed at {time:.2f} s: "
+        f"the {key} {kind.__module__}.{kind.__qualname__} failed {moment}: "
         f"{type(error).__name__}: {error}",
         where=f"{last.filename}, line {last.lineno}, in {last.name}",
         remedy="the whole trace: add --debug",

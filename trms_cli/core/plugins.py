@@ -12,6 +12,7 @@ import dataclasses
 import difflib
 import importlib
 import inspect
+import math
 import re
 import typing
 from collections.abc import Iterable, Mapping
@@ -139,6 +140,7 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
     """The value with nested plugins built, in the type that the hint asks for."""
     if _holds_plugin(value):
         return _built_inside(value, where)
+    _refuse_nan(value, where)
     try:
         return msgspec.convert(value, hint, strict=True)
     except msgspec.ValidationError as error:
@@ -157,6 +159,18 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
                 remedy="choose a plugin by its name, or give a mapping with _target_",
             ) from None
         return value
+
+
+def _refuse_nan(value: Any, where: str) -> None:
+    """Infinity may be a limit that is none; what is not a number passes every range check."""
+    if isinstance(value, float) and math.isnan(value):
+        raise ConfigurationError(f"{value!r} given", where=where, remedy="give a number")
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            _refuse_nan(item, _join(where, str(key)))
+    elif isinstance(value, (list, tuple)):
+        for i, item in enumerate(value):
+            _refuse_nan(item, f"{where}[{i}]")
 
 
 def _holds_plugin(value: Any) -> bool:

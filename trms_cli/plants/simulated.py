@@ -59,7 +59,7 @@ class SimulatedRig:
 
     model: Model
     parameters: Mapping[str, float] = field(default_factory=dict)
-    prior_seed: int | None = None
+    prior_seed: Annotated[int, Meta(ge=0)] | None = None
     prior_scale: Annotated[float, Meta(ge=0)] = 1.0
     effects: Mapping[str, Effect] = field(default_factory=dict)
     integration_step: Annotated[float, Meta(gt=0)] = 0.005

@@ -9,7 +9,7 @@ controller's work took.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
@@ -34,6 +34,8 @@ from trms_cli.simulation.history import History
 FloatArray = npt.NDArray[np.float64]
 #: Called once a simulated second with the time (s) and the largest present tracking error (rad).
 Progress = Callable[[float, float], None]
+#: A run is kept in memory until it is scored; beyond this the keys are a slip.
+_MOST_SAMPLES = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,12 @@ class Experiment:
                 f"{self.duration!r} given",
                 where="sim.duration",
                 remedy=f"at least one sample ({self.sample_time:g} s)",
+            )
+        if self.samples > _MOST_SAMPLES:
+            raise ConfigurationError(
+                f"{self.duration:g} s are {self.samples:.3g} samples of {self.sample_time:g} s",
+                where="sim.duration",
+                remedy=f"at most {_MOST_SAMPLES:.0e} samples: a shorter run, or slower sampling",
             )
 
     @property
@@ -138,6 +146,7 @@ class Loop:
         # Sampled once, as far as the last preview reaches.
         times = np.arange(e.samples + preview * ratio, dtype=np.float64) * e.sample_time
         references = e.reference.restricted_to(e.model.controlled).sample(times)
+        _check_finite(references, times, e.model.controlled)
         observing = ObserverSetup(
             e.model,
             e.sample_time,
@@ -267,6 +276,17 @@ class Loop:
                 kind = "fault_end" if finite else "fault"
                 self.history.event(now_ns, kind, "controller", f"{name} {words}", value)
         return applied
+
+
+def _check_finite(references: FloatArray, times: FloatArray, axes: Sequence[str]) -> None:
+    wrong = np.argwhere(~np.isfinite(references))
+    if len(wrong):
+        k, axis = wrong[0]
+        raise ConfigurationError(
+            f"the reference is {references[k, axis]} at {times[k]:g} s",
+            where=f"ref.{axes[axis]}",
+            remedy="a reference needs a finite value at every sample",
+        )
 
 
 def estimate_row(estimate: Estimate) -> list[float]:

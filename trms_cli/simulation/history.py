@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -9,6 +10,10 @@ import numpy as np
 
 #: Takes a time (ns) and a topic's values at that time.
 Writer = Callable[[int, Sequence[Any]], None]
+
+
+#: Topics whose fields are all numbers.
+_SIGNALS = frozenset({"/reference", "/command", "/measurement", "/plant/state", "/estimate"})
 
 
 class Sink(Protocol):
@@ -38,20 +43,26 @@ class History:
         self.units = units
         self.fields = {topic: tuple(fields) for topic, fields in units.items()}
         self._sink = sink
-        self._rows: dict[str, list[tuple[int, Sequence[Any]]]] = {name: [] for name in units}
+        self._rows: dict[str, _Rows] = {
+            name: _Numbers(len(fields)) if name in _SIGNALS else _Mixed(len(fields))
+            for name, fields in self.fields.items()
+        }
         self.events: list[tuple[int, str, str, str, float]] = []
 
     def writer(self, topic: str) -> Writer:
         """What takes the rows of one topic; it does nothing with a topic that is not kept."""
         if topic not in self.fields:
-            return lambda time_ns, values: None
+            return _nothing
         rows = self._rows[topic]
+        keep_time, keep = rows.times.append, rows.keep
         if self._sink is None:
-            return lambda time_ns, values: rows.append((time_ns, values))
-        write = self._sink.writer(topic)
+            write: Writer = _nothing
+        else:
+            write = self._sink.writer(topic)
 
         def both(time_ns: int, values: Sequence[Any]) -> None:
-            rows.append((time_ns, values))
+            keep(values)  # before its time: Ctrl-C between the two leaves no time without values
+            keep_time(time_ns)
             write(time_ns, values)
 
         return both
@@ -71,18 +82,52 @@ class History:
 
     def times(self, topic: str) -> np.ndarray:
         """Times of a topic's rows, shape (n,), s."""
-        return np.array([row[0] for row in self._rows.get(topic, ())], dtype=float) * 1e-9
+        rows = self._rows.get(topic)
+        # Division, not a product with 1e-9: decimal times then come out exactly.
+        return np.array(rows.times if rows else (), dtype=float) / 1e9
 
     def columns(self, topic: str) -> dict[str, np.ndarray]:
         """Columns of a topic by field name, each (n,); text and arrays as objects."""
-        rows = [row[1] for row in self._rows.get(topic, ())]
-        names = self.fields.get(topic, ())
-        if not rows:
-            return {name: np.zeros(0) for name in names}
-        return {
-            name: _column(values)
-            for name, values in zip(names, zip(*rows, strict=True), strict=True)
-        }
+        rows = self._rows.get(topic)
+        return dict(zip(self.fields[topic], rows.columns(), strict=True)) if rows else {}
+
+
+class _Numbers:
+    """Rows of floats, packed: an hour of them fits into memory."""
+
+    def __init__(self, width: int) -> None:
+        self.times = array("q")
+        self._values = array("d")
+        self._width = width
+        self.keep = self._values.extend
+
+    def columns(self) -> list[np.ndarray]:
+        # A copy: an array that others look into could not grow.
+        whole = len(self.times) * self._width
+        table = np.array(self._values)[:whole].reshape(-1, self._width)
+        return list(np.ascontiguousarray(table.T))
+
+
+class _Mixed:
+    """Rows of numbers, text and arrays."""
+
+    def __init__(self, width: int) -> None:
+        self.times = array("q")
+        self._rows: list[Sequence[Any]] = []
+        self._width = width
+        self.keep = self._rows.append
+
+    def columns(self) -> list[np.ndarray]:
+        if not self.times:
+            return [np.zeros(0)] * self._width
+        return [_column(values) for values in zip(*self._rows[: len(self.times)], strict=True)]
+
+
+_Rows = _Numbers | _Mixed
+
+
+def _nothing(time_ns: int, values: Sequence[Any]) -> None:
+    """What a history without a log writes."""
 
 
 def _column(values: tuple[Any, ...]) -> np.ndarray:
