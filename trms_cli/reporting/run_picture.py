@@ -13,13 +13,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from trms_cli.reporting.style import DPI, GREY, INK, PALE, PALETTE, house_style, legend_above
+
 Columns = Mapping[str, Any]
 
 _LABELS = {"alpha_v": "pitch", "alpha_h": "yaw", "u_v": "main rotor", "u_h": "tail rotor"}
-_INK, _GREY, _PALE = "#222222", "#777777", "#dddddd"
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+_COLOURS = tuple(PALETTE[name] for name in ("blue", "vermilion", "green", "purple"))
 _ALARM = "#c1272d"
-_DPI = 110
 #: Inches: of the figure, around the panels, and between two of them.
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 9.0, 0.78, 0.14, 0.55, 0.45, 0.27
 #: Longest line drawn with every sample; a longer one is thinned, which no eye sees.
@@ -64,12 +64,10 @@ def draw_run(
     limits : dict of str to (float, float)
         Lower and upper limit by channel and input.
     """
-    import matplotlib
-
-    with matplotlib.rc_context({"font.size": 9.0}):
+    with house_style():
         figure = _figure(history, score, title, limits or {})
         content = io.BytesIO()
-        figure.savefig(content, dpi=_DPI, format="png", pil_kwargs={"compress_level": 3})
+        figure.savefig(content, dpi=DPI, format="png", pil_kwargs={"compress_level": 3})
     path.write_bytes(content.getvalue())  # whole, or an error of the disk
 
 
@@ -104,7 +102,7 @@ def _figure(
     panels[-1].set_xlim(0.0, max(float(score["duration_s"]), 1e-3))
     figure.text(
         0.01, 1 - 0.12 / figure.get_figheight(), title, va="top", fontsize=11,
-        fontweight="bold", color=_INK,
+        fontweight="bold", color=INK,
     )  # fmt: skip
     return figure
 
@@ -125,7 +123,6 @@ def _sheet(heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
         panel = figure.add_axes(place, sharex=panels[0] if panels else None)
         panel.yaxis.set_label_coords(-0.42 / width, 0.5)
         panel.tick_params(labelbottom=len(panels) == len(heights) - 1)
-        _dress(panel)
         panels.append(panel)
         ceiling -= height + _GAP
     return figure, panels
@@ -158,7 +155,7 @@ def _draw_channel(
     if name in reference:
         time, values = _thin(history.times("/reference"), reference[name])
         panel.plot(
-            time, values, color=_INK, lw=1.0, ls=(0, (4, 2)), label="reference", zorder=3,
+            time, values, color=INK, lw=1.0, ls=(0, (4, 2)), label="reference", zorder=3,
             drawstyle="steps-post",
         )  # fmt: skip
         seen.append(values)
@@ -167,8 +164,8 @@ def _draw_channel(
     for bound in limits.get(name, ()):
         panel.axhline(bound, color=_ALARM, lw=0.8, ls=":")
     panel.set_ylabel(f"{_LABELS.get(name, name)} [rad]")
-    panel.set_title(_score_line(score), loc="right", fontsize=8, color=_GREY, pad=3)
-    _legend(panel)
+    panel.set_title(_score_line(score), loc="right", fontsize=8, color=GREY, pad=3)
+    legend_above(panel)
 
 
 def _draw_estimate(panel: Axes, name: str, history: Drawable) -> None:
@@ -205,7 +202,7 @@ def _draw_commands(
         for begin, end in _saturated(history, name):
             panel.axvspan(begin, end, color=colour, alpha=0.18, lw=0, zorder=0)
     panel.set_ylabel("command [V]")
-    _legend(panel)
+    legend_above(panel)
 
 
 def _draw_torques(panel: Axes, history: Drawable, names: Sequence[str]) -> None:
@@ -218,18 +215,18 @@ def _draw_torques(panel: Axes, history: Drawable, names: Sequence[str]) -> None:
             time, 1e3 * (values - 2 * sd), 1e3 * (values + 2 * sd), color=colour, alpha=0.2, lw=0
         )
         panel.plot(time, 1e3 * values, color=colour, lw=1.0, label=label)
-    panel.axhline(0.0, color=_PALE, lw=0.8, zorder=0)
+    panel.axhline(0.0, color=PALE, lw=0.8, zorder=0)
     begun = len(history.times("/estimate")) // 20  # an observer that finds its feet
     _frame(panel, [1e3 * np.asarray(estimate[name], dtype=float)[begun:] for name in names])
     panel.set_ylabel("estimated\ntorque [mN m]")
-    _legend(panel)
+    legend_above(panel)
 
 
 def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> None:
     """Time of each step against its deadline; a mark where a fall-back acted or a fault began."""
     columns, time = history.columns("/controller"), history.times("/controller")
     milliseconds = 1e3 * np.asarray(columns["solve_time_s"], dtype=float)
-    panel.plot(time, milliseconds, ".", color=_GREY, ms=2.0)
+    panel.plot(time, milliseconds, ".", color=GREY, ms=2.0)
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     panel.yaxis.set_minor_locator(NullLocator())
@@ -255,9 +252,9 @@ def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> N
         words += f", {solver['deadline_misses']} missed"
     if solver.get("failures"):
         words += f", {solver['failures']} fall-backs"
-    panel.set_title(words, loc="right", fontsize=8, color=_GREY, pad=3)
+    panel.set_title(words, loc="right", fontsize=8, color=GREY, pad=3)
     if panel.get_legend_handles_labels()[0]:
-        _legend(panel)
+        legend_above(panel)
 
 
 def _torques(history: Drawable) -> list[str]:
@@ -324,21 +321,3 @@ def _frame(panel: Axes, seen: Sequence[np.ndarray]) -> None:
         low, high = float(values.min()), float(values.max())
         margin = 0.08 * (high - low) or 0.05
         panel.set_ylim(low - margin, high + margin)
-
-
-def _dress(panel: Axes) -> None:
-    panel.grid(color=_PALE, lw=0.5)
-    panel.set_axisbelow(True)
-    for side in ("top", "right"):
-        panel.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        panel.spines[side].set_color(_GREY)
-    panel.tick_params(colors=_GREY, labelcolor=_INK, length=3)
-
-
-def _legend(panel: Axes) -> None:
-    """Above the panel, where it hides nothing."""
-    panel.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 0.985), ncols=6, frameon=False, fontsize=8,
-        handlelength=1.6, columnspacing=1.2, borderaxespad=0.0, borderpad=0.1,
-    )  # fmt: skip
