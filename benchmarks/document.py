@@ -57,9 +57,7 @@ class Table:
             raise KeyError(f"table {self.key!r} has no column {sorted(unknown)}")
         self.rows.append(cells)
 
-    def add_limited(
-        self, value_key: str, value: float, limit: float, **cells: Value
-    ) -> None:
+    def add_limited(self, value_key: str, value: float, limit: float, **cells: Value) -> None:
         """Append a row whose value must not exceed a limit: limit, ratio and verdict follow."""
         self.add(
             **{value_key: value},
@@ -81,11 +79,14 @@ LIMIT = (Column("limit", "limit"), Column("ratio", "of the limit", "", 2))
 
 def print_table(table: Table) -> None:
     """Print for a person."""
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table as RichTable
 
     shown = [c for c in table.columns if any(row.get(c.key) is not None for row in table.rows)]
-    printed = RichTable(title=table.title, title_justify="left", title_style="bold")
+    printed = RichTable(
+        title=table.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1)
+    )
     for index, column in enumerate(shown):
         title = f"{column.title}\n{column.unit}" if column.unit else column.title
         printed.add_column(title, justify="left" if index == 0 else "right")
@@ -98,15 +99,15 @@ def print_table(table: Table) -> None:
             cells.append({True: "[green]met", False: "[red]missed"}.get(row.get("met"), ""))  # type: ignore[arg-type]
         printed.add_row(*cells)
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
     console.print()
     console.print(printed)
     for note in table.notes:
         console.print(f"  {note}", style="dim", highlight=False)
 
 
-def document(
-    machine: Mapping[str, Any], command: str, tables: Sequence[Table]
-) -> dict[str, Any]:
+def document(machine: Mapping[str, Any], command: str, tables: Sequence[Table]) -> dict[str, Any]:
     """The tables as one document; figures that do not exist are null."""
     return {
         "schema": SCHEMA,
@@ -116,9 +117,7 @@ def document(
             table.key: {
                 "title": table.title,
                 "units": {column.key: column.unit for column in table.columns},
-                "rows": [
-                    {key: _plain(value) for key, value in row.items()} for row in table.rows
-                ],
+                "rows": [{key: _plain(value) for key, value in row.items()} for row in table.rows],
                 "notes": list(table.notes),
             }
             for table in tables

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from typing import Any
 
 from trms_cli.simulation.closed_loop import Experiment, Loop
@@ -54,8 +53,3 @@ def run(chosen: Experiment) -> tuple[Loop, dict[str, Any]]:
         if topic != "/prediction"
     }
     return loop, score_tables(tables, limits={}, duration_s=chosen.duration)
-
-
-def references() -> Sequence[str]:
-    """The references of the comparison with IPOPT."""
-    return ("square", "sine", "sawtooth")

@@ -139,8 +139,8 @@ class NlpState:
         solved = bool(stats["success"])
         if solved:
             self._warm = {
-                "x0": self._shifted(x, ocp.stage_size),
-                "lam_x0": self._shifted(result["lam_x"].full().ravel(), ocp.stage_size),
+                "x0": self._shifted(x),
+                "lam_x0": self._shifted(result["lam_x"].full().ravel()),
                 "lam_g0": result["lam_g"].full().ravel(),
             }
         else:
@@ -157,28 +157,25 @@ class NlpState:
 
     def _cold(self) -> FloatArray:
         """Everywhere the steady state of the reference, from the present state on."""
-        ocp, n_x = self.ocp, self.model.n_x
-        full = ocp.discrete.initial(self.target.x, self.target.u)
-        stage = np.concatenate([full, self.target.u])[: ocp.n_state]
-        stage = np.concatenate([stage, self.target.u])
-        guess = np.tile(stage, ocp.periods)
-        guess[:n_x] = self._full[:n_x]
-        rest = np.zeros(len(ocp.lower) - len(guess))
-        rest[: ocp.n_state] = stage[: ocp.n_state]
-        return np.concatenate([guess, rest])
+        ocp, target = self.ocp, self.target
+        full = ocp.discrete.initial(target.x, target.u)
+        parts = {
+            "x": np.concatenate([full, target.u])[: ocp.n_state],
+            "u": target.u,
+            "v": np.zeros(2 * self.model.n_x),
+        }
+        guess = np.concatenate([parts[kind] for kind, _ in ocp.layout])
+        guess[: len(self._full)] = self._full
+        return guess
 
-    def _shifted(self, values: FloatArray, size: int) -> FloatArray:
-        """One stage on in time; the last stages repeat. Blocked inputs stay as they are."""
-        n = self.ocp.periods
-        if len(set(np.diff(self._stage_starts(size, n)))) != 1 or len(values) < size * n:
+    def _shifted(self, values: FloatArray) -> FloatArray:
+        """One stage on in time; the last stage repeats. Blocked inputs stay where they are."""
+        size, n = self.ocp.stage_size, self.ocp.periods
+        if size is None:
             return values
         shifted = values.copy()
         shifted[: size * (n - 1)] = values[size : size * n]
         return shifted
-
-    @staticmethod
-    def _stage_starts(size: int, n: int) -> FloatArray:
-        return np.arange(n + 1) * size
 
 
 def _memory_step(ocp: Ocp) -> tuple[list[ca.SX], list[ca.SX]]:

@@ -40,10 +40,8 @@ class Ocp:
     g_lower, g_upper : (m,) arrays
     equality : list of bool
         Which rows of g are equalities.
-    stage_size : int
-        Unknowns of a stage but the last.
-    stage_rows : int
-        Rows of g of a stage but the first and the last.
+    layout : list of (str, int)
+        Kind (``x``, ``u``, ``v``) and size of the unknowns, in order.
     n_state : int
         Of a stage's state, the last command included.
     """
@@ -56,9 +54,15 @@ class Ocp:
     g_lower: FloatArray
     g_upper: FloatArray
     equality: list[bool]
-    stage_size: int
-    stage_rows: int
+    layout: list[tuple[str, int]]
     n_state: int
+
+    @property
+    def stage_size(self) -> int | None:
+        """Unknowns of a stage but the last; None when inputs are blocked."""
+        kinds = [kind for kind, _ in self.layout if kind != "v"]
+        alternating = (["x", "u"] * self.periods) + ["x"]
+        return self.layout[0][1] + self.layout[1][1] if kinds == alternating else None
 
 
 def build(config: NewtonMpc, model: Model, sample_time: float) -> Ocp:
@@ -89,6 +93,7 @@ class _Builder:
         self.rate = sample_time_bounds(config, inputs, discrete.step_length)
         self.remembers = bool(self.s.any() or np.isfinite(self.rate).any())
         self.unknowns: list[ca.MX] = []
+        self.layout: list[tuple[str, int]] = []
         self.lower: list[FloatArray] = []
         self.upper: list[FloatArray] = []
         self.rows: list[ca.MX] = []
@@ -147,8 +152,7 @@ class _Builder:
             g_lower,
             g_upper,
             (g_lower == g_upper).tolist(),
-            n_state + n_u,
-            n_state + int(np.isfinite(self.rate).sum()),
+            self.layout,
             n_state,
         )
 
@@ -178,13 +182,12 @@ class _Builder:
     ) -> ca.MX:
         symbol = ca.MX.sym(name, size)
         self.unknowns.append(symbol)
+        self.layout.append((name[0], size))
         self.lower.append(np.broadcast_to(lower, size).astype(float))
         self.upper.append(np.broadcast_to(upper, size).astype(float))
         return symbol
 
-    def _row(
-        self, row: ca.MX, lower: float | FloatArray, upper: float | FloatArray
-    ) -> None:
+    def _row(self, row: ca.MX, lower: float | FloatArray, upper: float | FloatArray) -> None:
         self.rows.append(row)
         self.g_lower.append(np.broadcast_to(lower, row.shape[0]).astype(float))
         self.g_upper.append(np.broadcast_to(upper, row.shape[0]).astype(float))

@@ -1,0 +1,29 @@
+"""What a person may choose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of a run.
+
+    Attributes
+    ----------
+    full : bool
+        Whether the parts that take minutes run too.
+    quick : bool
+        Few samples, to see that everything works; the figures mean nothing.
+    out : Path
+        Folder of the document and the figures.
+    """
+
+    full: bool = False
+    quick: bool = False
+    out: Path = Path("outputs/bench")
+
+    def duration(self, seconds: float) -> float:
+        """Simulated time of a closed loop, s."""
+        return min(seconds, 2.0) if self.quick else seconds
