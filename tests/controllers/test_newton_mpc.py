@@ -165,14 +165,13 @@ def test_qp_solvers_agree_on_random_programs(seed: int) -> None:
     width = generator.uniform(0.0, 1.0, m)
     rows = generator.standard_normal((m, n))
     centre = rows @ generator.uniform(-0.4, 0.4, n)  # the hard rows can be met within the bounds
+    soft = np.isfinite(linear)
     qp = Qp(
         root @ root.T + 0.1 * np.eye(n),
         3.0 * generator.standard_normal(n),
-        np.full(n, -0.5),
-        np.full(n, 0.5),
         rows,
-        np.where(np.isinf(linear), centre - width, centre + 2.0),
-        np.where(np.isinf(linear), centre + width, centre + 2.0 + width),
+        np.concatenate([np.full(n, -0.5), np.where(soft, centre + 2.0, centre - width)]),
+        np.concatenate([np.full(n, 0.5), np.where(soft, centre + 2.0, centre) + width]),
         linear,
         np.full(m, 10.0),
     )

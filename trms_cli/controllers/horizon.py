@@ -119,10 +119,12 @@ class Horizon:
     Attributes
     ----------
     linearise : BufferedFunction
-        :data:`ARGUMENTS` → states (n_x, N), sensitivities of the rows (n_rows·N, n_z), of the
-        terminal state, scaled (n_x, n_z), terminal residual, scaled, objective, merit, violation.
+        :data:`ARGUMENTS` → states (n_x, N), terminal residual, scaled (n_x,), objective, merit,
+        violation; then gradient of J (n_z,), its Gauss–Newton root G (n_weighted·N, n_z) with
+        2 GᵀG the Hessian of the weighted states' part, slope of the terminal residual (n_x, n_z),
+        slopes of the limited states (n_limited·N, n_z).
     evaluate : BufferedFunction
-        The same arguments → states, terminal residual, objective, merit, violation.
+        The same arguments → the first five of these.
 
     Notes
     -----
@@ -152,13 +154,14 @@ class Horizon:
             terminal,
             scale,
         )
-        #: Rows of the sensitivities at each period, by state.
-        self.rows = tuple(dict.fromkeys(self.weighted + self.limited))
         self.linearise = BufferedFunction(self._function(with_sensitivities=True))
-        self.evaluate = BufferedFunction(self._function(with_sensitivities=False))
-        for function in (self.linearise, self.evaluate):
-            for name, value in self._settings().items():
-                function.inputs[ARGUMENTS.index(name)][...] = value
+        #: Arguments of both functions by name: they share the arrays.
+        self.arguments = dict(zip(ARGUMENTS, self.linearise.inputs, strict=True))
+        self.evaluate = BufferedFunction(
+            self._function(with_sensitivities=False), inputs=self.linearise.inputs
+        )
+        for name, value in self._settings().items():
+            self.arguments[name][...] = value
 
     def _settings(self) -> dict[str, FloatArray]:
         """Values of the arguments that stay the same during a run."""
@@ -171,7 +174,7 @@ class Horizon:
         limits = [soft.states[name] for name in self.limited]
         return {
             "p": model.parameters.values,
-            "q": np.array([weights.states.get(name, 0.0) for name in self.rows]),
+            "q": np.array([weights.states[name] for name in self.weighted]),
             "rho": np.array([weights.inputs.get(name, 0.0) for name in names(model.inputs)]),
             "s": np.array([weights.moves.get(name, 0.0) for name in names(model.inputs)]),
             "limits": np.array(limits).reshape(-1, 2),
@@ -192,7 +195,7 @@ class Horizon:
             "r": (len(model.controlled), n),
             "x_s": (n_x, 1),
             "u_s": (n_u, 1),
-            "q": (len(self.rows), 1),
+            "q": (len(self.weighted), 1),
             "rho": (n_u, 1),
             "s": (n_u, 1),
             "limits": (len(self.limited), 2),
@@ -201,9 +204,8 @@ class Horizon:
         }
         at = {name: ca.MX.sym(name, *sizes[name]) for name in ARGUMENTS}
 
-        state, states, row_sensitivities = at["x0"], [], []
+        state, states, slopes = at["x0"], [], []
         sensitivity = ca.MX(discrete.n_x, 0)
-        rows = [model.state_index(name) for name in self.rows]
         for k in range(n):
             u = at["z"][:, int(self.blocks[k])]
             if not with_sensitivities:
@@ -211,36 +213,66 @@ class Horizon:
             else:
                 state, a, b = stage(state, u, at["p"], at["w"])
                 sensitivity = _propagated(sensitivity, a, b, k, self.blocks)
-                padding = ca.MX.zeros(len(rows), self.n_z - sensitivity.shape[1])
-                row_sensitivities.append(ca.horzcat(sensitivity[rows, :], padding))
+                slopes.append(sensitivity)
             states.append(state)
         trajectory = ca.horzcat(*states)
         residual = (trajectory[:n_x, -1] - at["x_s"]) / at["scale"]
         objective = self._objective(trajectory, at)
         merit, violation = self._merit(objective, trajectory, residual, at)
-        tail = [residual, objective, merit, violation]
-        arguments = list(at.values())
+        results = [trajectory, residual, objective, merit, violation]
         if not with_sensitivities:
-            return ca.Function("horizon_evaluate", arguments, [trajectory, *tail])
-        terminal = sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z)
-        slopes = [ca.densify(ca.vertcat(*row_sensitivities)), ca.densify(terminal)]
-        return ca.Function("horizon_linearise", arguments, [trajectory, *slopes, *tail])
+            return ca.Function("horizon_evaluate", list(at.values()), results)
+        root = self._rows(slopes, self.weighted, ca.sqrt(at["q"]))
+        errors = ca.repmat(ca.sqrt(at["q"]), n, 1) * ca.vec(self._errors(trajectory, at))
+        results += [
+            2 * root.T @ errors + self._input_gradient(at),
+            root,
+            sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z),
+            self._rows(slopes, self.limited, ca.MX.ones(len(self.limited))),
+        ]
+        return ca.Function(
+            "horizon_linearise", list(at.values()), [ca.densify(result) for result in results]
+        )
 
-    def _objective(self, trajectory: ca.MX, at: Mapping[str, ca.MX]) -> ca.MX:
-        model = self.model
-        total = ca.MX(0)
-        for i, name in enumerate(self.rows):
+    def _rows(self, slopes: list[ca.MX], states: tuple[str, ...], factors: ca.MX) -> ca.MX:
+        """Slopes of some states at all periods, each times its factor, (n_states·N, n_z)."""
+        rows = [self.model.state_index(name) for name in states]
+        chosen = []
+        for slope in slopes:
+            scaled = slope[rows, :] * ca.repmat(factors, 1, slope.shape[1])
+            chosen.append(ca.horzcat(scaled, ca.MX(len(rows), self.n_z - slope.shape[1])))
+        return ca.densify(ca.vertcat(*chosen))
+
+    def _errors(self, trajectory: ca.MX, at: Mapping[str, ca.MX]) -> ca.MX:
+        """Deviations of the weighted states over the horizon, (n_weighted, N)."""
+        model, errors = self.model, []
+        for name in self.weighted:
             row = model.state_index(name)
             controlled = name in model.controlled
             goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
-            total += at["q"][i] * ca.sumsqr(trajectory[row, :] - goal)
-        periods = ca.DM(np.bincount(self.blocks)).T
-        for j in range(model.n_u):
-            z = at["z"][j, :]
-            total += at["rho"][j] * ca.sum2(periods * (z - at["u_s"][j]) ** 2)
-            moves = z - ca.horzcat(at["u_previous"][j], z[:, :-1])
-            total += at["s"][j] * ca.sumsqr(moves)
-        return total
+            errors.append(trajectory[row, :] - goal)
+        return ca.vertcat(*errors)
+
+    def _moves(self, at: Mapping[str, ca.MX]) -> ca.MX:
+        """Changes between successive blocks, (n_u, n_blocks)."""
+        return at["z"] - ca.horzcat(at["u_previous"], at["z"][:, :-1])
+
+    def _input_gradient(self, at: Mapping[str, ca.MX]) -> ca.MX:
+        """Gradient of the inputs' and moves' part of J, block by block, (n_z, 1)."""
+        z = at["z"]
+        part = self._input_objective(at)
+        return ca.vec(ca.jacobian(part, z))
+
+    def _objective(self, trajectory: ca.MX, at: Mapping[str, ca.MX]) -> ca.MX:
+        squares = ca.sum2(self._errors(trajectory, at) ** 2)
+        return ca.dot(at["q"], squares) + self._input_objective(at)
+
+    def _input_objective(self, at: Mapping[str, ca.MX]) -> ca.MX:
+        """The part of J that depends on the inputs alone."""
+        periods = ca.repmat(ca.DM(np.bincount(self.blocks)).T, self.model.n_u, 1)
+        deviation = at["z"] - ca.repmat(at["u_s"], 1, self.n_blocks)
+        inputs = ca.dot(at["rho"], ca.sum2(periods * deviation**2))
+        return inputs + ca.dot(at["s"], ca.sum2(self._moves(at) ** 2))
 
     def _merit(
         self,

@@ -13,6 +13,7 @@ convergence.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
@@ -186,9 +187,9 @@ class NewtonMpcState:
         )
         self.newton = NewtonStep(horizon, config.qp, rates * setup.sample_time)
         self._shift = _shift_matrix(blocks)
+        self._beyond = 1.0 - self._shift.sum(axis=0)
         self.target: Target | None = None
         self._full = self.discrete.initial(model.rest(), setup.first_command)
-        self._advance = self.newton.advance
         self._first = True
         self._last_command = setup.first_command.copy()
         self._disturbance = np.zeros(model.n_w)
@@ -199,14 +200,13 @@ class NewtonMpcState:
         newton, n_x = self.newton, self.model.n_x
         if self.config.disturbance_compensation:
             self._disturbance = sample.estimate.disturbance
-        finite = (
-            float(sample.estimate.x.sum())
-            + float(self._disturbance.sum())
-            + float(sample.reference.sum())
+        self._last_command = sample.previous_command
+        self.inputs_finite = (
+            _is_finite(sample.estimate.x)
+            and _is_finite(self._disturbance)
+            and _is_finite(sample.reference.ravel())
         )
-        self.inputs_finite = -np.inf < finite < np.inf
         if not self.inputs_finite:
-            self._last_command = sample.previous_command
             return
         if not self._first and len(self._full) > n_x:
             self._full[n_x:] = newton.advance(self._full, sample.previous_command)[n_x:]
@@ -227,19 +227,16 @@ class NewtonMpcState:
             reached = self.target.reference_reached[:, None]
             reference[:] = np.where(reference == asked, reached, reference)
         newton.set_problem(self._full, sample.previous_command, self._disturbance, self.target)
-        steady = np.repeat(self.target.u[:, None], newton.plan.shape[1], axis=1)
+        steady = self.target.u[:, None]
         if self._first:
             newton.plan[:] = steady
             self._first = False
-        else:
-            newton.plan[:] = newton.plan @ self._shift + np.outer(
-                self.target.u, 1.0 - self._shift.sum(axis=0)
-            )
-            if previous_target is None or self.target.asked != previous_target.asked:
-                # A new reference may lie behind a point where the linearisation sees no way to it
-                # (a tail rotor at rest has no thrust slope): start from the better of two plans.
-                newton.choose_better(steady)
-        self._last_command = sample.previous_command
+            return
+        newton.plan[:] = newton.plan @ self._shift + steady * self._beyond
+        if previous_target is None or self.target.asked != previous_target.asked:
+            # A new reference may lie behind a point where the linearisation sees no way to it
+            # (a tail rotor at rest has no thrust slope): start from the better of two plans.
+            newton.choose_better(np.broadcast_to(steady, newton.plan.shape))
 
     def prediction(self) -> Prediction:
         """The plan and the trajectory it leads to."""
@@ -328,6 +325,11 @@ def _shift_matrix(blocks: npt.NDArray[np.int64]) -> FloatArray:
         if k + 1 < len(blocks):
             shift[blocks[k + 1], block] += 1.0 / periods[block]
     return shift
+
+
+def _is_finite(vector: FloatArray) -> bool:
+    """Whether no component is NaN or infinite; a sum shows either."""
+    return math.isfinite(sum(vector.tolist()))
 
 
 def _positive(weights: Mapping[str, float]) -> dict[str, float]:

@@ -82,53 +82,33 @@ class NewtonStep:
         self.horizon = horizon
         self._qp, self._workspace = qp, qp.start()
         self.lower, self.upper = model.input_bounds()
-        n_u, n_blocks = model.n_u, horizon.n_blocks
-        self.plan = np.zeros((n_u, n_blocks), order="F")
-        self.reference = horizon.linearise.inputs[5]
+        self.plan = np.zeros((model.n_u, horizon.n_blocks), order="F")
+        self.reference = horizon.arguments["r"]
         self.trajectory = horizon.linearise.outputs[0].copy()
         self.linearise_time = self.qp_time = 0.0
-        self._arguments = horizon.linearise.inputs
         self._step = BufferedFunction(horizon.discrete.step)
         self._step.inputs[2][:] = model.parameters.values
-        # The plan in the order of the unknowns: block by block, input by input.
-        self._lower = np.tile(self.lower, n_blocks)
-        self._upper = np.tile(self.upper, n_blocks)
         self._constant_terms()
         self._program_rows(largest_moves)
-        self._u_previous = np.zeros(n_u)
-        self._u_target = np.zeros(n_u)
 
     # -- set-up -----------------------------------------------------------------------------
 
     def _constant_terms(self) -> None:
-        """The parts of the Hessian that do not depend on the trajectory: inputs and moves."""
+        """The part of the Hessian that does not depend on the trajectory: inputs and moves."""
         horizon = self.horizon
         inputs = names(horizon.model.inputs)
         n_u, n_blocks, n = len(inputs), horizon.n_blocks, horizon.n_z
         periods = np.bincount(horizon.blocks)
         rho = np.array([horizon.weights.inputs.get(name, 0.0) for name in inputs])
         s = np.array([horizon.weights.moves.get(name, 0.0) for name in inputs])
-        self._input_weight = (periods[:, None] * rho).ravel()
-        difference = np.eye(n) - np.eye(n, k=-n_u)
-        self._difference = difference
-        move_weight = np.tile(s, n_blocks)
-        self._move_gradient = 2.0 * difference.T * move_weight
+        self._difference = difference = np.eye(n) - np.eye(n, k=-n_u)
         self._constant_hessian = 2.0 * (
-            np.diag(self._input_weight) + difference.T * move_weight @ difference
+            np.diag((periods[:, None] * rho).ravel())
+            + difference.T * np.tile(s, n_blocks) @ difference
         ) + _REGULARISATION * np.eye(n)
-        states = horizon.model.state_names
-        rows = len(horizon.rows)
-        weight = np.array([horizon.weights.states.get(name, 0.0) for name in horizon.rows])
-        self._row_index = np.array([states.index(name) for name in horizon.rows])
-        controlled = horizon.model.controlled
-        #: Row of the reference for each weighted row, −1 for one that goes to the target.
-        self._goal = [controlled.index(n) if n in controlled else -1 for n in horizon.rows]
-        self._root_weight = np.sqrt(np.tile(weight, horizon.n_periods))
-        self._n_rows = rows
-        self._goals = np.zeros((rows, horizon.n_periods), order="F")
-        limits = horizon.soft_limits.states
-        self._limited = [i for i, name in enumerate(horizon.rows) if name in limits]
-        self._limits = np.array([limits[horizon.rows[i]] for i in self._limited]).reshape(-1, 2)
+        limits = [horizon.soft_limits.states[name] for name in horizon.limited]
+        self._limits = np.array(limits).reshape(-1, 2)
+        self._limited = [horizon.model.state_index(name) for name in horizon.limited]
 
     def _program_rows(self, largest_moves: FloatArray) -> None:
         """Rows of the QP that do not change, and room for those that do.
@@ -148,7 +128,13 @@ class NewtonStep:
         self._n_terminal, self._rate_bound = n_terminal, rate_bound
         self._rows = np.zeros((m, n))
         self._rows[n_terminal:] = self._difference[self._rate_chosen]
-        self._row_lower, self._row_upper = np.zeros(m), np.zeros(m)
+        # Bounds of the unknowns (block by block, input by input), then of the rows. They are for
+        # the inputs and moves themselves; a QP is about their change.
+        self._lowest = np.concatenate([np.tile(self.lower, horizon.n_blocks), np.zeros(m)])
+        self._highest = np.concatenate([np.tile(self.upper, horizon.n_blocks), np.zeros(m)])
+        self._lowest[n + n_terminal :] = -rate_bound
+        self._highest[n + n_terminal :] = rate_bound
+        self._present = np.zeros(n + m)
         self._linear, self._quadratic = np.full(m, np.inf), np.ones(m)
         if terminal is not None:
             self._linear[:n_terminal] = terminal.linear
@@ -160,17 +146,12 @@ class NewtonStep:
         self, full: FloatArray, u_previous: FloatArray, disturbance: FloatArray, target: Target
     ) -> None:
         """Initial state (with memory), last command, disturbances and target of this sample."""
-        x0, _, previous, _, w, _, x_s, u_s = self._arguments[:8]
-        x0[:] = full
-        previous[:] = self._u_previous = u_previous
-        w[:] = disturbance
-        x_s[:] = target.x
-        u_s[:] = self._u_target = target.u
-        other = self.horizon.evaluate.inputs
-        for i in (0, 2, 4, 5, 6, 7):
-            other[i][...] = self._arguments[i]
-        for row, goal in enumerate(self._goal):
-            self._goals[row] = self.reference[goal] if goal >= 0 else target.x[self._row_index[row]]
+        arguments = self.horizon.arguments
+        arguments["x0"][:] = full
+        arguments["u_previous"][:] = u_previous
+        arguments["w"][:] = disturbance
+        arguments["x_s"][:] = target.x
+        arguments["u_s"][:] = target.u
 
     def advance(self, full: FloatArray, u: FloatArray) -> FloatArray:
         """The full state one control period later without disturbance, for its memory."""
@@ -187,10 +168,9 @@ class NewtonStep:
             self.plan[:] = other
 
     def _merit(self, plan: FloatArray) -> float:
-        evaluate = self.horizon.evaluate
-        evaluate.inputs[1][:] = plan
-        evaluate()
-        return float(evaluate.outputs[3][0])
+        self.horizon.arguments["z"][:] = plan
+        self.horizon.evaluate()
+        return float(self.horizon.evaluate.outputs[3][0])
 
     def solve(self, max_iterations: int, tolerance: float) -> Outcome:
         """Iterate from the present plan; the plan never gets worse in merit."""
@@ -207,45 +187,35 @@ class NewtonStep:
     def _iterate(self, outcome: Outcome, tolerance: float) -> None:
         begin = perf_counter()
         horizon = self.horizon
-        linearise = horizon.linearise
-        linearise.inputs[1][:] = self.plan
-        linearise()
-        trajectory, slopes, terminal_slope, terminal, _, merit, _ = linearise.outputs
+        horizon.arguments["z"][:] = self.plan
+        horizon.linearise()
+        trajectory, terminal, _, merit, _, gradient, root, terminal_slope, limited_slopes = (
+            horizon.linearise.outputs
+        )
         merit_now = float(merit[0])
         if not merit_now < np.inf:
             self.linearise_time += perf_counter() - begin
             outcome.failed, outcome.message = True, "the predicted trajectory is not finite"
             return
+        hessian = root.T @ root
+        hessian *= 2.0
+        hessian += self._constant_hessian
         z = self.plan.ravel(order="F")
-        deviation = (trajectory[self._row_index] - self._goals).ravel(order="F")
-        weighted = slopes * self._root_weight[:, None]
-        hessian = 2.0 * (weighted.T @ weighted) + self._constant_hessian
-        gradient = 2.0 * ((self._root_weight * deviation) @ weighted)
-        n_u = len(self._u_previous)
-        if self._input_weight.any():
-            steady = np.tile(self._u_target, horizon.n_blocks)
-            gradient += 2.0 * self._input_weight * (z - steady)
-        moves = z.copy()
-        moves[n_u:] -= z[:-n_u]
-        moves[:n_u] -= self._u_previous
-        gradient += self._move_gradient @ moves
-        qp = self._program(hessian, gradient, z, moves, terminal_slope, terminal)
+        qp = self._program(hessian, gradient, z, terminal_slope, terminal)
         middle = perf_counter()
         self.linearise_time += middle - begin
         result = self._qp.solve(self._workspace, qp)
         if result.solved and self._limited:
-            values = trajectory[self._row_index[self._limited]]
-            result = self._within_limits(qp, result, values, slopes)
-        end = perf_counter()
-        self.qp_time += end - middle
+            result = self._within_limits(qp, result, trajectory[self._limited], limited_slopes)
+        self.qp_time += perf_counter() - middle
         if not result.solved:
             outcome.failed = True
             outcome.message = f"the QP was not solved: {result.message}"
             return
         step = result.z
         curvature = hessian @ step
-        outcome.kkt_residual = float(np.abs(curvature).max())
-        outcome.converged = float(np.abs(step).max()) <= tolerance
+        outcome.kkt_residual = _largest(curvature)
+        outcome.converged = _largest(step) <= tolerance
         self._move(z, step, float(step @ curvature), merit_now, outcome)
 
     def _program(
@@ -253,27 +223,24 @@ class NewtonStep:
         hessian: FloatArray,
         gradient: FloatArray,
         z: FloatArray,
-        moves: FloatArray,
         terminal_slope: FloatArray,
         terminal: FloatArray,
     ) -> Qp:
-        n_t = self._n_terminal
+        n, n_t, present = len(z), self._n_terminal, self._present
+        present[:n] = z
         if n_t:
             self._rows[:n_t] = terminal_slope
-            self._row_lower[:n_t] = -terminal
-            self._row_upper[:n_t] = -terminal
+            present[n : n + n_t] = terminal
         if self._rate_limited:
-            present = moves[self._rate_chosen]
-            self._row_lower[n_t:] = -self._rate_bound - present
-            self._row_upper[n_t:] = self._rate_bound - present
+            moves = self._difference @ z
+            moves[: len(self.lower)] -= self.horizon.arguments["u_previous"]
+            present[n + n_t :] = moves[self._rate_chosen]
         return Qp(
             hessian,
             gradient,
-            self._lower - z,
-            self._upper - z,
             self._rows,
-            self._row_lower,
-            self._row_upper,
+            self._lowest - present,
+            self._highest - present,
             self._linear,
             self._quadratic,
         )
@@ -285,24 +252,19 @@ class NewtonStep:
 
         A solution that keeps them is the solution of both programs; most samples end here.
         """
-        n, n_rows = self.horizon.n_periods, self._n_rows
-        pick = (np.arange(n)[:, None] * n_rows + np.array(self._limited)).ravel()
-        rows = slopes[pick]
-        present = values.T.ravel()
-        predicted = present + rows @ result.z
-        lower = np.tile(self._limits[:, 0], n)
-        upper = np.tile(self._limits[:, 1], n)
+        present = values.ravel(order="F")
+        predicted = present + slopes @ result.z
+        lower = np.tile(self._limits[:, 0], self.horizon.n_periods)
+        upper = np.tile(self._limits[:, 1], self.horizon.n_periods)
         if bool(((predicted >= lower) & (predicted <= upper)).all()):
             return result
-        limits, m = self.horizon.soft_limits, len(rows)
+        limits, m = self.horizon.soft_limits, len(present)
         extended = Qp(
             qp.hessian,
             qp.gradient,
-            qp.lower,
-            qp.upper,
-            np.concatenate([qp.rows, rows]),
-            np.concatenate([qp.row_lower, lower - present]),
-            np.concatenate([qp.row_upper, upper - present]),
+            np.concatenate([qp.rows, slopes]),
+            np.concatenate([qp.lower, lower - present]),
+            np.concatenate([qp.upper, upper - present]),
             np.concatenate([qp.linear, np.full(m, limits.linear)]),
             np.concatenate([qp.quadratic, np.full(m, limits.quadratic)]),
         )
@@ -321,8 +283,7 @@ class NewtonStep:
         The QP's model of the merit is convex, so that the full step lowers it by at least half of
         stepᵀ H step: a descent direction of the merit itself.
         """
-        evaluate = self.horizon.evaluate
-        trial = evaluate.inputs[1]
+        evaluate, trial = self.horizon.evaluate, self.horizon.arguments["z"]
         slack = 1e-12 * (1.0 + abs(merit_now))
         for length in _STEP_LENGTHS:
             trial[:] = (z + length * step).reshape(trial.shape, order="F")
@@ -333,8 +294,7 @@ class NewtonStep:
                 self._report(evaluate.outputs, outcome)
                 return
         outcome.stalled = not outcome.converged
-        linearised = self.horizon.linearise.outputs
-        self._report((linearised[0], *linearised[3:]), outcome)
+        self._report(self.horizon.linearise.outputs[:5], outcome)
 
     def _report(self, outputs: Sequence[FloatArray], outcome: Outcome) -> None:
         trajectory, terminal, objective, merit, violation = outputs
@@ -346,7 +306,7 @@ class NewtonStep:
 
     def _limit_rates(self) -> None:
         """Bring the plan within the rate limits, block after block from the last command."""
-        previous = self._u_previous
+        previous = self.horizon.arguments["u_previous"]
         for block in range(self.horizon.n_blocks):
             previous = np.clip(
                 self.plan[:, block],
@@ -354,3 +314,8 @@ class NewtonStep:
                 previous + self._largest_moves,
             )
             self.plan[:, block] = previous
+
+
+def _largest(vector: FloatArray) -> float:
+    """Largest absolute component; cheaper than an array of absolute values."""
+    return max(float(vector.max()), -float(vector.min()))

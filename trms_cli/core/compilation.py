@@ -110,16 +110,24 @@ class BufferedFunction:
     ----------
     function : casadi.Function
         Compiled here (see :func:`compiled`) unless ``compile`` is false.
+    inputs : sequence of arrays, optional
+        Input arrays of another buffered function with the same arguments, to share them.
     """
 
     __slots__ = ("_buffer", "_evaluate", "function", "inputs", "outputs")
 
-    def __init__(self, function: ca.Function, *, compile: bool = True) -> None:
+    def __init__(
+        self,
+        function: ca.Function,
+        *,
+        compile: bool = True,
+        inputs: Sequence[FloatArray] | None = None,
+    ) -> None:
         function = _dense(function)
         self.function = compiled(function) if compile else function
         self._buffer, self._evaluate = self.function.buffer()
         self.inputs: tuple[FloatArray, ...] = tuple(
-            _array(function.size_in(i)) for i in range(function.n_in())
+            inputs or (_array(function.size_in(i)) for i in range(function.n_in()))
         )
         self.outputs: tuple[FloatArray, ...] = tuple(
             _array(function.size_out(i)) for i in range(function.n_out())

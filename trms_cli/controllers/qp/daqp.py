@@ -49,18 +49,16 @@ class Daqp:
 
     def solve(self, workspace: _Workspace, qp: Qp) -> QpResult:
         """See :class:`trms_cli.controllers.qp.problem.QpSolver`."""
-        upper = np.concatenate([qp.upper, qp.row_upper])
-        lower = np.concatenate([qp.lower, qp.row_lower])
         size = qp.rows.shape
         model = workspace.models.get(size)
         if model is not None:
             # Without rows, `update` would look at the first of none.
             rows = qp.rows if len(qp.rows) else None
-            model.update(H=qp.hessian, f=qp.gradient, A=rows, bupper=upper, blower=lower)
+            model.update(H=qp.hessian, f=qp.gradient, A=rows, bupper=qp.upper, blower=qp.lower)
         else:
             model = daqp.Model()
             model.settings = {"iter_limit": self.max_iterations}
-            model.setup(qp.hessian, qp.gradient, qp.rows, upper, lower, _kinds(qp))
+            model.setup(qp.hessian, qp.gradient, qp.rows, qp.upper, qp.lower, _kinds(qp))
             self._set_prices(model, qp)
             workspace.models[size] = model
         z, _, flag, info = model.solve()
@@ -84,8 +82,9 @@ class Daqp:
 
 
 def _kinds(qp: Qp) -> np.ndarray:
-    kinds = np.full(len(qp.gradient) + len(qp.linear), _HARD, dtype=np.int32)
-    rows = kinds[len(qp.gradient) :]
-    rows[np.isfinite(qp.linear)] = _SOFT
-    rows[~np.isfinite(qp.linear) & (qp.row_lower == qp.row_upper)] = _EQUALITY
+    n = len(qp.gradient)
+    kinds = np.full(n + len(qp.linear), _HARD, dtype=np.int32)
+    rows, soft = kinds[n:], np.isfinite(qp.linear)
+    rows[soft] = _SOFT
+    rows[~soft & (qp.lower[n:] == qp.upper[n:])] = _EQUALITY
     return kinds

@@ -59,8 +59,8 @@ class Osqp:
             format="csc",
         )
         zeros, infinite = np.zeros(2 * k), np.full(2 * k, np.inf)
-        lower = np.concatenate([qp.row_lower, qp.lower, zeros])
-        upper = np.concatenate([qp.row_upper, qp.upper, infinite])
+        lower = np.concatenate([qp.lower[n:], qp.lower[:n], zeros])
+        upper = np.concatenate([qp.upper[n:], qp.upper[:n], infinite])
         solver = osqp.OSQP()
         solver.setup(
             sparse.triu(hessian, format="csc"),

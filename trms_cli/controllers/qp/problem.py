@@ -1,7 +1,7 @@
 """The quadratic program that a Newton step solves, and what a solver is.
 
     min  ½ zᵀ H z + gᵀ z + Σ_i (μ_i |v_i| + ν_i v_i²)
-    s.t. lower ≤ z ≤ upper,   row_lower ≤ A z + v ≤ row_upper
+    s.t. lower ≤ (z; A z + v) ≤ upper
 
 ``v_i`` is the violation of a soft row; a hard row (μ_i infinite) has none.
 """
@@ -25,20 +25,20 @@ class Qp:
     ----------
     hessian : (n, n) array
         Symmetric positive definite.
-    gradient, lower, upper : (n,) arrays
+    gradient : (n,) array
     rows : (m, n) array
-    row_lower, row_upper : (m,) arrays
+        A.
+    lower, upper : (n + m,) arrays
+        Bounds of the unknowns, then of the rows.
     linear, quadratic : (m,) arrays
         μ and ν; μ infinite makes the row hard.
     """
 
     hessian: FloatArray
     gradient: FloatArray
+    rows: FloatArray
     lower: FloatArray
     upper: FloatArray
-    rows: FloatArray
-    row_lower: FloatArray
-    row_upper: FloatArray
     linear: FloatArray
     quadratic: FloatArray
 
