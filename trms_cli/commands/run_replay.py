@@ -15,7 +15,7 @@ from trms_cli.commands import run_assembly as assembly
 from trms_cli.commands.composition import Composition, Outcome
 from trms_cli.commands.git_revision import GitRevision
 from trms_cli.commands.plugin_failure import plugin_failure
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.plugins import TARGET, build, locate
 from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig, RecordedRun
@@ -84,7 +84,7 @@ def perform_replay(composition: Composition) -> Outcome:
     except BaseException as error:
         log.close("failed")
         reached = replay.done * rig.sample_time
-        if isinstance(error, Exception):
+        if isinstance(error, Exception) and not isinstance(error, TrmsError):
             failure = plugin_failure(error, {"observer": observer}, reached)
             if failure is not None:
                 raise failure from error
