@@ -102,9 +102,8 @@ def test_out_of_reach_the_closest_is_found_and_flagged() -> None:
     assert not released.projected and released.active == (0, 0)
 
 
-def test_weights_share_what_one_input_cannot_reach_for_both_axes() -> None:
-    """With the tail rotor alone holding yaw, only its own axis suffers."""
-    w = np.array([0.0, -0.2, 0.0, 0.0])
+def test_only_the_axis_that_is_short_of_thrust_gives_way() -> None:
+    w = np.array([0.0, -0.08, 0.0, 0.0])
     target = SOLVER.solve(np.array([0.2, 2.5]), w)
     is_steady(BOTH, target, w)
     assert target.active == (0, 1)

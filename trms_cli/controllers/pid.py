@@ -27,8 +27,9 @@ from msgspec import Meta
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.linear_design import Linearisation, require_drivable
 from trms_cli.controllers.operating_point import SteadyState, Target
-from trms_cli.controllers.pid_tuning import AxisPlant, Gains, Margins, margins, tuned, worst
+from trms_cli.controllers.pid_tuning import AxisPlant, Gains, Margins, held, margins, tuned, worst
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
@@ -123,7 +124,7 @@ class Pid:
     max_sensitivity : float
         M, the bound on the peak of the sensitivity in tuning.
     smoothness : dict of str to float
-        ρ by axis, s: weight of the rate against the angle in tuning; 4 where none is given.
+        ρ by axis, s: weight of the rate against the angle in tuning; 3 where none is given.
     derivative_filter : float
         T_f, s.
     setpoint_weight : float
@@ -145,7 +146,7 @@ class Pid:
         {"alpha_v": 0.0, "alpha_h": 0.5},
         {"alpha_v": 0.3, "alpha_h": 1.0},
     )
-    max_sensitivity: Annotated[float, Meta(gt=1)] = 2.0
+    max_sensitivity: Annotated[float, Meta(gt=1)] = 1.8
     smoothness: Mapping[str, _Positive] = field(default_factory=dict)
     derivative_filter: _Positive = 0.05
     setpoint_weight: Annotated[float, Meta(ge=0, le=1)] = 1.0
@@ -154,6 +155,21 @@ class Pid:
     tracking_time: _Positive | None = None
     feed_forward: bool = True
     sample_time: _Positive | None = None
+
+    def __post_init__(self) -> None:
+        if not self.operating_points:
+            raise ConfigurationError(
+                "no operating point given",
+                where="operating_points",
+                remedy="give at least one, as [{alpha_v: 0.0, alpha_h: 0.5}]",
+            )
+        for name in self.smoothness:
+            if name not in _ROTOR_OF_AXIS:
+                raise ConfigurationError(
+                    f"{name!r} is not an axis",
+                    where="smoothness",
+                    remedy=nearest(name, _ROTOR_OF_AXIS),
+                )
 
     def preview(self, setup: ControlSetup) -> int:
         return 0
@@ -204,22 +220,28 @@ class Pid:
                 require_drivable(points[-1], f"{key}[{i}]")
         gains: dict[str, Gains] = {}
         robustness: dict[str, Margins] = {}
+        systems = [(point.A, point.B, point.C) for point in points]
         for name, axis in model.axes.items():
             channel, row = _channel(model, name), model.controlled.index(axis.angle)
-            plants = [AxisPlant(p.A, p.B[:, channel], p.C[row], T) for p in points]
+            plants = [AxisPlant(A, B[:, channel], C[row], T) for A, B, C in systems]
             chosen = given[name]
             if not isinstance(chosen, Gains):
                 chosen = tuned(
                     plants,
                     self.derivative_filter,
                     self.max_sensitivity,
-                    self.smoothness.get(name, 4.0),
+                    self.smoothness.get(name, 3.0),
                     f"controller.{name}",
                 )
             gains[name] = chosen
             robustness[name] = worst(
                 margins(plant, chosen, self.derivative_filter) for plant in plants
             )
+            # One loop after the other: the next axis is tuned with this one held.
+            systems = [
+                held(plant, chosen, self.derivative_filter, B, C)
+                for plant, (_, B, C) in zip(plants, systems, strict=True)
+            ]
         return gains, robustness
 
     def step(self, state: PidState, sample: ControlSample, *, want_prediction: bool) -> Command:

@@ -13,7 +13,7 @@ the ones that, after a step of the load, minimise
 
 over several operating points j, at each of which the bound holds: the rig's gain in pitch grows by
 three quarters from −0.3 to 0.3 rad, while its frequency falls. G is the discretised model between
-an input and its angle, with the hold and the sampling in it,
+an input and its angle, with the hold and the sampling in it and the axes before this one held,
 and C the law exactly as it is computed, filter included: what is tuned is what runs. M bounds the
 distance to the critical point (gain margin above M/(M − 1), phase margin above 2 asin 1/(2M)).
 """
@@ -33,10 +33,11 @@ from trms_cli.core.errors import ConfigurationError
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
-_FREQUENCIES = 160
-#: Decades searched around the inverse of the plant's gain: k_p, k_i (per s), k_d (times s).
-_LOWEST, _HIGHEST = np.array([-2.5, -2.5, -1.5]), np.array([1.0, 1.0, 1.0])
-_FIRST_GRID, _GRID, _ROUNDS, _SHRINK = 12, 5, 9, 0.65
+_FREQUENCIES = 110
+#: Searched, times the plant's gain: ln(1 + k_p), log₁₀ k_i (per s), log₁₀ k_d (s). A slightly
+#: negative k_p is the best for a lightly damped axis: it slows the swing that k_d then damps.
+_LOWEST, _HIGHEST = np.array([-1.0, -2.5, -1.5]), np.array([2.6, 1.0, 1.0])
+_FIRST_GRID, _GRID, _ROUNDS, _SHRINK = 12, 5, 12, 0.72
 #: Squarings of the closed loop's transition: the cost is summed over 2¹³ samples.
 _DOUBLINGS = 13
 #: Weight of the command, rad/V. It only keeps the cost from being flat in it.
@@ -95,9 +96,12 @@ class AxisPlant:
         return np.linalg.solve(resolvent, right)[..., 0] @ self.c
 
 
-def frequencies(step: float) -> FloatArray:
-    """From a slow loop's to half the sampling rate, rad/s, logarithmic."""
-    return np.geomspace(1e-2, math.pi / step, _FREQUENCIES)
+def frequencies(step: float, density: int = 1) -> FloatArray:
+    """Up to half the sampling rate, rad/s; dense where the rig's modes lie, so that no narrow peak
+    of a lightly damped one is missed."""
+    fast = math.pi / step
+    slow = np.geomspace(0.05, min(10.0, fast), _FREQUENCIES * density, endpoint=False)
+    return np.concatenate([slow, np.geomspace(min(10.0, fast), fast, 20 * density)])
 
 
 def terms(z: ComplexArray, step: float, filter_time: float) -> ComplexArray:
@@ -142,6 +146,16 @@ def closed_loop(
     return after, u
 
 
+def held(
+    plant: AxisPlant, gains: Gains, filter_time: float, B: FloatArray, C: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The rig with one axis' loop closed, its law's states appended: A, B and C for the others."""
+    row = np.array([[gains.kp, gains.ki, gains.kd]])
+    A = closed_loop(plant, row, filter_time)[0][0]
+    more = A.shape[0] - B.shape[0]
+    return A, np.pad(B, ((0, more), (0, 0))), np.pad(C, ((0, 0), (0, more)))
+
+
 def load_costs(
     plant: AxisPlant, gains: FloatArray, filter_time: float, smoothness: float
 ) -> FloatArray:
@@ -173,7 +187,7 @@ def tuned(
 ) -> Gains:
     """The gains of least cost whose sensitivity stays below a peak.
 
-    A grid over the logarithms of the gains that is drawn together around the best: deterministic,
+    A grid that is drawn together around the best: deterministic,
     and done before an optimiser would have been imported.
 
     Parameters
@@ -197,7 +211,7 @@ def tuned(
     step = plants[0].step
     z = np.exp(1j * frequencies(step) * step)
     responses = [plant.response(z) for plant in plants]
-    loops = terms(z, step, filter_time)[:, None, :] * np.array(responses)
+    loops = [terms(z, step, filter_time) * response for response in responses]
     largest = max((response[0] for response in responses), key=abs)
     scale = math.copysign(1.0 / max(abs(largest), 1e-12), largest.real)
     best_cost, best = math.inf, np.zeros(3)
@@ -205,9 +219,8 @@ def tuned(
     for count in (_FIRST_GRID, *(_GRID,) * _ROUNDS):
         axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        gains = scale * 10.0**grid
-        distance = np.abs(1 + np.tensordot(gains, loops, axes=1)).min(axis=(1, 2))
-        robust = np.flatnonzero(distance >= 1 / peak)
+        gains = scale * _searched(grid)
+        robust = np.flatnonzero(_distance(gains, loops) >= 1 / peak)
         if robust.size:
             costs = np.sum(
                 [load_costs(p, gains[robust], filter_time, smoothness) for p in plants], axis=0
@@ -225,13 +238,31 @@ def tuned(
             where=where,
             remedy="raise max_sensitivity, shorten derivative_filter, or give kp, ki and kd",
         )
-    kp, ki, kd = (scale * 10.0**best).tolist()
+    kp, ki, kd = (scale * _searched(best)).tolist()
     return Gains(kp, ki, kd)
+
+
+def _distance(gains: FloatArray, loops: Sequence[ComplexArray]) -> FloatArray:
+    """Least distance |1 + GC| to the critical point over all loops, shape (k,).
+
+    Written out term by term: a matrix product of this size wakes all threads of the linear algebra
+    library, which takes longer than the product.
+    """
+    least = np.full(gains.shape[0], np.inf)
+    for loop in loops:
+        total = 1 + gains[:, :1] * loop[0] + gains[:, 1:2] * loop[1] + gains[:, 2:] * loop[2]
+        least = np.minimum(least, np.abs(total).min(axis=1))
+    return least
+
+
+def _searched(grid: FloatArray) -> FloatArray:
+    """Gains (times the plant's) at points of the search grid, shape (…, 3)."""
+    return np.concatenate([np.expm1(grid[..., :1]), 10.0 ** grid[..., 1:]], axis=-1)
 
 
 def margins(plant: AxisPlant, gains: Gains, filter_time: float) -> Margins:
     """Margins of the loop broken at the input."""
-    omega = np.geomspace(1e-2, math.pi / plant.step, 20 * _FREQUENCIES)
+    omega = frequencies(plant.step, density=8)
     z = np.exp(1j * omega * plant.step)
     weights = np.array([gains.kp, gains.ki, gains.kd])
     L = (weights @ terms(z, plant.step, filter_time)) * plant.response(z)
