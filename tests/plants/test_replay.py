@@ -150,7 +150,7 @@ class TestWhatIsRefused:
         assert caught.value.where == "plant.file"
         assert "u_v, u_h in [1]" in caught.value.problem and "takes [V]" in caught.value.problem
         assert "model=tras" in caught.value.remedy
-        assert "plant.input_scale={u_v: 24, u_h: 24}" in caught.value.remedy
+        assert "plant.input_scale={u_v: 2.5, u_h: 2.5}" in caught.value.remedy
 
     def test_volts_for_a_normalised_model(self, write):
         with pytest.raises(ConfigurationError) as caught:

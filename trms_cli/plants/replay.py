@@ -235,16 +235,19 @@ class RecordedRig:
         ]
         if differing:
             recorded, own = recording.units[differing[0].name], differing[0].unit
-            full = 1.0 / 24.0 if own == "1" else 24.0
             other = {"1": "model=tras takes 1", "V": "model=newtonian takes V"}.get(recorded, "")
-            scale = ", ".join(f"{signal.name}: {full:.4g}" for signal in differing)
+            # A normalised record's full scale is likely the model's; volts, likely the TRAS's 24.
+            scale = ", ".join(
+                f"{s.name}: {1 / 24 if own == '1' else model.input_limits[s.name]:.4g}"
+                for s in differing
+            )
             raise ConfigurationError(
                 f"{recording.source} gives {_listed(names(differing))} in [{recorded}]"
                 f"{' (share of the full command)' if recorded == '1' else ''}, the model "
                 f"{model.name!r} takes [{own}]",
                 where="plant.file",
-                remedy=f"choose the model of that rig ({other}), or tell what a recorded 1 is in "
-                f"{own}: 'plant.input_scale={{{scale}}}'",
+                remedy=f"choose the model of that rig ({other}), or tell what a recorded "
+                f"1 is in {own}, as 'plant.input_scale={{{scale}}}'",
             )
         return model.inputs
 
