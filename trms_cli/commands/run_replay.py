@@ -19,6 +19,7 @@ from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, 
 from trms_cli.core.plugins import TARGET, build, locate
 from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig, RecordedRun
+from trms_cli.recordings.output_file import explain_os_error
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
 from trms_cli.scoring.innovations import innovation_table
@@ -94,8 +95,7 @@ def perform_replay(composition: Composition) -> Outcome:
     table = _innovations(replay)
     log.close("completed", score)
     for name, document in ((SCORE_NAME, score), (INNOVATIONS_NAME, table)):
-        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-        log.path.with_name(name).write_text(text + "\n", encoding="utf-8")
+        _write(document, log.path.with_name(name))
     picture = None
     if config["picture"]:
         from trms_cli.reporting.replay_picture import draw_replay
@@ -104,6 +104,15 @@ def perform_replay(composition: Composition) -> Outcome:
         draw_replay(replay.history, table, picture, title=screen.what)
     screen.say_finished(score, table, picture, spent)
     return Outcome(EXIT_OK, _objective(table))
+
+
+def _write(document: Mapping[str, Any], path: Path) -> None:
+    """The JSON twin of what is printed."""
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise explain_os_error(error, path) from error
 
 
 def _topics(model: Model, rig: RecordedRun) -> list[Topic]:
