@@ -1,0 +1,156 @@
+"""``python -m experiments.regression``: run the matrix, compare, fail when a score got worse."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from experiments.regression import comparison as comparing
+from experiments.regression.matrix import MATRIX, Case, read_matrix
+from experiments.regression.runs import Outcome, run_all
+from trms_cli.cli import describe_error
+from trms_cli.core.errors import (
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_WORSE,
+    ConfigurationError,
+    TrmsError,
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code: 1 when a score got worse, 2 for bad input."""
+    given = _parser().parse_args(argv)
+    try:
+        return _regression(given)
+    except TrmsError as error:
+        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
+        return error.exit_code
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments.regression", description=__doc__)
+    parser.add_argument("--update", action="store_true", help="make these scores the baseline")
+    parser.add_argument("--reason", default="", help="why the baseline changes (with --update)")
+    parser.add_argument("--json", action="store_true", help="print trms.regression/1")
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="runs: 'pid/*', '*/ideal'")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    parser.add_argument("--matrix", type=Path, default=MATRIX, help="another matrix.yaml")
+    parser.add_argument("--baseline", type=Path, default=comparing.BASELINE, help="another file")
+    parser.add_argument(
+        "overrides",
+        nargs="*",
+        metavar="KEY=VALUE",
+        help="what every run gets besides: how would the scores be with it?",
+    )
+    return parser
+
+
+def _regression(given: argparse.Namespace) -> int:
+    _check(given)
+    cases = read_matrix(given.matrix, given.only, given.overrides)
+    recorded = _recorded(given)
+    if not given.update and not given.overrides:
+        comparing.check_matrix(cases, recorded)
+    begin = perf_counter()
+    outcomes = _outcomes(cases, given.jobs)
+    seconds = perf_counter() - begin
+    comparisons = [comparing.compared(outcome, recorded) for outcome in outcomes]
+
+    from experiments.regression import screen
+
+    if given.json:
+        words = screen.document(comparisons, recorded)
+        json.dump(words, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
+        sys.stdout.write("\n")
+    else:
+        screen.print_runs(comparisons, recorded)
+        screen.print_changes(comparisons)
+    if given.update:
+        return _update(given, outcomes, recorded)
+    if not given.json:
+        screen.print_verdict(comparisons, recorded, seconds)
+    return EXIT_WORSE if any(comparison.bad for comparison in comparisons) else EXIT_OK
+
+
+def _check(given: argparse.Namespace) -> None:
+    if given.update and not given.reason.strip():
+        raise ConfigurationError(
+            "a baseline changes with a reason",
+            where="--update",
+            remedy='make regression-update REASON="why"',
+        )
+    if given.update and (given.only != "*" or given.overrides):
+        raise ConfigurationError(
+            "a baseline is of the whole matrix as it is written",
+            where="--update",
+            remedy="leave out --only and the overrides",
+        )
+    if given.reason and not given.update:
+        raise ConfigurationError("--reason goes with --update", where="--reason")
+
+
+def _recorded(given: argparse.Namespace) -> comparing.Recorded:
+    """The baseline; an update needs none, and may replace a broken one."""
+    try:
+        return comparing.read_recorded(given.baseline)
+    except TrmsError:
+        if given.update:
+            return comparing.Recorded()
+        raise
+
+
+def _outcomes(cases: Sequence[Case], jobs: int) -> list[Outcome]:
+    """In the order of the cases; a bar on a terminal."""
+    done: dict[str, Outcome] = {}
+    with _progress(len(cases)) as advance:
+        for outcome in run_all(cases, jobs):
+            done[outcome.case.name] = outcome
+            advance(outcome.case.name)
+    return [done[case.name] for case in cases]
+
+
+class _progress:
+    """A rich bar on standard error if that is a terminal."""
+
+    def __init__(self, total: int) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(file=sys.stderr)
+        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._bar.add_task("runs", total=total)
+
+    def __enter__(self) -> Any:
+        self._bar.start()
+        return lambda name: self._bar.update(self._task, advance=1, description=name)
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+
+def _update(given: argparse.Namespace, outcomes: list[Outcome], before: comparing.Recorded) -> int:
+    from experiments.regression.screen import console
+    from trms_cli.commands.git_revision import GitRevision
+
+    new = comparing.write_recorded(
+        outcomes, before, given.reason.strip(), GitRevision.ask().answer(), given.baseline
+    )
+    if given.baseline == comparing.BASELINE:
+        from experiments.regression.expectation import write_expectation
+
+        write_expectation(outcomes, new)
+    if not given.json:
+        console().print(f"baseline recorded: {new.reason} ({new.date}, {new.git})")
+    return EXIT_OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

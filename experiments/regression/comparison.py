@@ -1,0 +1,216 @@
+"""The recorded baseline of the matrix, and what differs from it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any, Literal
+
+from experiments.regression.matrix import HERE, Case
+from experiments.regression.runs import Outcome
+from trms_cli.core.errors import RecordingError
+from trms_cli.scoring.baseline import Baseline, Row, baseline_from, compare, regressed
+
+SCHEMA = "trms.regression_baseline/1"
+BASELINE = HERE / "baseline.json"
+_REMEDY = 'record one with: make regression-update REASON="why"'
+#: Significant digits that are kept: far below every tolerance, and a diff that can be read.
+_DIGITS = 6
+
+RunVerdict = Literal["same", "better", "worse", "failed", "new"]
+
+
+@dataclass
+class Recorded:
+    """A baseline file.
+
+    Attributes
+    ----------
+    reason, date, git : str
+        Why, when (ISO 8601) and at which revision it was recorded.
+    runs : dict of str to dict
+        By name of the case: ``overrides`` and ``score``.
+    history : list of dict
+        Reason, date and git of those before it, newest first.
+    """
+
+    reason: str = ""
+    date: str = ""
+    git: str = ""
+    runs: dict[str, dict[str, Any]] = field(default_factory=dict)
+    history: list[dict[str, str]] = field(default_factory=list)
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {"schema": SCHEMA, **asdict(self)}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A case beside its baseline.
+
+    Attributes
+    ----------
+    outcome : Outcome
+    rows : list of Row
+        Every figure that is held; empty if the run failed or there is no baseline for it.
+    verdict : str
+        "worse" if a figure got worse, "failed" if the run did, "new" if the baseline lacks it.
+    """
+
+    outcome: Outcome
+    rows: list[Row]
+    verdict: RunVerdict
+
+    @property
+    def bad(self) -> bool:
+        """Whether this fails the regression."""
+        return self.verdict in ("worse", "failed", "new")
+
+
+def read_recorded(path: Path = BASELINE) -> Recorded:
+    """Read a baseline file.
+
+    Raises
+    ------
+    RecordingError
+        If it is missing or not complete.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise RecordingError("there is no baseline", where=str(path), remedy=_REMEDY) from error
+    except (OSError, ValueError) as error:
+        raise RecordingError(
+            f"the baseline cannot be read: {error}",
+            where=str(path),
+            remedy=f"restore it with git, or {_REMEDY}",
+        ) from error
+    try:
+        if document["schema"] != SCHEMA:
+            raise KeyError(f"schema {document['schema']!r}")
+        for run in document["runs"].values():
+            baseline_from(run["score"], str(path))
+            list(map(str.strip, run["overrides"]))
+        return Recorded(**{key: value for key, value in document.items() if key != "schema"})
+    except (KeyError, TypeError, AttributeError, RecordingError) as error:
+        raise RecordingError(
+            f"this is no baseline of the matrix: {error}",
+            where=str(path),
+            remedy=f"restore it with git, or {_REMEDY}",
+        ) from error
+
+
+def check_matrix(cases: Sequence[Case], recorded: Recorded) -> None:
+    """Refuse to compare a run with another run's score.
+
+    Raises
+    ------
+    RecordingError
+        If a case has other overrides than the baseline's of its name.
+    """
+    for case in cases:
+        run = recorded.runs.get(case.name)
+        if run is not None and tuple(run["overrides"]) != case.overrides:
+            raise RecordingError(
+                f"the baseline of {case.name} is of another run: {' '.join(run['overrides'])}",
+                where="matrix.yaml",
+                remedy=_REMEDY,
+            )
+
+
+def compared(outcome: Outcome, recorded: Recorded) -> Comparison:
+    """Hold one outcome against the baseline."""
+    if outcome.score is None:
+        return Comparison(outcome, [], "failed")
+    if outcome.case.name not in recorded.runs:
+        return Comparison(outcome, [], "new")
+    then = recorded.runs[outcome.case.name]["score"]
+    now = held(outcome.score, outcome.case)
+    rows = compare(now, Baseline(then, outcome.case.tolerances))
+    if regressed(rows):
+        return Comparison(outcome, rows, "worse")
+    better = any(row.verdict == "better" and row.judged for row in rows)
+    return Comparison(outcome, rows, "better" if better else "same")
+
+
+def held(score: Mapping[str, Any], case: Case) -> dict[str, Any]:
+    """The part of a score that a case is held to, rounded: what stands in the baseline."""
+    chosen = case.tolerances
+
+    def part(group: str, values: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            name: _rounded(value)
+            for name, value in values.items()
+            if name == "unit" or name in chosen or f"{group}.{name}" in chosen
+        }
+
+    return {
+        "schema": score["schema"],
+        "log": "",
+        "complete": score["complete"],
+        "duration_s": score["duration_s"],
+        "channels": {n: part(f"channels.{n}", v) for n, v in score["channels"].items()},
+        "inputs": {n: part(f"inputs.{n}", v) for n, v in score["inputs"].items()},
+        "estimate": {
+            kind: {
+                name: _rounded(value)
+                for name, value in score["estimate"][kind].items()
+                if f"estimate.{kind}.{name}" in chosen
+            }
+            for kind in ("rmse", "prediction_rmse")
+        },
+        "solver": {"iterations_mean": None, "failures": None} | part("solver", score["solver"]),
+        "constraint_violations": {
+            n: part(f"constraint_violations.{n}", v)
+            for n, v in score["constraint_violations"].items()
+        },
+    }
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+
+
+def write_recorded(
+    outcomes: Sequence[Outcome], before: Recorded, reason: str, git: str, path: Path = BASELINE
+) -> Recorded:
+    """Make the scores of these outcomes the baseline.
+
+    Raises
+    ------
+    RecordingError
+        If a run failed, or the file cannot be written: the old one stays.
+    """
+    from trms_cli.recordings.output_file import whole_file
+
+    for outcome in outcomes:
+        if outcome.score is None:
+            raise RecordingError(
+                f"{outcome.case.name} failed: {outcome.problem}",
+                where=str(path),
+                remedy="a baseline is recorded of whole runs only; the old one stays",
+            )
+    history = list(before.history)
+    if before.reason:
+        history.insert(0, {"reason": before.reason, "date": before.date, "git": before.git})
+    new = Recorded(
+        reason,
+        date.today().isoformat(),
+        git,
+        {
+            outcome.case.name: {
+                "overrides": list(outcome.case.overrides),
+                "score": held(outcome.score or {}, outcome.case),
+            }
+            for outcome in outcomes
+        },
+        history,
+    )
+    text = json.dumps(new.document(), indent=1, ensure_ascii=False, allow_nan=False)
+    with whole_file(path, force=True) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+    return new

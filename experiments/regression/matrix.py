@@ -1,0 +1,113 @@
+"""The matrix of runs: read from YAML, crossed into cases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.scoring.baseline import FIGURES, Tolerance
+
+HERE = Path(__file__).parent
+MATRIX = HERE / "matrix.yaml"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run of the matrix.
+
+    Attributes
+    ----------
+    name : str
+        ``controller/reference/rig``.
+    overrides : tuple of str
+        What follows ``trms run``.
+    tolerances : dict of str to Tolerance
+        Of the figures that decide, by name (``rmse``) or by key (``estimate.rmse.alpha_v``).
+    """
+
+    name: str
+    overrides: tuple[str, ...]
+    tolerances: Mapping[str, Tolerance]
+
+
+class _Rig(msgspec.Struct, forbid_unknown_fields=True):
+    overrides: list[str]
+    tolerances: dict[str, float | dict[str, float]]
+
+
+class _Matrix(msgspec.Struct, forbid_unknown_fields=True):
+    every: list[str]
+    controllers: dict[str, list[str]]
+    references: dict[str, list[str]]
+    rigs: dict[str, _Rig]
+
+
+def read_matrix(path: Path = MATRIX, pattern: str = "*", extra: Sequence[str] = ()) -> list[Case]:
+    """Every case of a matrix whose name matches a pattern.
+
+    Parameters
+    ----------
+    path : Path
+    pattern : str
+        As a shell matches file names: ``newton_mpc/*``, ``*/disturbed``.
+    extra : sequence of str
+        Overrides that every case gets after its own.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is not a matrix, or nothing matches.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        matrix = msgspec.convert(content, _Matrix)
+        tolerances = {name: _tolerances(rig.tolerances) for name, rig in matrix.rigs.items()}
+    except (OSError, yaml.YAMLError, msgspec.ValidationError, TypeError) as error:
+        raise ConfigurationError(
+            f"this is no matrix of runs: {str(error).splitlines()[0]}",
+            where=str(path),
+            remedy="it has every, controllers, references and rigs; see experiments/regression",
+        ) from error
+    cases = [
+        Case(
+            f"{controller}/{reference}/{rig}",
+            (
+                *matrix.rigs[rig].overrides,
+                *matrix.controllers[controller],
+                *matrix.references[reference],
+                *matrix.every,
+                *extra,
+            ),
+            tolerances[rig],
+        )
+        for controller, reference, rig in product(
+            matrix.controllers, matrix.references, matrix.rigs
+        )
+    ]
+    chosen = [case for case in cases if fnmatch(case.name, pattern)]
+    if not chosen:
+        raise ConfigurationError(
+            f"no run matches {pattern!r}",
+            where="--only",
+            remedy="there are: " + ", ".join(case.name for case in cases),
+        )
+    return chosen
+
+
+def _tolerances(given: Mapping[str, Any]) -> dict[str, Tolerance]:
+    known = {name for figures in FIGURES.values() for name in figures if name}
+    for name in given:
+        if name not in known and not name.startswith(tuple(FIGURES)):
+            raise TypeError(f"{name!r} is no figure of a score; there are {sorted(known)}")
+    return {
+        name: Tolerance(**value) if isinstance(value, dict) else Tolerance(absolute=value)
+        for name, value in given.items()
+    }
