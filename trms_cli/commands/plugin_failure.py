@@ -6,29 +6,42 @@ import traceback
 from collections.abc import Mapping
 from typing import Any
 
-from trms_cli.core.errors import SimulationError
+from trms_cli.core.errors import ConfigurationError, SimulationError, TrmsError
+
+#: First words of a key that names its place in the whole configuration.
+_PLACES = ("model", "plant", "observer", "controller", "ref", "effect", "sim")
 
 
-def plugin_failure(
-    error: Exception, parts: Mapping[str, Any], time: float
-) -> SimulationError | None:
-    """The failure of a plugin in words; None if no plugin was at work.
+def plugin_failure(error: Exception, parts: Mapping[str, Any], time: float) -> TrmsError | None:
+    """What a plugin has to answer for, in words; None if no plugin was at work.
 
     Parameters
     ----------
     error : Exception
-        As it came out of the loop.
+        As it came out of the loop. One that is in words already is returned itself, with the
+        plugin's key before the key that it names.
     parts : dict of str to object
         The plugins by their key in the configuration.
     time : float
         Simulated time that was reached, s.
     """
+    key = _at_work(error, parts)
+    if isinstance(error, TrmsError):
+        first = error.where.partition(".")[0]
+        if key is not None and isinstance(error, ConfigurationError) and first not in _PLACES:
+            error.where = f"{key}.{error.where}" if error.where else key
+        return error
+    return None if key is None else _words(error, key, parts[key], time)
+
+
+def _at_work(error: Exception, parts: Mapping[str, Any]) -> str | None:
+    """The key of the plugin that the loop called when the error came."""
     trace = error.__traceback__
     while trace is not None:
         acting = trace.tb_frame.f_locals.get("self")
         for key, part in parts.items():
             if acting is part:
-                return _words(error, key, part, time)
+                return key
         trace = trace.tb_next
     return None
 

@@ -84,17 +84,14 @@ def raise_explained(
         Where the run up to there can be read.
     """
     from trms_cli.commands.plugin_failure import plugin_failure
-    from trms_cli.core.errors import TrmsError
 
-    if isinstance(error, TrmsError):
-        failure: TrmsError | None = error
-    else:
-        parts = {
-            "controller": experiment.controller,
-            "observer": experiment.observer,
-            "plant": experiment.plant,
-        }
-        failure = plugin_failure(error, parts, time)
+    parts = {
+        "controller": experiment.controller,
+        "observer": experiment.observer,
+        "plant": experiment.plant,
+        "ref": experiment.reference,
+    }
+    failure = plugin_failure(error, parts, time)
     if failure is None:
         raise error
     if log is not None and str(log) != failure.where:

@@ -145,6 +145,12 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
         return msgspec.convert(value, hint, strict=True)
     except msgspec.ValidationError as error:
         expectation, _, path = str(error).partition(" - at `$")
+        if path.startswith("[...]") and isinstance(value, Mapping) and len(value) > 1:
+            for key, item in value.items():  # msgspec keeps to itself which one it is
+                _converted({key: item}, hint, where)
+        if path.startswith("[...]") and isinstance(value, Mapping):
+            (key,) = value
+            value, path = value[key], path.replace("[...]", f".{key}", 1)
         raise ConfigurationError(
             f"{value!r} given",
             where=where + path.rstrip("`"),

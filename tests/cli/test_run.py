@@ -1,0 +1,365 @@
+"""``trms run`` as a person meets it: what it prints and leaves behind, and what it answers."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import select
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from trms_cli.cli import main
+from trms_cli.recordings.log_reader import read_log
+
+#: A short run that needs no solver to be compiled and no observer.
+QUICK = ("controller=newton_mpc", "observer=full_state", "plant=ideal", "sim.duration=4")
+#: The topics that a seed and a configuration fix.
+SIMULATED = ("/reference", "/command", "/measurement", "/plant/state", "/estimate", "/prediction")
+
+
+@pytest.fixture(scope="module")
+def finished(executable, tmp_path_factory):
+    """One finished run with noise, a filter and a picture; its folder and what it printed."""
+    folder = tmp_path_factory.mktemp("finished")
+    result = subprocess.run(
+        [str(executable), "run", "controller=newton_mpc", "sim.duration=4", "seed=3", "out=there"],
+        cwd=folder,
+        env=os.environ | {"NO_COLOR": "1"},
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stderr
+    return folder / "there", result
+
+
+def raw(log: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Log time and bytes of every message by topic, read by the mcap library alone."""
+    from mcap.reader import make_reader
+
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with log.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages():
+            found.setdefault(channel.topic, []).append((message.log_time, message.data))
+    return found
+
+
+class TestWhatItLeaves:
+    """The folder and the screen."""
+
+    def test_the_screen_fits_a_terminal_and_tells_what_to_do_next(self, finished):
+        _, result = finished
+        lines = result.stdout.splitlines()
+        assert max(map(len, lines)) <= 90
+        assert len(lines) <= 24
+        for part in ("tracking", "RMSE", "inputs", "estimate", "solver", "× real time"):
+            assert part in result.stdout
+        for file in ("there/run.mcap", "there/run.png"):
+            assert file in result.stdout
+        assert "trms score there/run.mcap" in result.stdout
+        assert result.stderr == ""  # no progress where nobody watches
+
+    def test_log_score_and_picture(self, finished):
+        folder, _ = finished
+        assert sorted(file.name for file in folder.iterdir()) == [
+            "run.mcap",
+            "run.png",
+            "score.json",
+        ]
+        picture = (folder / "run.png").read_bytes()
+        assert picture.startswith(b"\x89PNG")
+        assert len(picture) > 20_000
+        score = json.loads((folder / "score.json").read_text(encoding="utf-8"))
+        assert score["schema"] == "trms.score/1"
+        assert score["complete"] is True
+        assert score["duration_s"] == 4.0
+        assert set(score["channels"]) == {"alpha_v", "alpha_h"}
+
+    def test_the_twin_equals_what_trms_score_reads_from_the_log(self, finished, trms):
+        folder, _ = finished
+        result = trms("score", str(folder / "run.mcap"), "--json")
+        again = json.loads(result.stdout)
+        mine = json.loads((folder / "score.json").read_text(encoding="utf-8"))
+        for group in ("channels", "inputs"):
+            for name, figures in mine[group].items():
+                for key, value in figures.items():
+                    other = again[group][name][key]
+                    assert other == (
+                        pytest.approx(value, rel=1e-9) if isinstance(value, float) else value
+                    )
+
+    def test_the_log_says_what_it_is(self, finished):
+        log = read_log(finished[0] / "run.mcap")
+        assert log.complete
+        assert log.outcome == "completed"
+        assert log.run["seed"] == "3"
+        assert log.run["command"].endswith("seed=3 out=there")
+        versions = json.loads(log.run["versions"])
+        assert {"trms", "python", "numpy", "casadi"} <= set(versions)
+        config = yaml.safe_load(log.config)
+        assert config["sim"]["duration"] == 4.0
+        assert "parameters.yaml" in log.attachments
+        assert log.score["schema"] == "trms.score/1"
+
+    def test_without_a_folder_named_it_is_dated(self, trms, tmp_path):
+        assert trms("run", *QUICK, "picture=false").returncode == 0
+        (log,) = tmp_path.glob("outputs/*/*-run/run.mcap")
+        assert re.fullmatch(r"\d\d-\d\d-\d\d-run", log.parent.name)
+
+    @pytest.mark.parametrize("model", ["newtonian_vertical", "newtonian_horizontal"])
+    def test_one_axis_alone(self, trms, tmp_path, model):
+        result = trms("run", "controller=newton_mpc", f"model={model}", "sim.duration=2", "out=one")
+        assert result.returncode == 0, result.stderr
+        assert (tmp_path / "one" / "run.png").stat().st_size > 10_000
+
+    def test_a_run_of_one_sample(self, trms):
+        result = trms("run", *QUICK, "sim.duration=0.02")
+        assert result.returncode == 0, result.stderr
+
+
+class TestTheSameAgain:
+    """A run is a pure function of configuration and seed."""
+
+    def test_two_runs_are_equal_byte_for_byte(self, finished, trms, tmp_path):
+        words = ["controller=newton_mpc", "sim.duration=4", "seed=3", "picture=false", "out=again"]
+        assert trms("run", *words).returncode == 0
+        first, second = raw(finished[0] / "run.mcap"), raw(tmp_path / "again" / "run.mcap")
+        for topic in SIMULATED:
+            assert len(first[topic]) > 0
+            assert first[topic] == second[topic], topic
+
+    def test_another_seed_is_another_run(self, finished, trms, tmp_path):
+        words = ["controller=newton_mpc", "sim.duration=4", "seed=4", "picture=false", "out=other"]
+        assert trms("run", *words).returncode == 0
+        first, second = raw(finished[0] / "run.mcap"), raw(tmp_path / "other" / "run.mcap")
+        assert first["/reference"] == second["/reference"]
+        assert first["/measurement"] != second["/measurement"]
+
+    def test_from_a_log(self, finished, trms, tmp_path):
+        log = finished[0] / "run.mcap"
+        result = trms("run", "--from", str(log), "out=again", "picture=false")
+        assert result.returncode == 0, result.stderr
+        assert result.stderr == ""
+        first, second = raw(log), raw(tmp_path / "again" / "run.mcap")
+        for topic in SIMULATED:
+            assert first[topic] == second[topic], topic
+
+    def test_from_a_log_with_something_else(self, finished, trms, tmp_path):
+        log = finished[0] / "run.mcap"
+        words = ["sim.duration=2", "model.parameters.k_g=0.1", "effect=tail_dead_zone", "out=b"]
+        result = trms("run", "--from", str(log), *words)
+        assert result.returncode == 0, result.stderr
+        then = yaml.safe_load(read_log(log).config)
+        now = yaml.safe_load(read_log(tmp_path / "b" / "run.mcap").config)
+        assert now["seed"] == then["seed"] == 3
+        assert now["sim"]["duration"] == 2.0
+        assert now["plant"]["model"]["parameters"] == {"k_g": 0.1}  # means what it always means
+        assert list(now["plant"]["effects"]) == ["tail_dead_zone"]
+        assert now["controller"] == then["controller"]
+
+    def test_from_a_log_in_a_sweep(self, finished, trms, tmp_path):
+        log = str(finished[0] / "run.mcap")
+        result = trms("run", "--from", log, "-m", "seed=3,4", "picture=false", "out=swept")
+        assert result.returncode == 0, result.stderr
+        first, second = raw(finished[0] / "run.mcap"), raw(tmp_path / "swept" / "0" / "run.mcap")
+        assert first["/measurement"] == second["/measurement"]
+
+    def test_option_files_that_changed_since(self, trms, tmp_path):
+        lab = tmp_path / "lab" / "ref"
+        lab.mkdir(parents=True)
+        square = "# mine\ndefaults:\n  - square\n  - _self_\nalpha_v:\n  amplitude: {}  # rad\n"
+        (lab / "mine.yaml").write_text(square.format(0.2))
+        words = [*QUICK, "--config-dir", "lab", "ref=mine", "picture=false"]
+        assert trms("run", *words, "out=first").returncode == 0
+        (lab / "mine.yaml").write_text(square.format(0.1))
+        log = "first/run.mcap"
+        result = trms("run", "--from", log, "out=again")
+        assert result.returncode == 0, result.stderr
+        assert "ref.alpha_v.amplitude" in result.stderr
+        first, second = raw(tmp_path / log), raw(tmp_path / "again" / "run.mcap")
+        assert all(first[topic] == second[topic] for topic in SIMULATED)
+        result = trms("run", "--from", log, "seed=1")
+        assert result.returncode == 2
+        words = " ".join(result.stderr.split())
+        assert "option files have changed" in words
+        assert "trms run --from first/run.mcap" in words
+
+    @pytest.mark.parametrize(
+        ("words", "expected"),
+        [
+            (["--from"], "no log given"),
+            (["--from", "nowhere.mcap"], "there is no such file"),
+            (["--from", "notes.txt"], "not an MCAP file"),
+            (["--from", "imported.mcap"], "holds no configuration"),
+            (["--from", "old.mcap"], "of the schema trms.run/0"),
+            (["--from", "a.mcap", "--from", "b.mcap"], "given twice"),
+        ],
+    )
+    def test_logs_that_cannot_be_repeated(self, trms, tmp_path, words, expected):
+        from trms_cli.recordings.run_log import RunLog
+        from trms_cli.recordings.topics import Field, Topic
+
+        (tmp_path / "notes.txt").write_text("notes")
+        topic = Topic("/command", (Field("u_v", "V"),))
+        RunLog(tmp_path / "imported.mcap", [topic], {}).close("completed")
+        RunLog(tmp_path / "old.mcap", [topic], {"schema": "trms.run/0"}).close("completed")
+        result = trms("run", *words)
+        assert result.returncode == 2
+        assert expected in " ".join(result.stderr.split())
+        assert not (tmp_path / "outputs").exists()
+
+
+def test_a_sweep_over_two_controllers(trms, tmp_path):
+    words = ["observer=full_state", "plant=ideal", "sim.duration=2", "picture=false"]
+    result = trms("run", "-m", "controller=newton_mpc,pid", *words, "out=swept")
+    assert result.returncode == 0, result.stderr
+    assert "2 of 2 jobs done" in result.stdout
+    for job, controller in enumerate(("newton_mpc", "pid")):
+        folder = tmp_path / "swept" / str(job)
+        status = json.loads((folder / "status.json").read_text())
+        assert status["state"] == "done"
+        assert status["objective"] > 0
+        assert f"controller={controller}" in status["overrides"]
+        assert read_log(folder / "run.mcap").complete
+    assert len([line for line in result.stdout.splitlines() if "RMSE" in line]) == 2
+
+
+BAD_INPUT = [
+    # typed, words of the answer
+    ("contoller=pid", "contoller", "did you mean controller?"),
+    ("+contoller=pid", "contoller", "did you mean controller?"),
+    ("controller=piid", "controller has no option 'piid'", "did you mean pid?"),
+    ("controller.max_iteration=3", "controller.max_iteration", "did you mean max_iterations?"),
+    ("+controller.max_iteration=3", "controller.max_iteration", "did you mean max_iterations?"),
+    ("++controller.max_iteration=3", "controller.max_iteration", "did you mean max_iterations?"),
+    ("controller.max_iterations=many", "controller.max_iterations", "'many' given"),
+    ("controller.max_iterations=0", "controller.max_iterations", "0 given"),
+    ("controller.max_iterations=1.5", "controller.max_iterations", "1.5 given"),
+    ("controller.state_weights.alpha_v=-1", "controller.state_weights", "-1"),
+    ("controller.state_weights.alpha_v=nan", "controller.state_weights.alpha_v", "give a number"),
+    ("controller.sample_time=0.03", "controller.sample_time", "whole multiple"),
+    ("controller._target_=nowhere.X", "controller._target_", "cannot import"),
+    ("sim.duration=-1", "sim.duration", "-1.0 given"),
+    ("sim.duration=0", "sim.duration", "at least one sample"),
+    ("sim.duration=soon", "sim.duration", "'soon' given"),
+    ("sim.duration=nan", "sim.duration", "nan"),
+    ("sim.duration=1e15", "sim.duration", "at most"),
+    ("sim.duration=true", "sim.duration", "give a number"),
+    ("sim.sample_time=0", "sim.sample_time", "above 0 s"),
+    ("sim.sample_time=0.03", "controller.sample_time", "sim.sample_time=0.03"),
+    ("+sim.sampletime=0.1", "sim.sampletime", "did you mean sample_time?"),
+    ("sim.prediction_every=-1", "sim.prediction_every", "from 0 on"),
+    ("seed=1.5", "seed", "whole number"),
+    ("seed=-1", "seed", "whole number"),
+    ("effect=nope", "effect has no option 'nope'", "allowed:"),
+    ("effect.tail_dead_zone.width=0.1", "effect 'tail_dead_zone' is not chosen", "effect=["),
+    ("plant.parameters.k_gg=1", "plant.parameters.k_gg", "did you mean k_g?"),
+    ("model.parameters.k_gg=1", "model.parameters.k_gg", "did you mean k_g?"),
+    ("plant.parameters.k_g=nan", "plant.parameters.k_g", "give a number"),
+    ("plant.parameters.k_g=big", "plant.parameters.k_g", "'big' given"),
+    ("plant.integration_step=-1", "plant.integration_step", "> 0"),
+    ("plant.initial.alpha_q=1", "plant.initial.alpha_q", "did you mean alpha_"),
+    ("plant.initial.alpha_v=nan", "plant.initial.alpha_v", "give a number"),
+    ("plant.sensors.noise_sd.omega_v=-1", "plant.sensors.noise_sd", "-1"),
+    ("plant.sensors.loss_probability=2", "plant.sensors.loss_probability", "2"),
+    ("plant.prior_seed=-3", "plant.prior_seed", "-3 given"),
+    ("ref.alpha_h=null", "ref.alpha_h"),
+    ("ref.alpha_v.amplitude=high", "ref.alpha_v.amplitude", "'high' given"),
+    ("ref.alpha_v.amplitude=nan", "ref.alpha_v.amplitude", "give a number"),
+    ("observer=uk", "observer has no option 'uk'", "did you mean ukf?"),
+    ("picture=maybe", "picture", "true or false"),
+    ("out=5", "out", "name a folder"),
+]
+
+
+@pytest.fixture
+def answered(tmp_path, monkeypatch, capsys):
+    """The program in this process, which spares it the start: its exit code and what it said."""
+
+    def run(*argv: str) -> tuple[int, str]:
+        monkeypatch.chdir(tmp_path)
+        code = main(["run", *argv])
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert list(tmp_path.iterdir()) == []
+        assert "Traceback" not in said.err
+        assert len(said.err.splitlines()) <= 20
+        return code, " ".join(said.err.split())
+
+    return run
+
+
+@pytest.mark.parametrize("case", BAD_INPUT, ids=lambda case: case[0])
+def test_bad_input_is_answered_on_one_screen_and_leaves_nothing(answered, case):
+    typed, *expected = case
+    code, message = answered("controller=newton_mpc", "sim.duration=1", typed)
+    assert code == 2, message
+    for words in expected:
+        assert words in message
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"),
+    [("-0.1", "-0.1 given"), ("wide", "'wide' given"), ("nan", "give a number")],
+)
+def test_sizes_of_effects(answered, size, expected):
+    key = "effect.yaw_coulomb_friction.torque"
+    code, message = answered("effect=yaw_coulomb_friction", f"{key}={size}", "sim.duration=1")
+    assert code == 2
+    assert expected in message
+    assert "yaw_coulomb_friction.torque" in message
+
+
+def test_progress_is_shown_on_a_terminal(executable, tmp_path):
+    lab = tmp_path / "lab"
+    (lab / "controller").mkdir(parents=True)
+    (lab / "controller" / "slow.yaml").write_text("# slow\n_target_: slow_plugin.Slow\n")
+    (lab / "slow_plugin.py").write_text(
+        "import time\nfrom dataclasses import dataclass\nimport numpy as np\n"
+        "from trms_cli.controllers.controller import Command\n\n\n"
+        "@dataclass(frozen=True)\nclass Slow:\n"
+        "    sample_time: float | None = None\n"
+        "    def preview(self, setup): return 0\n"
+        "    def init(self, setup): return 0\n"
+        "    def step(self, state, sample, *, want_prediction):\n"
+        "        time.sleep(0.01)\n        return Command(np.array([0.5, 0.1]))\n"
+    )
+    words = ["controller=slow", "observer=full_state", "plant=ideal", "sim.duration=6"]
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        [str(executable), "run", "--config-dir", str(lab), *words, "picture=false"],
+        cwd=tmp_path,
+        env=os.environ | {"TERM": "xterm", "COLUMNS": "100"},
+        stdin=slave,
+        stdout=subprocess.DEVNULL,
+        stderr=slave,
+    )
+    os.close(slave)
+    seen = b""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        ready, _, _ = select.select([master], [], [], 0.2)
+        try:
+            seen += os.read(master, 65536) if ready else b""
+        except OSError:  # the terminal's other end is closed
+            break
+        if process.poll() is not None and not ready:
+            break
+    os.close(master)
+    assert process.wait(timeout=30) == 0
+    text = seen.decode(errors="replace")
+    assert re.search(r"\d+ / 6 s", text)
+    assert "× real time" in text
+    assert re.search(r"error 0\.\d+ rad", text)
+
+
+@pytest.mark.parametrize("word", ["--from LOG", "-m", "--cfg job", "--config-dir", "seed", "ref"])
+def test_the_help_names_what_can_be_changed(trms, word):
+    assert word in trms("run", "--help").stdout
