@@ -101,11 +101,11 @@ def _stribeck(panel: Axes, run: Run, effect: Effect) -> None:
     reach = np.abs(rate).max()
     law = np.linspace(1e-6, reach, 200)
     torque = 1e3 * size["torque"] * (1 + size["excess"] * np.exp(-((law / size["velocity"]) ** 2)))
+    panel.plot(rate, _torque(run, "alpha_h"), ".", color=_EFFECT, ms=2.5, label="in the run")
     for sign in (1, -1):
         panel.plot(
-            sign * law, -sign * torque, color=GREY, ls="--", lw=1.0, label="law" if sign > 0 else ""
+            sign * law, -sign * torque, color=INK, ls="--", lw=1.0, label="law" if sign > 0 else ""
         )
-    panel.plot(rate, _torque(run, "alpha_h"), ".", color=_EFFECT, ms=2.5, label="in the run")
     panel.set_xlabel("yaw rate [rad/s]")
     panel.set_ylabel("torque of the effect [mN m]")
     legend_above(panel)
@@ -311,7 +311,7 @@ def draw(figure: EffectFigure, path: Path) -> None:
         characteristic, command, response = panels.values()
         figure.characteristic(characteristic, run, effect)
         if characteristic.get_xscale() == "linear":
-            characteristic.xaxis.set_major_locator(MaxNLocator(5))
+            characteristic.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
         _draw_command(command, run)
         for each, colour, label in (
             (nominal, _NOMINAL, "nominal"),

@@ -54,7 +54,8 @@ _COLOURS_OF_A_PNG = 96
 #: Longest line drawn with every sample; a longer one is thinned, which no eye sees.
 MOST_POINTS = 20_000
 
-_SETTINGS = {
+# matplotlib types its keys as literals, which a plain mapping cannot be.
+_SETTINGS: Any = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "axes.titlelocation": "left",
