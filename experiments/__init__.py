@@ -1,1 +1,1 @@
-"""The studies: a folder each, with its configuration, its README and what it is expected to show."""
+"""The studies: a folder each, with its configuration, its README and its expected figures."""
