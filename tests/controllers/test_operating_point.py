@@ -102,12 +102,24 @@ def test_out_of_reach_the_closest_is_found_and_flagged() -> None:
     assert not released.projected and released.active == (0, 0)
 
 
-def test_only_the_axis_that_is_short_of_thrust_gives_way() -> None:
-    w = np.array([0.0, -0.08, 0.0, 0.0])
-    target = SOLVER.solve(np.array([0.2, 2.5]), w)
+@pytest.mark.parametrize("pitch_weight", [1.0, 30.0])
+def test_what_is_out_of_reach_is_shared_as_the_weights_say(pitch_weight: float) -> None:
+    """Short of tail thrust, pitch is lowered for the cosine that it costs: against a search."""
+    reference, w = np.array([0.2, 2.5]), np.array([0.0, -0.08, 0.0, 0.0])
+    solver = SteadyState(BOTH, {"alpha_v": pitch_weight})
+    target = solver.solve(reference, w)
     is_steady(BOTH, target, w)
     assert target.active == (0, 1)
-    np.testing.assert_allclose(target.reference_reached[0], 0.2, atol=1e-6)
+    p = dict(zip(BOTH.parameters.names, BOTH.parameters.values, strict=True))
+    thrust_moment = p["l_t"] * p["k_fhp"] * target.x[BOTH.state_index("omega_h")] ** 2
+    pitch = np.linspace(-0.5, 0.5, 100_001)
+    yaw = (thrust_moment * np.cos(pitch) - 0.08) / p["k_chp"]
+    cost = pitch_weight * (pitch - reference[0]) ** 2 + (yaw - reference[1]) ** 2
+    best = int(np.argmin(cost))
+    np.testing.assert_allclose(target.reference_reached, [pitch[best], yaw[best]], atol=2e-5)
+    again = solver.solve(reference + 0.01, w, target)
+    is_steady(BOTH, again, w)
+    assert again.active == (0, 1)
 
 
 def test_references_beyond_a_stop_end_at_it() -> None:

@@ -6,8 +6,10 @@ Solves
 
 which is ``f = 0, x_c = r`` wherever the reference is reachable, and the closest reachable reference
 in weighted least squares where it is not. Each iteration is one Newton step on the optimality
-conditions, with the second derivatives of f left out (they vanish with the multipliers where the
-reference is reached), as one compiled function; bounds are held by an active set around it.
+conditions, as one compiled function; bounds are held by an active set around it. The second
+derivatives of f are left out at first: they vanish with the multipliers where the reference is
+reached, and with them the iteration is drawn to saddles. Where the closest reachable reference is
+far and the first iteration swings, they are put in to finish.
 
 Two degeneracies of the rig are met by a proximal term that is far below every physical scale:
 
@@ -39,7 +41,7 @@ TOLERANCE = 1e-8
 #: Reference errors below this count as reached, rad.
 REACHED = 1e-6
 _PROXIMAL = 1e-12
-_ITERATIONS = 60
+_ITERATIONS = 40
 _RUNAWAY = 1e6  # rad in one iteration: it will not come back
 _BOUND_TOLERANCE = 1e-9  # V
 _SLOPE_TOLERANCE = 1e-12  # rad²/V
@@ -68,6 +70,8 @@ class Target:
         Bound that each input is at: −1, 0 for none, 1.
     asked : tuple of float
         The reference that it was solved for, rad.
+    multiplier : (n_x,) array
+        Of the dynamics, in rad² over their units: zero where the reference is reached.
     """
 
     x: FloatArray
@@ -78,6 +82,7 @@ class Target:
     converged: bool
     active: tuple[int, ...]
     asked: tuple[float, ...]
+    multiplier: FloatArray
 
 
 class SteadyState:
@@ -111,8 +116,12 @@ class SteadyState:
         self._stops = [model.stops.get(name, np.inf) for name in model.controlled]
         self._upper = model.input_bounds()[1].tolist()
         self._newton = BufferedFunction(_newton_step(model))
-        self._z, self._r, self._w, p, q, self._active, self._bound, reach = self._newton.inputs
-        self._x, self._u = self._z[: model.n_x], self._z[model.n_x :]  # views
+        (self._z, self._r, self._w, p, q, self._active, self._bound, reach, self._curved) = (
+            self._newton.inputs
+        )
+        n = model.n_x + model.n_u
+        self._x, self._u = self._z[: model.n_x], self._z[model.n_x : n]  # views
+        self._multiplier = self._z[n:]
         self._z_next, self._report = self._newton.outputs
         p[:] = model.parameters.values if parameters is None else parameters
         q[:] = self._weights
@@ -147,7 +156,7 @@ class SteadyState:
             self._r[i] = min(max(value, -self._stops[i]), self._stops[i])
         self._w[:] = 0.0 if disturbance is None else disturbance
         if guess is not None:
-            found = self._from(guess.x, guess.u, guess.active)
+            found = self._from(guess)
             if found is not None:
                 target = self._target(asked, found)
                 # The closest point found from nearby may be closest in its neighbourhood only:
@@ -156,14 +165,14 @@ class SteadyState:
                     return target
         return self._from_afar(asked)
 
-    def _from(
-        self, x: FloatArray, u: FloatArray, active: tuple[int, ...]
-    ) -> tuple[int, ...] | None:
-        """Iterate from a point; the active set at the solution, or None when there is none."""
-        self._x[:] = x
-        self._u[:] = u
+    def _from(self, guess: Target) -> tuple[int, ...] | None:
+        """Iterate from a target; the active set at the solution, or None when there is none."""
+        self._x[:] = guess.x
+        self._u[:] = guess.u
+        self._multiplier[:] = guess.multiplier
+        active = guess.active
         for _ in range(3**self.model.n_u):
-            if not self._converge(active):
+            if not self._converge(active, curved=guess.projected):
                 return None
             following = self._corrected(active)
             if following == active:
@@ -171,11 +180,12 @@ class SteadyState:
             active = following
         return None
 
-    def _converge(self, active: tuple[int, ...]) -> bool:
+    def _converge(self, active: tuple[int, ...], curved: bool) -> bool:
         """Newton's method with the active inputs at their bounds."""
         for i, side in enumerate(active):
             self._active[i] = abs(side)
             self._bound[i] = side * self._upper[i]
+        self._curved[0] = curved
         evaluate, report, state = self._newton, self._report, self._z
         for _ in range(_ITERATIONS):
             evaluate()
@@ -205,7 +215,10 @@ class SteadyState:
         for active in sets:
             for x, u in self._starts():
                 self._x[:], self._u[:] = x, u
-                if not self._converge(active) or self._outside(active):
+                self._multiplier[:] = 0.0
+                if not self._converge(active, False) and not self._converge(active, True):
+                    continue
+                if self._outside(active):
                     continue
                 target = self._target(asked, active)
                 if not target.projected:
@@ -215,7 +228,7 @@ class SteadyState:
                     best = (cost, target)
         if best is not None:
             return best[1]
-        self._x[:], self._u[:] = self._rest, 0.0
+        self._x[:], self._u[:], self._multiplier[:] = self._rest, 0.0, 0.0
         self._newton()
         return self._target(asked, (0,) * self.model.n_u)
 
@@ -263,6 +276,7 @@ class SteadyState:
             residual <= TOLERANCE,
             active,
             tuple(asked),
+            self._multiplier.copy(),
         )
 
 
@@ -281,8 +295,9 @@ def _newton_step(model: Model) -> ca.Function:
     """
     n_x, n_u = model.n_x, model.n_u
     _, _, p, w = model.symbols()
-    z = ca.SX.sym("z", n_x + n_u)
-    x, u = z[:n_x], z[n_x:]
+    n = n_x + n_u
+    z = ca.SX.sym("z", n + n_x)
+    x, u, multiplier, curved = z[:n_x], z[n_x:n], z[n:], ca.SX.sym("curved")
     rows = [model.state_index(name) for name in model.controlled]
     n_r = len(rows)
     r, q = ca.SX.sym("r", n_r), ca.SX.sym("q", n_r)
@@ -290,37 +305,36 @@ def _newton_step(model: Model) -> ca.Function:
     reach = ca.SX.sym("reach", n_u)
 
     f = model.dynamics(x, _arriving(model, u, p), p, w)
-    slopes = ca.jacobian(f, z)
+    slopes = ca.jacobian(f, z[:n])
     f_x, f_u = slopes[:, :n_x], slopes[:, n_x:]
+    curvature = curved * ca.jacobian(slopes.T @ multiplier, z[:n])
     select = ca.SX(ca.DM.eye(n_x)[rows, :])
     weigh = select.T @ ca.diag(q)
 
     free = ca.diag(1 - active)
     # Rows: stationarity in x, stationarity (or the bound) in u, the dynamics.
+    in_x = weigh @ select + _PROXIMAL * ca.SX.eye(n_x) + curvature[:n_x, :n_x]
+    in_u = _PROXIMAL * free + ca.diag(active) + free @ curvature[n_x:, n_x:]
     system = ca.blockcat(
         [
-            [weigh @ select + _PROXIMAL * ca.SX.eye(n_x), ca.SX(n_x, n_u), f_x.T],
-            [ca.SX(n_u, n_x), _PROXIMAL * free + ca.diag(active), free @ f_u.T],
+            [in_x, curvature[:n_x, n_x:], f_x.T],
+            [free @ curvature[n_x:, :n_x], in_u, free @ f_u.T],
             [f_x, f_u, -_PROXIMAL * ca.SX.eye(n_x)],
         ]
     )
     right = ca.vertcat(-weigh @ (x[rows] - r), active * (bound - u), -f)
     solution = _solved(system, right)
-    dx, du, multiplier = (
-        solution[:n_x],
-        solution[n_x : n_x + n_u],
-        solution[n_x + n_u :],
-    )
+    dx, du, following = solution[:n_x], solution[n_x:n], solution[n:]
     # Near the double root the slope is tiny and the step huge: no input moves by more than a
     # quarter of its range at once.
     largest = ca.mmax(ca.fabs(du) / reach)
     shorten = ca.if_else(largest > 0.5, 0.5 / largest, 1.0)
-    report = ca.vertcat(ca.mmax(ca.fabs(f)), ca.mmax(ca.fabs(dx[rows])), f_u.T @ multiplier)
+    report = ca.vertcat(ca.mmax(ca.fabs(f)), ca.mmax(ca.fabs(dx[rows])), f_u.T @ following)
     return ca.Function(
         "steady_state_step",
-        [z, r, w, p, q, active, bound, reach],
-        [z + shorten * ca.vertcat(dx, du), report],
-        ["z", "r", "w", "p", "q", "active", "bound", "reach"],
+        [z, r, w, p, q, active, bound, reach, curved],
+        [ca.vertcat(z[:n] + shorten * ca.vertcat(dx, du), following), report],
+        ["z", "r", "w", "p", "q", "active", "bound", "reach", "curved"],
         ["z_next", "report"],
     )
 
