@@ -65,6 +65,7 @@ def test_equals_the_finite_horizon_lqr_without_constraints() -> None:
         prediction_horizon=15,
         move_blocks=(1,) * 15,
         state_weights={"p1": 3.0, "p2": 1.0, "v1": 0.2},
+        rate_weights={},
         input_weights={"f1": 0.5, "f2": 0.1},
         move_weights={},
         terminal="none",
@@ -101,6 +102,9 @@ def ipopt_solution(
         for i, name in enumerate(model.controlled):
             error = x[model.state_index(name), k + 1] - goal[i]
             cost += mpc.state_weights[name] * error**2
+            row = model.state_index(name)
+            rate = (x[row, k + 1] - x[row, k]) / mpc.sample_time
+            cost += mpc.rate_weights[name] * rate**2
         previous = u[:, k - 1] if k else u0
         for j, signal in enumerate(model.inputs):
             cost += mpc.move_weights[signal.name] * (u[j, k] - previous[j]) ** 2
@@ -128,6 +132,7 @@ def test_equals_ipopt_with_constraints(start: dict[str, float], goal: list[float
         prediction_horizon=35,
         move_blocks=(1,) * 35,
         state_weights={"alpha_v": 1.0, "alpha_h": 1.0},
+        rate_weights={"alpha_v": 0.05, "alpha_h": 0.02},
         move_weights={"u_v": 0.01, "u_h": 0.01},
         **CONVERGED,
     )
@@ -190,6 +195,7 @@ def test_cost_equals_the_direct_sum() -> None:
         prediction_horizon=12,
         move_blocks=(1, 1, 2, 3),
         state_weights={"alpha_v": 2.0, "alpha_h": 0.7, "S_v": 0.3},
+        rate_weights={"alpha_h": 0.4},
         input_weights={"u_v": 0.05, "u_h": 0.02},
         move_weights={"u_v": 0.01, "u_h": 0.03},
     )
@@ -200,6 +206,8 @@ def test_cost_equals_the_direct_sum() -> None:
         after = dict(zip(model.state_names, x[k + 1], strict=True))
         direct += 2.0 * (after["alpha_v"] - 0.1) ** 2 + 0.7 * (after["alpha_h"] - 0.2) ** 2
         direct += 0.3 * (after["S_v"] - target.x[model.state_index("S_v")]) ** 2
+        row = model.state_index("alpha_h")
+        direct += 0.4 * ((x[k + 1, row] - x[k, row]) / 0.1) ** 2
         direct += 0.05 * (u[k, 0] - target.u[0]) ** 2 + 0.02 * (u[k, 1] - target.u[1]) ** 2
         move = u[k] - (u[k - 1] if k else np.zeros(2))
         direct += 0.01 * move[0] ** 2 + 0.03 * move[1] ** 2
@@ -293,9 +301,7 @@ def test_inputs_and_rates_stay_within_hard_limits(close_loop: Callable[..., Any]
 
 def test_soft_limit_holds_exactly_when_it_can(close_loop: Callable[..., Any]) -> None:
     model = Newtonian()
-    swinging = NewtonMpc(
-        state_weights={"alpha_v": 1.0, "alpha_h": 1.0}, move_weights={"u_v": 0.003, "u_h": 0.003}
-    )
+    swinging = NewtonMpc(rate_weights={}, move_weights={"u_v": 0.003, "u_h": 0.003})
     free = close_loop(swinging, model, square, 14.0)
     limited = close_loop(
         replace(swinging, soft_limits={"alpha_v": (-0.62, 0.31)}, max_iterations=20),
@@ -323,11 +329,10 @@ def test_soft_limit_gives_way_when_it_must(close_loop: Callable[..., Any]) -> No
 @pytest.mark.parametrize("preview", [0, 15])
 def test_tracks_without_steady_state_error(close_loop: Callable[..., Any], preview: int) -> None:
     model = Newtonian()
-    ran = close_loop(NewtonMpc(preview_horizon=preview), model, square, 20.0)
-    before_the_edge = ran.states[-20 if preview else -2]
-    state = dict(zip(model.state_names, before_the_edge, strict=True))
-    assert state["alpha_v"] == pytest.approx(-0.3, abs=3e-3)
-    assert state["alpha_h"] == pytest.approx(-0.5, abs=3e-3)
+    ran = close_loop(NewtonMpc(preview_horizon=preview), model, constant(-0.3, -0.5), 9.0)
+    state = dict(zip(model.state_names, ran.states[-1], strict=True))
+    assert state["alpha_v"] == pytest.approx(-0.3, abs=1e-3)
+    assert state["alpha_h"] == pytest.approx(-0.5, abs=1e-3)
 
 
 def test_preview_lowers_the_tracking_error(close_loop: Callable[..., Any]) -> None:

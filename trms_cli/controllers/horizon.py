@@ -4,7 +4,8 @@ The future inputs are the only unknowns (single shooting): each input is constan
 control periods, ``u_k = z[:, block(k)]``, and the states follow by simulation, so that every
 iterate is dynamically consistent. With ``e_k`` the deviation of the weighted states,
 
-    J(z) = Σ_k Σ_i q_i e_ik² + Σ_k Σ_j ρ_j (u_jk − u_s,j)² + Σ_b Σ_j s_j (z_jb − z_j,b−1)²
+    J(z) = Σ_k Σ_i q_i e_ik² + Σ_k Σ_c d_c ((α_c,k − α_c,k−1)/T)²
+           + Σ_k Σ_j ρ_j (u_jk − u_s,j)² + Σ_b Σ_j s_j (z_jb − z_j,b−1)²
     φ(z) = J(z) + Σ_c (μ_c |v_c| + ν_c v_c²)
 
 where ``v`` are the scaled terminal residual ``x_N − x_s`` and the violations of soft limits. φ is
@@ -30,7 +31,7 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Arguments of both compiled functions: initial state with memory, plan, last command, parameters,
 #: disturbances, references, steady-state target; then what stays the same during a run: weights of
-#: the rows, inputs and moves, limits (lower; upper), prices (linear and quadratic of the terminal
+#: the errors (states, then rates), inputs and moves, limits (lower; upper), prices (linear and quadratic of the terminal
 #: equality and of the limits), scale of the terminal residual.
 ARGUMENTS = (
     *("x0", "z", "u_previous", "p", "w", "r", "x_s", "u_s"),
@@ -47,6 +48,10 @@ class Weights:
     states : dict of str to float
         q: of the squared deviation of a state, 1/unit². A controlled angle deviates from its
         reference, any other state from its value at the steady-state target.
+    rates : dict of str to float
+        d: of the squared mean rate of a controlled angle over each control period, s²/unit². It
+        damps the motion itself; a weight on the angular momentum S would also punish the momentum
+        that holds an axis still while the other axis' rotor changes its speed.
     inputs : dict of str to float
         ρ: of the squared deviation from the steady-state input, 1/V².
     moves : dict of str to float
@@ -54,6 +59,7 @@ class Weights:
     """
 
     states: Mapping[str, float]
+    rates: Mapping[str, float]
     inputs: Mapping[str, float]
     moves: Mapping[str, float]
 
@@ -120,8 +126,8 @@ class Horizon:
     ----------
     linearise : BufferedFunction
         :data:`ARGUMENTS` → states (n_x, N), terminal residual, scaled (n_x,), objective, merit,
-        violation; then gradient of J (n_z,), its Gauss–Newton root G (n_weighted·N, n_z) with
-        2 GᵀG the Hessian of the weighted states' part, slope of the terminal residual (n_x, n_z),
+        violation; then gradient of J (n_z,), its Gauss–Newton root G (n_errors·N, n_z) with
+        2 GᵀG the Hessian of the part of states and rates, slope of the terminal residual (n_x, n_z),
         slopes of the limited states (n_limited·N, n_z).
     evaluate : BufferedFunction
         The same arguments → the first five of these.
@@ -147,6 +153,7 @@ class Horizon:
         self.n_periods, self.n_blocks = len(blocks), int(blocks[-1]) + 1
         self.n_z = self.n_blocks * model.n_u
         self.weighted = tuple(name for name in model.state_names if weights.states.get(name))
+        self.damped = tuple(name for name in model.controlled if weights.rates.get(name))
         self.limited = tuple(name for name in model.state_names if name in soft_limits.states)
         self.weights, self.soft_limits, self.terminal, self.scale = (
             weights,
@@ -174,7 +181,10 @@ class Horizon:
         limits = [soft.states[name] for name in self.limited]
         return {
             "p": model.parameters.values,
-            "q": np.array([weights.states[name] for name in self.weighted]),
+            "q": np.array(
+                [weights.states[name] for name in self.weighted]
+                + [weights.rates[name] for name in self.damped]
+            ),
             "rho": np.array([weights.inputs.get(name, 0.0) for name in names(model.inputs)]),
             "s": np.array([weights.moves.get(name, 0.0) for name in names(model.inputs)]),
             "limits": np.array(limits).reshape(-1, 2),
@@ -195,7 +205,7 @@ class Horizon:
             "r": (len(model.controlled), n),
             "x_s": (n_x, 1),
             "u_s": (n_u, 1),
-            "q": (len(self.weighted), 1),
+            "q": (len(self.weighted) + len(self.damped), 1),
             "rho": (n_u, 1),
             "s": (n_u, 1),
             "limits": (len(self.limited), 2),
@@ -222,35 +232,46 @@ class Horizon:
         results = [trajectory, residual, objective, merit, violation]
         if not with_sensitivities:
             return ca.Function("horizon_evaluate", list(at.values()), results)
-        root = self._rows(slopes, self.weighted, ca.sqrt(at["q"]))
+        root = self._root(slopes, ca.sqrt(at["q"]))
         errors = ca.repmat(ca.sqrt(at["q"]), n, 1) * ca.vec(self._errors(trajectory, at))
         results += [
             2 * root.T @ errors + self._input_gradient(at),
             root,
             sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z),
-            self._rows(slopes, self.limited, ca.MX.ones(len(self.limited))),
+            ca.vertcat(*(self._padded(slope, self.limited) for slope in slopes)),
         ]
         return ca.Function(
             "horizon_linearise", list(at.values()), [ca.densify(result) for result in results]
         )
 
-    def _rows(self, slopes: list[ca.MX], states: tuple[str, ...], factors: ca.MX) -> ca.MX:
-        """Slopes of some states at all periods, each times its factor, (n_states·N, n_z)."""
+    def _padded(self, slope: ca.MX, states: tuple[str, ...]) -> ca.MX:
+        """Slopes of some states at one period, with zeros for the blocks not begun yet."""
         rows = [self.model.state_index(name) for name in states]
-        chosen = []
+        return ca.horzcat(slope[rows, :], ca.MX(len(rows), self.n_z - slope.shape[1]))
+
+    def _root(self, slopes: list[ca.MX], factors: ca.MX) -> ca.MX:
+        """G: slopes of all errors at all periods, each times its factor, (n_errors·N, n_z)."""
+        period = self.discrete.step_length
+        before, parts = ca.MX(len(self.damped), self.n_z), []
         for slope in slopes:
-            scaled = slope[rows, :] * ca.repmat(factors, 1, slope.shape[1])
-            chosen.append(ca.horzcat(scaled, ca.MX(len(rows), self.n_z - slope.shape[1])))
-        return ca.densify(ca.vertcat(*chosen))
+            angles = self._padded(slope, self.damped)
+            errors = ca.vertcat(self._padded(slope, self.weighted), (angles - before) / period)
+            parts.append(ca.repmat(factors, 1, self.n_z) * errors)
+            before = angles
+        return ca.vertcat(*parts)
 
     def _errors(self, trajectory: ca.MX, at: Mapping[str, ca.MX]) -> ca.MX:
-        """Deviations of the weighted states over the horizon, (n_weighted, N)."""
+        """Deviations of the weighted states, then rates, over the horizon, (n_errors, N)."""
         model, errors = self.model, []
         for name in self.weighted:
             row = model.state_index(name)
             controlled = name in model.controlled
             goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
             errors.append(trajectory[row, :] - goal)
+        for name in self.damped:
+            row = model.state_index(name)
+            before = ca.horzcat(at["x0"][row], trajectory[row, :-1])
+            errors.append((trajectory[row, :] - before) / self.discrete.step_length)
         return ca.vertcat(*errors)
 
     def _moves(self, at: Mapping[str, ca.MX]) -> ca.MX:
@@ -319,9 +340,10 @@ def _propagated(
 def _check_names(model: Model, weights: Weights, limits: SoftLimits) -> None:
     inputs = names(model.inputs)
     for where, given, known in (
-        ("weights.states", weights.states, model.state_names),
-        ("weights.inputs", weights.inputs, inputs),
-        ("weights.moves", weights.moves, inputs),
+        ("state_weights", weights.states, model.state_names),
+        ("rate_weights", weights.rates, model.controlled),
+        ("input_weights", weights.inputs, inputs),
+        ("move_weights", weights.moves, inputs),
         ("soft_limits", limits.states, model.state_names),
     ):
         for name in given:

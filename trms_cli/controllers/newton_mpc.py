@@ -66,7 +66,7 @@ class NewtonMpc:
     preview_horizon : int
         How many control periods ahead the reference is known, at most N; beyond, it is taken as
         constant, so that the terminal state leaves N − preview periods to settle.
-    state_weights, input_weights, move_weights : dict of str to float
+    state_weights, rate_weights, input_weights, move_weights : dict of str to float
         See :class:`trms_cli.controllers.horizon.Weights`.
     input_rate_limits : dict of str to float
         Largest change per second, V/s.
@@ -99,11 +99,14 @@ class NewtonMpc:
     move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
     preview_horizon: Annotated[int, Meta(ge=0)] = 0
     state_weights: Mapping[str, NotNegative] = field(
-        default_factory=lambda: {"alpha_v": 1.0, "alpha_h": 1.0}
+        default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
+    )
+    rate_weights: Mapping[str, NotNegative] = field(
+        default_factory=lambda: {"alpha_v": 0.73, "alpha_h": 0.36}
     )
     input_weights: Mapping[str, NotNegative] = field(default_factory=dict)
     move_weights: Mapping[str, NotNegative] = field(
-        default_factory=lambda: {"u_v": 0.01, "u_h": 0.01}
+        default_factory=lambda: {"u_v": 0.1, "u_h": 0.2}
     )
     input_rate_limits: Mapping[str, Positive] = field(default_factory=dict)
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -175,7 +178,12 @@ class NewtonMpcState:
         horizon = Horizon(
             self.discrete,
             blocks,
-            Weights(config.state_weights, config.input_weights, config.move_weights),
+            Weights(
+                config.state_weights,
+                config.rate_weights,
+                config.input_weights,
+                config.move_weights,
+            ),
             SoftLimits(config.soft_limits, config.soft_linear, config.soft_quadratic),
             TerminalPrice(config.terminal_linear, config.terminal_quadratic)
             if config.terminal == "equality"
