@@ -4,6 +4,7 @@ import dataclasses
 import re
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -98,3 +99,57 @@ def test_several_effects_and_their_sizes_are_chosen_on_the_command_line(rig, tmp
     assert list(effects) == ["yaw_coulomb_friction", "main_input_delay"]
     assert effects["yaw_coulomb_friction"].torque == 0.004
     assert effects["main_input_delay"] == rig.effect("main_input_delay")
+
+
+DOCUMENT = config_folder().parent / "docs" / "effects.md"
+
+
+def _commands():
+    if not DOCUMENT.exists():  # an installed package has no docs
+        return []
+    return re.findall(r"^    trms run (effect=.*)$", DOCUMENT.read_text("utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("line", _commands())
+def test_each_command_of_the_document_composes(line):
+    from trms_cli.commands.composition import compose
+
+    effects = compose(line.split()).config["effect"]
+    assert effects
+    for name, node in effects.items():
+        build(node, f"effect.{name}")
+
+
+@pytest.mark.skipif(not DOCUMENT.exists(), reason="an installed package has no docs")
+def test_the_document_knows_every_effect_and_every_key(rig, effect_name):
+    text = DOCUMENT.read_text("utf-8")
+    kind = effect_name.split("_", 1)[1]
+    title = kind.replace("_", " ").capitalize()
+    section = re.search(rf"^## {title}\n(.*?)^## ", text, re.MULTILINE | re.DOTALL)[1]
+    assert f"figures/effects/{kind}.png" in section
+    assert (DOCUMENT.parent / "figures" / "effects" / f"{kind}.png").exists()
+    assert "*Limits.*" in section
+    for key in rig.node(effect_name):
+        if key not in ("_target_", "axis", "rotor"):
+            assert f"| `{key}` |" in section
+
+
+@pytest.mark.skipif(not DOCUMENT.exists(), reason="an installed package has no docs")
+def test_the_effect_that_the_document_writes_works(rig, tmp_path, monkeypatch):
+    from trms_cli.commands.composition import compose
+
+    text = DOCUMENT.read_text("utf-8")
+    code = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    option = re.search(r"```yaml\n(# a draught.*?)```", text, re.DOTALL)[1]
+    (tmp_path / "mine" / "effect").mkdir(parents=True)
+    (tmp_path / "my_effects.py").write_text(code, encoding="utf-8")
+    (tmp_path / "mine" / "effect" / "yaw_draught.yaml").write_text(option, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    folder = str(tmp_path / "mine")
+    node = compose(["--config-dir", folder, "effect=yaw_draught"]).config["effect"]["yaw_draught"]
+    u = rig.rich_input(100)
+    absent = rig.extended(rig.newtonian(), {"d": build(node | {"torque": 0.0}, "d")})
+    present = rig.extended(rig.newtonian(), {"d": build(node, "d")})
+    expected = rig.simulate(rig.newtonian(), u)
+    np.testing.assert_array_equal(rig.simulate(absent, u), expected)
+    assert np.any(rig.simulate(present, u) != expected)
