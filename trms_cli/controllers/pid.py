@@ -146,7 +146,7 @@ class Pid:
         {"alpha_v": 0.0, "alpha_h": 0.5},
         {"alpha_v": 0.3, "alpha_h": 1.0},
     )
-    max_sensitivity: Annotated[float, Meta(gt=1)] = 1.8
+    max_sensitivity: Annotated[float, Meta(gt=1)] = 1.6
     smoothness: Mapping[str, _Positive] = field(default_factory=dict)
     derivative_filter: _Positive = 0.05
     setpoint_weight: Annotated[float, Meta(ge=0, le=1)] = 1.0
