@@ -26,7 +26,7 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.observer import Estimate
 
 CONVERGED = {"max_iterations": 60, "tolerance": 1e-7}
-SHORT = {"prediction_horizon": 20, "move_blocks": (1,) * 20}
+SHORT = {"prediction_horizon": 20, "move_blocks": (1,) * 20, "max_iterations": 1}
 
 
 def sample_at(

@@ -115,7 +115,7 @@ class NewtonMpc:
     terminal: Literal["equality", "none"] = "equality"
     terminal_linear: Positive = 100.0
     terminal_quadratic: Positive = 1000.0
-    max_iterations: Annotated[int, Meta(ge=1)] = 1
+    max_iterations: Annotated[int, Meta(ge=1)] = 10
     tolerance: Positive = 1e-4
     integration_steps: Annotated[int, Meta(ge=1)] = 1
     disturbance_compensation: bool = True
