@@ -44,11 +44,12 @@ def print_changes(comparisons: Sequence[Comparison]) -> None:
     out = console()
     table = _table("what changed", "", "baseline", "now", "tolerance", "")
     for comparison in comparisons:
-        name = comparison.outcome.case.name
-        for row in comparison.rows:
-            if row.verdict != "same":
-                style = _STYLES.get("worse" if row.regressed else row.verdict, "")
-                table.add_row(f"{name} {_figure(row)}", *_cells(row), row.verdict, style=style)
+        changed = [row for row in comparison.rows if row.verdict != "same"]
+        if changed:
+            table.add_row(comparison.outcome.case.name, style="bold")
+        for row in changed:
+            style = _STYLES.get("worse" if row.regressed else row.verdict, "")
+            table.add_row(f"  {_figure(row)}", *_cells(row), row.verdict, style=style)
     if table.row_count:
         out.print(table)
     for comparison in comparisons:
