@@ -71,10 +71,28 @@ class LqrState:
 
     Attributes
     ----------
+    regulator : Regulator
+    linear : LinearModel
+        What it was designed for.
+    steady : SteadyState
+    advance_memory : BufferedFunction or None
+        Memory of the input path over one period; None for a model without.
     integral : (n_r,) array
         z, rad s.
     memory : (n_m,) array
         Memory of the input path after the commands so far.
+    target : Target
+        The steady state that is regulated to.
+    target_memory : (n_m,) array
+        Memory in that state.
+    rows : list of int
+        Positions of the controlled angles in x.
+    lower, upper : (n_u,) arrays
+        V.
+    period : float
+        T, s.
+    started : bool
+        Whether there was a sample yet.
     """
 
     regulator: Regulator

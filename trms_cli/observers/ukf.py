@@ -113,6 +113,10 @@ class UkfState:
         Views of its outputs.
     prior_mean, prior_covariance : arrays
         Before the first measurement; where the filter recovers to.
+    present : (n_y,) bool array
+        Channels that the last measurement had.
+    started : bool
+        Whether there was a sample yet.
     recoveries : int
         How often the covariance had to be inflated to the prior.
     """
