@@ -116,10 +116,13 @@ def discretise(
     full = ca.SX.sym("x", len(states))
     x, memory = full[: model.n_x], full[model.n_x :]
     h = step_length / substeps
+    at = ca.SX.sym("at", model.n_x)
+    # Stated once, and inlined at each stage: to state them again takes ten times as long.
+    dynamics = ca.Function("dynamics", [at, u, p, w], [model.dynamics(at, u, p, w)])
     for k in range(substeps):
         window = (k / substeps, (k + 1) / substeps)
         arriving, memory = model.input_path(memory, u, p, window, step_length)
-        x = integrate(lambda z, a=arriving: model.dynamics(z, a, p, w), x, h)  # type: ignore[misc]
+        x = integrate(lambda z, a=arriving: dynamics(z, a, p, w), x, h)  # type: ignore[misc]
         x = model.impulse(x, arriving, p, w, h)
     # The equations name the same sine or square many times over; sharing them halves the work.
     (after,) = ca.cse([ca.vertcat(x, memory)])

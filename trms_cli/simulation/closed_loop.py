@@ -108,7 +108,21 @@ class Experiment:
 
 @dataclass
 class Loop:
-    """A run under way: made by :meth:`start`, advanced by :meth:`run`."""
+    """A run under way: made by :meth:`start`, advanced by :meth:`run`.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    plant : PlantRun
+        The rig in this run.
+    references : (samples + preview, n_r) array
+        rad, at every sample and as far beyond the end as the last preview reaches.
+    preview : int
+        Control periods that the controller sees ahead.
+    history : History
+    done : int
+        Samples that are behind.
+    """
 
     experiment: Experiment
     plant: PlantRun
