@@ -125,6 +125,13 @@ def test_parameters_and_states_carry_the_name_of_the_effect(rig):
     assert model.parameters.names[:39] == rig.newtonian().parameters.names
 
 
+def test_a_second_effect_of_the_same_name_is_refused(rig):
+    """The sizes of the two could not be told apart."""
+    friction = {"yaw_coulomb_friction": rig.effect("yaw_coulomb_friction")}
+    with pytest.raises(ModelError, match="already"):
+        rig.extended(rig.extended(rig.newtonian(), friction), friction)
+
+
 def test_all_effects_together_run_with_their_memory_in_place(rig):
     """Input-path effects in a row, states and impulses: sizes of x and x⁺ agree."""
     effects = {name: rig.effect(name) for name in rig.names}

@@ -66,6 +66,8 @@ def test_values_are_replaced_by_name(written):
     changed = {"k_g": 0.05, "yaw_coulomb_friction.torque": 0.003}
     model = load_model(path, changed)
     assert {name: model.parameters[name].value for name in changed} == changed
+    nested = load_model(path, {"yaw_coulomb_friction": {"torque": 0.002}})
+    assert nested.parameters["yaw_coulomb_friction.torque"].value == 0.002
     with pytest.raises(ConfigurationError) as caught:
         load_model(path, {"k_q": 0.05})
     assert caught.value.where == "model.parameters.k_q"

@@ -9,6 +9,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from trms_cli.core.errors import ModelError
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.models.model import FloatArray, Model, Signal
 
@@ -29,17 +30,23 @@ class ExtendedModel(Model):
     Raises
     ------
     ModelError
-        If the model lacks the axis or rotor that the effect acts on.
+        If the model lacks the axis or rotor that the effect acts on, or has an effect of that name.
     """
 
     def __init__(self, base: Model, name: str, effect: Effect) -> None:
         effect.check(base)
+        own = effect.parameters()
+        if name in effect_names(base):
+            raise ModelError(
+                f"the model has an effect {name!r} already",
+                where=name,
+                remedy="leave it out, or give the second one a name of its own",
+            )
         self.base, self.effect, self.effect_name = base, effect, name
         self.name = base.name
         self.states = (*base.states, *_prefixed(effect.states(), name))
         self.inputs, self.outputs = base.inputs, base.outputs
         self.disturbances = base.disturbances
-        own = effect.parameters()
         self._sizes = tuple(parameter.name for parameter in own)
         self.parameters = base.parameters.joined(
             replace(parameter, name=f"{name}.{parameter.name}") for parameter in own
@@ -117,6 +124,13 @@ def extended(model: Model, effects: Mapping[str, Effect]) -> Model:
     for name, effect in ordered:
         model = ExtendedModel(model, name, effect)
     return model
+
+
+def effect_names(model: Model) -> tuple[str, ...]:
+    """Names of the effects that a model has, the innermost first."""
+    if not isinstance(model, ExtendedModel):
+        return ()
+    return (*effect_names(model.base), model.effect_name)
 
 
 def _has_impulse(effect: Effect) -> bool:

@@ -15,7 +15,7 @@ An effect that is not in the library gives its class by ``_target_``, and all it
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from trms_cli.core.errors import ModelError, TrmsError
@@ -27,7 +27,9 @@ from trms_cli.models.model import Model
 from trms_cli.models.parameters import ParameterFile, parameter_file
 
 
-def load_model(path: str, parameters: Mapping[str, float] | None = None) -> Model:
+def load_model(
+    path: str, parameters: Mapping[str, float | Mapping[str, float]] | None = None
+) -> Model:
     """The model that a file describes, with its effects.
 
     Parameters
@@ -35,7 +37,8 @@ def load_model(path: str, parameters: Mapping[str, float] | None = None) -> Mode
     path : str
         A YAML file.
     parameters : mapping
-        Other values for some parameters (``k_fvp``) or sizes (``yaw_coulomb_friction.torque``).
+        Other values for some parameters (``k_fvp``) or sizes (``yaw_coulomb_friction.torque``, or
+        nested as a command line has it).
 
     Raises
     ------
@@ -57,8 +60,19 @@ def load_model(path: str, parameters: Mapping[str, float] | None = None) -> Mode
     except TrmsError as error:
         raise _of_file(error, f"{path}: effects") from error
     if parameters:
-        model.parameters = model.parameters.replaced(parameters, where="model.parameters")
+        values = dict(_flat(parameters))
+        model.parameters = model.parameters.replaced(values, where="model.parameters")
     return model
+
+
+def _flat(
+    values: Mapping[str, float | Mapping[str, float]], prefix: str = ""
+) -> Iterator[tuple[str, float]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def _nominal(content: ParameterFile, path: str) -> Model:
