@@ -35,6 +35,14 @@ examples
   trms run --from outputs/…/run.mcap                        that run again, bit for bit
   trms run --from outputs/…/run.mcap controller=lqr         the same, but for the controller
   trms run --config-dir mylab/configs controller=mine       a plugin of your own
+  trms run plant=replay plant.file=rig.csv model=tras       an observer over a recording
+
+keys that are changed most
+  sim.duration (s)   sim.sample_time (s)   seed   out (folder)   picture (true, false)
+  ref.alpha_v.amplitude, ref.alpha_h.amplitude (rad)    ref.alpha_h.frequency (Hz)
+  controller.sample_time (s)   controller.max_iterations   controller.input_rate_limits.u_v (V/s)
+  plant.parameters.NAME, model.parameters.NAME (SI)   plant.sensors.noise_sd.omega_v (rad/s)
+  effect.NAME.SIZE (the unit: `trms list effect NAME`)
 
 options
   --from LOG         repeat the run of a log; what follows changes it
@@ -104,6 +112,7 @@ def perform(composition: Composition) -> Outcome:
         except KeyboardInterrupt:
             score = _score(loop, log.path, complete=False)
             log.close("interrupted", score)
+            _write_score(score, log.path.with_name(SCORE_NAME))
             screen.say_interrupted(loop.done * experiment.sample_time)
             return Outcome(EXIT_INTERRUPTED)
         except BaseException as error:

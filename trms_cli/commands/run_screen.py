@@ -156,7 +156,8 @@ def _channel_lines(channels: Mapping[str, Any]) -> Iterator[str]:
         yield _row(f"  {label}", of.format(unit), map(_number, values), note)
     unsettled = sum(channel["unsettled_steps"] for channel in channels.values())
     if unsettled:
-        yield f"  {unsettled} steps had not settled when the next one came"
+        words = "step had" if unsettled == 1 else "steps had"
+        yield f"  {unsettled} {words} not settled when the next one came"
 
 
 def _input_lines(inputs: Mapping[str, Any]) -> Iterator[str]:

@@ -235,9 +235,10 @@ def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> N
     top = 3 * max(deadline, float(milliseconds.max())) if np.isfinite(deadline) else None
     panel.set_ylim(0.5 * max(float(milliseconds.min()), 1e-4), top)
     fallback = np.asarray(columns.get("fallback", np.zeros(len(time))), dtype=float) > 0
+    fallback |= np.asarray(columns.get("status", [""] * len(time)), dtype=object) == "failed"
     marks = [
         ("fall-back", _COLOURS[1], time[fallback]),
-        ("event", _ALARM, np.array(list(_faults(history)))),
+        ("fault", _ALARM, np.array(list(_faults(history)))),
     ]
     for label, colour, at in marks:
         if len(at):
@@ -284,8 +285,9 @@ def _saturated(history: Drawable, name: str) -> Iterator[tuple[float, float]]:
 
 
 def _faults(history: Drawable) -> Iterator[float]:
+    """Times (s) of what is neither a saturation nor told by the solver's own marks."""
     for time_ns, kind, _, _, _ in history.events:
-        if not kind.startswith("saturation") and not kind.endswith("_end"):
+        if not kind.startswith(("saturation", "solver")) and not kind.endswith("_end"):
             yield time_ns * 1e-9
 
 
