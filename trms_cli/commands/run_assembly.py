@@ -19,7 +19,7 @@ from trms_cli.core.plugins import build
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.plants.plant import PlantRun
-from trms_cli.recordings.topics import Field, Topic, standard_topics
+from trms_cli.recordings.topics import Field, Topic, prediction_topic, standard_topics
 from trms_cli.scoring.score import LIMITS_KEY
 from trms_cli.simulation.closed_loop import Experiment
 
@@ -139,30 +139,16 @@ def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
     model = experiment.model
     states = [_field(signal) for signal in model.states]
     controlled = [states[model.state_index(name)] for name in model.controlled]
+    inputs = [_field(signal) for signal in plant.inputs]
     topics = standard_topics(
         references=controlled,
-        inputs=[_field(signal) for signal in plant.inputs],
+        inputs=inputs,
         outputs=[_field(signal) for signal in plant.outputs],
         states=[_field(signal) for signal in plant.states],
         estimates=[*states, *(_field(signal) for signal in model.disturbances)],
-        disturbances=[],
         controller=True,
     )
-    return [
-        *topics,
-        Topic(
-            "/prediction",
-            tuple(
-                Field(f.name, f.unit, f"predicted {f.description or f.name}", "array")
-                for f in (
-                    Field("time", "s", "time from now"),
-                    *states,
-                    *(_field(signal) for signal in plant.inputs),
-                )
-            ),
-            "The controller's predicted trajectories over the horizon",
-        ),
-    ]
+    return [*topics, prediction_topic([*states, *inputs])]
 
 
 def run_metadata(
