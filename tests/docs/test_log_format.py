@@ -1,0 +1,53 @@
+"""The log format's page: its Python runs, and its topics are those of a log."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trms_cli.recordings.log_reader import read_log
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "log-format.md"
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory) -> Path:
+    """A short run with everything that a log may hold."""
+    from trms_cli.cli import main
+
+    folder = tmp_path_factory.mktemp("docs") / "there"
+    words = ["controller=newton_mpc", "sim.duration=1", "picture=false", f"out={folder}"]
+    assert main(["run", *words]) == 0
+    return folder
+
+
+def test_its_python_runs(run_folder, monkeypatch, capsys):
+    monkeypatch.chdir(run_folder)
+    names: dict = {}
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(block, names)
+    assert len(capsys.readouterr().out.splitlines()) == 50
+    assert np.isfinite(names["state"].columns["alpha_v"]).all()
+
+
+def test_its_topics_and_fields_are_those_of_a_log(run_folder):
+    table = re.findall(r"^\| `(/[\w/]+)` \|(.*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    described = dict(table)
+    log = read_log(run_folder / "run.mcap")
+    assert set(described) == set(log.tables)
+    for topic in ("/reference", "/command", "/measurement", "/controller", "/event"):
+        for name in log.table(topic).columns:
+            assert f"`{name}`" in described[topic], (topic, name)
+
+
+def test_its_kinds_of_events_are_those_that_are_written():
+    package = PAGE.parents[1] / "trms_cli"
+    files = [package / name for name in ("simulation/closed_loop.py", "plants/replay.py")]
+    source = "".join(file.read_text(encoding="utf-8") for file in files)
+    for kind in re.findall(r"`(saturation_\w+|fault\w*|solver|gap)`", PAGE.read_text("utf-8")):
+        assert f'"{kind}"' in source, kind
