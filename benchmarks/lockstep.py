@@ -131,8 +131,11 @@ class Entrant:
         rho = _row(problem.input_weights, names(model.inputs))
         s = _row(problem.move_weights, names(model.inputs))
         q = _row(problem.state_weights, model.state_names)
+        damping = _row(problem.rate_weights, model.state_names)
+        rates = np.diff(np.array(self.states), axis=0) / self.period
         return float(
             ((states - goal) ** 2 @ q).sum()
+            + (rates**2 @ damping).sum()
             + ((commands - np.array(inputs)) ** 2 @ rho).sum()
             + (moves**2 @ s).sum()
         )

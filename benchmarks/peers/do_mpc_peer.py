@@ -73,7 +73,8 @@ class DoMpcState:
         u = stated.set_variable("_u", "u", shape=(model.n_u, 1))
         x_s = stated.set_variable("_tvp", "x_s", shape=(model.n_x, 1))
         u_s = stated.set_variable("_tvp", "u_s", shape=(model.n_u, 1))
-        stated.set_rhs("x", discrete.step(x, u, model.parameters.values, np.zeros(model.n_w)))
+        after = discrete.step(x, u, model.parameters.values, np.zeros(model.n_w))
+        stated.set_rhs("x", after)
         stated.setup()
 
         mpc = do_mpc.controller.MPC(stated)
@@ -91,7 +92,10 @@ class DoMpcState:
         q = ca.DM([problem.state_weights.get(name, 0.0) for name in model.state_names])
         rho = ca.DM([problem.input_weights.get(name, 0.0) for name in self.inputs])
         deviation = ca.dot(q, (x[: model.n_x] - x_s) ** 2)
-        mpc.set_objective(lterm=deviation + ca.dot(rho, (u - u_s) ** 2), mterm=deviation)
+        damping = ca.DM([problem.rate_weights.get(name, 0.0) for name in model.state_names])
+        rate = (after - x)[: model.n_x] / setup.sample_time
+        stage = deviation + ca.dot(damping, rate**2) + ca.dot(rho, (u - u_s) ** 2)
+        mpc.set_objective(lterm=stage, mterm=deviation)
         mpc.set_rterm(u=np.array([problem.move_weights.get(name, 0.0) for name in self.inputs]))
         if problem.terminal == "equality":
             # Constraints that always hold (0 ≤ 1 + slack): they only bring the slacks in.

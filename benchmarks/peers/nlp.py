@@ -56,11 +56,19 @@ class NlpMpc:
     machine_code : bool
         Whether the derivatives run as compiled C, like those of ``newton_mpc``, or in CasADi's
         virtual machine.
+    two_starts : bool
+        Whether each sample is also solved from the steady state, and the better of the two local
+        minima counts: what an optimum to compare with should be, at twice the time.
+    periods_per_solve : int
+        Control periods that a plan is followed before the next solve; a change of the reference
+        asks for a solve at once.
     """
 
     problem: NewtonMpc
     solver: Literal["ipopt", "fatrop"] = "ipopt"
     machine_code: bool = True
+    two_starts: bool = False
+    periods_per_solve: int = 1
 
     @property
     def sample_time(self) -> float:
@@ -84,7 +92,10 @@ class NlpState:
     """The solver with its last solution."""
 
     def __init__(self, config: NlpMpc, setup: ControlSetup) -> None:
-        self.model = setup.model
+        self.model, self.two_starts = setup.model, config.two_starts
+        self.periods_per_solve = config.periods_per_solve
+        self._plan: list[FloatArray] = []
+        self._planned_for: FloatArray | None = None
         self.ocp = build(config.problem, setup.model, setup.sample_time)
         self.solver = _solver(config, self.ocp)
         weights = {name: q for name, q in config.problem.state_weights.items() if q > 0}
@@ -93,6 +104,7 @@ class NlpState:
         self._full = self.ocp.discrete.initial(setup.model.rest(), setup.first_command)
         self._advance = ca.Function("advance", *_memory_step(self.ocp)) if self._remembers else None
         self._warm: dict[str, FloatArray] | None = None
+        self._first = True
         n_u = setup.model.n_u
         self._first_input = slice(self.ocp.n_state, self.ocp.n_state + n_u)
 
@@ -103,14 +115,18 @@ class NlpState:
     def solve(self, sample: ControlSample) -> Command:
         """One sample, warm-started."""
         n_x, ocp = self.model.n_x, self.ocp
-        if self._advance is not None and self._warm is not None:
+        if self._advance is not None and not self._first:
             moved = np.asarray(self._advance(self._full, sample.previous_command)).ravel()
             self._full[n_x:] = moved[n_x:]
+        self._first = False
         self._full[:n_x] = sample.estimate.x
         w = sample.estimate.disturbance
         future = sample.reference[1:] if len(sample.reference) > 1 else sample.reference
         beyond = np.repeat(sample.reference[-1:], max(0, ocp.periods - len(future)), axis=0)
         r = np.concatenate([future, beyond])[: ocp.periods]
+        if self._plan and np.array_equal(r, self._planned_for):
+            return Command(self._plan.pop(0))
+        self._planned_for = r
         self.target = self.steady_state.solve(sample.reference[-1], w, self.target)
         p = np.concatenate(
             [
@@ -122,38 +138,45 @@ class NlpState:
                 w,
             ]
         )
-        if self._warm is None:
-            self._warm = {"x0": self._cold()}
+        starts = [self._warm] if self._warm is not None else []
+        if self._warm is None or self.two_starts:
+            starts.append({"x0": self._cold()})
         begin = perf_counter()
-        result = self.solver(
-            p=p,
-            lbx=ocp.lower,
-            ubx=ocp.upper,
-            lbg=ocp.g_lower,
-            ubg=ocp.g_upper,
-            **self._warm,
-        )
+        answers = [self._from(start, p) for start in starts]
         spent = perf_counter() - begin
-        stats = self.solver.stats()
+        result, stats = min(answers, key=lambda a: (not a[1]["success"], float(a[0]["f"])))
         x = result["x"].full().ravel()
         solved = bool(stats["success"])
+        # A bad point is no start: begin afresh from the steady state then.
+        self._warm = None
         if solved:
+            followed = range(1, self.periods_per_solve)
+            size = self.ocp.stage_size or 0
+            self._plan = [
+                x[self._first_input.start + k * size :][: self.model.n_u] for k in followed
+            ]
             self._warm = {
                 "x0": self._shifted(x),
                 "lam_x0": self._shifted(result["lam_x"].full().ravel()),
                 "lam_g0": result["lam_g"].full().ravel(),
             }
-        else:
-            # A bad point is no start: begin afresh from the steady state.
-            self._warm = {"x0": self._cold()}
         return Command(
             x[self._first_input],
             Status.OK if solved else Status.FAILED,
-            int(stats["iter_count"]),
+            sum(int(stats["iter_count"]) for _, stats in answers),
             float(result["f"]),
             qp_time=spent,
             message="" if solved else str(stats.get("return_status", "not solved")),
         )
+
+    def _from(
+        self, start: dict[str, FloatArray], p: FloatArray
+    ) -> tuple[dict[str, ca.DM], dict[str, Any]]:
+        ocp = self.ocp
+        result = self.solver(
+            p=p, lbx=ocp.lower, ubx=ocp.upper, lbg=ocp.g_lower, ubg=ocp.g_upper, **start
+        )
+        return result, self.solver.stats()
 
     def _cold(self) -> FloatArray:
         """Everywhere the steady state of the reference, from the present state on."""
@@ -169,12 +192,13 @@ class NlpState:
         return guess
 
     def _shifted(self, values: FloatArray) -> FloatArray:
-        """One stage on in time; the last stage repeats. Blocked inputs stay where they are."""
+        """On in time to the next solve; the end repeats. Blocked inputs stay where they are."""
         size, n = self.ocp.stage_size, self.ocp.periods
         if size is None:
             return values
+        by = self.periods_per_solve
         shifted = values.copy()
-        shifted[: size * (n - 1)] = values[size : size * n]
+        shifted[: size * (n - by)] = values[size * by : size * n]
         return shifted
 
 

@@ -134,7 +134,9 @@ class _Builder:
             if begins_block and limited:
                 self._row((u - last)[limited], -self.rate[limited], self.rate[limited])
             z = z_next
-            self._stage_cost(z[: model.n_x], self.at["r"][:, k])
+            self._state_cost(z[: model.n_x], self.at["r"][:, k])
+            # From the step, not from the next state: the stages stay apart.
+            self._rate_cost((after - x) / self.discrete.step_length)
         if self.config.terminal == "equality":
             self._terminal(z[: model.n_x])
         g_lower, g_upper = np.concatenate(self.g_lower), np.concatenate(self.g_upper)
@@ -156,7 +158,12 @@ class _Builder:
             n_state,
         )
 
-    def _stage_cost(self, x: ca.MX, r: ca.MX) -> None:
+    def _rate_cost(self, rate: ca.MX) -> None:
+        for name, weight in self.config.rate_weights.items():
+            if weight > 0 and name in self.model.controlled:
+                self.objective += weight * rate[self.model.state_index(name)] ** 2
+
+    def _state_cost(self, x: ca.MX, r: ca.MX) -> None:
         model = self.model
         for name, weight in self.config.state_weights.items():
             if weight > 0 and name in model.state_names:

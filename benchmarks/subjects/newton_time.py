@@ -17,7 +17,8 @@ _REPEATS = 3
 _CASES = {
     "one iteration, N = 20": (LIMIT_ONE_ITERATION, newton_horizon(20), 1),
     "converged, N = 20": (LIMIT_CONVERGED, newton_horizon(20), 50),
-    "as configured by default": (None, (), None),
+    "one iteration, default horizon": (None, (), 1),
+    "default": (None, (), None),
 }
 
 
