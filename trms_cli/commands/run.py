@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -127,7 +129,11 @@ def perform(composition: Composition) -> Outcome:
         picture = log.path.with_name(PICTURE_NAME) if composition.config["picture"] else None
         if picture is not None:
             words = {"title": _title(composition), "limits": _limits(loop)}
-            painter.draw(loop.history, score, picture, **words)
+            try:
+                painter.draw(loop.history, score, picture, **words)
+            except OSError as error:  # the run is safe in its log: this much may fail
+                sys.stderr.write(f"no picture: {error.strerror or error}\n")
+                picture = None
     screen.say_finished(score, picture, perf_counter() - begin)
     return Outcome(EXIT_OK, _objective(score))
 
@@ -140,6 +146,7 @@ def _rare_collection() -> Iterator[None]:
     """
     before = gc.get_threshold()
     gc.set_threshold(100_000, 50, 1000)
+    atexit.register(gc.freeze)  # nor look through it all once more at the very end
     try:
         yield
     finally:

@@ -225,7 +225,8 @@ def _draw_torques(panel: Axes, history: Drawable, names: Sequence[str]) -> None:
 def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> None:
     """Time of each step against its deadline; a mark where a fall-back acted or a fault began."""
     columns, time = history.columns("/controller"), history.times("/controller")
-    milliseconds = 1e3 * np.asarray(columns["solve_time_s"], dtype=float)
+    # A microsecond at least: a law of one line takes less than the clock can tell.
+    milliseconds = np.maximum(1e3 * np.asarray(columns["solve_time_s"], dtype=float), 1e-3)
     panel.plot(time, milliseconds, ".", color=GREY, ms=2.0)
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -233,7 +234,7 @@ def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> N
     deadline = 1e3 * float(np.median(np.diff(time))) if len(time) > 1 else np.nan
     panel.axhline(deadline, color=_ALARM, lw=0.8, ls=":")
     top = 3 * max(deadline, float(milliseconds.max())) if np.isfinite(deadline) else None
-    panel.set_ylim(0.5 * max(float(milliseconds.min()), 1e-4), top)
+    panel.set_ylim(0.5 * float(milliseconds.min()), top)
     fallback = np.asarray(columns.get("fallback", np.zeros(len(time))), dtype=float) > 0
     fallback |= np.asarray(columns.get("status", [""] * len(time)), dtype=object) == "failed"
     marks = [

@@ -1,0 +1,168 @@
+"""A run's picture: drawn for every kind of run, whole, and beside the run or in line."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trms_cli.reporting import painter as painter_module
+from trms_cli.reporting.painter import Painter, Snapshot
+from trms_cli.reporting.run_picture import draw_run
+from trms_cli.scoring.score import Series, score_tables
+
+TIME = np.arange(500) * 0.02
+LIMITS = {"u_v": (-2.5, 2.5), "alpha_v": (-1.05, 1.05)}
+
+
+class Told:
+    """A history that is made up."""
+
+    def __init__(self, columns: dict[str, dict[str, Any]], events: list[Any] | None = None) -> None:
+        self._columns = columns
+        self.events = events or []
+
+    def times(self, topic: str) -> np.ndarray:
+        return TIME if topic in self._columns else np.zeros(0)
+
+    def columns(self, topic: str) -> dict[str, Any]:
+        return self._columns.get(topic, {})
+
+
+def wave(lag: float = 0.0) -> np.ndarray:
+    return np.sin(TIME - lag)
+
+
+def everything() -> dict[str, dict[str, Any]]:
+    return {
+        "/reference": {"alpha_v": wave(), "alpha_h": wave(1.0)},
+        "/command": {"u_v": 3 * wave(), "u_h": wave()},
+        "/measurement": {"alpha_v": wave(0.1)},
+        "/plant/state": {"alpha_v": wave(0.1), "alpha_h": wave(1.1)},
+        "/estimate": {
+            "alpha_v": wave(0.12),
+            "sd_alpha_v": np.full(500, 0.05),
+            "yaw_moment": 0.01 * wave(),
+            "sd_yaw_moment": np.full(500, 0.002),
+        },
+        "/controller": {
+            "solve_time_s": np.full(500, 1e-4),
+            "fallback": (TIME > 8) & (TIME < 9),
+            "status": np.array(["ok"] * 500, dtype=object),
+        },
+    }
+
+
+def score(history: Told) -> dict[str, Any]:
+    tables = {t: Series(TIME, history.columns(t)) for t in everything() if history.columns(t)}
+    return score_tables(tables, limits=LIMITS, duration_s=10.0)
+
+
+def size(picture: Path) -> tuple[int, int]:
+    content = picture.read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    assert content.rstrip().endswith(b"IEND\xaeB`\x82")
+    return struct.unpack(">II", content[16:24])  # type: ignore[return-value]
+
+
+def only(*topics: str) -> dict[str, dict[str, Any]]:
+    return {topic: columns for topic, columns in everything().items() if topic in topics}
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        everything(),
+        only("/reference", "/command", "/plant/state", "/controller"),
+        only("/command", "/measurement", "/estimate"),
+        only("/reference", "/command"),
+        {**everything(), "/reference": {"alpha_v": wave()}},
+        {**everything(), "/plant/state": {"alpha_v": np.full(500, np.nan)}},
+        {**everything(), "/controller": {"solve_time_s": np.zeros(500)}},
+    ],
+    ids=["all", "no observer", "recording", "no outputs", "one axis", "no numbers", "no time"],
+)
+def test_every_kind_of_run_is_drawn(tmp_path, columns):
+    history = Told(columns)
+    path = tmp_path / "run.png"
+    draw_run(history, score(history), path, title="x", limits=LIMITS)
+    width, height = size(path)
+    assert width == 990
+    assert height > 250
+
+
+def test_more_axes_are_a_taller_picture(tmp_path):
+    heights = []
+    for reference in ({"alpha_v": wave()}, {"alpha_v": wave(), "alpha_h": wave()}):
+        history = Told({**everything(), "/reference": reference})
+        draw_run(history, score(history), tmp_path / "run.png")
+        heights.append(size(tmp_path / "run.png")[1])
+    assert heights[1] > heights[0] + 150
+
+
+def test_events_change_the_picture(tmp_path):
+    pictures = set()
+    for events in (
+        [],
+        [(2 * 10**9, "saturation_begin", "u_v", "", 3.0)],
+        [
+            (2 * 10**9, "saturation_begin", "u_v", "", 3.0),
+            (4 * 10**9, "saturation_end", "u_v", "", 0),
+        ],
+        [(2 * 10**9, "fault", "controller", "", np.nan)],
+        [(2 * 10**9, "fault_end", "controller", "", np.nan)],
+    ):
+        history = Told(everything(), events)
+        draw_run(history, score(history), tmp_path / "run.png")
+        pictures.add((tmp_path / "run.png").read_bytes())
+    assert len(pictures) == 4  # the end of a fault alone is no mark
+
+
+def test_equal_runs_are_equal_pictures_beside_or_in_line(tmp_path):
+    history = Told(everything())
+    with Painter(beside=True) as beside, Painter(beside=False) as in_line:
+        beside.draw(history, score(history), tmp_path / "a.png", title="x")
+        in_line.draw(history, score(history), tmp_path / "b.png", title="x")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_without_the_process_beside_the_picture_is_drawn_in_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(painter_module.sys, "executable", str(tmp_path / "no_python"))
+    history = Told(everything())
+    with Painter(beside=True) as painter:
+        painter.draw(history, score(history), tmp_path / "run.png")
+    assert size(tmp_path / "run.png")
+
+
+def test_a_process_that_died_is_no_matter(tmp_path):
+    history = Told(everything())
+    with Painter(beside=True) as painter:
+        painter._process.kill()
+        painter._process.wait()
+        painter.draw(history, score(history), tmp_path / "run.png")
+    assert size(tmp_path / "run.png")
+
+
+def test_a_run_that_fails_leaves_no_process():
+    painter = Painter(beside=True)
+    process = painter._process
+    with pytest.raises(RuntimeError), painter:
+        raise RuntimeError
+    assert process is not None
+    assert process.poll() is not None
+
+
+def test_a_folder_that_is_gone_is_an_error_of_the_disk(tmp_path):
+    history = Told(everything())
+    with Painter(beside=True) as painter, pytest.raises(OSError, match="nowhere"):
+        painter.draw(history, score(history), tmp_path / "nowhere" / "run.png")
+
+
+def test_a_snapshot_holds_what_the_history_had():
+    snapshot = Snapshot.of(Told(everything()))
+    assert snapshot.columns("/command").keys() == {"u_v", "u_h"}
+    assert np.array_equal(snapshot.times("/command"), TIME)
+    assert len(snapshot.times("/controller")) == 500
