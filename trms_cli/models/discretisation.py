@@ -23,6 +23,9 @@ from trms_cli.core.errors import ModelError
 from trms_cli.models.elimination import factorised
 from trms_cli.models.model import Model, Signal
 
+#: A first-order lag settles to the last bit within 40 time constants; none is that slow.
+_MOST_STEPS_TO_SETTLE = 100_000
+
 Method = Literal["auto", "rk4", "rodas3"]
 Derivative = Callable[[ca.SX], ca.SX]
 
@@ -53,7 +56,10 @@ class DiscreteModel:
         return len(self.states)
 
     def linearised(self) -> ca.Function:
-        """``(x, u, p, w) → x⁺, ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂p, ∂x⁺/∂w``."""
+        """``(x, u, p, w) → x⁺, ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂p, ∂x⁺/∂w``.
+
+        Meant for one or two substeps: each one multiplies the size of the generated code.
+        """
         x, u, p, w = self.symbols()
         after = self.step(x, u, p, w)
         slopes = [ca.densify(ca.jacobian(after, v)) for v in (x, u, p, w)]
@@ -72,14 +78,19 @@ class DiscreteModel:
 
     def initial(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """A full state from the continuous one, its memory as after a long time at ``u``."""
+        n = self.model.n_x
         full = np.zeros(self.n_x)
-        full[: self.model.n_x] = x
-        if self.n_x > self.model.n_x:
-            step = BufferedFunction(self.step)
-            p, w = self.model.parameters.values, np.zeros(self.model.n_w)
-            for _ in range(self.n_x):
-                full[self.model.n_x :] = step.evaluate(full, u, p, w)[0][self.model.n_x :]
-                full[: self.model.n_x] = x
+        full[:n] = x
+        if self.n_x == n:
+            return full
+        step = BufferedFunction(self.step)
+        p, w = self.model.parameters.values, np.zeros(self.model.n_w)
+        for _ in range(_MOST_STEPS_TO_SETTLE):
+            memory = step.evaluate(full, u, p, w)[0][n:]
+            settled = np.array_equal(memory, full[n:])
+            full[n:] = memory
+            if settled:
+                break
         return full
 
 
@@ -114,7 +125,8 @@ def discretise(
     states = (*model.states, *memory_signals)
     _, u, p, w = model.symbols()
     full = ca.SX.sym("x", len(states))
-    x, memory = full[: model.n_x], full[model.n_x :]
+    # Two indices: a slice that leaves nothing of one element would keep a row of width one.
+    x, memory = full[: model.n_x, 0], full[model.n_x :, 0]
     h = step_length / substeps
     at = ca.SX.sym("at", model.n_x)
     # Stated once, and inlined at each stage: to state them again takes ten times as long.
@@ -130,7 +142,7 @@ def discretise(
     measurement = ca.Function(
         "measurement",
         [full, u, p],
-        [model.measurement(full[: model.n_x], u, p)],
+        [model.measurement(full[: model.n_x, 0], u, p)],
         ["x", "u", "p"],
         ["y"],
     )

@@ -140,8 +140,10 @@ class Ukf:
         Spread of the sigma points; see :class:`SigmaPoints`. With α = 1 and κ = 0 no weight is
         negative.
     disturbances : list of str or None
-        Equations of the model that an integrating disturbance is estimated on; None takes the
-        torque on each axis.
+        Equations of the model that an integrating disturbance is estimated on. None takes all of
+        them where there are as many measured channels, else the torque on each axis: tracking is
+        offset-free only with as many integrators as channels (Pannocchia & Rawlings 2003, AIChE
+        J. 49), since a biased rotor speed must be explained too.
     process_noise : ProcessNoise
     measurement_noise : dict of str to float
         Standard deviation by channel, instead of what the rig declares.
@@ -259,6 +261,8 @@ class Ukf:
         model = setup.model
         known = names(model.disturbances)
         if self.disturbances is None:
+            if len(setup.outputs) >= model.n_w:
+                return list(range(model.n_w))
             return [known.index(axis.moment) for axis in model.axes.values()]
         for name in self.disturbances:
             if name not in known:
