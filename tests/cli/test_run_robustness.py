@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import shutil
@@ -145,6 +146,32 @@ def test_an_interrupted_run_leaves_a_complete_and_marked_log(started, trms, endi
     result = trms("score", "there/run.mcap")
     assert result.returncode == 0
     assert "interrupted" in result.stdout
+
+
+@posix
+def test_ctrl_c_ends_a_sweep_and_not_only_its_job(executable, own, tmp_path):
+    words = [*own, "controller.how=slow", "sim.duration=600", "seed=1,2", "out=swept"]
+    process = subprocess.Popen(
+        [str(executable), "run", "-m", *words],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+    )
+    deadline = time.monotonic() + 60
+    while _reached(tmp_path) < 2.0:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 130, error
+    assert "Traceback" not in error
+    assert read_log(tmp_path / "swept" / "0" / "run.mcap").outcome == "interrupted"
+    status = json.loads((tmp_path / "swept" / "0" / "status.json").read_text())
+    assert status["state"] == "interrupted"
+    assert not (tmp_path / "swept" / "1").exists()
 
 
 def test_an_exception_in_a_plugin_names_it_and_marks_the_log(trms, own, tmp_path):

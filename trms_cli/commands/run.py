@@ -111,11 +111,15 @@ def perform(composition: Composition) -> Outcome:
         try:
             with screen:
                 loop.run(screen.progress)
+            score = _score(loop, log.path, complete=True)
+            log.close("completed", score)
         except KeyboardInterrupt:
             score = _score(loop, log.path, complete=False)
             log.close("interrupted", score)
             _write_score(score, log.path.with_name(SCORE_NAME))
             screen.say_interrupted(loop.done * experiment.sample_time)
+            if composition.job is not None:
+                raise  # the sweep ends too
             return Outcome(EXIT_INTERRUPTED)
         except BaseException as error:
             log.close("failed")
@@ -123,8 +127,6 @@ def perform(composition: Composition) -> Outcome:
                 reached = loop.done * experiment.sample_time
                 assembly.raise_explained(error, experiment, reached, log.path)
             raise
-        score = _score(loop, log.path, complete=True)
-        log.close("completed", score)
         _write_score(score, log.path.with_name(SCORE_NAME))
         picture = log.path.with_name(PICTURE_NAME) if composition.config["picture"] else None
         if picture is not None:
