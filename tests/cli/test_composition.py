@@ -284,3 +284,17 @@ class TestSweep:
         with pytest.raises(ConfigurationError, match=hint):
             execute([*own, "-m", *words], "run", self.task)
         assert not list(tmp_path.rglob("status.json"))
+
+
+def test_a_model_files_parameters_can_be_overridden(tmp_path: Path) -> None:
+    file = tmp_path / "fit.yaml"
+    file.write_text("name: fit\nmodel: newtonian\nparameters: {}\n")
+    composition = compose([f"model={file}", "model.parameters.k_g=0.1"])
+    assert composition.config["model"]["parameters"] == {"k_g": 0.1}
+
+
+def test_the_rig_may_have_other_equations_than_the_model() -> None:
+    composition = compose(["model@plant.model=newtonian_full"])
+    assert composition.config["plant"]["model"]["currents"] == "dynamic"
+    assert composition.config["model"]["currents"] == "quasi_static"
+    assert composition.choices["model@plant.model"] == "newtonian_full"

@@ -16,6 +16,11 @@ from trms_cli.commands.catalogue import Groups, Primary, read_yaml
 _PLACED = re.compile(r"^(?:override\s+)?/?([\w/]+)@([\w.]+)$")
 
 
+def is_path(name: str) -> bool:
+    """Whether a choice names a file rather than an option."""
+    return name.endswith((".yaml", ".yml")) or name.startswith(("/", "./", "../", "~"))
+
+
 class DeclaredKeys:
     """Looks keys up under the choices that a command line makes.
 
@@ -49,7 +54,8 @@ class DeclaredKeys:
     def _chosen(self, group: str, place: str = "", default: Any = None) -> list[str]:
         text = self._typed.get(f"{group}@{place}" if place else group)
         if text is not None:
-            return [name for name in re.split(r"[\[\],]", text) if name]
+            names = [name for name in re.split(r"[\[\],]", text) if name]
+            return ["from_file" if is_path(name.strip("'\"")) else name for name in names]
         return list(default) if isinstance(default, list) else [str(default)] if default else []
 
     def _group(self, group: str) -> dict[str, Any]:

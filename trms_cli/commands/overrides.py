@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from trms_cli.commands.catalogue import Groups, Primary, take_config_dirs
-from trms_cli.commands.declared_keys import DeclaredKeys
+from trms_cli.commands.declared_keys import DeclaredKeys, is_path
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 
@@ -213,7 +213,7 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
     override = override._replace(prefix="")
     several = isinstance(primary.defaults[group], list)
     path = value.strip("'\"")
-    if _is_path(path) and not several and not (multirun and "," in value):
+    if is_path(path) and not several and not (multirun and "," in value):
         return _from_file(override, [path], groups)
     names = _names(value)
     if names is None:  # quotes, functions or interpolations: Hydra's to judge
@@ -225,7 +225,7 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
             if any(item.startswith("[") for item in names)
             else names
         )
-    elif any(_is_path(name) for name in names):
+    elif any(is_path(name) for name in names):
         return _from_file(override, names, groups)
     for name in names:
         if name == "null" and primary.defaults[group] is None:
@@ -259,10 +259,6 @@ def _as_lists(group: str, value: str, names: Sequence[str], multirun: bool) -> s
     return ",".join(name if name.startswith("[") else f"[{name}]" for name in names)
 
 
-def _is_path(name: str) -> bool:
-    return name.endswith((".yaml", ".yml")) or name.startswith(("/", "./", "../", "~"))
-
-
 def _from_file(override: Override, names: Sequence[str], groups: Groups) -> list[Override]:
     group = override.key
     if "from_file" not in groups.get(group, {}):
@@ -271,7 +267,7 @@ def _from_file(override: Override, names: Sequence[str], groups: Groups) -> list
             where=group,
             remedy=nearest(str(override.value), groups.get(group, {})),
         )
-    if not all(_is_path(name) for name in names):
+    if not all(is_path(name) for name in names):
         raise ConfigurationError(
             f"{override.value!r} mixes names and paths",
             where=group,
