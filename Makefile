@@ -66,7 +66,7 @@ regression-update: $(READY) ## rewrite the baseline: make regression-update REAS
 	@$(BIN)/python -m experiments.regression --update --reason "$$REASON"
 
 docs-figures: $(READY) ## draw the figures of docs/ with the program itself
-	@$(BIN)/python -m docs.figures
+	@$(BIN)/python -m trms_cli.reporting.effect_figures docs/figures/effects
 
 lock: $(READY) ## renew the locked versions from pyproject.toml
 	@$(BIN)/python -m pip install --quiet uv
