@@ -31,7 +31,7 @@ FloatArray = npt.NDArray[np.float64]
 _IPOPT = {
     "print_level": 0,
     "sb": "yes",
-    "max_iter": 500,
+    "max_iter": 200,
     "tol": 1e-8,
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-8,
@@ -41,7 +41,7 @@ _IPOPT = {
     "warm_start_mult_bound_push": 1e-8,
     "mu_init": 1e-6,
 }
-_FATROP = {"print_level": 0, "max_iter": 500, "tolerance": 1e-8, "mu_init": 1e-6}
+_FATROP = {"print_level": 0, "max_iter": 200, "tolerance": 1e-8, "mu_init": 1e-6}
 
 
 @dataclass(frozen=True, kw_only=True)
