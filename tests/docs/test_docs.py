@@ -1,0 +1,120 @@
+"""The pages: every file in them is written, every command typed, every link followed.
+
+In a page, a ``sh`` block is typed line by line, in one folder for the whole page, by a person who
+has the installed program and this checkout's ``docs`` at hand; ``sh by-hand`` is left to the
+reader. A block with ``file=PATH`` is that file. A ``console`` block shows what a command says,
+``…`` standing for anything. Runs are shortened to a few simulated seconds.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from .markdown import blocks
+
+ROOT = Path(__file__).parents[2]
+#: Pages whose commands are typed here.
+TYPED = ["README.md", "docs/getting-started.md", "docs/writing-a-plugin.md"]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *ROOT.glob("*/*/README.md")])
+_SHORT = 3.0  # s
+
+
+def shortened(command: str) -> str:
+    """A run that begins as the page says, but ends soon."""
+    if not command.startswith("trms run") or "--cfg" in command:
+        return command
+    if "sim.duration=" in command:
+        return re.sub(r"sim\.duration=[\d.]+", f"sim.duration={_SHORT}", command)
+    return command if "plant=replay" in command else f"{command} sim.duration={_SHORT}"
+
+
+def typed(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """A line of a page in a shell, with the installed program first on the path."""
+    programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        ["bash", "-c", command],
+        cwd=folder,
+        env=os.environ | {"PATH": programs, "NO_COLOR": "1", "COLUMNS": "92"},
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        timeout=120,
+    )
+
+
+def says(expected: str, output: str) -> bool:
+    """Whether an output is as a page shows it; ``…`` stands for anything, blanks count as one."""
+    parts = [re.escape(" ".join(part.split())) for part in expected.split("…")]
+    pattern = ".*?".join(parts).replace(r"\ ", r"\s+")
+    return re.fullmatch(rf"\s*{pattern}\s*", " ".join(output.split()), re.DOTALL) is not None
+
+
+@pytest.mark.parametrize("name", TYPED)
+def test_what_a_page_tells_to_type_works(name: str, tmp_path: Path) -> None:
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    count = 0
+    for block in blocks(ROOT / name):
+        place = f"{name}, line {block.line}"
+        if block.file is not None:
+            file = tmp_path / block.file
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(block.text, encoding="utf-8")
+        elif block.language == "sh" and "by-hand" not in block.words:
+            for command in block.commands:
+                done = typed(shortened(command), tmp_path)
+                assert done.returncode == 0, f"{place}: {command}\n{done.stdout}{done.stderr}"
+                assert "Traceback" not in done.stderr
+                count += 1
+        elif block.language == "console" and "by-hand" not in block.words:
+            first, _, expected = block.text.partition("\n")
+            command = first.removeprefix("$ ")
+            done = typed(command, tmp_path)
+            output = done.stdout + done.stderr
+            assert says(expected, output), f"{place}: {command}\n{output}"
+            count += 1
+    assert count >= 3
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+        if not re.match(r"[a-z]+://", target):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_page_is_in_the_index() -> None:
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        if page.name != "index.md":
+            assert f"({page.name})" in index, f"docs/index.md does not name {page.name}"
+
+
+def test_make_targets_in_the_pages_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for page in PAGES:
+        fenced = "\n".join(block.text for block in blocks(page) if block.language == "sh")
+        for line in fenced.splitlines():
+            words = shlex.split(line, comments=True)
+            if len(words) > 1 and words[0] == "make":
+                assert words[1] in targets, f"{page.name}: make {words[1]}"
+
+
+@pytest.mark.parametrize(
+    ("expected", "output", "same"),
+    [
+        ("error  a\n   in  b", "error  a\n   in  b\n", True),
+        ("error  a … z", "error  a b\n  c z", True),
+        ("error  a", "error  b", False),
+        ("a … c", "a b d", False),
+    ],
+)
+def test_ellipsis_stands_for_anything(expected: str, output: str, same: bool) -> None:
+    assert says(expected, output) is same
