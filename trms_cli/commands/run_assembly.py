@@ -146,6 +146,10 @@ def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
         outputs=[_field(signal) for signal in plant.outputs],
         states=[_field(signal) for signal in plant.states],
         estimates=[*states, *(_field(signal) for signal in model.disturbances)],
+        disturbances=[
+            Field(f"d_{equation}", "N*m", f"measured torque on {equation}")
+            for equation in plant.known_disturbances
+        ],
         controller=True,
     )
     return [*topics, prediction_topic([*states, *inputs])]

@@ -59,8 +59,11 @@ class FullState:
         command: FloatArray,
         measurement: FloatArray,
         truth: Mapping[str, float] | None,
+        known: FloatArray | None = None,
     ) -> Estimate:
         estimate = state.estimate
+        if known is not None:
+            estimate.disturbance[:] = known
         if truth is None:
             raise ConfigurationError(
                 "a recording does not hold the true state",

@@ -51,7 +51,7 @@ class Estimate:
     x, sd : (n_x,) arrays
         State of the model (without memory) and its standard deviations.
     disturbance, disturbance_sd : (n_w,) arrays
-        Constant disturbances on the model's equations; zero where none is estimated.
+        Disturbances on the model's equations, known ones included; zero where there is none.
     predicted : (n_y,) array
         Measurement predicted before it was seen.
     innovation, innovation_sd : (n_y,) arrays
@@ -80,6 +80,7 @@ class Observer(Protocol):
         command: FloatArray,
         measurement: FloatArray,
         truth: Mapping[str, float] | None,
+        known: FloatArray | None = None,
     ) -> Estimate:
         """The estimate at this sample.
 
@@ -93,5 +94,8 @@ class Observer(Protocol):
             Channels of ``setup.outputs``; NaN where a sample is missing.
         truth : mapping or None
             True states by name, for observers that are allowed to cheat; None when replaying.
+        known : (n_w,) array or None
+            Measured torques on the model's equations since the last sample, N m; given only in
+            runs that have any. They are part of the estimate's disturbance.
         """
         ...

@@ -208,9 +208,12 @@ class Ukf:
         command: FloatArray,
         measurement: FloatArray,
         truth: Mapping[str, float] | None,
+        known: FloatArray | None = None,
     ) -> Estimate:
         function = state.function
-        m, covariance, memory, u, y, mask, advance = function.inputs[:7]
+        m, covariance, memory, u, y, mask, advance, acting = function.inputs[:8]
+        if known is not None:
+            acting[:] = known
         np.isfinite(measurement, out=state.present)
         u[:] = command
         mask[:] = state.present

@@ -19,7 +19,7 @@ def filter_step(
 ) -> ca.Function:
     """One sample: prediction from the last, update with the measurement.
 
-    The first seven inputs are ``m, P, memory, u, y, mask, advance``, the first four outputs the
+    The first eight inputs are ``m, P, memory, u, y, mask, advance, known``, the first four outputs the
     next ``m, P, memory`` and a number that is finite exactly if they are.
     """
     model = discrete.model
@@ -35,23 +35,31 @@ def filter_step(
     memory, u, p = ca.MX.sym("memory", n_m), ca.MX.sym("u", model.n_u), ca.MX.sym("p", n_p)
     y, mask, advance = ca.MX.sym("y", n_y), ca.MX.sym("mask", n_y), ca.MX.sym("advance")
     q, r, floor = ca.MX.sym("q", n), ca.MX.sym("r", n_y), ca.MX.sym("floor", n)
+    known = ca.MX.sym("known", model.n_w)
 
     drawn = spread(m, P)
     count = points.count
     moved = advance_one.map(count)(
-        drawn, ca.repmat(memory, 1, count), ca.repmat(u, 1, count), ca.repmat(p, 1, count)
+        drawn,
+        ca.repmat(memory, 1, count),
+        ca.repmat(u, 1, count),
+        ca.repmat(p, 1, count),
+        ca.repmat(known, 1, count),
     )
     m_prior, P_prior = predict(drawn, moved[:n, :], advance, q)
     memory_next = ca.if_else(advance > 0, moved[n:, 0], memory) if n_m else memory
     redrawn = spread(m_prior, P_prior)
     seen = measure.map(count)(redrawn, ca.repmat(u, 1, count), ca.repmat(p, 1, count))
-    results = update(m_prior, redrawn, seen, y, mask, r, floor)
+    results = update(m_prior, redrawn, seen, y, mask, r, floor, known)
     m_next, P_next, health, *rest = results
     return ca.Function(
         "ukf_step",
-        [m, P, memory, u, y, mask, advance, p, q, r, floor],
+        [m, P, memory, u, y, mask, advance, known, p, q, r, floor],
         [m_next, P_next, memory_next, health, *rest],
-        ["m", "P", "memory", "u", "y", "mask", "advance", "p", "q", "r", "floor"],
+        [
+            *("m", "P", "memory", "u", "y", "mask", "advance", "known"),
+            *("p", "q", "r", "floor"),
+        ],
         [
             *("m_next", "P_next", "memory_next", "health", "sd", "d", "d_sd"),
             *("predicted", "innovation", "innovation_sd"),
@@ -71,13 +79,14 @@ def _dynamics_stage(discrete: DiscreteModel, equations: list[int]) -> ca.Functio
     z = ca.SX.sym("z", n_x + len(equations))
     memory, u = ca.SX.sym("memory", discrete.n_x - n_x), ca.SX.sym("u", model.n_u)
     p = ca.SX.sym("p", len(model.parameters))
-    w = ca.SX.zeros(model.n_w)
+    known = ca.SX.sym("known", model.n_w)
+    w = ca.SX(known)
     for k, equation in enumerate(equations):
-        w[equation] = z[n_x + k]
+        w[equation] += z[n_x + k]
     after = discrete.step(ca.vertcat(z[:n_x], memory), u, p, w)
     return ca.Function(
         "advance_one",
-        [z, memory, u, p],
+        [z, memory, u, p, known],
         [ca.densify(ca.vertcat(after[:n_x], z[n_x:], after[n_x:]))],
     )
 
@@ -114,7 +123,7 @@ def _update_stage(model: Model, equations: list[int], points: SigmaPoints, n_y: 
     m, drawn = ca.MX.sym("m", n), ca.MX.sym("drawn", n, count)
     seen = ca.MX.sym("seen", n_y, count)
     y, mask, r = ca.MX.sym("y", n_y), ca.MX.sym("mask", n_y), ca.MX.sym("r", n_y)
-    floor = ca.MX.sym("floor", n)
+    floor, known = ca.MX.sym("floor", n), ca.MX.sym("known", model.n_w)
 
     predicted = seen @ ca.DM(points.mean_weights)
     off_y = seen - ca.repmat(predicted, 1, count)
@@ -133,12 +142,13 @@ def _update_stage(model: Model, equations: list[int], points: SigmaPoints, n_y: 
     )
     P = (P + P.T) / 2
     sd = ca.sqrt(ca.diag(P))
-    d, d_sd = ca.MX.zeros(model.n_w), ca.MX.zeros(model.n_w)
+    d, d_sd = ca.MX(known), ca.MX.zeros(model.n_w)
     for k, equation in enumerate(equations):
-        d[equation], d_sd[equation] = m_next[model.n_x + k], sd[model.n_x + k]
+        d[equation] += m_next[model.n_x + k]
+        d_sd[equation] = sd[model.n_x + k]
     return ca.Function(
         "update",
-        [m, drawn, seen, y, mask, r, floor],
+        [m, drawn, seen, y, mask, r, floor, known],
         [
             m_next,
             P,

@@ -65,6 +65,11 @@ class PlantRun(Protocol):
         ...
 
     @property
+    def known_disturbances(self) -> Mapping[str, FloatArray]:
+        """Measured torques over the run by equation, each (samples,), N m; empty for none."""
+        ...
+
+    @property
     def state(self) -> FloatArray:
         """The true state now, shape (n_x,)."""
         ...

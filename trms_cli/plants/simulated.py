@@ -124,7 +124,7 @@ class SimulatedRun:
         self._rounded = quanta > 0
         self._any_rounded = bool(self._rounded.any())
         self._w = self._torques(rig, setup)
-        self.known_disturbances = self._known(rig, setup)
+        self.known_disturbances: Mapping[str, FloatArray] = self._known(rig, setup)
         self._sample = 0
 
     @property
@@ -167,13 +167,12 @@ class SimulatedRun:
         return w
 
     def _known(self, rig: SimulatedRig, setup: PlantSetup) -> dict[str, FloatArray]:
-        """Torques that are measured, by channel name ``d_<equation>``, each (samples,)."""
+        """Torques that are measured, by equation, each (samples,)."""
         times = np.arange(setup.samples, dtype=np.float64) * setup.sample_time
         known: dict[str, FloatArray] = {}
         for disturbance in rig.disturbances.values():
             if disturbance.known:
-                channel = f"d_{disturbance.equation}"
-                torque = known.setdefault(channel, np.zeros(setup.samples))
+                torque = known.setdefault(disturbance.equation, np.zeros(setup.samples))
                 torque += disturbance.torque.sample(times)
         return known
 

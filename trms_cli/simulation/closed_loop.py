@@ -187,7 +187,8 @@ class Loop:
         state_names = names(plant.states)
         log_reference, log_command = history.writer("/reference"), history.writer("/command")
         log_measurement, log_state = history.writer("/measurement"), history.writer("/plant/state")
-        log_estimate = history.writer("/estimate")
+        log_estimate, log_known = history.writer("/estimate"), history.writer("/disturbance")
+        measured, known = self._known_torques()
         u = plant.first_command.copy()
 
         for k in range(self.done, e.samples):
@@ -195,7 +196,14 @@ class Loop:
             y = plant.measure()
             truth_row = plant.state.tolist()
             truth = dict(zip(state_names, truth_row, strict=True)) if state_names else None
-            estimate = e.observer.step(self._observer_state, u, y, truth)
+            if known is None:
+                estimate = e.observer.step(self._observer_state, u, y, truth)
+            else:
+                # What acted until now is what was measured at the sample before.
+                estimate = e.observer.step(
+                    self._observer_state, u, y, truth, known=known[max(k - 1, 0)]
+                )
+                log_known(now_ns, measured[k].tolist())
             if k % ratio == 0:
                 sample = ControlSample(
                     k * e.sample_time, self.references[k + lookahead], estimate, u
@@ -214,6 +222,18 @@ class Loop:
                     error = estimate.x[controlled] - self.references[k]
                     progress(self.done * e.sample_time, float(np.abs(error).max()))
         history.flush()
+
+    def _known_torques(self) -> tuple[FloatArray, FloatArray | None]:
+        """Measured torques as they are logged (samples, n), and on the model's equations (…, n_w)."""
+        given = self.plant.known_disturbances
+        if not given:
+            return np.zeros((self.experiment.samples, 0)), None
+        equations = names(self.experiment.model.disturbances)
+        known = np.zeros((self.experiment.samples, len(equations)))
+        for equation, torque in given.items():
+            if equation in equations:
+                known[:, equations.index(equation)] = torque
+        return np.column_stack(list(given.values())), known
 
     def _control(
         self,
