@@ -8,6 +8,7 @@ import os
 import shlex
 import sys
 import time
+import warnings
 from pathlib import Path
 
 from benchmarks.document import Table, document, print_table, write_document
@@ -27,6 +28,8 @@ def main(argv: list[str] | None = None) -> int:
     # Before NumPy and CasADi load: one thread for everybody.
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"
+    # CasADi tells do-mpc what will change in its next major version.
+    warnings.filterwarnings("ignore", category=FutureWarning, module=r"casadi|do_mpc")
     from benchmarks.machine import describe
 
     options = Options(arguments.full, arguments.quick, arguments.out)

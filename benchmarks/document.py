@@ -89,7 +89,8 @@ def print_table(table: Table) -> None:
     )
     for index, column in enumerate(shown):
         title = f"{column.title}\n{column.unit}" if column.unit else column.title
-        printed.add_column(title, justify="left" if index == 0 else "right")
+        words = any(isinstance(row.get(column.key), str) for row in table.rows)
+        printed.add_column(title, justify="left" if words else "right", no_wrap=index < 2)
     judged = any("met" in row for row in table.rows)
     if judged:
         printed.add_column("")
@@ -147,8 +148,8 @@ def _text(value: Value, digits: int) -> str:
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, str):
-        return value
+    if isinstance(value, str | int):
+        return str(value)
     if isinstance(value, float) and not math.isfinite(value):
         return "never" if value == math.inf else "–"
     if value == 0:

@@ -73,9 +73,15 @@ class DoMpcState:
         u = stated.set_variable("_u", "u", shape=(model.n_u, 1))
         x_s = stated.set_variable("_tvp", "x_s", shape=(model.n_x, 1))
         u_s = stated.set_variable("_tvp", "u_s", shape=(model.n_u, 1))
-        after = discrete.step(x, u, model.parameters.values, np.zeros(model.n_w))
-        stated.set_rhs("x", after)
+
+        def after(x: ca.SX, u: ca.SX) -> ca.SX:
+            return discrete.step(x, u, model.parameters.values, np.zeros(model.n_w))
+
+        stated.set_rhs("x", after(x, u))
         stated.setup()
+        # From here on do-mpc's own symbols count.
+        x, u = stated.x["x"], stated.u["u"]
+        x_s, u_s = stated.tvp["x_s"], stated.tvp["u_s"]
 
         mpc = do_mpc.controller.MPC(stated)
         mpc.settings.n_horizon = n
@@ -93,7 +99,7 @@ class DoMpcState:
         rho = ca.DM([problem.input_weights.get(name, 0.0) for name in self.inputs])
         deviation = ca.dot(q, (x[: model.n_x] - x_s) ** 2)
         damping = ca.DM([problem.rate_weights.get(name, 0.0) for name in model.state_names])
-        rate = (after - x)[: model.n_x] / setup.sample_time
+        rate = (after(x, u) - x)[: model.n_x] / setup.sample_time
         stage = deviation + ca.dot(damping, rate**2) + ca.dot(rho, (u - u_s) ** 2)
         mpc.set_objective(lterm=stage, mterm=deviation)
         mpc.set_rterm(u=np.array([problem.move_weights.get(name, 0.0) for name in self.inputs]))

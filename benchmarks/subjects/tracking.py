@@ -26,15 +26,16 @@ ISE_FULL_STATE, ISE_FILTER = 1.05, 1.15
 SETTLED = 4.0  # s
 OVERSHOOT = 5.0  # %
 RESTING = 0.1  # rad
-STEADY = 2 * math.pi / 4096  # rad, a step of the encoder
+STEADY = 2 * 2 * math.pi / 4096  # rad, two steps of the encoder: 0.5 % of the pitch square
 #: The rig starts on its rest, far from any reference: an axis is at rest from the second step on.
 _SECOND_STEP = 20.0  # s
+_MOVING = {"both": ("alpha_v", "alpha_h"), "pitch": ("alpha_v",), "yaw": ("alpha_h",)}
 _PUSHED = (
     "disturbance@plant.disturbances=[yaw_push]",
     "plant.disturbances.yaw_push.torque.start=0",
 )
 
-_OPTIMUM, _PLAIN_OPTIMUM = "optimum", "optimum, angles only"
+_OPTIMUM, _PLAIN_OPTIMUM = "(optimum)", "(optimum, angles only)"
 _FULL, _FILTER, _PUSH = (
     "newton_mpc, full state",
     "newton_mpc, UKF",
@@ -59,9 +60,8 @@ class _Outcome:
         return self.channel("ise", "alpha_v") + self.channel("ise", "alpha_h")
 
     def worst(self, key: str) -> float:
-        """Of both axes; an axis without steps has no step figures."""
-        axes = [a for a in ("alpha_v", "alpha_h") if self.score["channels"][a]["steps"]]
-        return max(self.channel(key, axis) for axis in axes)
+        """Of the axes that move."""
+        return max(self.channel(key, axis) for axis in _MOVING[self.reference])
 
     @property
     def steady(self) -> float:
@@ -124,7 +124,7 @@ def _errors(outcomes: list[_Outcome]) -> Table:
         TITLE + ": integral of the squared error",
         [
             Column("reference", "squares on"),
-            Column("who", "controller"),
+            Column("who", "newton_mpc with"),
             Column("ise_pitch", "pitch", "rad² s", 4),
             Column("ise_yaw", "yaw", "rad² s", 4),
             Column("relative", "both, of", "the optimum", 4),
@@ -159,7 +159,7 @@ def _steps(outcomes: list[_Outcome]) -> Table:
         TITLE + ": worst step",
         [
             Column("reference", "squares on"),
-            Column("who", "controller"),
+            Column("who", "newton_mpc with"),
             Column("settling_pitch", "settling", "pitch, s"),
             Column("settling_yaw", "settling", "yaw, s"),
             Column("overshoot_pitch", "overshoot", "pitch, %"),
@@ -178,7 +178,7 @@ def _steps(outcomes: list[_Outcome]) -> Table:
         }
         cells: dict[str, Any] = {}
         for axis, name in (("alpha_v", "pitch"), ("alpha_h", "yaw")):
-            if outcome.score["channels"][axis]["steps"]:
+            if axis in _MOVING[outcome.reference]:
                 cells[f"settling_{name}"] = outcome.channel("settling_time_s", axis)
                 cells[f"overshoot_{name}"] = outcome.channel("overshoot_percent", axis)
         if math.isfinite(outcome.resting):
@@ -189,7 +189,30 @@ def _steps(outcomes: list[_Outcome]) -> Table:
         table.add(reference=outcome.reference, who=outcome.who, steady=outcome.steady, **cells)
     table.notes += [
         f"limits: settled to 2 % within {SETTLED:g} s, overshoot {OVERSHOOT:g} %, resting axis "
-        f"{RESTING:g} rad, steady-state error a step of the encoder ({STEADY:.4f} rad).",
+        f"{RESTING:g} rad, steady-state error two steps of the encoder ({STEADY:.4f} rad).",
         "The first step starts on the rig's rest, at −0.62 rad in pitch; it counts.",
+        *_price(outcomes),
     ]
     return table
+
+
+def _price(outcomes: list[_Outcome]) -> list[str]:
+    """What the weights on moves and rates cost and give, in words."""
+    lines = []
+    found = {(o.reference, o.who): o for o in outcomes}
+    for reference in SQUARES:
+        calm, plain = found[reference, _FULL], found[reference, _PLAIN_OPTIMUM]
+        words = [
+            f"{name} {plain.worst(key):.3g} → {calm.worst(key):.3g} {unit}"
+            for name, key, unit in (
+                ("settling", "settling_time_s", "s"),
+                ("overshoot", "overshoot_percent", "%"),
+            )
+        ]
+        if math.isfinite(calm.resting):
+            words.append(f"resting axis {plain.resting:.2g} → {calm.resting:.2g} rad")
+        lines.append(
+            f"squares on {reference}: the optimum for the angles alone → the default: "
+            + ", ".join(words)
+        )
+    return lines
