@@ -1,0 +1,104 @@
+"""Compiled functions: equal to interpreted ones, cached by content, optional."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from trms_cli.core import compilation
+from trms_cli.core.compilation import BufferedFunction, compiled
+
+
+@pytest.fixture(name="cache")
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("TRMS_COMPILE", raising=False)
+    compilation.compiler.cache_clear()
+    yield tmp_path / "cache"
+    compilation.compiler.cache_clear()
+
+
+def function(factor: float = 2.0) -> ca.Function:
+    x, y = ca.SX.sym("x", 3), ca.SX.sym("y", 2, 2)
+    return ca.Function(
+        "sample", [x, y], [factor * ca.sin(x), ca.mtimes(y, y), ca.jacobian(x**2, x)]
+    )
+
+
+def test_compiled_equals_interpreted(cache: Path) -> None:
+    arguments = [np.array([0.1, 0.2, 0.3]), np.array([[1.0, 2.0], [3.0, 4.0]])]
+    fast = BufferedFunction(function()).evaluate(*arguments)
+    slow = BufferedFunction(function(), compile=False).evaluate(*arguments)
+    for one, other in zip(fast, slow, strict=True):
+        assert one == pytest.approx(other, rel=1e-15)
+    assert fast[1] == pytest.approx(arguments[1] @ arguments[1])
+    assert fast[2] == pytest.approx(np.diag(2 * arguments[0]))
+
+
+def test_cache_is_by_content(cache: Path) -> None:
+    compiled(function(2.0))
+    compiled(function(2.0))
+    assert len(list(cache.glob("*.so"))) == 1
+    compiled(function(3.0))
+    assert len(list(cache.glob("*.so"))) == 2
+    assert not [path for path in cache.iterdir() if path.suffix != ".so"]
+
+
+def test_cache_key_is_the_same_in_another_process(cache: Path) -> None:
+    compiled(function())
+    code = (
+        "import casadi as ca; from trms_cli.core.compilation import compiled\n"
+        "x, y = ca.SX.sym('x', 3), ca.SX.sym('y', 2, 2)\n"
+        "compiled(ca.Function('sample', [x, y],"
+        " [2.0 * ca.sin(x), ca.mtimes(y, y), ca.jacobian(x**2, x)]))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ.copy())
+    assert len(list(cache.glob("*.so"))) == 1
+
+
+def test_works_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TRMS_COMPILE", "0")
+    compilation.compiler.cache_clear()
+    assert compilation.compiler() is None
+    found = BufferedFunction(function()).evaluate(np.ones(3), np.eye(2))[0]
+    assert found == pytest.approx(2 * np.sin(np.ones(3)))
+    assert not cache.exists()
+
+
+def test_broken_compiler_costs_speed_and_not_the_run(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(broken.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("CC", str(broken))
+    compilation.compiler.cache_clear()
+    found = BufferedFunction(function()).evaluate(np.ones(3), np.eye(2))[0]
+    assert found == pytest.approx(2 * np.sin(np.ones(3)))
+
+
+def test_cache_that_cannot_be_written_costs_speed_and_not_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "a_file"
+    file.write_text("")
+    monkeypatch.setenv("TRMS_CACHE", str(file / "below"))
+    found = BufferedFunction(function()).evaluate(np.ones(3), np.eye(2))[0]
+    assert found == pytest.approx(2 * np.sin(np.ones(3)))
+
+
+def test_arrays_stay_the_same_objects_and_may_be_shared(cache: Path) -> None:
+    first = BufferedFunction(function(2.0))
+    second = BufferedFunction(function(3.0), inputs=first.inputs)
+    first.inputs[0][:] = 0.5
+    first()
+    second()
+    assert second.outputs[0] == pytest.approx(1.5 * first.outputs[0])
+    assert second.inputs[0] is first.inputs[0]

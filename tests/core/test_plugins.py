@@ -1,0 +1,124 @@
+"""Plugins from configuration: what is built, and what each mistake is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, Protocol
+
+import pytest
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import build, nearest
+
+
+class Shape(Protocol):
+    def area(self) -> float: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Square:
+    side: Annotated[float, Meta(gt=0)]
+
+    def area(self) -> float:
+        return self.side**2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    title: str = "untitled"
+    style: Literal["line", "fill"] = "line"
+    copies: Annotated[int, Meta(ge=1)] = 1
+    main: Shape | None = None
+    shapes: tuple[Shape, ...] = ()
+    named: Mapping[str, Shape] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.title == "forbidden":
+            raise ConfigurationError("not this one", where="title", remedy="choose another")
+
+
+class Plain:
+    """A class that is no dataclass: its arguments are those of its constructor."""
+
+    def __init__(self, *, factor: Annotated[float, Meta(le=1)] = 0.5) -> None:
+        self.factor = factor
+
+
+def node(name: str, **arguments: Any) -> dict[str, Any]:
+    return {"_target_": f"{__name__}.{name}", **arguments}
+
+
+@pytest.fixture(autouse=True)
+def importable(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, __name__, sys.modules.get(__name__) or _this_module())
+
+
+def _this_module() -> Any:
+    import types
+
+    module = types.ModuleType(__name__)
+    vars(module).update(globals())
+    return module
+
+
+def test_builds_nested_plugins_in_fields_lists_and_mappings() -> None:
+    drawing = build(
+        node(
+            "Drawing",
+            main=node("Square", side=2),
+            shapes=[node("Square", side=1.5)],
+            named={"a": node("Square", side=3)},
+            sizes={"x": 1},
+        ),
+        "drawing",
+    )
+    assert drawing.main.area() == 4.0
+    assert [shape.area() for shape in drawing.shapes] == [2.25]
+    assert drawing.named["a"].area() == 9.0
+    assert drawing.sizes == {"x": 1.0}
+
+
+def test_builds_classes_that_are_no_dataclass() -> None:
+    assert build(node("Plain", factor=0.25)).factor == 0.25
+
+
+@pytest.mark.parametrize(
+    ("given", "where", "remedy"),
+    [
+        (node("Drawing", titel="x"), "d.titel", "did you mean title?"),
+        (node("Square"), "d.side", "d.side="),
+        (node("Square", side=-1.0), "d.side", "> 0"),
+        (node("Square", side="big"), "d.side", "expected float"),
+        (node("Drawing", style="dots"), "d.style", "dots"),
+        (node("Drawing", copies=0), "d.copies", ">= 1"),
+        (node("Drawing", copies=1.5), "d.copies", "int"),
+        (node("Drawing", main=3), "d.main", "by its name"),
+        (node("Drawing", shapes=[node("Square", side=0)]), "d.shapes[0].side", "> 0"),
+        (node("Drawing", sizes={"x": "y"}), "d.sizes", "float"),
+        (node("Drawing", title="forbidden"), "d.title", "choose another"),
+        (node("Plain", factor=2.0), "d.factor", "<= 1"),
+        ({"_target_": "no_such_package_here.Thing"}, "d._target_", "install"),
+        ({"_target_": "trms_cli.core.plugins.Bild"}, "d._target_", "allowed"),
+        ({"_target_": "undotted"}, "d._target_", "package.module.Class"),
+        ({"no": "target"}, "d", "_target_"),
+        ("a word", "d", "_target_"),
+    ],
+)
+def test_each_mistake_names_the_key_and_what_is_allowed(
+    given: Any, where: str, remedy: str
+) -> None:
+    with pytest.raises(ConfigurationError) as raised:
+        build(given, "d")
+    error = raised.value
+    assert error.where.startswith(where)
+    assert remedy in f"{error.problem} {error.remedy}"
+
+
+def test_nearest_name_comes_first() -> None:
+    assert nearest("sqare", ["square", "sine"]).startswith("did you mean square?")
+    assert nearest("zzz", ["square", "sine"]) == "allowed: sine, square"
