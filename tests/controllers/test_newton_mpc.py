@@ -355,6 +355,17 @@ def test_known_constant_torque_leaves_no_offset(close_loop: Callable[..., Any]) 
     assert last["alpha_h"] == pytest.approx(0.2, abs=1e-3)
 
 
+def test_disturbance_that_no_input_holds_is_reported_and_survived() -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(**SHORT)
+    state, first = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    sample = sample_at(model, model.rest(), [0.1, 0.2], first.u)
+    sample.estimate.disturbance = np.array([-5.0, 0.0, 0.0, 0.0])  # gravity's moment is 0.26 N m
+    command = mpc.step(state, sample, want_prediction=False)
+    assert np.isfinite(command.u).all()
+    assert "no input holds" in command.message or "out of reach" in command.message
+
+
 def test_yaw_is_left_from_the_point_where_its_linearisation_is_uncontrollable(
     close_loop: Callable[..., Any],
 ) -> None:

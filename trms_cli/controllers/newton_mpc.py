@@ -158,7 +158,7 @@ class NewtonMpc:
             outcome.kkt_residual,
             newton.linearise_time - begin_linearise,
             newton.qp_time - begin_qp,
-            message=_message(status, target),
+            message=_message(status, state),
             prediction=state.prediction() if want_prediction else None,
         )
 
@@ -202,6 +202,7 @@ class NewtonMpcState:
         self._last_command = setup.first_command.copy()
         self._disturbance = np.zeros(model.n_w)
         self.inputs_finite = True
+        self.target_is_held = True
 
     def begin_sample(self, sample: ControlSample) -> None:
         """Take in the sample: state, references, target, and the plan shifted in time."""
@@ -225,9 +226,10 @@ class NewtonMpcState:
         reference[:, : known - 1] = sample.reference[1:].T
         reference[:, known - 1 :] = sample.reference[-1][:, None]
         previous_target = self.target
-        self.target = self.steady_state.solve(
-            sample.reference[-1], self._disturbance, previous_target
-        )
+        found = self.steady_state.solve(sample.reference[-1], self._disturbance, previous_target)
+        # A disturbance that no input can hold has no steady state: the last one goes on.
+        self.target_is_held = found.converged or previous_target is None
+        self.target = found if self.target_is_held or previous_target is None else previous_target
         if self.target.projected:
             # What cannot be held must not be striven for either: the objective would pull away
             # from the terminal state.
@@ -289,9 +291,11 @@ class NewtonMpcState:
         )
 
 
-def _message(status: Status, target: Target | None) -> str:
+def _message(status: Status, state: NewtonMpcState) -> str:
     words = [status.meaning] if status is Status.RELAXED else []
-    if target is not None and target.projected:
+    if not state.target_is_held:
+        words.append("no input holds the estimated disturbance; the last target goes on")
+    elif state.target is not None and state.target.projected:
         words.append("the reference is out of reach; the nearest steady state is the target")
     return "; ".join(words)
 
