@@ -32,7 +32,7 @@ def main(argv: list[str] | None = None) -> int:
     warnings.filterwarnings("ignore", category=FutureWarning, module=r"casadi|do_mpc")
     from benchmarks.machine import describe
 
-    options = Options(arguments.full, arguments.quick, arguments.out)
+    options = Options(arguments.quick, arguments.out)
     machine = describe()
     print(
         f"{machine['processor']}, {machine['cores']} cores, load {machine['load_1min']}, "
@@ -52,6 +52,11 @@ def main(argv: list[str] | None = None) -> int:
     command = shlex.join(["python", "-m", "benchmarks", *(sys.argv[1:] if argv is None else argv)])
     path = options.out / "bench.json"
     write_document(document(machine, command, tables), path)
+    if arguments.publish:
+        from benchmarks.publish import PAGE, publish
+
+        publish(tables, machine, options.out)
+        print(f"published: {PAGE}")
     missed = sum(len(table.misses) for table in tables)
     judged = sum("met" in row for table in tables for row in table.rows)
     print(f"\n{judged - missed} of {judged} limits met; all figures: {path}")
@@ -66,9 +71,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "subjects", nargs="*", metavar="SUBJECT", help=f"of: {', '.join(SUBJECTS)} (default: all)"
     )
-    parser.add_argument("--full", action="store_true", help="also what takes many minutes")
     parser.add_argument(
         "--quick", action="store_true", help="few samples, to see that everything works"
+    )
+    parser.add_argument(
+        "--publish", action="store_true", help="also put the figures into docs/benchmarks.md"
     )
     parser.add_argument(
         "--out",

@@ -67,6 +67,10 @@ class Table:
             **cells,
         )
 
+    def shown_columns(self) -> list[Column]:
+        """Columns in which any row has something."""
+        return [c for c in self.columns if any(row.get(c.key) is not None for row in self.rows)]
+
     @property
     def misses(self) -> list[dict[str, Value]]:
         """Rows that do not hold their limit."""
@@ -83,7 +87,7 @@ def print_table(table: Table) -> None:
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    shown = [c for c in table.columns if any(row.get(c.key) is not None for row in table.rows)]
+    shown = table.shown_columns()
     printed = RichTable(
         title=table.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1)
     )
@@ -95,7 +99,7 @@ def print_table(table: Table) -> None:
     if judged:
         printed.add_column("")
     for row in table.rows:
-        cells = [_text(row.get(column.key), column.digits) for column in shown]
+        cells = [cell_text(row.get(column.key), column.digits) for column in shown]
         if judged:
             cells.append({True: "[green]met", False: "[red]missed"}.get(row.get("met"), ""))  # type: ignore[arg-type]
         printed.add_row(*cells)
@@ -143,7 +147,8 @@ def _plain(value: Value) -> Value:
     return int(number) if isinstance(value, int) else number
 
 
-def _text(value: Value, digits: int) -> str:
+def cell_text(value: Value, digits: int) -> str:
+    """A cell for a person."""
     if value is None:
         return ""
     if isinstance(value, bool):

@@ -12,15 +12,12 @@ class Options:
 
     Attributes
     ----------
-    full : bool
-        Whether the parts that take minutes run too.
     quick : bool
         Few samples, to see that everything works; the figures mean nothing.
     out : Path
         Folder of the document and the figures.
     """
 
-    full: bool = False
     quick: bool = False
     out: Path = Path("outputs/bench")
 

@@ -165,3 +165,20 @@ def test_figures_that_do_not_exist_are_null() -> None:
     assert rows[1]["met"] is False and len(table.misses) == 1
     with pytest.raises(KeyError):
         table.add(b=1.0)
+
+
+def test_publishing_replaces_what_stands_between_the_marks(tmp_path: Path) -> None:
+    from benchmarks.machine import describe
+    from benchmarks.publish import publish
+
+    page = tmp_path / "page.md"
+    page.write_text("above <!-- figures: begin --> old <!-- figures: end --> below")
+    table = Table("t", "A title", [Column("who", "who"), Column("a", "a", "s")])
+    table.add(who="ours", a=0.125)
+    publish([table], describe(), tmp_path, page)
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("above") and text.endswith("below")
+    assert "| ours | 0.125 |" in text and " old " not in text
+    page.write_text("no marks")
+    with pytest.raises(ValueError, match="figures: begin"):
+        publish([table], describe(), tmp_path, page)
