@@ -101,7 +101,7 @@ def print_table(table: Table) -> None:
     for row in table.rows:
         cells = [cell_text(row.get(column.key), column.digits) for column in shown]
         if judged:
-            cells.append({True: "[green]met", False: "[red]missed"}.get(row.get("met"), ""))  # type: ignore[arg-type]
+            cells.append(f"[green]{verdict(row)}" if row.get("met") else f"[red]{verdict(row)}")
         printed.add_row(*cells)
     console = Console()
     if not console.is_terminal:
@@ -145,6 +145,13 @@ def _plain(value: Value) -> Value:
     if not math.isfinite(number):
         return None
     return int(number) if isinstance(value, int) else number
+
+
+def verdict(row: Mapping[str, Value]) -> str:
+    """Whether a row holds its limit; empty for a row without one."""
+    if row.get("met") is None:
+        return ""
+    return "met" if row["met"] else "missed"
 
 
 def cell_text(value: Value, digits: int) -> str:

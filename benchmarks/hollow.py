@@ -61,6 +61,7 @@ class HollowObserver:
         command: np.ndarray,
         measurement: np.ndarray,
         truth: Mapping[str, float] | None,
+        known: np.ndarray | None = None,
     ) -> Estimate:
         return state
 

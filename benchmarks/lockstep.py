@@ -65,7 +65,7 @@ class Entrant:
         preview = e.controller.preview(setup)
         self._lookahead = np.arange(preview + 1)
         axes = e.reference.restricted_to(e.model.controlled)
-        self.references = axes.sample(np.arange(samples + preview + 1) * period)
+        self.references = axes.sample(np.arange(samples + preview + 1, dtype=np.float64) * period)
         self._state = e.controller.init(setup)
         self._u = self.plant.first_command.copy()
         n_x, n_w = e.model.n_x, e.model.n_w

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.document import Table, cell_text
+from benchmarks.document import Table, cell_text, verdict
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md"
 _BEGIN, _END = "<!-- figures: begin -->", "<!-- figures: end -->"
@@ -54,8 +54,7 @@ def markdown(table: Table) -> str:
     lines.append(_row(["---"] * (len(shown) + judged)))
     for row in table.rows:
         cells = [cell_text(row.get(column.key), column.digits) for column in shown]
-        verdict = {True: "met", False: "missed"}.get(row.get("met"), "")  # type: ignore[arg-type]
-        lines.append(_row([*cells, *([verdict] if judged else [])]))
+        lines.append(_row([*cells, *([verdict(row)] if judged else [])]))
     for note in table.notes:
         lines += ["", f"{note[0].upper()}{note[1:]}"]
     return "\n".join(lines)

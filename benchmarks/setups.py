@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.simulation.closed_loop import Experiment, Loop
 
 #: Squares of ±0.3 rad pitch and ±0.5 rad yaw at 0.025 Hz: the benchmark of the project, on both
@@ -24,6 +25,12 @@ def experiment(*overrides: str) -> Experiment:
     from trms_cli.commands.run_assembly import experiment_of
 
     return experiment_of(compose(list(overrides)).config)
+
+
+def newton_of(chosen: Experiment) -> NewtonMpc:
+    """The experiment's controller, which is a ``newton_mpc``."""
+    assert isinstance(chosen.controller, NewtonMpc)
+    return chosen.controller
 
 
 def newton_horizon(periods: int) -> tuple[str, ...]:

@@ -124,7 +124,7 @@ class NlpState:
         future = sample.reference[1:] if len(sample.reference) > 1 else sample.reference
         beyond = np.repeat(sample.reference[-1:], max(0, ocp.periods - len(future)), axis=0)
         r = np.concatenate([future, beyond])[: ocp.periods]
-        if self._plan and np.array_equal(r, self._planned_for):
+        if self._plan and self._planned_for is not None and np.array_equal(r, self._planned_for):
             return Command(self._plan.pop(0))
         self._planned_for = r
         self.target = self.steady_state.solve(sample.reference[-1], w, self.target)

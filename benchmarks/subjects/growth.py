@@ -88,8 +88,8 @@ def _states(options: Options) -> Table:
 def _delayed(model: Model) -> Model:
     """A model that knows of a delay of half a control period in both rotors."""
     delays = {
-        f"{rotor}_input_delay": InputDelay(rotor=rotor, delay=0.05, longest=0.2)
-        for rotor in model.rotors
+        "main_input_delay": InputDelay(rotor="main", delay=0.05, longest=0.2),
+        "tail_input_delay": InputDelay(rotor="tail", delay=0.05, longest=0.2),
     }
     return extended(model, delays)
 

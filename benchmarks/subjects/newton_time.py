@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.document import LIMIT, Column, Table
+from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.lockstep import Entrant, quantiles, race
 from benchmarks.options import Options
 from benchmarks.setups import FULL_STATE, experiment, newton_horizon
@@ -47,7 +47,7 @@ def run(options: Options) -> list[Table]:
         median, p99 = quantiles(times)
         linearise = float(np.median([entrant.part("linearise_time") for entrant in entrants]))
         qp = float(np.median([entrant.part("qp_time") for entrant in entrants]))
-        cells = {
+        cells: dict[str, Value] = {
             "case": name,
             "p99": p99,
             "linearise": linearise,

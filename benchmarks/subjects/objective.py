@@ -8,7 +8,7 @@ from benchmarks.document import LIMIT, Column, Table
 from benchmarks.lockstep import race
 from benchmarks.options import Options
 from benchmarks.peers.nlp import NlpMpc
-from benchmarks.setups import FULL_STATE, experiment, newton_horizon
+from benchmarks.setups import FULL_STATE, experiment, newton_horizon, newton_of
 
 TITLE = "closed-loop objective of newton_mpc beside IPOPT, both converged"
 #: %, of IPOPT's.
@@ -42,7 +42,7 @@ def run(options: Options) -> list[Table]:
                 *horizon,
                 f"sim.duration={options.duration(40.0)}",
             )
-            problem = chosen.controller
+            problem = newton_of(chosen)
             entrants = race(
                 chosen,
                 {

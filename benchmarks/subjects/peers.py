@@ -8,7 +8,7 @@ from dataclasses import replace
 from benchmarks.document import Column, Table
 from benchmarks.lockstep import quantiles, race
 from benchmarks.options import Options
-from benchmarks.setups import FULL_STATE, experiment, newton_horizon
+from benchmarks.setups import FULL_STATE, experiment, newton_horizon, newton_of
 from trms_cli.controllers.controller import Controller
 from trms_cli.controllers.newton_mpc import NewtonMpc
 
@@ -38,7 +38,7 @@ def run(options: Options) -> list[Table]:
         *newton_horizon(20),
         f"sim.duration={options.duration(40.0)}",
     )
-    problem = chosen.controller
+    problem = newton_of(chosen)
     controllers: dict[str, Controller] = {
         "newton_mpc, converged": replace(problem, max_iterations=50),
         "newton_mpc, one iteration": replace(problem, max_iterations=1),

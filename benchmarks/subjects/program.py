@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.document import LIMIT, Column, Table
+from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.options import Options
 
 TITLE = "whole processes, warm caches"
@@ -151,7 +151,7 @@ def _add(table: Table, command: str, limit: float | None, times: _Times) -> None
     if not len(times.wall):
         table.add(command=command, remark=times.remark)
         return
-    cells = {
+    cells: dict[str, Value] = {
         "command": command,
         "fastest": float(times.wall.min()),
         "slowest": float(times.wall.max()),

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.document import LIMIT, Column, Table
 from benchmarks.options import Options
 from benchmarks.peers.nlp import NlpMpc
-from benchmarks.setups import FULL_STATE, SQUARES, experiment
+from benchmarks.setups import FULL_STATE, SQUARES, experiment, newton_of
 from benchmarks.setups import run as close
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.simulation.closed_loop import Experiment
@@ -76,7 +76,7 @@ def run(options: Options) -> list[Table]:
         exact = experiment("controller=newton_mpc", *overrides, *FULL_STATE, duration)
         noisy = experiment("controller=newton_mpc", *overrides, "observer=ukf", duration)
         pushed = experiment("controller=newton_mpc", *overrides, "observer=ukf", *_PUSHED, duration)
-        weighted, plain = _optima(exact.controller)
+        weighted, plain = _optima(newton_of(exact))
         for who, chosen in {
             _OPTIMUM: replace(exact, controller=weighted),
             _FULL: exact,
