@@ -1,0 +1,39 @@
+"""``python -m docs.figures``: everything in the pages that the program draws or prints itself."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from trms_cli.reporting import effect_figures
+
+HERE = Path(__file__).parent
+README = HERE.parents[1] / "README.md"
+BEGIN, END = "<!-- what make run prints: begin -->", "<!-- what make run prints: end -->"
+
+
+def main() -> None:
+    """Draw the effects; run the README's run, keep its picture and what it printed."""
+    effect_figures.main([str(HERE / "effects")])
+    with tempfile.TemporaryDirectory() as scratch:
+        command = [sys.executable, "-m", "trms_cli", "run", "controller=newton_mpc", "ref=square"]
+        subprocess.run([*command, "picture=false"], cwd=scratch, check=True, capture_output=True)
+        shutil.rmtree(Path(scratch, "outputs"))  # the first one may have had to compile
+        done = subprocess.run(
+            command, cwd=scratch, check=True, stdout=subprocess.PIPE, text=True, encoding="utf-8"
+        )
+        (picture,) = Path(scratch).glob("outputs/*/*/run.png")
+        shutil.copyfile(picture, HERE / "run.png")
+    before, _, rest = README.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not end:
+        raise SystemExit(f"{README} has lost its marks {BEGIN} … {END}")
+    printed = f"{BEGIN}\n```text\n{done.stdout.rstrip()}\n```\n{END}"
+    README.write_text(f"{before}{printed}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
