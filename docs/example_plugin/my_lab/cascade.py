@@ -69,9 +69,7 @@ class Cascade:
         limit = model.input_bounds()[1].tolist()
         return CascadeState([0.0, 0.0], compiled, angles, rotors, limit, setup.sample_time)
 
-    def step(
-        self, state: CascadeState, sample: ControlSample, *, want_prediction: bool
-    ) -> Command:
+    def step(self, state: CascadeState, sample: ControlSample, *, want_prediction: bool) -> Command:
         x, u = sample.estimate.x, np.empty(2)
         state.rates.inputs[0][:] = x
         state.rates.inputs[1][:] = sample.previous_command
