@@ -213,6 +213,8 @@ def _solver(config: NlpMpc, ocp: Ocp) -> ca.Function:
     options: dict[str, Any] = {"print_time": False, "calc_lam_p": False}
     if config.solver == "ipopt":
         options["ipopt"] = _IPOPT
+    elif ocp.stage_size is None:
+        raise NotImplementedError("fatrop's stages do not take blocked inputs")
     else:
         options |= {
             "fatrop": _FATROP,
