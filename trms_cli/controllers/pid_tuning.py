@@ -29,6 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.result_cache import cached_result
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -208,6 +209,18 @@ def tuned(
     ConfigurationError
         If no gains in the searched range meet the bound.
     """
+    inputs = [array for plant in plants for array in (plant.A, plant.b, plant.c)]
+    return cached_result(
+        __file__,
+        [*inputs, plants[0].step, filter_time, peak, smoothness],
+        Gains,
+        lambda: _searched_for(plants, filter_time, peak, smoothness, where),
+    )
+
+
+def _searched_for(
+    plants: Sequence[AxisPlant], filter_time: float, peak: float, smoothness: float, where: str
+) -> Gains:
     step = plants[0].step
     z = np.exp(1j * frequencies(step) * step)
     responses = [plant.response(z) for plant in plants]
