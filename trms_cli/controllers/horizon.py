@@ -31,8 +31,8 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Arguments of both compiled functions: initial state with memory, plan, last command, parameters,
 #: disturbances, references, steady-state target; then what stays the same during a run: weights of
-#: the errors (states, then rates), inputs and moves, limits (lower; upper), prices (linear and quadratic of the terminal
-#: equality and of the limits), scale of the terminal residual.
+#: the errors (states, then rates), inputs and moves, limits (lower; upper), prices (linear and
+#: quadratic, of the terminal equality and of the limits), scale of the terminal residual.
 ARGUMENTS = (
     *("x0", "z", "u_previous", "p", "w", "r", "x_s", "u_s"),
     *("q", "rho", "s", "limits", "prices", "scale"),
@@ -127,8 +127,8 @@ class Horizon:
     linearise : BufferedFunction
         :data:`ARGUMENTS` → states (n_x, N), terminal residual, scaled (n_x,), objective, merit,
         violation; then gradient of J (n_z,), its Gauss–Newton root G (n_errors·N, n_z) with
-        2 GᵀG the Hessian of the part of states and rates, slope of the terminal residual (n_x, n_z),
-        slopes of the limited states (n_limited·N, n_z).
+        2 GᵀG the Hessian of the part of states and rates, slope of the terminal residual
+        (n_x, n_z), slopes of the limited states (n_limited·N, n_z).
     evaluate : BufferedFunction
         The same arguments → the first five of these.
 

@@ -19,8 +19,8 @@ def filter_step(
 ) -> ca.Function:
     """One sample: prediction from the last, update with the measurement.
 
-    The first eight inputs are ``m, P, memory, u, y, mask, advance, known``, the first four outputs the
-    next ``m, P, memory`` and a number that is finite exactly if they are.
+    The first eight inputs are ``m, P, memory, u, y, mask, advance, known``, the first four outputs
+    the next ``m, P, memory`` and a number that is finite exactly if they are.
     """
     model = discrete.model
     n, n_x, n_y = points.n, model.n_x, len(channels)

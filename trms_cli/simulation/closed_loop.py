@@ -224,7 +224,7 @@ class Loop:
         history.flush()
 
     def _known_torques(self) -> tuple[FloatArray, FloatArray | None]:
-        """Measured torques as they are logged (samples, n), and on the model's equations (…, n_w)."""
+        """Measured torques as logged (samples, n), and on the model's equations (samples, n_w)."""
         given = self.plant.known_disturbances
         if not given:
             return np.zeros((self.experiment.samples, 0)), None
