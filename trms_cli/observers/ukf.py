@@ -65,7 +65,9 @@ class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     other : float
         State's unit/√s, on states that effects add.
     disturbance : float
-        N m/√s, the random walk of the estimated torques.
+        N m/√s, the random walk of the estimated torques on the axes.
+    rotor_disturbance : float
+        N m/√s, the same on the rotors, whose own torques are a tenth of the axes'.
     states : dict of str to float
         Other values for single states (or disturbances), by name.
     """
@@ -76,6 +78,7 @@ class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     current: _NotNegative = 0.05
     other: _NotNegative = 0.01
     disturbance: _NotNegative = 2e-3
+    rotor_disturbance: _NotNegative = 2e-4
     states: Mapping[str, _NotNegative] = {}
 
 
@@ -86,8 +89,8 @@ class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     ----------
     angle, momentum, rotor, current, other : float
         rad, rad/s, rad/s, A, the state's unit.
-    disturbance : float
-        N m.
+    disturbance, rotor_disturbance : float
+        N m, of the torques on the axes and on the rotors.
     states : dict of str to float
         Other values for single states (or disturbances), by name.
     """
@@ -98,6 +101,7 @@ class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     current: _Positive = 0.2
     other: _Positive = 0.1
     disturbance: _Positive = 0.01
+    rotor_disturbance: _Positive = 0.002
     states: Mapping[str, _Positive] = {}
 
 
@@ -170,7 +174,14 @@ class Ukf:
         points = SigmaPoints(model.n_x + len(equations), self.alpha, self.beta, self.kappa)
 
         augmented = (*model.state_names, *(names(model.disturbances)[i] for i in equations))
-        kinds = (*kinds_of_states(model), *("disturbance" for _ in equations))
+        moments = {axis.moment for axis in model.axes.values()}
+        kinds = (
+            *kinds_of_states(model),
+            *(
+                "disturbance" if name in moments else "rotor_disturbance"
+                for name in augmented[model.n_x :]
+            ),
+        )
         sd = _by_state(self.initial_sd, kinds, augmented, "initial_sd.states")
         intensity = _by_state(self.process_noise, kinds, augmented, "process_noise.states")
 
