@@ -258,6 +258,30 @@ def test_merit_never_rises_within_a_sample() -> None:
         assert (np.diff(merits) <= 1e-9 * (1 + np.abs(merits[:-1]))).all()
 
 
+def test_of_two_starts_the_better_end_is_kept() -> None:
+    # A tail rotor that rests and is planned to rest sees no thrust: yaw is stuck where it is.
+    model = Newtonian(freedom="horizontal")
+    mpc = NewtonMpc(**CONVERGED)
+    different = 0
+    for goal in (0.3, -0.4, 0.05):
+        sample = sample_at(model, model.rest(), [goal], np.zeros(1))
+        state = mpc.init(ControlSetup(model, 0.1, np.zeros(1)))
+        state.begin_sample(sample)
+        newton = state.newton
+        starts = [np.zeros_like(newton.plan), newton.plan.copy()]
+        ends = []
+        for start in starts:
+            newton.plan[:] = start
+            ends.append(newton.solve(60, 1e-7).merit)
+        newton.plan[:] = starts[0]
+        outcome = newton.solve(60, 1e-7, starts[1])
+        assert outcome.merit == pytest.approx(min(ends), rel=1e-9)
+        # What is handed out is what was chosen.
+        assert newton._merit(newton.plan) == pytest.approx(outcome.merit, rel=1e-9)
+        different += abs(ends[0] - ends[1]) > 1e-6 * ends[0]
+    assert different > 0
+
+
 # -- constraints ------------------------------------------------------------------------------
 
 

@@ -140,7 +140,7 @@ class NewtonMpc:
             return state.fall_back(self.fallback, "the estimate or the reference is not finite")
         begin_linearise = newton.linearise_time
         begin_qp = newton.qp_time
-        outcome = newton.solve(self.max_iterations, self.tolerance)
+        outcome = newton.solve(self.max_iterations, self.tolerance, state.other_start)
         if outcome.failed:
             return state.fall_back(self.fallback, outcome.message)
         if outcome.terminal_residual > state.relaxed_above and target is not None:
@@ -203,6 +203,8 @@ class NewtonMpcState:
         self._disturbance = np.zeros(model.n_w)
         self.inputs_finite = True
         self.target_is_held = True
+        #: A second plan to start from, where the reference has changed.
+        self.other_start: FloatArray | None = None
 
     def begin_sample(self, sample: ControlSample) -> None:
         """Take in the sample: state, references, target, and the plan shifted in time."""
@@ -238,6 +240,7 @@ class NewtonMpcState:
             reference[:] = np.where(reference == asked, reached, reference)
         newton.set_problem(self._full, sample.previous_command, self._disturbance, self.target)
         steady = self.target.u[:, None]
+        self.other_start = None
         if self._first:
             newton.plan[:] = steady
             self._first = False
@@ -245,8 +248,8 @@ class NewtonMpcState:
         newton.plan[:] = newton.plan @ self._shift + steady * self._beyond
         if previous_target is None or self.target.asked != previous_target.asked:
             # A new reference may lie behind a point where the linearisation sees no way to it
-            # (a tail rotor at rest has no thrust slope): start from the better of two plans.
-            newton.choose_better(np.broadcast_to(steady, newton.plan.shape))
+            # (a tail rotor at rest has no thrust slope), or where a local minimum lies.
+            self.other_start = np.broadcast_to(steady, newton.plan.shape)
 
     def prediction(self) -> Prediction:
         """The plan and the trajectory it leads to."""

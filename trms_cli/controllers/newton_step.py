@@ -161,19 +161,44 @@ class NewtonStep:
         step()
         return step.outputs[0]
 
-    def choose_better(self, other: FloatArray) -> None:
-        """Keep the plan with the lower merit."""
-        present = self._merit(self.plan)
-        if not present <= self._merit(other):
-            self.plan[:] = other
-
     def _merit(self, plan: FloatArray) -> float:
         self.horizon.arguments["z"][:] = plan
         self.horizon.evaluate()
         return float(self.horizon.evaluate.outputs[3][0])
 
-    def solve(self, max_iterations: int, tolerance: float) -> Outcome:
-        """Iterate from the present plan; the plan never gets worse in merit."""
+    def solve(
+        self, max_iterations: int, tolerance: float, other: FloatArray | None = None
+    ) -> Outcome:
+        """Iterate from the present plan; the plan never gets worse in merit.
+
+        Parameters
+        ----------
+        max_iterations : int
+        tolerance : float
+            V.
+        other : (n_u, n_blocks) array, optional
+            A second plan to start from. A single iteration starts from the better of the two;
+            more are made from both, and the better end is kept.
+        """
+        if other is None:
+            return self._solve(max_iterations, tolerance)
+        if max_iterations == 1:
+            if not self._merit(self.plan) <= self._merit(other):
+                self.plan[:] = other
+            return self._solve(1, tolerance)
+        first = self._solve(max_iterations, tolerance)
+        plan, trajectory = self.plan.copy(), self.trajectory.copy()
+        self.plan[:] = other
+        second = self._solve(max_iterations, tolerance)
+        if second.failed or (second.merit >= first.merit and not first.failed):
+            # The second's end is the worse: go back to the first's.
+            self.plan[:], self.trajectory[:] = plan, trajectory
+            first.iterations += second.iterations
+            return first
+        second.iterations += first.iterations
+        return second
+
+    def _solve(self, max_iterations: int, tolerance: float) -> Outcome:
         if self._rate_limited:
             self._limit_rates()
         outcome = Outcome(0, False, False, False, np.nan, np.nan, np.nan, np.nan, np.nan)
