@@ -62,8 +62,8 @@ def run(options: Options) -> list[Table]:
         times = place.repeated([*trms, *_MPC, "sim.duration=1"], repeats, first_sample=True)
         _add(table, "trms run: to the first sample", LIMIT_FIRST_SAMPLE, times)
         for name, more, limit in (
-            ("60 s with pid at 100 Hz", (), LIMIT_RUN),
-            ("the same without the picture", ("picture=false",), None),
+            ("60 s with pid at 100 Hz, picture=false", ("picture=false",), LIMIT_RUN),
+            ("the same with its picture", (), None),
             ("the same with the full state", ("picture=false", "observer=full_state"), None),
         ):
             times = place.repeated([*trms, *_PID, *more], repeats, new_folder=True)

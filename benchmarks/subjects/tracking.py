@@ -26,7 +26,7 @@ ISE_FULL_STATE, ISE_FILTER = 1.05, 1.15
 SETTLED = 4.0  # s
 OVERSHOOT = 5.0  # %
 RESTING = 0.1  # rad
-STEADY = 2 * 2 * math.pi / 4096  # rad, two steps of the encoder: 0.5 % of the pitch square
+STEADY = 2 * math.pi / 4096  # rad, one step of the encoder
 #: The rig starts on its rest, far from any reference: an axis is at rest from the second step on.
 _SECOND_STEP = 20.0  # s
 _MOVING = {"both": ("alpha_v", "alpha_h"), "pitch": ("alpha_v",), "yaw": ("alpha_h",)}
@@ -190,7 +190,7 @@ def _steps(outcomes: list[_Outcome]) -> Table:
         table.add(reference=outcome.reference, who=outcome.who, steady=outcome.steady, **cells)
     table.notes += [
         f"limits: settled to 2 % within {SETTLED:g} s, overshoot {OVERSHOOT:g} %, resting axis "
-        f"{RESTING:g} rad, steady-state error two steps of the encoder ({STEADY:.4f} rad).",
+        f"{RESTING:g} rad, steady-state error one step of the encoder ({STEADY:.4f} rad).",
         "The first step starts on the rig's rest, at −0.62 rad in pitch; it counts.",
         *_price(outcomes),
     ]

@@ -203,6 +203,7 @@ class NewtonMpcState:
         self._disturbance = np.zeros(model.n_w)
         self.inputs_finite = True
         self.target_is_held = True
+        self._solved_for: tuple[float, ...] = ()
         #: A second plan to start from, where the reference has changed.
         self.other_start: FloatArray | None = None
 
@@ -228,28 +229,35 @@ class NewtonMpcState:
         reference[:, : known - 1] = sample.reference[1:].T
         reference[:, known - 1 :] = sample.reference[-1][:, None]
         previous_target = self.target
-        found = self.steady_state.solve(sample.reference[-1], self._disturbance, previous_target)
-        # A disturbance that no input can hold has no steady state: the last one goes on.
-        self.target_is_held = found.converged or previous_target is None
-        self.target = found if self.target_is_held or previous_target is None else previous_target
-        if self.target.projected:
+        self.target = target = self._target_for(sample.reference[-1])
+        if target.projected:
             # What cannot be held must not be striven for either: the objective would pull away
             # from the terminal state.
-            asked = sample.reference[-1][:, None]
-            reached = self.target.reference_reached[:, None]
+            asked, reached = sample.reference[-1][:, None], target.reference_reached[:, None]
             reference[:] = np.where(reference == asked, reached, reference)
-        newton.set_problem(self._full, sample.previous_command, self._disturbance, self.target)
-        steady = self.target.u[:, None]
+        newton.set_problem(self._full, sample.previous_command, self._disturbance, target)
+        steady = target.u[:, None]
         self.other_start = None
         if self._first:
             newton.plan[:] = steady
             self._first = False
             return
         newton.plan[:] = newton.plan @ self._shift + steady * self._beyond
-        if previous_target is None or self.target.asked != previous_target.asked:
+        if previous_target is None or target.asked != previous_target.asked:
             # A new reference may lie behind a point where the linearisation sees no way to it
             # (a tail rotor at rest has no thrust slope), or where a local minimum lies.
             self.other_start = np.broadcast_to(steady, newton.plan.shape)
+
+    def _target_for(self, reference: FloatArray) -> Target:
+        """The steady state of a reference (n_r,) under the present disturbance."""
+        given = (*reference.tolist(), *self._disturbance.tolist())
+        if self.target is not None and given == self._solved_for:
+            return self.target
+        found = self.steady_state.solve(reference, self._disturbance, self.target)
+        # A disturbance that no input can hold has no steady state: the last one goes on.
+        self.target_is_held = found.converged or self.target is None
+        self._solved_for = given if found.converged else ()
+        return found if self.target_is_held or self.target is None else self.target
 
     def prediction(self) -> Prediction:
         """The plan and the trajectory it leads to."""
