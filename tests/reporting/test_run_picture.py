@@ -103,6 +103,25 @@ def test_more_axes_are_a_taller_picture(tmp_path):
     assert heights[1] > heights[0] + 150
 
 
+def test_a_long_title_goes_on_in_another_line(tmp_path):
+    heights = []
+    for title in ("short", " · ".join(f"part {i} of it" for i in range(10))):
+        history = Told(everything())
+        draw_run(history, score(history), tmp_path / "run.png", title=title)
+        heights.append(size(tmp_path / "run.png")[1])
+    assert heights[1] - heights[0] > 15
+
+
+def test_torques_on_rotors_have_their_own_panel(tmp_path):
+    heights = []
+    rotors = {"main_motor": 0.001 * wave(), "sd_main_motor": np.full(500, 1e-4)}
+    for more in ({}, rotors):
+        history = Told({**everything(), "/estimate": {**everything()["/estimate"], **more}})
+        draw_run(history, score(history), tmp_path / "run.png")
+        heights.append(size(tmp_path / "run.png")[1])
+    assert heights[1] > heights[0] + 80
+
+
 def test_events_change_the_picture(tmp_path):
     pictures = set()
     for events in (

@@ -12,28 +12,20 @@ from matplotlib.figure import Figure
 
 from trms_cli.reporting.run_picture import Drawable
 from trms_cli.reporting.style import (
+    ALARM,
+    COLOURS,
     GREY,
     INK,
-    PALE,
-    PALETTE,
+    LABELS,
     house_style,
     legend_above,
     new_figure,
     save_png,
+    thinned,
 )
+from trms_cli.reporting.torques import draw_torques, estimated_torques
 
-_LABELS = {
-    "alpha_v": "pitch",
-    "alpha_h": "yaw",
-    "omega_v": "main rotor",
-    "omega_h": "tail rotor",
-    "u_v": "main rotor",
-    "u_h": "tail rotor",
-}
-_COLOURS = tuple(PALETTE[name] for name in ("blue", "vermilion", "green", "purple"))
-_ALARM, _MEASURED = "#c1272d", "#aaaaaa"
-#: Longest line drawn with every sample; a longer one is thinned, which no eye sees.
-_MOST_POINTS = 20_000
+_MEASURED = "#aaaaaa"
 _WIDTH, _ROW_HEIGHT = 11.0, 1.75
 #: The band of the innovations reaches this far beyond itself, unless they stay closer.
 _MOST_BANDS = 6.0
@@ -58,6 +50,7 @@ def draw_replay(
 
 
 def _figure(history: Drawable, channels: Mapping[str, Any], title: str) -> Figure:
+    torques = estimated_torques(history.columns("/estimate"))
     rows = len(channels) + 1
     figure = new_figure(_WIDTH, 0.6 + _ROW_HEIGHT * rows)
     panels = figure.subplots(rows, 2, sharex=True, squeeze=False)
@@ -65,7 +58,9 @@ def _figure(history: Drawable, channels: Mapping[str, Any], title: str) -> Figur
         _draw_channel(left, name, figures["unit"], history)
         _draw_innovation(right, name, figures, history)
     _draw_commands(panels[-1, 0], history)
-    _draw_torques(panels[-1, 1], history)
+    names = [name for group in torques.values() for name in group]
+    draw_torques(panels[-1, 1], history.times("/estimate"), history.columns("/estimate"), names)
+    panels[-1, 1].set_ylabel("estimated torque\n[mN m]")
     time = history.times("/measurement")
     for panel in panels[-1]:
         panel.set_xlabel("time [s]")
@@ -79,7 +74,7 @@ def _draw_channel(panel: Axes, name: str, unit: str, history: Drawable) -> None:
     estimate = history.columns("/estimate")
     references = history.columns("/reference")
     if name in references:
-        time, values = _thinned(history.times("/reference"), references[name])
+        time, values = thinned(history.times("/reference"), references[name])
         panel.plot(
             time,
             values,
@@ -90,22 +85,22 @@ def _draw_channel(panel: Axes, name: str, unit: str, history: Drawable) -> None:
             label="reference",
             zorder=2,
         )
-    time, measured = _thinned(history.times("/measurement"), history.columns("/measurement")[name])
+    time, measured = thinned(history.times("/measurement"), history.columns("/measurement")[name])
     panel.plot(time, measured, color=_MEASURED, lw=2.4, label="measured", zorder=3)
     if name in estimate:
-        time, values = _thinned(history.times("/estimate"), estimate[name])
-        panel.plot(time, values, color=_COLOURS[1], lw=0.7, label="estimate", zorder=4)
-    panel.set_ylabel(f"{_LABELS.get(name, name)} [{unit}]")
+        time, values = thinned(history.times("/estimate"), estimate[name])
+        panel.plot(time, values, color=COLOURS[1], lw=0.7, label="estimate", zorder=4)
+    panel.set_ylabel(f"{LABELS.get(name, name)} [{unit}]")
     legend_above(panel)
 
 
 def _draw_innovation(panel: Axes, name: str, figures: Mapping[str, Any], history: Drawable) -> None:
     estimate, times = history.columns("/estimate"), history.times("/estimate")
-    time, innovation = _thinned(times, estimate[f"innovation_{name}"])
-    _, band = _thinned(times, 2 * np.asarray(estimate[f"innovation_sd_{name}"], dtype=float))
-    panel.plot(time, innovation, color=_COLOURS[0], lw=0.5, label="innovation", zorder=3)
-    panel.plot(time, band, color=_ALARM, lw=0.9, label="±2σ expected", zorder=4)
-    panel.plot(time, -band, color=_ALARM, lw=0.9, zorder=4)
+    time, innovation = thinned(times, estimate[f"innovation_{name}"])
+    _, band = thinned(times, 2 * np.asarray(estimate[f"innovation_sd_{name}"], dtype=float))
+    panel.plot(time, innovation, color=COLOURS[0], lw=0.5, label="innovation", zorder=3)
+    panel.plot(time, band, color=ALARM, lw=0.9, label="±2σ expected", zorder=4)
+    panel.plot(time, -band, color=ALARM, lw=0.9, zorder=4)
     # The uncertain start is no measure of the rest.
     typical = float(np.nanmedian(band))
     worst = np.nanquantile(np.abs(innovation), 0.999) if np.any(~np.isnan(innovation)) else 0.0
@@ -122,38 +117,13 @@ def _draw_innovation(panel: Axes, name: str, figures: Mapping[str, Any], history
 
 
 def _draw_commands(panel: Axes, history: Drawable) -> None:
-    for colour, (name, values) in zip(_COLOURS, history.columns("/command").items(), strict=False):
-        time, held = _thinned(history.times("/command"), values)
-        label = f"{_LABELS.get(name, name)} {name}"
+    for colour, (name, values) in zip(COLOURS, history.columns("/command").items(), strict=False):
+        time, held = thinned(history.times("/command"), values)
+        label = f"{LABELS.get(name, name)} {name}"
         panel.plot(time, held, color=colour, lw=0.6, alpha=0.7, drawstyle="steps-post", label=label)
     panel.set_ylabel("recorded command")
     legend_above(panel)
 
 
-def _draw_torques(panel: Axes, history: Drawable) -> None:
-    """What the observer needs besides the model to follow the rig."""
-    estimate, times = history.columns("/estimate"), history.times("/estimate")
-    names = [
-        name
-        for name in estimate
-        if name.endswith(("_moment", "_motor"))
-        and np.any(np.asarray(estimate.get(f"sd_{name}", 0.0), dtype=float) > 0)
-    ]
-    for colour, name in zip(_COLOURS, names, strict=False):
-        time, values = _thinned(times, 1e3 * np.asarray(estimate[name], dtype=float))
-        _, band = _thinned(times, 2e3 * np.asarray(estimate[f"sd_{name}"], dtype=float))
-        panel.fill_between(time, values - band, values + band, color=colour, alpha=0.2, lw=0)
-        panel.plot(time, values, color=colour, lw=0.8, label=name.replace("_", " "))
-    panel.axhline(0.0, color=PALE, lw=0.8, zorder=0)
-    panel.set_ylabel("estimated torque\n[mN m]")
-    if names:
-        legend_above(panel)
-
-
 def _digits(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}"
-
-
-def _thinned(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
-    step = max(1, len(time) // _MOST_POINTS)
-    return np.asarray(time, dtype=float)[::step], np.asarray(values, dtype=float)[::step]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,17 +14,25 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from trms_cli.reporting.style import DPI, GREY, INK, PALE, PALETTE, house_style, legend_above
+from trms_cli.reporting.style import (
+    ALARM,
+    COLOURS,
+    DPI,
+    GREY,
+    INK,
+    LABELS,
+    house_style,
+    legend_above,
+    thinned,
+)
+from trms_cli.reporting.torques import draw_torques, estimated_torques
 
 Columns = Mapping[str, Any]
 
-_LABELS = {"alpha_v": "pitch", "alpha_h": "yaw", "u_v": "main rotor", "u_h": "tail rotor"}
-_COLOURS = tuple(PALETTE[name] for name in ("blue", "vermilion", "green", "purple"))
-_ALARM = "#c1272d"
 #: Inches: of the figure, around the panels, and between two of them.
-_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 9.0, 0.78, 0.14, 0.55, 0.45, 0.27
-#: Longest line drawn with every sample; a longer one is thinned, which no eye sees.
-_MOST_POINTS = 20_000
+_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 9.0, 0.84, 0.14, 0.55, 0.45, 0.27
+#: Of the title: letters that fit into a line, and inches that each further line takes.
+_LINE_LENGTH, _LINE_HEIGHT = 88, 0.19
 
 
 class Drawable(Protocol):
@@ -86,46 +95,60 @@ def _figure(
     limits: Mapping[str, tuple[float, float]],
 ) -> Figure:
     channels = _channels(history)
-    torques = _torques(history)
+    torques = estimated_torques(history.columns("/estimate"))
+    lines = _title_lines(title)
     solver = history.columns("/controller").get("solve_time_s", ())
-    heights = [2.1] * len(channels) + [1.4] + [1.0] * bool(torques) + [0.75] * bool(len(solver))
-    figure, panels = _sheet(heights)
+    heights = [2.1] * len(channels) + [1.4]
+    heights += [1.0 if place == "axes" else 0.75 for place in torques]
+    heights += [0.75] * bool(len(solver))
+    figure, panels = _sheet(heights, _TOP + (len(lines) - 1) * _LINE_HEIGHT)
     left = iter(panels)
     for name in channels:
         _draw_channel(next(left), name, history, score["channels"].get(name, {}), limits)
     _draw_commands(next(left), history, limits)
-    if torques:
-        _draw_torques(next(left), history, torques)
+    for place, names in torques.items():
+        panel = next(left)
+        draw_torques(panel, history.times("/estimate"), history.columns("/estimate"), names)
+        panel.set_ylabel(f"torque on\n{place} [mN m]")
     if len(solver):
         _draw_solver(next(left), history, score["solver"])
     panels[-1].set_xlabel("time [s]")
     panels[-1].set_xlim(0.0, max(float(score["duration_s"]), 1e-3))
     figure.text(
-        0.01, 1 - 0.12 / figure.get_figheight(), title, va="top", fontsize=11,
+        0.01, 1 - 0.12 / figure.get_figheight(), "\n".join(lines), va="top", fontsize=11,
         fontweight="bold", color=INK,
     )  # fmt: skip
     return figure
 
 
-def _sheet(heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
-    """A figure with panels of the given heights (inches) under each other, top first.
+def _sheet(heights: Sequence[float], top: float) -> tuple[Figure, list[Axes]]:
+    """A figure with panels of the given heights (inches) under each other, `top` free above.
 
     Placed by hand: to have the places found takes as long as all the drawing.
     """
-    whole = _TOP + sum(heights) + _GAP * (len(heights) - 1) + _BOTTOM
+    whole = top + sum(heights) + _GAP * (len(heights) - 1) + _BOTTOM
     figure = Figure(figsize=(_WIDTH, whole))
     FigureCanvasAgg(figure)
     panels: list[Axes] = []
-    ceiling = whole - _TOP
+    ceiling = whole - top
     for height in heights:
         width = _WIDTH - _LEFT - _RIGHT
         place = (_LEFT / _WIDTH, (ceiling - height) / whole, width / _WIDTH, height / whole)
         panel = figure.add_axes(place, sharex=panels[0] if panels else None)
-        panel.yaxis.set_label_coords(-0.42 / width, 0.5)
+        panel.yaxis.set_label_coords(-0.48 / width, 0.5)
         panel.tick_params(labelbottom=len(panels) == len(heights) - 1)
         panels.append(panel)
         ceiling -= height + _GAP
     return figure, panels
+
+
+def _title_lines(title: str) -> list[str]:
+    """The title in lines that fit, broken between its parts where that is possible."""
+    parts = (
+        part.replace(" ", "\N{NO-BREAK SPACE}") if len(part) < _LINE_LENGTH // 2 else part
+        for part in title.split(" · ")
+    )
+    return textwrap.wrap(" · ".join(parts), _LINE_LENGTH, break_on_hyphens=False) or [""]
 
 
 def _channels(history: Drawable) -> list[str]:
@@ -145,15 +168,15 @@ def _draw_channel(
     reference = history.columns("/reference")
     seen: list[np.ndarray] = []
     if name in truth:
-        time, values = _thin(history.times("/plant/state"), truth[name])
-        panel.plot(time, values, color=_COLOURS[0], lw=2.6, alpha=0.6, label="rig", zorder=4)
+        time, values = thinned(history.times("/plant/state"), truth[name])
+        panel.plot(time, values, color=COLOURS[0], lw=2.6, alpha=0.6, label="rig", zorder=4)
         seen.append(values)
     elif name in measured:
-        time, values = _thin(history.times("/measurement"), measured[name])
-        panel.plot(time, values, color=_COLOURS[0], lw=1.2, label="measured", zorder=4)
+        time, values = thinned(history.times("/measurement"), measured[name])
+        panel.plot(time, values, color=COLOURS[0], lw=1.2, label="measured", zorder=4)
         seen.append(values)
     if name in reference:
-        time, values = _thin(history.times("/reference"), reference[name])
+        time, values = thinned(history.times("/reference"), reference[name])
         panel.plot(
             time, values, color=INK, lw=1.0, ls=(0, (4, 2)), label="reference", zorder=3,
             drawstyle="steps-post",
@@ -162,8 +185,8 @@ def _draw_channel(
     _draw_estimate(panel, name, history)
     _frame(panel, seen)
     for bound in limits.get(name, ()):
-        panel.axhline(bound, color=_ALARM, lw=0.8, ls=":")
-    panel.set_ylabel(f"{_LABELS.get(name, name)} [rad]")
+        panel.axhline(bound, color=ALARM, lw=0.8, ls=":")
+    panel.set_ylabel(f"{LABELS.get(name, name)} [rad]")
     panel.set_title(_score_line(score), loc="right", fontsize=8, color=GREY, pad=3)
     legend_above(panel)
 
@@ -174,12 +197,12 @@ def _draw_estimate(panel: Axes, name: str, history: Drawable) -> None:
     deviation = estimate.get(f"sd_{name}")
     if name not in estimate or deviation is None or not np.any(deviation > 0):
         return
-    time, values = _thin(history.times("/estimate"), estimate[name])
-    _, sd = _thin(history.times("/estimate"), deviation)
+    time, values = thinned(history.times("/estimate"), estimate[name])
+    _, sd = thinned(history.times("/estimate"), deviation)
     panel.fill_between(
-        time, values - 2 * sd, values + 2 * sd, color=_COLOURS[1], alpha=0.25, lw=0, zorder=1
+        time, values - 2 * sd, values + 2 * sd, color=COLOURS[1], alpha=0.25, lw=0, zorder=1
     )
-    panel.plot(time, values, color=_COLOURS[1], lw=0.9, label="estimate ± 2 sd", zorder=5)
+    panel.plot(time, values, color=COLOURS[1], lw=0.9, label="estimate ± 2 sd", zorder=5)
 
 
 def _draw_commands(
@@ -187,38 +210,21 @@ def _draw_commands(
 ) -> None:
     time, commands = history.times("/command"), history.columns("/command")
     seen = []
-    for colour, (name, values) in zip(_COLOURS, commands.items(), strict=False):
-        thinned, held = _thin(time, values)
-        label = f"{_LABELS.get(name, name)} {name}"
-        panel.plot(thinned, held, color=colour, lw=1.0, drawstyle="steps-post", label=label)
+    for colour, (name, values) in zip(COLOURS, commands.items(), strict=False):
+        drawn, held = thinned(time, values)
+        label = f"{LABELS.get(name, name)} {name}"
+        panel.plot(drawn, held, color=colour, lw=1.0, drawstyle="steps-post", label=label)
         seen.append(held)
     bounds = {abs(b) for name in commands for b in limits.get(name, ()) if np.isfinite(b)}
     reach = max((float(np.nanmax(np.abs(v))) for v in seen if len(v)), default=1.0)
     for bound in bounds:
         if bound < 2.5 * reach:
-            panel.axhline(bound, color=_ALARM, lw=0.8, ls=":")
-            panel.axhline(-bound, color=_ALARM, lw=0.8, ls=":")
-    for colour, name in zip(_COLOURS, commands, strict=False):
+            panel.axhline(bound, color=ALARM, lw=0.8, ls=":")
+            panel.axhline(-bound, color=ALARM, lw=0.8, ls=":")
+    for colour, name in zip(COLOURS, commands, strict=False):
         for begin, end in _saturated(history, name):
             panel.axvspan(begin, end, color=colour, alpha=0.18, lw=0, zorder=0)
     panel.set_ylabel("command [V]")
-    legend_above(panel)
-
-
-def _draw_torques(panel: Axes, history: Drawable, names: Sequence[str]) -> None:
-    estimate = history.columns("/estimate")
-    for colour, name in zip(_COLOURS, names, strict=False):
-        time, values = _thin(history.times("/estimate"), estimate[name])
-        _, sd = _thin(history.times("/estimate"), estimate[f"sd_{name}"])
-        label = name.replace("_", " ")
-        panel.fill_between(
-            time, 1e3 * (values - 2 * sd), 1e3 * (values + 2 * sd), color=colour, alpha=0.2, lw=0
-        )
-        panel.plot(time, 1e3 * values, color=colour, lw=1.0, label=label)
-    panel.axhline(0.0, color=PALE, lw=0.8, zorder=0)
-    begun = len(history.times("/estimate")) // 20  # an observer that finds its feet
-    _frame(panel, [1e3 * np.asarray(estimate[name], dtype=float)[begun:] for name in names])
-    panel.set_ylabel("estimated\ntorque [mN m]")
     legend_above(panel)
 
 
@@ -232,14 +238,14 @@ def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> N
     panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     panel.yaxis.set_minor_locator(NullLocator())
     deadline = 1e3 * float(np.median(np.diff(time))) if len(time) > 1 else np.nan
-    panel.axhline(deadline, color=_ALARM, lw=0.8, ls=":")
+    panel.axhline(deadline, color=ALARM, lw=0.8, ls=":")
     top = 3 * max(deadline, float(milliseconds.max())) if np.isfinite(deadline) else None
     panel.set_ylim(0.5 * float(milliseconds.min()), top)
     fallback = np.asarray(columns.get("fallback", np.zeros(len(time))), dtype=float) > 0
     fallback |= np.asarray(columns.get("status", [""] * len(time)), dtype=object) == "failed"
     marks = [
-        ("fall-back", _COLOURS[1], time[fallback]),
-        ("fault", _ALARM, np.array(list(_faults(history)))),
+        ("fall-back", COLOURS[1], time[fallback]),
+        ("fault", ALARM, np.array(list(_faults(history)))),
     ]
     for label, colour, at in marks:
         if len(at):
@@ -257,18 +263,6 @@ def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> N
     panel.set_title(words, loc="right", fontsize=8, color=GREY, pad=3)
     if panel.get_legend_handles_labels()[0]:
         legend_above(panel)
-
-
-def _torques(history: Drawable) -> list[str]:
-    """Disturbances that are estimated at all."""
-    estimate = history.columns("/estimate")
-    return [
-        name
-        for name in estimate
-        if (name.endswith(("_moment", "_motor")) and not name.startswith(("sd_", "innov", "pred")))
-        and f"sd_{name}" in estimate
-        and np.any(np.asarray(estimate[f"sd_{name}"], dtype=float) > 0)
-    ]
 
 
 def _saturated(history: Drawable, name: str) -> Iterator[tuple[float, float]]:
@@ -310,11 +304,6 @@ def _digits(value: float | None) -> str:
     if value is None:
         return "–"
     return "0" if abs(value) < 1e-6 else f"{value:.3g}"
-
-
-def _thin(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
-    step = max(1, len(time) // _MOST_POINTS)
-    return np.asarray(time, dtype=float)[::step], np.asarray(values, dtype=float)[::step]
 
 
 def _frame(panel: Axes, seen: Sequence[np.ndarray]) -> None:
