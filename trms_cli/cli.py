@@ -131,12 +131,18 @@ def overview(*, try_these: bool) -> str:
     """The first page: the picture, the commands, and either what to try or the options."""
     width = max(map(len, COMMANDS)) + 2
     commands = "".join(f"  {name:{width}}{summary}\n" for name, summary in COMMANDS.items())
-    ending = f"try\n{TRY}" if try_these else f"options\n{OPTIONS}"
+    ending = f"try\n{_try_lines()}" if try_these else f"options\n{OPTIONS}"
     return (
         "trms: a laboratory for the twin rotor, in one command\n\n"
         f"{PICTURE}\n"
         f"usage: trms COMMAND …\n\n{commands}\n{ending}"
     )
+
+
+def _try_lines() -> str:
+    from trms_cli.commands.invocation import program
+
+    return TRY.replace("  trms ", f"  {program()} ")
 
 
 def describe_error(error: TrmsError, *, colour: bool) -> str:
@@ -170,8 +176,10 @@ def _describe_bug(error: Exception, arguments: Sequence[str]) -> str:
     import shlex
     import traceback
 
+    from trms_cli.commands.invocation import program
+
     frame = traceback.extract_tb(error.__traceback__)[-1]
-    command = shlex.join(["trms", "--debug", *arguments])
+    command = f"{program()} {shlex.join(['--debug', *arguments])}"
     return (
         "error  this is a bug in trms, or in a plugin that it was given\n"
         f"       {type(error).__name__}: {_folded(str(error))}\n"

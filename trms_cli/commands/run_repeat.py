@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.composition import Composition, Outcome, Task, compose, execute
+from trms_cli.commands.invocation import program
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 
 if TYPE_CHECKING:
@@ -71,8 +73,8 @@ def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
             f"option files have changed since that run, so {' '.join(argv)} cannot be laid on it: "
             f"{changed}",
             where=str(log),
-            remedy=f"repeat it as it was: trms run {OPTION} {log}\n"
-            f"or run anew: trms run {' '.join([*typed, *argv])}",
+            remedy=f"repeat it as it was: {program()} run {OPTION} {shlex.quote(str(log))}\n"
+            f"or run anew: {program()} run {shlex.join([*typed, *argv])}",
         )
     sys.stderr.write(f"note   option files have changed since; the log's own count ({changed})\n")
     composition = _as_logged(run, logged, own, folders)

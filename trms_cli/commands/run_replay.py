@@ -14,6 +14,7 @@ from typing import Any
 from trms_cli.commands import run_assembly as assembly
 from trms_cli.commands.composition import Composition, Outcome
 from trms_cli.commands.git_revision import GitRevision
+from trms_cli.commands.invocation import program
 from trms_cli.commands.plugin_failure import plugin_failure
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.plugins import TARGET, build, locate
@@ -249,7 +250,7 @@ class ReplayScreen:
         print(f"log        {self._log}")
         if picture is not None:
             print(f"picture    {picture}")
-        print(f"next       trms score {shlex.quote(str(self._log))}")
+        print(f"next       {program()} score {shlex.quote(str(self._log))}")
 
     def _notes(self) -> Iterator[str]:
         ignored = [text for text in self._composition.overrides if _has_no_part(text)]

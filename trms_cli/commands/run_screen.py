@@ -11,6 +11,8 @@ from time import perf_counter
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO
 
+from trms_cli.commands.invocation import program
+
 if TYPE_CHECKING:
     from trms_cli.commands.composition import Composition
     from trms_cli.simulation.closed_loop import Experiment
@@ -78,7 +80,7 @@ class RunScreen:
         self._stream.write(
             f"\ninterrupted at {time:.2f} s; the log up to there is complete and readable\n"
             f"  log  {self._log}\n"
-            f"  try  trms score {shlex.quote(str(self._log))}\n"
+            f"  try  {program()} score {shlex.quote(str(self._log))}\n"
         )
 
     def say_finished(self, score: dict[str, Any], picture: Path | None, whole: float) -> None:
@@ -110,11 +112,11 @@ class RunScreen:
         yield f"log        {self._log}"
         if picture is not None:
             yield f"picture    {picture}"
-        log = shlex.quote(str(self._log))
+        log, trms = shlex.quote(str(self._log)), program()
         yield ""
-        yield f"next       trms score {log}"
-        yield f"           trms export {log}"
-        yield f"           trms run --from {log} {self._another()}"
+        yield f"next       {trms} score {log}"
+        yield f"           {trms} export {log}"
+        yield f"           {trms} run --from {log} {self._another()}"
 
     def _what(self) -> str:
         e, choices = self._experiment, self._composition.choices
