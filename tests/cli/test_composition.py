@@ -39,6 +39,11 @@ class TestWhatWorks:
     def test_one_effect(self, trms, own, choice):
         assert set(_shown(trms, *own, choice)["effect"]) == {"late"}
 
+    def test_a_sweep_over_lists_and_single_names(self, trms, own):
+        result = trms("run", *own, "-m", "effect=[],late,[late,sticky]", "--cfg", "job")
+        assert result.returncode == 0, result.stderr
+        assert yaml.safe_load(result.stdout)["effect"] == {}
+
     def test_several_effects_with_their_sizes(self, trms, own):
         effects = _shown(trms, *own, "effect=[sticky,late]", "effect.sticky.gain=0.3")["effect"]
         assert list(effects) == ["sticky", "late"]
@@ -171,8 +176,8 @@ BAD_INPUT = [
     ("own", "'own' is no override", "did you mean controller=own?"),
     ("=3", "names no key"),
     ("effect=[lat]", "effect has no option 'lat'", "did you mean late?"),
-    ("effect=sticky,late", "alternatives", "effect=[sticky,late]"),
-    ("effect.late.gain=1", "effect 'late' is not chosen", "effect=[late]"),
+    ("effect=sticky,late", "alternatives", "'effect=[sticky,late]'"),
+    ("effect.late.gain=1", "effect 'late' is not chosen", "'effect=[late]'"),
     ("controller=own.yaml", "takes a name", "own"),
     ("signal=sine", "signal@PLACE=OPTION"),
     ("signal@ref.alpha_v=sien", "signal has no option 'sien'", "did you mean sine?"),

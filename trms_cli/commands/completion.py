@@ -17,7 +17,7 @@ HELP = """\
 usage: trms completion bash|zsh|fish
 
   Prints a script that completes commands, options, files, and for `trms run` the groups, their
-  options, their keys and lists such as effect=[NAME,NAME.
+  options, their keys and lists such as 'effect=[NAME,NAME]'.
 
 examples
   source <(trms completion bash)                       for this shell

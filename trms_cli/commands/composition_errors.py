@@ -109,7 +109,7 @@ def _refused(
             f"{value!r} are alternatives",
             where=name,
             remedy="add -m to run one after another, or give one value "
-            f"(a list is written {name}=[{value}])",
+            f"(a list is written '{name}=[{value}]')",
         )
     bad = re.search(r"Error merging override (.+)", message)
     if bad:
@@ -143,7 +143,7 @@ def _unknown_key(
         return ConfigurationError(
             f"{parts[0]} {name!r} is not chosen (given: {given})",
             where=key,
-            remedy=f"choose it with {parts[0]}=[{name}]; chosen: "
+            remedy=f"choose it with '{parts[0]}=[{name}]'; chosen: "
             f"{', '.join(node) if isinstance(node, Mapping) and depth else 'none'}",
         )
     where = ".".join(parts[:depth])

@@ -220,11 +220,7 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
         return [override]
     if several:
         override = override._replace(value=_as_lists(group, value, names, multirun))
-        names = (
-            [name for item in names for name in (_names(item[1:-1]) or []) if name]
-            if any(item.startswith("[") for item in names)
-            else names
-        )
+        names = [name for item in names for name in _names(item.strip("[]")) or []]
     elif any(is_path(name) for name in names):
         return _from_file(override, names, groups)
     for name in names:
@@ -254,7 +250,7 @@ def _as_lists(group: str, value: str, names: Sequence[str], multirun: bool) -> s
         raise ConfigurationError(
             f"{value!r} are alternatives",
             where=group,
-            remedy=f"write {group}=[{','.join(plain)}] for all at once, or add -m to take turns",
+            remedy=f"write '{group}=[{','.join(plain)}]' for all at once, or add -m to take turns",
         )
     return ",".join(name if name.startswith("[") else f"[{name}]" for name in names)
 

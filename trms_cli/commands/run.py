@@ -29,7 +29,7 @@ examples
   trms run ref.alpha_h.amplitude=0.3 sim.duration=40        rad, s
   trms run signal@ref.alpha_v=sawtooth                      one axis follows something else
   trms run effect=yaw_coulomb_friction effect.yaw_coulomb_friction.torque=0.01    N m
-  trms run effect=[tail_dead_zone,main_input_delay]         what the model does not know
+  trms run 'effect=[tail_dead_zone,main_input_delay]'       what the model does not know
   trms run plant.parameters.k_g=0.1 plant.prior_seed=3      a rig that differs from the model
   trms run disturbance@plant.disturbances=yaw_push          a push that nobody announces
   trms run -m controller=pid,lqr,newton_mpc seed=1,2,3      nine runs, one after another
