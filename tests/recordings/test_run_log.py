@@ -35,7 +35,7 @@ def test_a_run_comes_back(tmp_path: Path, write_run: Callable[..., Path]) -> Non
     assert log.run["seed"] == "3" and log.run["start"] <= log.run["end"]
     assert log.score == {"rmse": {"alpha_h": 0.5}, "complete": True}
     assert log.config.startswith("seed: 3")
-    assert log.duration_s == 2.49
+    assert log.duration_s == 2.5
     measurement = log.table("/measurement")
     np.testing.assert_array_equal(measurement.time, np.arange(250) / 100)
     np.testing.assert_array_equal(measurement.columns["alpha_v"], 0.1 * np.arange(250))

@@ -20,7 +20,7 @@ def test_a_table_of_eighty_columns(
     log = make_log()
     assert score.main([str(log)]) == 0
     printed = capsys.readouterr().out
-    assert "39.99 s, completed, scored on the true state" in printed
+    assert "40 s, completed, scored on the true state" in printed
     for word in ("RMSE", "overshoot, worst step", "effort", "NEES", "deadlines missed"):
         assert word in printed
     # the path may be longer; nothing else, and nothing is cut off

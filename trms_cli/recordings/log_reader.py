@@ -97,13 +97,18 @@ class LoggedRun:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first sample to the last one, of any topic but /event [s]."""
+        """From the first sample to the end of the last one's interval, of any topic but /event [s].
+
+        The interval is that of the topic sampled most often: 0, 0.02, …, 79.98 s are 80 s.
+        """
         tables = [t for name, t in self.tables.items() if name != "/event" and len(t)]
         if not tables:
             return 0.0
         start = min(int(t.time_ns[0]) for t in tables)
         end = max(int(t.time_ns[-1]) for t in tables)
-        return (end - start) / 1e9
+        densest = max(tables, key=len)
+        interval = int(np.median(np.diff(densest.time_ns))) if len(densest) > 1 else 0
+        return (end - start + interval) / 1e9
 
     def table(self, topic: str) -> Table:
         """Return a topic's table, or raise RecordingError naming the topics there are."""
