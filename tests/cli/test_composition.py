@@ -69,6 +69,34 @@ class TestWhatWorks:
         config = _shown(trms, *choices, "ref=square", "signal@ref.alpha_v=sine")
         assert config["ref"]["alpha_v"]["_target_"].endswith("Sine")
 
+    def test_a_nested_choice_drops_what_was_set_for_another(self, trms, own):
+        choices = [word for word in own if word != "ref=own"]
+        ref = _shown(trms, *choices, "ref=square", "signal@ref.alpha_v=constant")["ref"]
+        assert ref["alpha_v"].keys() == {"_target_", "offset"}
+        assert ref["alpha_h"]["amplitude"] == 0.5
+        assert build(ref, "ref").alpha_v.offset == 0.0
+
+    def test_a_nested_choice_keeps_what_it_knows_and_what_was_typed(self, trms, own):
+        choices = [*(word for word in own if word != "ref=own"), "ref=square"]
+        sine = _shown(trms, *choices, "signal@ref.alpha_h=sine")["ref"]["alpha_h"]
+        assert sine["amplitude"] == 0.5
+        typed = _shown(trms, *choices, "signal@ref.alpha_v=constant", "ref.alpha_v.amplitude=0.3")[
+            "ref"
+        ]
+        with pytest.raises(ConfigurationError, match="unknown key 'amplitude'"):
+            build(typed, "ref")
+
+    def test_a_nested_choice_needs_no_file_of_the_one_it_replaces(self, trms, own):
+        choices = [*(word for word in own if word != "ref=own"), "ref=from_csv"]
+        words = ["signal@ref.alpha_h=constant", "ref.alpha_v.file=r.csv"]
+        ref = _shown(trms, *choices, *words)["ref"]
+        assert "file" not in ref["alpha_h"] and ref["alpha_v"]["file"] == "r.csv"
+
+    def test_a_sweep_drops_what_was_set_for_another(self, trms, own):
+        words = ["-m", "ref=square", "signal@ref.alpha_v=constant,sine", "sim.duration=0.2"]
+        result = trms("run", *words, "picture=false", "out=o")
+        assert result.returncode == 0, result.stderr
+
     def test_paths_need_no_quotes(self, trms, own):
         assert _shown(trms, *own, "out=runs/a=b (1), c")["out"] == "runs/a=b (1), c"
 

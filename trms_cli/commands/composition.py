@@ -21,6 +21,7 @@ from trms_cli.commands.catalogue import (
     read_primary,
 )
 from trms_cli.commands.overrides import Request, prepare, read_request
+from trms_cli.commands.placed_choices import drop_foreign_keys
 from trms_cli.commands.run_folder import new_folder
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.plugins import TARGET, nearest
@@ -176,6 +177,7 @@ def checked(
     """Resolve a ``DictConfig`` and check it: nothing missing, no key that is not declared."""
     from omegaconf import OmegaConf
 
+    drop_foreign_keys(composed, declared, choices, request.overrides, request.config_dirs)
     missing = sorted(OmegaConf.missing_keys(composed))
     if missing:
         raise ConfigurationError(

@@ -71,7 +71,7 @@ class DeclaredKeys:
         if not isinstance(content, dict):
             return {}
         inside: dict[str, Any] = {}
-        for inner_group, inner_place, default in _included(content):
+        for inner_group, inner_place, default in included(content):
             for inner in self._chosen(inner_group, f"{place}.{inner_place}", default):
                 node = self._option(inner_group, inner, f"{place}.{inner_place}")
                 for step in reversed(inner_place.split(".")):
@@ -88,11 +88,11 @@ class DeclaredKeys:
                 option = self._groups.get(group, {}).get(name)
                 content = read_yaml(option.file) if option is not None else None
                 if isinstance(content, dict):
-                    found += [(inner, f"{group}.{place}") for inner, place, _ in _included(content)]
+                    found += [(inner, f"{group}.{place}") for inner, place, _ in included(content)]
         return found
 
 
-def _included(content: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
+def included(content: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
     """``(group, place, option)`` of a YAML's own defaults list."""
     found = []
     for entry in content.get("defaults") or []:
