@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, Protocol
 
 import pytest
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build, nearest
@@ -25,6 +25,11 @@ class Square:
         return self.side**2
 
 
+class Pen(Struct, frozen=True, forbid_unknown_fields=True):
+    width: Annotated[float, Meta(ge=0)]
+    tip: str = "round"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
     title: str = "untitled"
@@ -34,6 +39,13 @@ class Drawing:
     shapes: tuple[Shape, ...] = ()
     named: Mapping[str, Shape] = field(default_factory=dict)
     sizes: Mapping[str, float] = field(default_factory=dict)
+    pen: Literal["auto"] | Pen = "auto"
+    pens: Mapping[str, Pen] = field(default_factory=dict)
+    span: tuple[float, float] = (0.0, 1.0)
+    spans: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    seed: int | None = None
+    names: tuple[str, ...] | None = None
+    share: Annotated[float, Meta(ge=0, lt=1)] = 0.0
 
     def __post_init__(self) -> None:
         if self.title == "forbidden":
@@ -93,13 +105,27 @@ def test_builds_classes_that_are_no_dataclass() -> None:
         (node("Drawing", titel="x"), "d.titel", "did you mean title?"),
         (node("Square"), "d.side", "d.side="),
         (node("Square", side=-1.0), "d.side", "> 0"),
-        (node("Square", side="big"), "d.side", "expected float"),
-        (node("Drawing", style="dots"), "d.style", "dots"),
+        (node("Square", side="big"), "d.side", "expected a number > 0"),
+        (node("Drawing", style="dots"), "d.style", "allowed: fill, line"),
         (node("Drawing", copies=0), "d.copies", ">= 1"),
-        (node("Drawing", copies=1.5), "d.copies", "int"),
+        (node("Drawing", copies=1.5), "d.copies", "a whole number >= 1"),
         (node("Drawing", main=3), "d.main", "by its name"),
         (node("Drawing", shapes=[node("Square", side=0)]), "d.shapes[0].side", "> 0"),
-        (node("Drawing", sizes={"x": "y"}), "d.sizes", "float"),
+        (node("Drawing", sizes={"x": "y"}), "d.sizes.x", "'y' given expected a number"),
+        (node("Drawing", sizes={"w": 1.0, "x": "y"}), "d.sizes.x", "expected a number"),
+        (node("Drawing", sizes=3), "d.sizes", "a mapping from names to a number"),
+        (node("Drawing", pen=3), "d.pen", "expected auto, or a mapping with the keys width, tip"),
+        (node("Drawing", pen="aut"), "d.pen", "expected auto, or a mapping"),
+        (node("Drawing", pen={"width": 1.0, "tap": "x"}), "d.pen.tap", "did you mean tip?"),
+        (node("Drawing", pen={"tip": "x"}), "d.pen.width", "required"),
+        (node("Drawing", pen={"width": -1.0}), "d.pen.width", "expected a number >= 0"),
+        (node("Drawing", pens={"a": {"width": "x"}}), "d.pens.a.width", "expected a number >= 0"),
+        (node("Drawing", span=[1.0]), "d.span", "expected a list of 2: a number, a number"),
+        (node("Drawing", span=[1.0, "x"]), "d.span[1]", "expected a number"),
+        (node("Drawing", spans={"x": [1.0, 2.0, 3.0]}), "d.spans.x", "a list of 2"),
+        (node("Drawing", seed="x"), "d.seed", "expected a whole number, or null"),
+        (node("Drawing", names="x"), "d.names", "expected a list, each item a text, or null"),
+        (node("Drawing", share=2.0), "d.share", "expected a number >= 0 and < 1"),
         (node("Drawing", title="forbidden"), "d.title", "choose another"),
         (node("Plain", factor=2.0), "d.factor", "<= 1"),
         ({"_target_": "no_such_package_here.Thing"}, "d._target_", "install"),

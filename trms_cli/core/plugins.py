@@ -13,7 +13,6 @@ import difflib
 import importlib
 import inspect
 import math
-import re
 import typing
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -21,6 +20,7 @@ from typing import Any
 import msgspec
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.core.type_words import Refusal, refusal
 
 TARGET = "_target_"
 #: Keys of Hydra's own that may stand in a plugin's node.
@@ -144,18 +144,8 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
     try:
         return msgspec.convert(value, hint, strict=True)
     except msgspec.ValidationError as error:
-        expectation, _, path = str(error).partition(" - at `$")
-        if path.startswith("[...]") and isinstance(value, Mapping) and len(value) > 1:
-            for key, item in value.items():  # msgspec keeps to itself which one it is
-                _converted({key: item}, hint, where)
-        if path.startswith("[...]") and isinstance(value, Mapping):
-            (key,) = value
-            value, path = value[key], path.replace("[...]", f".{key}", 1)
-        raise ConfigurationError(
-            f"{value!r} given",
-            where=where + path.rstrip("`"),
-            remedy=_sentence(expectation),
-        ) from None
+        found = refusal(error, value, hint)
+        raise _refused(found, where + found.path) from None
     except TypeError:
         # A type that is no data (a protocol, an array, a model): a plain value cannot be one.
         if isinstance(value, (str, int, float, bool, list, Mapping)):
@@ -197,10 +187,15 @@ def _built_inside(value: Any, where: str) -> Any:
     return value
 
 
-def _sentence(expectation: str) -> str:
-    """msgspec's words for a range or type, as a remedy."""
-    text = re.sub(r"`", "", expectation)
-    return text[:1].lower() + text[1:]
+def _refused(found: Refusal, where: str) -> ConfigurationError:
+    if found.unknown and found.known:
+        problem, remedy = f"unknown key {found.unknown!r}", nearest(found.unknown, found.known)
+        return ConfigurationError(f"{problem} (given: {found.given!r})", where=where, remedy=remedy)
+    if found.unknown:
+        problem = f"{found.unknown!r} is required and not given"
+        return ConfigurationError(problem, where=where, remedy=f"set {where}=…")
+    remedy = nearest(found.given, found.known) if found.known else f"expected {found.allowed}"
+    return ConfigurationError(f"{found.given!r} given", where=where, remedy=remedy)
 
 
 def _join(where: str, key: str) -> str:
