@@ -267,6 +267,13 @@ BAD_INPUT = [
     ("plant.integration_step=-1", "plant.integration_step", "> 0"),
     ("plant.initial.alpha_q=1", "plant.initial.alpha_q", "did you mean alpha_"),
     ("plant.initial.alpha_v=nan", "plant.initial.alpha_v", "give a number"),
+    ("plant.initial.omega_v=1e200", "plant.initial.omega_v", "give a number up to"),
+    ("plant.initial.omega_v=1e5", "plant.initial.omega_v", "<= 10000"),
+    ("plant.sensors.channels=[spin]", "no 'spin'", "plant.sensors.channels", "alpha_v"),
+    ("plant.sensors.channels=alpha_v", "plant.sensors.channels", "a list, each item a text"),
+    ("model=newtonian_horizontal plant.sensors.channels=[alpha_v]", "no 'alpha_v'", "alpha_h"),
+    ("controller=pid controller.pitch=3", "controller.pitch", "keys kp, ki, kd"),
+    ("controller=pid controller.pitch={kp:1,kq:1}", "controller.pitch.kq", "did you mean kp?"),
     ("plant.sensors.noise_sd.omega_v=-1", "plant.sensors.noise_sd", "-1"),
     ("plant.sensors.loss_probability=2", "plant.sensors.loss_probability", "2"),
     ("plant.prior_seed=-3", "plant.prior_seed", "-3 given"),
@@ -296,10 +303,18 @@ def answered(tmp_path, monkeypatch, capsys):
     return run
 
 
+def test_absurd_numbers_end_in_one_screen_without_warnings(trms):
+    words = ["plant.parameters.J_mr=1e-300", "model.parameters.k_g=1e19", "sim.duration=0.5"]
+    for word in words[:2]:
+        result = trms("run", word, words[2], "picture=false")
+        assert "Warning" not in result.stderr
+        assert (result.returncode == 0) == (result.stderr == "")
+
+
 @pytest.mark.parametrize("case", BAD_INPUT, ids=lambda case: case[0])
 def test_bad_input_is_answered_on_one_screen_and_leaves_nothing(answered, case):
     typed, *expected = case
-    code, message = answered("controller=newton_mpc", "sim.duration=1", typed)
+    code, message = answered("controller=newton_mpc", "sim.duration=1", *typed.split())
     assert code == 2, message
     for words in expected:
         assert words in message

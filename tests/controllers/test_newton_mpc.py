@@ -186,6 +186,14 @@ def test_qp_solvers_agree_on_random_programs(seed: int) -> None:
     assert first.z == pytest.approx(second.z, abs=1e-5)
 
 
+def test_a_program_that_daqp_cannot_set_up_is_unsolved() -> None:
+    nothing = np.zeros((0, 2))
+    box = np.ones(2)
+    qp = Qp(-np.eye(2), box, nothing, -box, box, np.zeros(0), np.zeros(0))
+    result = Daqp().solve(Daqp().start(), qp)
+    assert not result.solved and result.message == "not convex"
+
+
 # -- the horizon ------------------------------------------------------------------------------
 
 

@@ -71,6 +71,8 @@ def main(argv: Sequence[str]) -> int:
 
 def perform(composition: Composition) -> Outcome:
     """Run one composed experiment: log it, score it, print and draw it."""
+    import numpy as np
+
     from trms_cli.commands import run_replay
 
     if run_replay.is_replay(composition.config):
@@ -101,7 +103,11 @@ def perform(composition: Composition) -> Outcome:
         logs.append(log)
         return History({topic.name: _units(topic) for topic in topics}, log)
 
-    with _painter(composition) as painter:
+    # What is not finite is looked for and told in words: NumPy's warnings would only repeat it.
+    with (
+        np.errstate(over="ignore", invalid="ignore", divide="ignore"),
+        _painter(composition) as (painter),
+    ):
         try:
             loop = Loop.start(experiment, make_history)
         except Exception as error:

@@ -23,6 +23,8 @@ from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.type_words import Refusal, refusal
 
 TARGET = "_target_"
+#: Largest size of a number that is not infinite.
+_LARGEST = 1e20
 #: Keys of Hydra's own that may stand in a plugin's node.
 _IGNORED_KEYS = {TARGET, "_convert_", "_recursive_"}
 
@@ -140,7 +142,7 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
     """The value with nested plugins built, in the type that the hint asks for."""
     if _holds_plugin(value):
         return _built_inside(value, where)
-    _refuse_nan(value, where)
+    _refuse_unusable(value, where)
     try:
         return msgspec.convert(value, hint, strict=True)
     except msgspec.ValidationError as error:
@@ -157,16 +159,25 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
         return value
 
 
-def _refuse_nan(value: Any, where: str) -> None:
-    """Infinity may be a limit that is none; what is not a number passes every range check."""
+def _refuse_unusable(value: Any, where: str) -> None:
+    """Infinity may be a limit that is none; what is not a number passes every range check.
+
+    Nothing real is as large as :data:`_LARGEST`, and the powers of such numbers overflow.
+    """
     if isinstance(value, float) and math.isnan(value):
         raise ConfigurationError(f"{value!r} given", where=where, remedy="give a number")
+    if isinstance(value, (int, float)) and _LARGEST < abs(value) < math.inf:
+        raise ConfigurationError(
+            f"{value!r} given",
+            where=where,
+            remedy=f"give a number up to {_LARGEST:g}; .inf where no limit is meant",
+        )
     if isinstance(value, Mapping):
         for key, item in value.items():
-            _refuse_nan(item, _join(where, str(key)))
+            _refuse_unusable(item, _join(where, str(key)))
     elif isinstance(value, (list, tuple)):
         for i, item in enumerate(value):
-            _refuse_nan(item, f"{where}[{i}]")
+            _refuse_unusable(item, f"{where}[{i}]")
 
 
 def _holds_plugin(value: Any) -> bool:

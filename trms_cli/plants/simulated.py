@@ -27,6 +27,9 @@ from trms_cli.plants.mechanical_stops import with_stops
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 
+#: No initial angle (rad) or speed (rad/s) of such a rig is larger: its rotors reach some hundreds.
+_FASTEST = 1e4
+
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedRig:
@@ -64,7 +67,9 @@ class SimulatedRig:
     effects: Mapping[str, Effect] = field(default_factory=dict)
     integration_step: Annotated[float, Meta(gt=0)] = 0.005
     sensors: Sensors = field(default_factory=Sensors)
-    initial: Mapping[str, float] = field(default_factory=dict)
+    initial: Mapping[str, Annotated[float, Meta(ge=-_FASTEST, le=_FASTEST)]] = field(
+        default_factory=dict
+    )
     first_command: Mapping[str, float] = field(default_factory=dict)
     disturbances: Mapping[str, ScheduledDisturbance] = field(default_factory=dict)
     mechanical_stops: bool = True

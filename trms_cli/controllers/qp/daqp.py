@@ -58,7 +58,9 @@ class Daqp:
         else:
             model = daqp.Model()
             model.settings = {"iter_limit": self.max_iterations}
-            model.setup(qp.hessian, qp.gradient, qp.rows, qp.upper, qp.lower, _kinds(qp))
+            flag, _ = model.setup(qp.hessian, qp.gradient, qp.rows, qp.upper, qp.lower, _kinds(qp))
+            if flag < 0:  # no model: to ask it for a solution would be an error
+                return QpResult(np.full(len(qp.gradient), np.nan), False, 0, _reason(flag))
             self._set_prices(model, qp)
             workspace.models[size] = model
         z, _, flag, info = model.solve()
@@ -66,7 +68,7 @@ class Daqp:
         if not solved:
             # A workspace that failed may hold a bad active set: the next solve starts afresh.
             del workspace.models[size]
-        message = "" if solved else _REASONS.get(flag, f"exit flag {flag}")
+        message = "" if solved else _reason(flag)
         return QpResult(z, solved, int(info["iterations"]), message)
 
     @staticmethod
@@ -79,6 +81,10 @@ class Daqp:
         # DAQP takes the reciprocal of the weight of ½ v².
         reciprocal = np.concatenate([np.ones(n), np.where(soft, 0.5 / qp.quadratic, 1.0)])
         model.soft_weights(rho_l=reciprocal, rho_u=reciprocal, w_l=linear, w_u=linear)
+
+
+def _reason(flag: int) -> str:
+    return _REASONS.get(flag, f"exit flag {flag}")
 
 
 def _kinds(qp: Qp) -> np.ndarray:
