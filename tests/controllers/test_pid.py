@@ -10,11 +10,19 @@ from closed_loop_case import SAMPLE_TIME, Trajectory, run, squares
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.pid import Pid, PidState
-from trms_cli.controllers.pid_tuning import AxisPlant, Gains, closed_loop, load_costs, margins
+from trms_cli.controllers.pid_tuning import (
+    AxisPlant,
+    Filters,
+    Gains,
+    closed_loop,
+    load_costs,
+    margins,
+)
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.tras import Tras
 from trms_cli.observers.observer import Estimate
 
 BOTH = Newtonian()
@@ -43,15 +51,31 @@ def tracked() -> Trajectory:
     return run(Pid(), BOTH, squares(BOTH), 120.0)
 
 
-@pytest.mark.parametrize(
-    ("angle", "step", "time"), [("alpha_v", 0.6, 15.0), ("alpha_h", 1.0, 13.0)]
-)
+@pytest.mark.parametrize(("angle", "step", "time"), [("alpha_v", 0.6, 7.5), ("alpha_h", 1.0, 8.5)])
 def test_squares_are_followed(tracked: Trajectory, angle: str, step: float, time: float) -> None:
     levels = tracked.levels(angle)
-    assert settled(levels, 0.05 * step) < time
-    assert max(error.max() for error in levels) < 0.25 * step
+    assert settled(levels, 0.02 * step) < time
+    assert max(error.max() for error in levels) < 0.13 * step
     # what is left two seconds before the next step
-    assert max(np.abs(error[-100:]).max() for error in levels) < 0.015 * step
+    assert max(np.abs(error[-100:]).max() for error in levels) < 0.005 * step
+
+
+def test_the_start_from_standing_rotors_does_not_overshoot_far(tracked: Trajectory) -> None:
+    first = slice(0, round(20.0 / SAMPLE_TIME))
+    assert tracked.error("alpha_v")[first].max() < 0.15 * 0.92
+    assert tracked.error("alpha_h")[first].max() < 0.15 * 0.5
+
+
+def test_sines_are_followed() -> None:
+    """Far better than by standing still, which has an RMSE of 0.21 and 0.35 rad."""
+
+    def sines(time: float) -> np.ndarray:
+        phase = 2 * math.pi * 0.05 * time
+        return np.array([0.3 * math.sin(phase), 0.5 * math.cos(phase)])
+
+    trajectory = run(Pid(), BOTH, sines, 60.0)
+    for angle, bound in (("alpha_v", 0.15), ("alpha_h", 0.16)):
+        assert np.sqrt(np.mean(trajectory.error(angle) ** 2)) < bound
 
 
 @pytest.mark.parametrize("equation", [0, 1])
@@ -78,8 +102,13 @@ def test_another_rig_than_the_model_is_followed_too() -> None:
 
 @pytest.mark.parametrize(
     "model",
-    [Newtonian(freedom="vertical"), Newtonian(freedom="horizontal"), Newtonian(currents="dynamic")],
-    ids=["vertical", "horizontal", "currents"],
+    [
+        Newtonian(freedom="vertical"),
+        Newtonian(freedom="horizontal"),
+        Newtonian(currents="dynamic"),
+        Tras(),
+    ],
+    ids=["vertical", "horizontal", "currents", "tras"],
 )
 def test_every_model_is_followed(model: Model) -> None:
     trajectory = run(Pid(), model, squares(model), 60.0)
@@ -151,36 +180,41 @@ def plant() -> AxisPlant:
     return AxisPlant(A, T * np.array([1.5, 0, 0]), np.array([0.0, 0, 1]), T)
 
 
+FILTERS = Filters(0.05, 0.5, 0.1)
+
+
 def test_the_closed_loop_is_the_law_that_runs() -> None:
     """The transition matrix of tuning against the law stepped by itself on the linear plant."""
-    axis, gains, filter_time = plant(), Gains(0.4, 0.3, 0.6), 0.05
-    A, row = (part[0] for part in closed_loop(axis, np.array([[0.4, 0.3, 0.6]]), filter_time))
-    T, keep = axis.step, filter_time / (filter_time + axis.step)
-    x, integral, derivative, last = np.array([0.1, 0.2, -0.3]), 0.5, 0.0, -0.3
-    state = np.array([*x, integral, derivative, last])
+    axis, gains = plant(), Gains(0.4, 0.3, 0.6)
+    A, row = (part[0] for part in closed_loop(axis, np.array([[0.4, 0.3, 0.6]]), FILTERS))
+    T, keep, slow = axis.step, 0.05 / (0.05 + axis.step), 0.1 / (0.1 + axis.step)
+    x, integral, derivative, last, lagged = np.array([0.1, 0.2, -0.3]), 0.5, 0.0, -0.3, 0.2
+    state = np.array([*x, integral, derivative, last, lagged])
     for _ in range(50):
         y = axis.c @ x
         derivative = keep * derivative - gains.kd * (1 - keep) / T * (y - last)
         last = y
-        u = -gains.kp * y + integral + derivative
+        v = -gains.kp * y + integral + derivative
+        lagged = slow * lagged + (1 - slow) * v
+        u = lagged + 5.0 * (v - lagged)
         assert row @ state == pytest.approx(u, abs=1e-12)
         integral += gains.ki * T * (0 - y)
         x = axis.A @ x + axis.b * u
         state = A @ state
-        np.testing.assert_allclose(state, [*x, integral, derivative, last], atol=1e-12)
+        np.testing.assert_allclose(state, [*x, integral, derivative, last, lagged], atol=1e-12)
 
 
 def test_the_cost_of_a_load_is_the_sum_along_its_response() -> None:
-    axis, gains = plant(), np.array([[0.4, 0.3, 0.6]])
-    A, u = (part[0] for part in closed_loop(axis, gains, 0.05))
+    axis, gains = plant(), np.array([[0.1, 0.1, 0.1]])
+    A, u = (part[0] for part in closed_loop(axis, gains, FILTERS))
     n, T = 3, axis.step
-    state, total = np.eye(n + 3)[n], 0.0
+    state, total = np.eye(n + 4)[n] + np.eye(n + 4)[n + 3], 0.0
     for _ in range(20_000):
         rate = (axis.c @ (axis.A - np.eye(n)) @ state[:n]) / T
         total += T * ((axis.c @ state[:n]) ** 2 + 4.0 * rate**2 + 0.05**2 * (u @ state) ** 2)
         state = A @ state
-    assert load_costs(axis, gains, 0.05, 2.0)[0] == pytest.approx(total, rel=1e-6)
-    assert load_costs(axis, np.array([[0.0, 50.0, 0.0]]), 0.05, 2.0)[0] == math.inf
+    assert load_costs(axis, gains, FILTERS, 2.0, 0.05)[0] == pytest.approx(total, rel=1e-6)
+    assert load_costs(axis, np.array([[0.0, 50.0, 0.0]]), FILTERS, 2.0, 0.05)[0] == math.inf
 
 
 def test_tuned_loops_keep_their_margins() -> None:
@@ -195,11 +229,11 @@ def test_tuned_loops_keep_their_margins() -> None:
 
 def test_margins_are_where_the_loop_becomes_unstable() -> None:
     axis, gains = plant(), Gains(0.4, 0.3, 0.6)
-    margin = margins(axis, gains, 0.05).gain_margin
+    margin = margins(axis, gains, Filters(0.05)).gain_margin
 
     def radius(factor: float) -> float:
         row = factor * np.array([[gains.kp, gains.ki, gains.kd]])
-        return float(np.abs(np.linalg.eigvals(closed_loop(axis, row, 0.05)[0][0])).max())
+        return float(np.abs(np.linalg.eigvals(closed_loop(axis, row, Filters(0.05))[0][0])).max())
 
     assert radius(0.98 * margin) < 1.0 < radius(1.02 * margin)
 
@@ -234,5 +268,5 @@ def test_mistakes_are_reported_by_key(options: dict[str, object], where: str, wo
     node = {"_target_": "trms_cli.controllers.pid.Pid", **options}
     with pytest.raises(ConfigurationError) as caught:
         started(build(node, "controller"))
-    assert caught.value.where == f"controller.{where}"
+    assert caught.value.where.startswith(f"controller.{where}")
     assert words in f"{caught.value.problem} {caught.value.remedy}"

@@ -7,6 +7,7 @@ back from; :func:`require_drivable` refuses the others.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -26,6 +27,9 @@ FloatArray = npt.NDArray[np.float64]
 _LONGEST_SUBSTEP = 0.02
 #: Least share of the strongest direction that the weakest must have to count as driven.
 _LEAST_SHARE = 1e-3
+#: Growth rate at which that is judged, 1/s: slow beside the rig, and an axis that nothing pulls
+#: back, whose gain at rest has no bound, does not outshine the other.
+_ALMOST_STEADY = 0.02
 
 
 @dataclass(frozen=True)
@@ -140,7 +144,7 @@ def require_drivable(linear: LinearModel, where: str) -> None:
     """
     model = linear.discrete.model
     names_of_angles = model.controlled
-    gain = steady_gain(linear)
+    gain = _gain(linear, math.exp(_ALMOST_STEADY * linear.step_length))
     left, strength, _ = np.linalg.svd(gain)
     if strength[-1] < _LEAST_SHARE * strength[0] or not np.all(np.isfinite(gain)):
         weakest = names_of_angles[int(np.argmax(np.abs(left[:, -1])))]
@@ -164,9 +168,13 @@ def require_drivable(linear: LinearModel, where: str) -> None:
 
 def steady_gain(linear: LinearModel) -> FloatArray:
     """Change of the controlled angles in steady state by the inputs, rad/V, shape (n_r, n_u)."""
-    n = linear.A.shape[0]
     try:
-        return linear.C @ np.linalg.solve(np.eye(n) - linear.A, linear.B)
+        return _gain(linear, 1.0)
     except np.linalg.LinAlgError:
         # An axis that nothing pulls back integrates: look at the gain a little above z = 1.
-        return linear.C @ np.linalg.solve((1 + 1e-6) * np.eye(n) - linear.A, linear.B)
+        return _gain(linear, 1 + 1e-6)
+
+
+def _gain(linear: LinearModel, z: float) -> FloatArray:
+    n = linear.A.shape[0]
+    return np.asarray(linear.C @ np.linalg.solve(z * np.eye(n) - linear.A, linear.B))

@@ -2,15 +2,32 @@
 
 For each axis, with reference r, angle α and control period T,
 
-    v = u_ff + k_p (b r̃ − α) + I + D            u = v cut to the limits
-    I⁺ = I + k_i T (r̃ − α) + (T/T_t)(u − v)     back-calculation against windup
-    D  = a D₋ − k_d (1 − a)/T (α − α₋)           on the measured angle, a = T_f/(T_f + T)
+    e = r̃ − α
+    v = k_p (b r̃ − α) + I + D
+    m = m_ff + (1 + τ s)/(1 + τ_f s) v      torque asked for, cut to what the rotor has
+    u = φ(m)                                φ: the input that gives a torque in steady state
+    I⁺ = I + k_i T e + (T/T_t)(m_cut − m)   back-calculation against windup
+    D  = a D₋ + k_d (1 − a)/T (e − e₋)      a = T_f/(T_f + T)
 
-after Åström & Murray, "Feedback Systems", ch. 11. The feed-forward is the model's input in the
-steady state at the reference; what the model misses, the integral supplies. Reference and
-feed-forward each pass two equal first-order lags (r̃, u_ff), so that a step does not set the
-lightly damped pitch swinging; the reference's are slower by what the rig takes to follow the
-feed-forward, so that the integral does not gather the error of the transient.
+after Åström & Murray, "Feedback Systems", ch. 11 and 12.5, with what a rig of rotors needs:
+
+- The inverse φ of the rotor's curve (:mod:`trms_cli.controllers.pid_feed_forward`) takes the
+  square of the propeller out of the loop. Gains are thus in N m, not in V.
+- The lead makes up for the rotor's lag τ.
+- r̃ is the reference behind three equal lags. Its derivatives are known without differencing, and
+
+      m_ff = h(r̃) + c_1 dr̃/dt + c_2 d²r̃/dt² + c_3 d³r̃/dt³
+
+  is the torque with which the model follows it: h what holds the axis there, c the inverse of its
+  linear dynamics, rotor included. The third derivative is cut so that m_ff stays within the
+  rotor's torque: r̃ never asks for what cannot be followed. As r̃ is smooth, D may act on r̃ − α
+  without a kick; with ``reference_lag=0`` there is no r̃ to differentiate, and D acts on −α.
+- A rotor that speeds up turns the rig the other way round. Yaw is told what the torque fed forward
+  to pitch will do to it: d m_ff,pitch/dt, times a number from the model. Nothing measured passes
+  from one axis to the other, so that this cannot make the loops unstable.
+
+What is left to the feedback is what the model misses. The main rotor's start from standstill, where
+it is three times slower than in flight, is the largest part of that on the default references.
 """
 
 from __future__ import annotations
@@ -26,8 +43,26 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.linear_design import Linearisation, require_drivable
-from trms_cli.controllers.operating_point import SteadyState, Target
-from trms_cli.controllers.pid_tuning import AxisPlant, Gains, Margins, held, margins, tuned, worst
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.controllers.pid_feed_forward import (
+    INVERTED,
+    Table,
+    decoupling,
+    holding_torques,
+    inverse,
+    rotor_lag,
+    torque_curve,
+)
+from trms_cli.controllers.pid_tuning import (
+    AxisPlant,
+    Filters,
+    Gains,
+    Margins,
+    held,
+    margins,
+    tuned,
+    worst,
+)
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
@@ -50,18 +85,32 @@ class AxisState:
     gains : Gains
     step : float
         T, s.
-    limit : float
-        Largest input, V.
+    curve, torque_of : Table
+        Input by torque, V by N m, and its inverse.
+    holding : Table or None
+        Torque by angle, N m by rad; None without feed-forward.
+    inverse : [float, float, float]
+        c_1, c_2, c_3: torque by the derivatives of the reference, N m s/rad and so on.
     keep, derivative_gain : float
         a, and k_d (1 − a)/T.
     tracking : float
         T/T_t, at most 1.
-    integral, derivative : float
-        I and D, V.
-    last_angle : float
-        rad.
-    reference_lags, forward_lags : [float, float]
-        What the two lags hold, rad and V.
+    coupling : list of float
+        Torque by the rate of m_ff of each axis before this one, s.
+    lead, slow : float
+        τ/τ_f, and the part that the lead's lag keeps over a period.
+    reference_rate : float
+        One over the reference's lag, 1/s; 0 for none.
+    least, most : float
+        Torques at the limits of the input, N m.
+    integral, derivative, lagged : float
+        I, D, and v behind τ_f, N m.
+    last_error : float
+        α − r̃ (or α), rad; NaN before the first sample.
+    forward_lag, forward_rate : float
+        m_ff behind τ_f, N m, and so its rate, N m/s.
+    guide : (float, float, float)
+        r̃ and its two derivatives, rad, rad/s, rad/s².
     """
 
     state: int
@@ -69,44 +118,41 @@ class AxisState:
     channel: int
     gains: Gains
     step: float
-    limit: float
+    curve: Table
+    torque_of: Table
+    holding: Table | None
+    inverse: list[float]
     keep: float
     derivative_gain: float
     tracking: float
+    coupling: list[float]
+    lead: float
+    slow: float
+    reference_rate: float
+    least: float
+    most: float
     integral: float = 0.0
     derivative: float = 0.0
-    last_angle: float = math.nan
-    reference_lags: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    forward_lags: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    lagged: float = 0.0
+    forward_lag: float = 0.0
+    forward_rate: float = 0.0
+    last_error: float = math.nan
+    guide: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass
 class PidState:
-    """All axes, and the feed-forward at the last reference.
+    """All axes.
 
     Attributes
     ----------
     axes : list of AxisState
-    steady : SteadyState or None
-        None without feed-forward.
     margins : dict of str to Margins
         Robustness of each axis' loop, the worst of the operating points.
-    reference_keep, forward_keep : float
-        Part that a lag keeps over one period.
-    feed_forward : list of float
-        By input, V, before the lags.
-    reference : list of float
-        For which the feed-forward and ``target`` are, rad.
     """
 
     axes: list[AxisState]
-    steady: SteadyState | None
     margins: Mapping[str, Margins]
-    reference_keep: float
-    forward_keep: float
-    feed_forward: list[float]
-    reference: list[float] = field(default_factory=list)
-    target: Target | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,9 +175,11 @@ class Pid:
         T_f, s.
     setpoint_weight : float
         b, the part of the reference that the proportional term sees.
-    reference_lag, forward_lag : float
-        Time constant of each of the two lags on the reference and on the feed-forward, s; 0 for
-        none.
+    lead_filter : float
+        τ_f, s; also of the rate that pitch passes to yaw. A rotor faster than this gets no lead.
+    reference_lag : float or None
+        Time constant of each of the three lags on the reference, s; 0 for none, None for the
+        rotor's τ, but at least 10 T.
     tracking_time : float or None
         T_t, s; None takes √(k_d/k_i), but not less than T.
     feed_forward : bool
@@ -149,9 +197,9 @@ class Pid:
     max_sensitivity: Annotated[float, Meta(gt=1)] = 1.6
     smoothness: Mapping[str, _Positive] = field(default_factory=dict)
     derivative_filter: _Positive = 0.05
+    lead_filter: _Positive = 0.1
     setpoint_weight: Annotated[float, Meta(ge=0, le=1)] = 1.0
-    reference_lag: _NotNegative = 1.3
-    forward_lag: _NotNegative = 1.0
+    reference_lag: _NotNegative | None = None
     tracking_time: _Positive | None = None
     feed_forward: bool = True
     sample_time: _Positive | None = None
@@ -177,13 +225,18 @@ class Pid:
     def init(self, setup: ControlSetup) -> PidState:
         model, T = setup.model, setup.sample_time
         steady = SteadyState(model)
-        gains, robustness = self._gains(model, T, steady)
+        curves = {n: torque_curve(model, n, _channel(model, n), steady) for n in model.axes}
+        gains, robustness, inverses, laws, couplings = self._gains(model, T, steady, curves)
         keep = self.derivative_filter / (self.derivative_filter + T)
         axes = []
         for name, axis in model.axes.items():
-            channel = _channel(model, name)
+            channel, curve = _channel(model, name), curves[name]
+            torque_of = curve.inverse()
             g = gains[name]
             tracking = self.tracking_time or (math.sqrt(g.kd / g.ki) if g.ki and g.kd else 1.0)
+            lag = self.reference_lag
+            if lag is None:
+                lag = max(rotor_lag(inverses[name]), 10 * T)
             axes.append(
                 AxisState(
                     state=model.state_index(axis.angle),
@@ -191,24 +244,34 @@ class Pid:
                     channel=channel,
                     gains=g,
                     step=T,
-                    limit=float(model.input_bounds()[1][channel]),
+                    curve=curve,
+                    torque_of=torque_of,
+                    holding=holding_torques(model, name, channel, steady, torque_of)
+                    if self.feed_forward
+                    else None,
+                    inverse=inverses[name][1:].tolist(),
                     keep=keep,
                     derivative_gain=g.kd * (1 - keep) / T,
-                    tracking=min(1.0, T / tracking),
+                    tracking=min(1.0 / laws[name].ratio, T / tracking),
+                    coupling=couplings[name] if self.feed_forward else [],
+                    lead=laws[name].ratio,
+                    slow=laws[name].lead_filter / (laws[name].lead_filter + T),
+                    reference_rate=1 / lag if lag > 0 else 0.0,
+                    least=curve.x[0],
+                    most=curve.x[-1],
                 )
             )
-        return PidState(
-            axes,
-            steady if self.feed_forward else None,
-            robustness,
-            _kept(self.reference_lag, T),
-            _kept(self.forward_lag, T),
-            [0.0] * model.n_u,
-        )
+        return PidState(axes, robustness)
 
     def _gains(
-        self, model: Model, T: float, steady: SteadyState
-    ) -> tuple[dict[str, Gains], dict[str, Margins]]:
+        self, model: Model, T: float, steady: SteadyState, curves: Mapping[str, Table]
+    ) -> tuple[
+        dict[str, Gains],
+        dict[str, Margins],
+        dict[str, FloatArray],
+        dict[str, Filters],
+        dict[str, list[float]],
+    ]:
         """Gains by axis, tuned where they are not given, and the worst margins of each loop."""
         key = "controller.operating_points"
         given = {"pitch": self.pitch, "yaw": self.yaw}
@@ -220,63 +283,93 @@ class Pid:
                 require_drivable(points[-1], f"{key}[{i}]")
         gains: dict[str, Gains] = {}
         robustness: dict[str, Margins] = {}
-        systems = [(point.A, point.B, point.C) for point in points]
+        inverses: dict[str, FloatArray] = {}
+        laws: dict[str, Filters] = {}
+        systems = []
+        for point in points:
+            B = point.B.copy()
+            for name in model.axes:
+                channel = _channel(model, name)
+                torque_of = curves[name].inverse()
+                B[:, channel] /= torque_of.slope(float(point.target.u[channel]))
+            systems.append((point.A, B, point.C))
+        z, original = np.exp(1j * INVERTED * T), systems
+        couplings: dict[str, list[float]] = {}
         for name, axis in model.axes.items():
             channel, row = _channel(model, name), model.controlled.index(axis.angle)
+            by_channel = [
+                [AxisPlant(A, B[:, other], C[row], T).response(z) for A, B, C in original]
+                for other in [*(_channel(model, known) for known in gains), channel]
+            ]
+            couplings[name] = [
+                decoupling(cross, by_channel[-1], INVERTED, self.lead_filter)
+                for cross in by_channel[:-1]
+            ]
             plants = [AxisPlant(A, B[:, channel], C[row], T) for A, B, C in systems]
+            inverses[name] = inverse(
+                [plant.response(np.exp(1j * INVERTED * T)) for plant in plants], INVERTED
+            )
+            lead = rotor_lag(inverses[name])
+            filters = (
+                Filters(self.derivative_filter, lead, self.lead_filter)
+                if lead > self.lead_filter
+                else Filters(self.derivative_filter)
+            )
+            laws[name] = filters
             chosen = given[name]
             if not isinstance(chosen, Gains):
                 chosen = tuned(
                     plants,
-                    self.derivative_filter,
+                    filters,
                     self.max_sensitivity,
                     self.smoothness.get(name, 3.0),
                     f"controller.{name}",
                 )
             gains[name] = chosen
-            robustness[name] = worst(
-                margins(plant, chosen, self.derivative_filter) for plant in plants
-            )
+            robustness[name] = worst(margins(plant, chosen, filters) for plant in plants)
             # One loop after the other: the next axis is tuned with this one held.
             systems = [
-                held(plant, chosen, self.derivative_filter, B, C)
+                held(plant, chosen, filters, B, C)
                 for plant, (_, B, C) in zip(plants, systems, strict=True)
             ]
-        return gains, robustness
+        return gains, robustness, inverses, laws, couplings
 
     def step(self, state: PidState, sample: ControlSample, *, want_prediction: bool) -> Command:
         x = sample.estimate.x.tolist()
         reference = sample.reference[0].tolist()
-        previous = sample.previous_command
+        u = sample.previous_command.copy()
         if not math.isfinite(sum(x) + sum(reference)):
             return Command(
-                previous.copy(),
+                u,
                 Status.FAILED,
                 fallback="hold",
                 message="the estimate or the reference is not finite; the last command is held",
             )
-        if math.isnan(state.axes[0].last_angle):
-            _start(state, x, previous.tolist(), self.setpoint_weight)
-        if state.steady is not None and reference != state.reference:
-            _aim(state, state.steady, reference)
-        u, weight = previous.copy(), self.setpoint_weight
-        reference_keep, forward_keep = state.reference_keep, state.forward_keep
+        weight = self.setpoint_weight
         for axis in state.axes:
             angle, gains = x[axis.state], axis.gains
-            wanted = _lagged(axis.reference_lags, reference[axis.reference], reference_keep)
+            if math.isnan(axis.last_error):
+                _start(axis, angle, float(u[axis.channel]), weight)
+            wanted, forward = _guided(axis, reference[axis.reference])
+            behind = angle - wanted if axis.reference_rate else angle
+            if math.isnan(axis.last_error):
+                axis.last_error = behind
             axis.derivative = axis.keep * axis.derivative - axis.derivative_gain * (
-                angle - axis.last_angle
+                behind - axis.last_error
             )
-            axis.last_angle = angle
-            v = (
-                _lagged(axis.forward_lags, state.feed_forward[axis.channel], forward_keep)
-                + gains.kp * (weight * wanted - angle)
-                + axis.integral
-                + axis.derivative
-            )
-            cut = min(max(v, -axis.limit), axis.limit)
-            axis.integral += gains.ki * axis.step * (wanted - angle) + axis.tracking * (cut - v)
-            u[axis.channel] = cut
+            axis.last_error = behind
+            terms = gains.kp * (weight * wanted - angle) + axis.integral + axis.derivative
+            axis.lagged = terms + axis.slow * (axis.lagged - terms)
+            ahead = forward - axis.forward_lag
+            axis.forward_rate = ahead / self.lead_filter
+            axis.forward_lag += axis.step / (axis.step + self.lead_filter) * ahead
+            for other, strength in zip(state.axes, axis.coupling, strict=False):
+                forward += strength * other.forward_rate
+            asked = forward + axis.lagged + axis.lead * (terms - axis.lagged)
+            torque = min(max(asked, axis.least), axis.most)
+            axis.integral += gains.ki * axis.step * (wanted - angle)
+            axis.integral += axis.tracking * (torque - asked)
+            u[axis.channel] = axis.curve.at(torque)
         return Command(u)
 
 
@@ -298,39 +391,34 @@ def _channel(model: Model, axis: str) -> int:
     return names(model.inputs).index(model.rotors[rotor])
 
 
-def _kept(lag: float, period: float) -> float:
-    """Part of its value that a first-order lag keeps over a period."""
-    return math.exp(-period / lag) if lag > 0 else 0.0
+def _guided(axis: AxisState, reference: float) -> tuple[float, float]:
+    """The reference that the axis can follow, and the torque fed forward for it.
+
+    Advances the reference's filter, with its jerk cut so that the torque stays within the
+    rotor's.
+    """
+    f, T, (y, rate, acceleration) = axis.reference_rate, axis.step, axis.guide
+    if not f:
+        return reference, axis.holding.at(reference) if axis.holding is not None else 0.0
+    jerk = f * (f * (f * (reference - y) - 3 * rate) - 3 * acceleration)
+    forward = 0.0
+    if axis.holding is not None:
+        c1, c2, c3 = axis.inverse
+        calm = axis.holding.at(y) + c1 * rate + c2 * acceleration
+        if c3 > 0:
+            jerk = min(max(jerk, (axis.least - calm) / c3), (axis.most - calm) / c3)
+        forward = calm + c3 * jerk
+    acceleration += T * jerk
+    rate += T * acceleration
+    axis.guide = (y + T * rate, rate, acceleration)
+    return y, forward
 
 
-def _lagged(held: list[float], value: float, keep: float) -> float:
-    """A value behind two equal first-order lags, whose memory is updated."""
-    held[0] = value + keep * (held[0] - value)
-    held[1] = held[0] + keep * (held[1] - held[0])
-    return held[1]
-
-
-def _aim(state: PidState, steady: SteadyState, reference: list[float]) -> None:
-    """Put the feed-forward at the steady state for a reference, if there is one."""
-    target = steady.solve(np.array(reference), None, state.target)
-    state.reference = reference
-    if target.converged:
-        state.target, state.feed_forward = target, target.u.tolist()
-
-
-def _start(state: PidState, x: list[float], command: list[float], weight: float) -> None:
+def _start(axis: AxisState, angle: float, command: float, weight: float) -> None:
     """Bumpless: if the reference were where the rig is, the command in force would go on."""
-    if state.steady is not None:
-        angles = [0.0] * len(state.axes)
-        for axis in state.axes:
-            angles[axis.reference] = x[axis.state]
-        _aim(state, state.steady, angles)
-    for axis in state.axes:
-        axis.last_angle = angle = x[axis.state]
-        axis.reference_lags = [angle, angle]
-        axis.forward_lags = [state.feed_forward[axis.channel]] * 2
-        axis.integral = (
-            command[axis.channel]
-            - state.feed_forward[axis.channel]
-            - axis.gains.kp * (weight - 1) * angle
-        )
+    axis.guide = (angle, 0.0, 0.0)
+    forward = _guided(axis, angle)[1]
+    torque = axis.torque_of.at(command)
+    axis.forward_lag = forward
+    axis.lagged = torque - forward
+    axis.integral = axis.lagged - axis.gains.kp * (weight - 1) * angle

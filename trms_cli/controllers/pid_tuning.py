@@ -9,13 +9,15 @@ among the gains with
 
 the ones that, after a step of the load, minimise
 
-    J = Σ_j ∫ (α² + ρ² α̇² + λ² (u − u_∞)²) dt        per volt of the load
+    J = Σ_j ∫ (α² + ρ² α̇² + λ² (u − u_∞)²) dt        per unit of the load
 
 over several operating points j, at each of which the bound holds: the rig's gain in pitch grows by
-three quarters from −0.3 to 0.3 rad, while its frequency falls. G is the discretised model between
-an input and its angle, with the hold and the sampling in it and the axes before this one held,
-and C the law exactly as it is computed, filter included: what is tuned is what runs. M bounds the
-distance to the critical point (gain margin above M/(M − 1), phase margin above 2 asin 1/(2M)).
+three quarters from −0.3 to 0.3 rad, while its frequency falls. Loads are what is left to these
+gains: references are followed by the feed-forward, whose error, a torque that the model missed,
+is a load. G is the discretised model between a torque asked for and its angle, with the rotor, the
+hold and the sampling in it and the axes before this one held, and C the law exactly as it is
+computed, filter and lead included: what is tuned is what runs. M bounds the distance to the
+critical point (gain margin above M/(M − 1), phase margin above 2 asin 1/(2M)).
 """
 
 from __future__ import annotations
@@ -38,11 +40,34 @@ _FREQUENCIES = 110
 #: Searched, times the plant's gain: ln(1 + k_p), log₁₀ k_i (per s), log₁₀ k_d (s). A slightly
 #: negative k_p is the best for a lightly damped axis: it slows the swing that k_d then damps.
 _LOWEST, _HIGHEST = np.array([-1.0, -2.5, -1.5]), np.array([2.6, 1.0, 1.0])
+_SLOW, _BAND = 0.05, 0.5  # rad/s
 _FIRST_GRID, _GRID, _ROUNDS, _SHRINK = 12, 5, 12, 0.72
 #: Squarings of the closed loop's transition: the cost is summed over 2¹³ samples.
 _DOUBLINGS = 13
-#: Weight of the command, rad/V. It only keeps the cost from being flat in it.
+#: Weight of the command, times the plant's gain. It only keeps the cost from being flat in it.
 _EFFORT = 0.05
+
+
+@dataclass(frozen=True)
+class Filters:
+    """The dynamics of the law besides its integral.
+
+    Attributes
+    ----------
+    derivative : float
+        T_f, time constant of the derivative's filter, s.
+    lead, lead_filter : float
+        τ and τ_f of the lead ``(1 + τ s)/(1 + τ_f s)`` behind the three terms, s. Equal: none.
+    """
+
+    derivative: float
+    lead: float = 1.0
+    lead_filter: float = 1.0
+
+    @property
+    def ratio(self) -> float:
+        """τ/τ_f, what the lead makes of a jump."""
+        return self.lead / self.lead_filter
 
 
 class Gains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -51,7 +76,7 @@ class Gains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     kp, ki, kd : float
-        V/rad, V/(rad s), V s/rad.
+        N m/rad, N m/(rad s), N m s/rad; before the lead.
     """
 
     kp: float
@@ -105,20 +130,23 @@ def frequencies(step: float, density: int = 1) -> FloatArray:
     return np.concatenate([slow, np.geomspace(min(10.0, fast), fast, 20 * density)])
 
 
-def terms(z: ComplexArray, step: float, filter_time: float) -> ComplexArray:
-    """Responses of the three terms of the law to the measured angle, shape (3, n).
+def terms(z: ComplexArray, step: float, filters: Filters) -> ComplexArray:
+    """Responses of the three terms of the law, lead included, to the measured angle, shape (3, n).
 
     As in :mod:`trms_cli.controllers.pid`: the integral is advanced after its use, the derivative
     is a backward difference behind a first-order filter.
     """
-    keep = filter_time / (filter_time + step)
-    return np.stack([np.ones_like(z), step / (z - 1), (1 - keep) / step * (z - 1) / (z - keep)])
+    keep = filters.derivative / (filters.derivative + step)
+    slow = filters.lead_filter / (filters.lead_filter + step)
+    lead = filters.ratio + (1 - filters.ratio) * (1 - slow) * z / (z - slow)
+    derivative = (1 - keep) / step * (z - 1) / (z - keep)
+    return lead * np.stack([np.ones_like(z), step / (z - 1), derivative])
 
 
 def closed_loop(
-    plant: AxisPlant, gains: FloatArray, filter_time: float
+    plant: AxisPlant, gains: FloatArray, filters: Filters
 ) -> tuple[FloatArray, FloatArray]:
-    """Transition of [plant state, integral, filtered derivative, last angle], and u as a row.
+    """Transition of [plant state, integral, filtered derivative, last angle, lead's lag], and u.
 
     Parameters
     ----------
@@ -127,64 +155,77 @@ def closed_loop(
 
     Returns
     -------
-    (k, n + 3, n + 3) array, (k, n + 3) array
+    (k, n + 4, n + 4) array, (k, n + 4) array
     """
     count, n, T, c = gains.shape[0], plant.b.size, plant.step, plant.c
-    keep = filter_time / (filter_time + T)
+    keep = filters.derivative / (filters.derivative + T)
+    slow = filters.lead_filter / (filters.lead_filter + T)
     share = (1 - keep) / T
     kp, ki, kd = gains[:, :1], gains[:, 1:2], gains[:, 2:]
-    # u = −kp y + I + D,  D = keep D₋ − kd share (y − y₋)
-    u = np.zeros((count, n + 3))
-    u[:, :n] = -(kp + kd * share) * c
-    u[:, n], u[:, n + 1], u[:, n + 2] = 1.0, keep, kd[:, 0] * share
-    after = np.zeros((count, n + 3, n + 3))
+    # v = −kp y + I + D,  D = keep D₋ − kd share (y − y₋)
+    v = np.zeros((count, n + 4))
+    v[:, :n] = -(kp + kd * share) * c
+    v[:, n], v[:, n + 1], v[:, n + 2] = 1.0, keep, kd[:, 0] * share
+    # lagged = slow lagged₋ + (1 − slow) v,  u = ratio v + (1 − ratio) lagged
+    lagged = (1 - slow) * v
+    lagged[:, n + 3] = slow
+    u = filters.ratio * v + (1 - filters.ratio) * lagged
+    after = np.zeros((count, n + 4, n + 4))
     after[:, :n, :n] = plant.A
     after[:, :n] += plant.b[:, None] * u[:, None, :]
     after[:, n, :n], after[:, n, n] = -ki * T * c, 1.0
     after[:, n + 1, :n] = -kd * share * c
     after[:, n + 1, n + 1], after[:, n + 1, n + 2] = keep, kd[:, 0] * share
     after[:, n + 2, :n] = c
+    after[:, n + 3] = lagged
     return after, u
 
 
 def held(
-    plant: AxisPlant, gains: Gains, filter_time: float, B: FloatArray, C: FloatArray
+    plant: AxisPlant, gains: Gains, filters: Filters, B: FloatArray, C: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The rig with one axis' loop closed, its law's states appended: A, B and C for the others."""
     row = np.array([[gains.kp, gains.ki, gains.kd]])
-    A = closed_loop(plant, row, filter_time)[0][0]
+    A = closed_loop(plant, row, filters)[0][0]
     more = A.shape[0] - B.shape[0]
     return A, np.pad(B, ((0, more), (0, 0))), np.pad(C, ((0, 0), (0, more)))
 
 
 def load_costs(
-    plant: AxisPlant, gains: FloatArray, filter_time: float, smoothness: float
+    plant: AxisPlant, gains: FloatArray, filters: Filters, smoothness: float, effort: float
 ) -> FloatArray:
     """J of k candidates, infinite where the loop is not stable, shape (k,)."""
     n, T = plant.b.size, plant.step
-    A, u = closed_loop(plant, gains, filter_time)
-    angle, rate = np.zeros(n + 3), np.zeros(n + 3)
+    A, u = closed_loop(plant, gains, filters)
+    angle, rate = np.zeros(n + 4), np.zeros(n + 4)
     angle[:n] = plant.c
     rate[:n] = plant.c @ (plant.A - np.eye(n)) / T
     X = T * (
         np.outer(angle, angle)
         + smoothness**2 * np.outer(rate, rate)
-        + _EFFORT**2 * u[:, :, None] * u[:, None, :]
+        + effort**2 * u[:, :, None] * u[:, None, :]
     )
-    # In deviations from its end, the run after a step of the load begins with the integral off by
-    # that step and everything else at its end.
+    # In deviations from its end, the run after a step of the load begins with the integral and the
+    # lag of the lead off by that step and everything else at its end.
+    start = np.zeros(n + 4)
+    start[n] = start[n + 3] = 1.0
     with np.errstate(all="ignore"):  # an unstable candidate overflows
         for _ in range(_DOUBLINGS):
-            before = X[:, n, n]
+            before = _along(X, start)
             X = X + A.transpose(0, 2, 1) @ X @ A
             A = A @ A
-        cost = X[:, n, n]
+        cost = _along(X, start)
         settled = cost - before < 1e-3 * cost
     return np.where(settled, cost, np.inf)
 
 
+def _along(X: FloatArray, start: FloatArray) -> FloatArray:
+    """startᵀ X start of each X, shape (k,)."""
+    return np.asarray((X @ start) @ start)
+
+
 def tuned(
-    plants: Sequence[AxisPlant], filter_time: float, peak: float, smoothness: float, where: str
+    plants: Sequence[AxisPlant], filters: Filters, peak: float, smoothness: float, where: str
 ) -> Gains:
     """The gains of least cost whose sensitivity stays below a peak.
 
@@ -195,8 +236,7 @@ def tuned(
     ----------
     plants : sequence of AxisPlant
         The axis at each operating point.
-    filter_time : float
-        Time constant of the derivative's filter, s.
+    filters : Filters
     peak : float
         M, above 1.
     smoothness : float
@@ -212,21 +252,31 @@ def tuned(
     inputs = [array for plant in plants for array in (plant.A, plant.b, plant.c)]
     return cached_result(
         __file__,
-        [*inputs, plants[0].step, filter_time, peak, smoothness],
+        [*inputs, plants[0].step, filters, peak, smoothness],
         Gains,
-        lambda: _searched_for(plants, filter_time, peak, smoothness, where),
+        lambda: _searched_for(plants, filters, peak, smoothness, where),
     )
 
 
+def _strength(plants: Sequence[AxisPlant]) -> float:
+    """The largest gain of the axis, by which the search is scaled, rad per unit of its input.
+
+    At rest, or for an axis that nothing pulls back, whose gain there has no bound, in its band.
+    """
+    both = np.array([_SLOW, _BAND]) * 1j
+    return max(float(np.abs(p.response(np.exp(both * p.step))).min()) for p in plants)
+
+
 def _searched_for(
-    plants: Sequence[AxisPlant], filter_time: float, peak: float, smoothness: float, where: str
+    plants: Sequence[AxisPlant], filters: Filters, peak: float, smoothness: float, where: str
 ) -> Gains:
     step = plants[0].step
     z = np.exp(1j * frequencies(step) * step)
     responses = [plant.response(z) for plant in plants]
-    loops = [terms(z, step, filter_time) * response for response in responses]
-    largest = max((response[0] for response in responses), key=abs)
-    scale = math.copysign(1.0 / max(abs(largest), 1e-12), largest.real)
+    loops = [terms(z, step, filters) * response for response in responses]
+    scale = 1.0 / max(_strength(plants), 1e-12)
+    if plants[0].response(np.exp([complex(_SLOW * step)]))[0].real < 0:
+        scale = -scale
     best_cost, best = math.inf, np.zeros(3)
     low, high = _LOWEST, _HIGHEST
     for count in (_FIRST_GRID, *(_GRID,) * _ROUNDS):
@@ -236,7 +286,11 @@ def _searched_for(
         robust = np.flatnonzero(_distance(gains, loops) >= 1 / peak)
         if robust.size:
             costs = np.sum(
-                [load_costs(p, gains[robust], filter_time, smoothness) for p in plants], axis=0
+                [
+                    load_costs(p, gains[robust], filters, smoothness, _EFFORT / abs(scale))
+                    for p in plants
+                ],
+                axis=0,
             )
             least = int(np.argmin(costs))
             if costs[least] < best_cost:
@@ -273,12 +327,12 @@ def _searched(grid: FloatArray) -> FloatArray:
     return np.concatenate([np.expm1(grid[..., :1]), 10.0 ** grid[..., 1:]], axis=-1)
 
 
-def margins(plant: AxisPlant, gains: Gains, filter_time: float) -> Margins:
+def margins(plant: AxisPlant, gains: Gains, filters: Filters) -> Margins:
     """Margins of the loop broken at the input."""
     omega = frequencies(plant.step, density=8)
     z = np.exp(1j * omega * plant.step)
     weights = np.array([gains.kp, gains.ki, gains.kd])
-    L = (weights @ terms(z, plant.step, filter_time)) * plant.response(z)
+    L = (weights @ terms(z, plant.step, filters)) * plant.response(z)
     crossings = np.flatnonzero(np.diff(np.sign(np.abs(L) - 1)) != 0)
     turns = np.flatnonzero((np.diff(np.sign(L.imag)) != 0) & (L.real[:-1] < 0))
     above = -1 / L.real[turns]

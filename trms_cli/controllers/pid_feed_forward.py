@@ -1,0 +1,203 @@
+"""What a model tells a PID law beforehand: the rotor's curve, the holding torque, the inverse.
+
+The thrust of a rotor goes as ω|ω|, so that a volt is worth little where the rotor stands still and
+much where it turns fast: the loop gain of an axis would change with its angle and with what pushes
+it. The law therefore asks for a torque on its axis, and the :class:`TorqueCurve` of its rotor
+turns that into an input. Both the curve and the holding torques are read off the steady states of
+the model (:mod:`trms_cli.controllers.operating_point`), dead zones and supply limits included.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.controllers.operating_point import SteadyState, Target
+from trms_cli.models.model import Model, names
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+#: Inputs of the curve are this part of the range apart. It also is the cell in which the infinite
+#: slope at a standing rotor is replaced by a finite one.
+_CELL = 0.06
+#: First torque tried, N m, and how often a step may be halved or doubled.
+_SMALLEST_TORQUE, _POINTS = 1e-5, 120
+#: Beyond this part of the range the curve goes on as it came; before, a step that cannot be held
+#: is tried again so many times, shortened.
+_ENOUGH, _REFUSALS = 0.85, 4
+_ANGLES = 25  # of the table of holding torques
+_FURTHEST = 1.5  # rad, its range where an axis has no stops
+#: rad/s: the axes are followed up to about here.
+INVERTED = np.geomspace(0.1, 3.0, 24)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A function of one number, linear between its points and constant beyond them."""
+
+    x: list[float]
+    y: list[float]
+
+    def at(self, value: float) -> float:
+        x, y = self.x, self.y
+        if value <= x[0]:
+            return y[0]
+        if value >= x[-1]:
+            return y[-1]
+        i = bisect_right(x, value)
+        return y[i - 1] + (y[i] - y[i - 1]) * (value - x[i - 1]) / (x[i] - x[i - 1])
+
+    def inverse(self) -> Table:
+        """Of an increasing table."""
+        return Table(self.y, self.x)
+
+    def slope(self, value: float) -> float:
+        """Of the cell that a value is in."""
+        i = min(max(bisect_right(self.x, value), 1), len(self.x) - 1)
+        return (self.y[i] - self.y[i - 1]) / (self.x[i] - self.x[i - 1])
+
+
+def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> Table:
+    """Input by the torque on an axis that the rotor gives with it in steady state, V by N m.
+
+    With the beam level and the yaw straight ahead: the input that holds the axis there against a
+    torque −m on it gives m more than the one that holds it free.
+    """
+    equation = names(model.disturbances).index(model.axes[axis].moment)
+    limit = float(model.input_bounds()[1][channel])
+    zero = np.zeros(len(model.controlled))
+
+    def solved(torque: float, guess: Target | None) -> Target | None:
+        w = np.zeros(model.n_w)
+        w[equation] = -torque
+        target = steady.solve(zero, w, guess)
+        return target if target.converged and not target.projected else None
+
+    middle = solved(0.0, None)
+    sides: list[list[tuple[float, float]]] = []
+    for sign in (-1.0, 1.0):
+        points: list[tuple[float, float]] = []
+        torque, step, last, refused = 0.0, _SMALLEST_TORQUE, middle, 0
+        for _ in range(_POINTS):
+            if last is None:
+                break
+            following = solved(sign * (torque + step), last)
+            if following is None:
+                reached = abs(last.u[channel]) / limit
+                if refused == _REFUSALS or reached > _ENOUGH:
+                    break
+                refused += 1
+                step /= 4
+                continue
+            moved = abs(following.u[channel] - last.u[channel]) / limit
+            if moved < _CELL / 2:
+                step *= 2.0
+                if step > 1e6:
+                    break
+                continue
+            torque += step
+            points.append((sign * torque, float(following.u[channel])))
+            last = following
+            step *= min(2.0, max(0.25, _CELL / moved))
+        sides.append(points)
+    start = [(0.0, float(middle.u[channel]))] if middle is not None else []
+    points = sides[0][::-1] + start + sides[1]
+    return _increasing(points, limit)
+
+
+def _increasing(points: Sequence[tuple[float, float]], limit: float) -> Table:
+    """A strictly increasing table up to both limits; the ends go on as they ended."""
+    kept: list[tuple[float, float]] = []
+    for torque, u in points:
+        if not kept or u > kept[-1][1] + 1e-6 * limit:
+            kept.append((torque, u))
+    if len(kept) < 2:
+        return Table([-limit, limit], [-limit, limit])
+    (a, ua), (b, ub) = kept[0], kept[1]
+    if ua > -limit:
+        kept.insert(0, (a - (ua + limit) * (b - a) / (ub - ua), -limit))
+    (a, ua), (b, ub) = kept[-2], kept[-1]
+    if ub < limit:
+        kept.append((b + (limit - ub) * (b - a) / (ub - ua), limit))
+    return Table([p[0] for p in kept], [p[1] for p in kept])
+
+
+def holding_torques(
+    model: Model, axis: str, channel: int, steady: SteadyState, torque_of: Table
+) -> Table:
+    """Torque that holds an axis at an angle, N m by rad, with the other axis at 0."""
+    angle = model.axes[axis].angle
+    position = model.controlled.index(angle)
+    furthest = min(model.stops.get(angle, math.inf), _FURTHEST)
+    found: list[tuple[float, float]] = []
+    for sign in (-1.0, 1.0):
+        last: Target | None = None
+        for value in np.linspace(0.0, sign * furthest, _ANGLES // 2 + 1).tolist():
+            reference = np.zeros(len(model.controlled))
+            reference[position] = value
+            target = steady.solve(reference, None, last)
+            if target.projected or not target.converged:
+                break
+            last = target
+            found.append((value, torque_of.at(float(target.u[channel]))))
+    table = sorted(dict(found).items()) or [(0.0, 0.0)]
+    return Table([p[0] for p in table], [p[1] for p in table])
+
+
+def inverse(responses: Sequence[ComplexArray], omega: FloatArray) -> FloatArray:
+    """Coefficients c of the polynomial c_0 + c_1 s + c_2 s² + c_3 s³ closest to 1/G.
+
+    Least squares of ``G(jω) Σ c_i (jω)ⁱ − 1`` over all responses G: the error of the angle when
+    the polynomial drives the axis. For a rotor's lag before an axis with inertia, damping and
+    stiffness it is exact.
+
+    Parameters
+    ----------
+    responses : sequence of (n,) arrays
+        Of the angle to the torque asked for, rad/(N m).
+    omega : (n,) array
+        rad/s.
+    """
+    powers = (1j * omega[:, None]) ** np.arange(4)
+    rows = np.concatenate([response[:, None] * powers for response in responses])
+    scale = np.abs(rows).max(axis=0)
+    both = np.concatenate([rows.real, rows.imag]) / scale
+    wanted = np.concatenate([np.ones(len(rows)), np.zeros(len(rows))])
+    solution, *_ = np.linalg.lstsq(both, wanted, rcond=None)
+    return np.asarray(solution / scale)
+
+
+def rotor_lag(coefficients: FloatArray) -> float:
+    """Time constant of the real factor (1 + τ s) of the inverse, s; 0 if it has none.
+
+    Of the three roots one is the rotor's; the other two are the axis' swing. Where all three are
+    real, the fastest is taken.
+    """
+    roots = np.roots(coefficients[::-1])
+    real = roots[(np.abs(roots.imag) < 1e-9) & (roots.real < 0)].real
+    return float(1 / -real.min()) if real.size else 0.0
+
+
+def decoupling(
+    cross: Sequence[ComplexArray], own: Sequence[ComplexArray], omega: FloatArray, lag: float
+) -> float:
+    """Torque on an axis by the rate of another's that undoes what the other does to it, s.
+
+    Least squares of ``G_cross + G_own (d_0 + d_1 jω/(1 + jω lag))`` over all responses; d_1. A
+    rotor that speeds up turns the rig the other way round: that is a torque by a rate.
+    """
+    rate = 1j * omega / (1 + 1j * omega * lag)
+    rows = np.concatenate([np.stack([g, g * rate], axis=-1) for g in own])
+    wanted = -np.concatenate(cross)
+    solution, *_ = np.linalg.lstsq(
+        np.concatenate([rows.real, rows.imag]),
+        np.concatenate([wanted.real, wanted.imag]),
+        rcond=None,
+    )
+    return float(solution[1])
