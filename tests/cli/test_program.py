@@ -164,6 +164,10 @@ class TestList:
         assert "model  (what the controller and the observer believe)" in result.stdout
         assert "newtonian_full" in result.stdout
 
+    def test_every_group_has_a_heading(self, trms):
+        groups = json.loads(trms("list", "--json").stdout)["groups"]
+        assert [name for name, group in groups.items() if not group["about"]] == []
+
     def test_json_says_the_same(self, trms):
         document = json.loads(trms("list", "--json").stdout)
         assert document["schema"] == "trms.list/1"

@@ -33,6 +33,15 @@ examples
   trms list controller pid     the keys of one
 """
 
+#: Groups that the primary configuration does not have: they are chosen inside others.
+_INSIDE_OTHERS = {
+    "disturbance": "torques on the rig: disturbance@plant.disturbances=NAME",
+    "parameters": "values of a model: model.parameter_set=NAME",
+    "qp_solver": "of newton_mpc: qp_solver@controller.qp=NAME",
+    "shaping": "smooths a reference: shaping@ref.shaping=NAME",
+    "signal": "what one axis follows: signal@ref.alpha_v=NAME",
+}
+
 
 def main(argv: Sequence[str]) -> int:
     """Print groups, one group, or one option."""
@@ -92,7 +101,7 @@ def _find_option(groups: Groups, group: str, name: str) -> Option:
 
 def _about(config_dirs: Sequence[Path]) -> dict[str, str]:
     """What each group is for, as the primary configuration's defaults tell it."""
-    return read_primary("run", config_dirs).about
+    return _INSIDE_OTHERS | read_primary("run", config_dirs).about
 
 
 def _table(groups: Groups, about: dict[str, str], config_dirs: Sequence[Path]) -> str:
@@ -100,7 +109,7 @@ def _table(groups: Groups, about: dict[str, str], config_dirs: Sequence[Path]) -
     blocks = []
     for group, options in groups.items():
         purpose = about.get(group, "")
-        lines = [f"{group}  ({purpose})" if purpose else group]
+        lines = [row(f"{group}  ", f"({purpose})") if purpose else group]
         for option in options.values():
             own = f"  [{option.source}]" if option.source in config_dirs else ""
             lines.append(row(f"  {option.name:{width}}", option.summary + own))
