@@ -51,19 +51,21 @@ def tracked() -> Trajectory:
     return run(Pid(), BOTH, squares(BOTH), 120.0)
 
 
-@pytest.mark.parametrize(("angle", "step", "time"), [("alpha_v", 0.6, 7.5), ("alpha_h", 1.0, 8.5)])
+@pytest.mark.parametrize(("angle", "step", "time"), [("alpha_v", 0.6, 6.5), ("alpha_h", 1.0, 8.0)])
 def test_squares_are_followed(tracked: Trajectory, angle: str, step: float, time: float) -> None:
     levels = tracked.levels(angle)
     assert settled(levels, 0.02 * step) < time
-    assert max(error.max() for error in levels) < 0.13 * step
+    assert max(error.max() for error in levels) < 0.11 * step
     # what is left two seconds before the next step
     assert max(np.abs(error[-100:]).max() for error in levels) < 0.005 * step
 
 
 def test_the_start_from_standing_rotors_does_not_overshoot_far(tracked: Trajectory) -> None:
     first = slice(0, round(20.0 / SAMPLE_TIME))
-    assert tracked.error("alpha_v")[first].max() < 0.15 * 0.92
-    assert tracked.error("alpha_h")[first].max() < 0.15 * 0.5
+    for angle, step in (("alpha_v", 0.919), ("alpha_h", 0.5)):
+        error = tracked.error(angle)[first]
+        assert error.max() < 0.1 * step
+        assert settled([error], 0.02 * step) < 8.0
 
 
 def test_sines_are_followed() -> None:

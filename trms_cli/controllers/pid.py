@@ -196,8 +196,8 @@ class Pid:
     )
     max_sensitivity: Annotated[float, Meta(gt=1)] = 1.6
     smoothness: Mapping[str, _Positive] = field(default_factory=dict)
-    derivative_filter: _Positive = 0.05
-    lead_filter: _Positive = 0.1
+    derivative_filter: _Positive = 0.04
+    lead_filter: _Positive = 0.07
     setpoint_weight: Annotated[float, Meta(ge=0, le=1)] = 1.0
     reference_lag: _NotNegative | None = None
     tracking_time: _Positive | None = None
