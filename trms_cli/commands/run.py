@@ -12,6 +12,7 @@ from time import perf_counter
 from typing import Any
 
 from trms_cli.commands.composition import Composition, Outcome, execute
+from trms_cli.commands.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK
 
 SUMMARY = "close the loop: simulate or replay, log, score, draw"
@@ -52,10 +53,6 @@ options
   --cfg job          print the composed configuration and stop
   --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
 """
-
-LOG_NAME = "run.mcap"
-SCORE_NAME = "score.json"
-PICTURE_NAME = "run.png"
 
 
 def main(argv: Sequence[str]) -> int:
@@ -122,7 +119,7 @@ def perform(composition: Composition) -> Outcome:
         except KeyboardInterrupt:
             score = _score(loop, log.path, complete=False)
             log.close("interrupted", score)
-            _write_score(score, log.path.with_name(SCORE_NAME))
+            write_document(score, log.path.with_name(SCORE_NAME))
             screen.say_interrupted(loop.done * experiment.sample_time)
             if composition.job is not None:
                 raise  # the sweep ends too
@@ -133,7 +130,7 @@ def perform(composition: Composition) -> Outcome:
                 reached = loop.done * experiment.sample_time
                 assembly.raise_explained(error, experiment, reached, log.path)
             raise
-        _write_score(score, log.path.with_name(SCORE_NAME))
+        write_document(score, log.path.with_name(SCORE_NAME))
         picture = log.path.with_name(PICTURE_NAME) if composition.config["picture"] else None
         if picture is not None:
             words = {"title": _title(composition), "limits": _limits(loop)}
@@ -199,19 +196,6 @@ def _limits(loop: Any) -> dict[str, tuple[float, float]]:
         for signal, low, high in zip(loop.plant.inputs, lower.tolist(), upper.tolist(), strict=True)
     }
     return limits | {name: (-stop, stop) for name, stop in loop.experiment.model.stops.items()}
-
-
-def _write_score(score: dict[str, Any], path: Path) -> None:
-    """The JSON twin of what is printed."""
-    import json
-
-    from trms_cli.recordings.output_file import explain_os_error
-
-    text = json.dumps(score, indent=2, ensure_ascii=False, allow_nan=False)
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise explain_os_error(error, path) from error
 
 
 def _objective(score: dict[str, Any]) -> float | None:

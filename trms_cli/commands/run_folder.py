@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from trms_cli.core.errors import TrmsError
+
+#: Files of a run in its folder.
+LOG_NAME, SCORE_NAME, PICTURE_NAME = "run.mcap", "score.json", "run.png"
 
 
 def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
@@ -61,3 +66,22 @@ def _dated(what: str) -> Path:
             number += 1
         else:
             return folder
+
+
+def write_document(document: Mapping[str, Any], path: Path) -> None:
+    """Write the JSON twin of what is printed.
+
+    Raises
+    ------
+    RecordingError
+        If the disk does not take it.
+    """
+    import json
+
+    from trms_cli.recordings.output_file import explain_os_error
+
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise explain_os_error(error, path) from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import sys
@@ -16,11 +15,11 @@ from trms_cli.commands.composition import Composition, Outcome
 from trms_cli.commands.git_revision import GitRevision
 from trms_cli.commands.invocation import program
 from trms_cli.commands.plugin_failure import plugin_failure
+from trms_cli.commands.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.plugins import TARGET, build, locate
 from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig, RecordedRun
-from trms_cli.recordings.output_file import explain_os_error
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
 from trms_cli.scoring.innovations import innovation_table
@@ -28,7 +27,6 @@ from trms_cli.scoring.score import Series, score_tables
 from trms_cli.simulation.history import History
 from trms_cli.simulation.replay import Replay, time_offset
 
-LOG_NAME, SCORE_NAME, PICTURE_NAME = "run.mcap", "score.json", "run.png"
 INNOVATIONS_NAME = "innovations.json"
 #: Groups that a recording makes no use of.
 _NO_PART = ("controller", "ref", "effect", "sim")
@@ -96,7 +94,7 @@ def perform_replay(composition: Composition) -> Outcome:
     table = _innovations(replay)
     log.close("completed", score)
     for name, document in ((SCORE_NAME, score), (INNOVATIONS_NAME, table)):
-        _write(document, log.path.with_name(name))
+        write_document(document, log.path.with_name(name))
     picture = None
     if config["picture"]:
         from trms_cli.reporting.replay_picture import draw_replay
@@ -105,15 +103,6 @@ def perform_replay(composition: Composition) -> Outcome:
         draw_replay(replay.history, table, picture, title=screen.what)
     screen.say_finished(score, table, picture, spent)
     return Outcome(EXIT_OK, _objective(table))
-
-
-def _write(document: Mapping[str, Any], path: Path) -> None:
-    """The JSON twin of what is printed."""
-    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise explain_os_error(error, path) from error
 
 
 def _topics(model: Model, rig: RecordedRun) -> list[Topic]:
