@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from linear_model import DoubleMass, matrices
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
+from trms_cli.controllers.horizon import blocks_of
 from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
 from trms_cli.controllers.qp.daqp import Daqp
 from trms_cli.controllers.qp.osqp import Osqp
@@ -346,6 +347,19 @@ def test_soft_limit_holds_exactly_when_it_can(close_loop: Callable[..., Any]) ->
     assert limited.states[:, row].max() < 0.31 + 2e-3
 
 
+def test_reference_beyond_a_soft_limit_is_followed_to_the_limit_and_calmly(
+    close_loop: Callable[..., Any],
+) -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(soft_limits={"alpha_v": (-0.9, 0.2)})
+    ran = close_loop(mpc, model, constant(0.4, 0.3), 12.0)
+    last = dict(zip(model.state_names, ran.states[-1], strict=True))
+    assert last["alpha_v"] == pytest.approx(0.2, abs=2e-3)
+    assert last["alpha_h"] == pytest.approx(0.3, abs=2e-3)
+    assert np.ptp(ran.inputs[-30:], axis=0).max() < 0.02
+    assert all(command.status is Status.OK for command in ran.commands[-30:])
+
+
 def test_soft_limit_gives_way_when_it_must(close_loop: Callable[..., Any]) -> None:
     model = Newtonian()
     mpc = NewtonMpc(soft_limits={"alpha_v": (-0.2, 0.6)})  # the run starts at −0.619
@@ -474,6 +488,28 @@ class FailingQp:
         return Daqp().solve(workspace[1], qp)
 
 
+@dataclass(frozen=True)
+class RaisingQp(FailingQp):
+    """Raises where a library would."""
+
+    def solve(self, workspace: list[Any], qp: Qp) -> QpResult:
+        result = super().solve(workspace, qp)
+        if not result.solved:
+            raise RuntimeError("made to fail")
+        return result
+
+
+def test_an_exception_of_the_solver_is_a_failed_solve() -> None:
+    model = Newtonian()
+    mpc = NewtonMpc(**SHORT, qp=RaisingQp(after=1))
+    state, first = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    sample = sample_at(model, model.rest(), [0.1, 0.2], first.u)
+    command = mpc.step(state, sample, want_prediction=False)
+    assert command.status is Status.FAILED
+    assert "RuntimeError: made to fail" in command.message
+    assert np.isfinite(command.u).all()
+
+
 @pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input"])
 def test_fall_back_acts_and_is_reported(policy: Any) -> None:
     model = Newtonian()
@@ -517,10 +553,31 @@ def test_estimate_that_is_no_number_never_reaches_the_rig(bad: float) -> None:
 # -- configuration ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("blocks", [(), (0, 2), (30, 30)])
+@pytest.mark.parametrize("blocks", [(), (0, 2), (1, -1)])
 def test_impossible_blocks_are_refused(blocks: tuple[int, ...]) -> None:
-    with pytest.raises(ConfigurationError, match="prediction_horizon"):
+    with pytest.raises(ConfigurationError, match="given"):
         NewtonMpcState(NewtonMpc(move_blocks=blocks), ControlSetup(Newtonian(), 0.1, np.zeros(2)))
+
+
+def test_blocks_beyond_the_horizon_are_left_out() -> None:
+    assert blocks_of(5, (1, 2, 4, 4)).tolist() == [0, 1, 1, 2, 2]
+    assert blocks_of(5, (1, 2)).tolist() == [0, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "where"),
+    [
+        ({"input_rate_limits": {"u_x": 5.0}}, "input_rate_limits.u_x"),
+        ({"soft_limits": {"alpha_v": (0.6, -0.9)}}, "soft_limits.alpha_v"),
+        ({"soft_limits": {"alpha_w": (-1.0, 1.0)}}, "soft_limits.alpha_w"),
+        ({"rate_weights": {"omega": 1.0}}, "rate_weights.omega"),
+        ({"preview_horizon": 50}, "preview_horizon"),
+    ],
+)
+def test_mistakes_are_reported_by_key(arguments: dict[str, Any], where: str) -> None:
+    with pytest.raises(ConfigurationError) as raised:
+        NewtonMpcState(NewtonMpc(**arguments), ControlSetup(Newtonian(), 0.1, np.zeros(2)))
+    assert raised.value.where == where
 
 
 def test_weight_on_an_unknown_state_names_the_nearest() -> None:

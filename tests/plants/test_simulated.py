@@ -190,6 +190,9 @@ def test_a_state_that_is_not_finite_stops_the_run() -> None:
     [
         ({"parameters": {"k_fpv": 1.0}}, "parameters.k_fpv", "k_fvp"),
         ({"initial": {"alpha_x": 1.0}}, "initial.alpha_x", "alpha_v"),
+        ({"initial": {"alpha_h": 3.5}}, "initial.alpha_h", "stops"),
+        ({"parameters": {"J_tr": -1.0}}, "parameters.J_tr", "at least 1e-09"),
+        ({"parameters": {"k_ov": -1.0}}, "parameters.k_ov", "at least 0"),
         ({"first_command": {"u": 1.0}}, "first_command.u", "u_v"),
         ({"sensors": Sensors(channels=("alpha",))}, "sensors.channels", "alpha_v"),
         ({"sensors": Sensors(channels=())}, "sensors.channels", "alpha_v"),

@@ -14,7 +14,7 @@ an exact penalty function: with μ above the multipliers its minimum meets the c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -92,20 +92,21 @@ class TerminalPrice:
 def blocks_of(prediction_horizon: int, lengths: tuple[int, ...]) -> npt.NDArray[np.int64]:
     """Block index of each control period, shape (N,).
 
+    Blocks beyond the horizon are left out; the last one lasts to its end.
+
     Raises
     ------
     ConfigurationError
-        If the lengths are not positive or do not add up to at most the horizon; the last block
-        lasts to the end of the horizon.
+        If there is no block, or one of no length.
     """
-    if not lengths or min(lengths) < 1 or sum(lengths) > prediction_horizon:
+    if not lengths or min(lengths) < 1:
         raise ConfigurationError(
-            f"{list(lengths)!r} given, with prediction_horizon={prediction_horizon}",
+            f"{list(lengths)!r} given",
             where="move_blocks",
-            remedy="lengths of at least 1 that add up to at most the prediction horizon",
+            remedy="one length or more, each of at least 1 control period",
         )
-    index = np.repeat(np.arange(len(lengths)), lengths)
-    rest = np.full(prediction_horizon - len(index), len(lengths) - 1)
+    index = np.repeat(np.arange(len(lengths)), lengths)[:prediction_horizon]
+    rest = np.full(prediction_horizon - len(index), index[-1])
     return np.concatenate([index, rest])
 
 
@@ -339,6 +340,13 @@ def _propagated(
 
 def _check_names(model: Model, weights: Weights, limits: SoftLimits) -> None:
     inputs = names(model.inputs)
+    for name, (lower, upper) in limits.states.items():
+        if not lower < upper:
+            raise ConfigurationError(
+                f"[{lower:g}, {upper:g}] given",
+                where=f"soft_limits.{name}",
+                remedy="the lower limit first, and below the upper one",
+            )
     for where, given, known in (
         ("state_weights", weights.states, model.state_names),
         ("rate_weights", weights.rates, model.controlled),
@@ -346,13 +354,16 @@ def _check_names(model: Model, weights: Weights, limits: SoftLimits) -> None:
         ("move_weights", weights.moves, inputs),
         ("soft_limits", limits.states, model.state_names),
     ):
-        for name in given:
-            if name not in known and not _of_other_axis(name):
-                raise ConfigurationError(
-                    f"the model has no {name!r}",
-                    where=f"{where}.{name}",
-                    remedy=nearest(name, known),
-                )
+        check_names(given, known, where)
+
+
+def check_names(given: Iterable[str], known: Sequence[str], where: str) -> None:
+    """Raise :class:`ConfigurationError` for a name that neither this model nor its kin has."""
+    for name in given:
+        if name not in known and not _of_other_axis(name):
+            raise ConfigurationError(
+                f"the model has no {name!r}", where=f"{where}.{name}", remedy=nearest(name, known)
+            )
 
 
 def _of_other_axis(name: str) -> bool:

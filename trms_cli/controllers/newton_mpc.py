@@ -35,13 +35,14 @@ from trms_cli.controllers.horizon import (
     TerminalPrice,
     Weights,
     blocks_of,
+    check_names,
 )
 from trms_cli.controllers.newton_step import NewtonStep
 from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.controllers.qp.daqp import Daqp
 from trms_cli.controllers.qp.problem import QpSolver
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.core.errors import SimulationError
+from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import names
 
@@ -62,7 +63,8 @@ class NewtonMpc:
         N, control periods.
     move_blocks : tuple of int
         Lengths of the blocks over which an input is constant, in control periods (the control
-        horizon); the last block lasts to the end of the prediction horizon.
+        horizon). The last block lasts to the end of the prediction horizon; what is beyond it is
+        left out.
     preview_horizon : int
         How many control periods ahead the reference is known, at most N; beyond, it is taken as
         constant, so that the terminal state leaves N − preview periods to settle.
@@ -122,9 +124,17 @@ class NewtonMpc:
     fallback: Literal["shifted_plan", "hold", "steady_input", "stop"] = "shifted_plan"
     qp: QpSolver = field(default_factory=Daqp)
 
+    def __post_init__(self) -> None:
+        if self.preview_horizon > self.prediction_horizon:
+            raise ConfigurationError(
+                f"{self.preview_horizon} given",
+                where="preview_horizon",
+                remedy=f"at most the prediction horizon, {self.prediction_horizon}",
+            )
+
     def preview(self, setup: ControlSetup) -> int:
         """Reference samples wanted beyond the present one."""
-        return min(self.preview_horizon, self.prediction_horizon)
+        return self.preview_horizon
 
     def init(self, setup: ControlSetup) -> NewtonMpcState:
         """Compiled functions, workspaces and the first plan."""
@@ -190,9 +200,11 @@ class NewtonMpcState:
             else None,
             typical_sizes(self.discrete),
         )
-        rates = np.array(
-            [config.input_rate_limits.get(name, np.inf) for name in names(model.inputs)]
-        )
+        inputs = names(model.inputs)
+        check_names(config.input_rate_limits, inputs, "input_rate_limits")
+        rates = np.array([config.input_rate_limits.get(name, np.inf) for name in inputs])
+        limits = [config.soft_limits.get(name, (-np.inf, np.inf)) for name in model.controlled]
+        self._goal_limits = np.array(limits) if config.soft_limits else None
         self.newton = NewtonStep(horizon, config.qp, rates * setup.sample_time)
         self._shift = _shift_matrix(blocks)
         self._beyond = 1.0 - self._shift.sum(axis=0)
@@ -228,13 +240,17 @@ class NewtonMpcState:
         # `reference` holds r(t+1) … r(t+N), the last known one held to the end of the horizon.
         reference[:, : known - 1] = sample.reference[1:].T
         reference[:, known - 1 :] = sample.reference[-1][:, None]
+        asked = goal = sample.reference[-1]
+        if self._goal_limits is not None:
+            # A steady state beyond a soft limit would be fought over for ever.
+            goal = np.clip(asked, self._goal_limits[:, 0], self._goal_limits[:, 1])
         previous_target = self.target
-        self.target = target = self._target_for(sample.reference[-1])
-        if target.projected:
+        self.target = target = self._target_for(goal)
+        if target.projected or goal is not asked:
             # What cannot be held must not be striven for either: the objective would pull away
             # from the terminal state.
-            asked, reached = sample.reference[-1][:, None], target.reference_reached[:, None]
-            reference[:] = np.where(reference == asked, reached, reference)
+            reached = target.reference_reached if target.projected else goal
+            reference[:] = np.where(reference == asked[:, None], reached[:, None], reference)
         newton.set_problem(self._full, sample.previous_command, self._disturbance, target)
         steady = target.u[:, None]
         self.other_start = None

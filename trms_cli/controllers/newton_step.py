@@ -229,7 +229,7 @@ class NewtonStep:
         qp = self._program(hessian, gradient, z, terminal_slope, terminal)
         middle = perf_counter()
         self.linearise_time += middle - begin
-        result = self._qp.solve(self._workspace, qp)
+        result = self._solved(qp)
         if result.solved and self._limited:
             result = self._within_limits(qp, result, trajectory[self._limited], limited_slopes)
         self.qp_time += perf_counter() - middle
@@ -293,7 +293,16 @@ class NewtonStep:
             np.concatenate([qp.linear, np.full(m, limits.linear)]),
             np.concatenate([qp.quadratic, np.full(m, limits.quadratic)]),
         )
-        return self._qp.solve(self._workspace, extended)
+        return self._solved(extended)
+
+    def _solved(self, qp: Qp) -> QpResult:
+        """The solver's answer; an exception of the library is a solve that failed."""
+        try:
+            return self._qp.solve(self._workspace, qp)
+        except Exception as error:
+            self._workspace = self._qp.start()
+            reason = f"{type(error).__name__}: {error}"
+            return QpResult(np.full(len(qp.gradient), np.nan), False, 0, reason)
 
     def _move(
         self,

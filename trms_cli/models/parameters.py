@@ -102,7 +102,7 @@ class ParameterSet:
                 raise ConfigurationError(
                     f"{value!r} given",
                     where=key,
-                    remedy=f"give a finite number from {old.lower:g} to {old.upper:g} {old.unit}",
+                    remedy=f"give a finite number{_range_of(old)} in {old.unit or '1'}",
                 )
             changed[name] = replace(old, value=float(value))
         return ParameterSet(changed.values(), self.name)
@@ -132,6 +132,14 @@ class ParameterSet:
     def joined(self, others: Iterable[Parameter]) -> ParameterSet:
         """This set followed by further parameters."""
         return ParameterSet([*self, *others], self.name)
+
+
+def _range_of(parameter: Parameter) -> str:
+    low, high = np.isfinite(parameter.lower), np.isfinite(parameter.upper)
+    words = [f"at least {parameter.lower:g}"] * bool(low) + [f"at most {parameter.upper:g}"] * bool(
+        high
+    )
+    return ", " + " and ".join(words) + "," if words else ""
 
 
 class _Entry(msgspec.Struct, forbid_unknown_fields=True):

@@ -112,6 +112,14 @@ class SimulatedRun:
         self.input_limits = model.input_bounds()
         start = model.rest()
         for name, value in rig.initial.items():
+            stop = model.stops.get(name, math.inf) if rig.mechanical_stops else math.inf
+            if abs(value) > stop:
+                raise ConfigurationError(
+                    f"{value:g} given",
+                    where=f"initial.{name}",
+                    remedy=f"the mechanical stops are at ±{stop:g} rad "
+                    "(plant.mechanical_stops=false takes them away)",
+                )
             start[_known(name, names(model.states), "initial")] = value
         # The buffers' arrays are fixed for life; the step writes beside its input and is copied
         # back, the measurement reads the same state.

@@ -77,7 +77,9 @@ class Osqp:
         if workspace.last is not None and len(workspace.last) == n + 2 * k:
             solver.warm_start(x=workspace.last)
         result = solver.solve(raise_error=False)
-        solved = result.info.status == "solved" and bool(np.isfinite(result.x).all())
+        # "Inaccurate" is within ten times the tolerance, which is set far below what matters.
+        good = result.info.status in ("solved", "solved inaccurate")
+        solved = good and bool(np.isfinite(result.x).all())
         workspace.last = result.x if solved else None
         message = "" if solved else str(result.info.status)
         return QpResult(np.array(result.x[:n]), solved, int(result.info.iter), message)
