@@ -110,7 +110,7 @@ MISTAKES = [
     (
         {"effects": {"yaw_coulomb_friction": {"torque": "much"}}},
         "effects.yaw_coulomb_friction.torque",
-        "float",
+        "number",
     ),
     (
         {"effects": {"yaw_coulomb_friction": {"axis": "pitch", "torque": float("nan")}}},
