@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,11 @@ from trms_cli.scoring.score import Series
 LIMITS = {"u_v": (-2.5, 2.5), "u_h": (-2.5, 2.5), "alpha_v": (-0.9, 0.6)}
 _ANGLES = [Field("alpha_v", "rad"), Field("alpha_h", "rad")]
 _STATES = [Field("alpha_h", "rad"), Field("alpha_v", "rad")]
+_INPUTS = [Field("u_v", "V"), Field("u_h", "V")]
+_TOPICS = standard_topics(
+    references=_ANGLES, inputs=_INPUTS, outputs=_ANGLES, states=_STATES, estimates=_STATES
+)
+UNITS = {topic.name: {field.name: field.unit for field in topic.fields} for topic in _TOPICS}
 
 Tables = dict[str, Series]
 MakeTables = Callable[..., Tables]
@@ -59,7 +65,7 @@ def make_tables() -> MakeTables:
             estimate[f"innovation_sd_{name}"] = np.full(time.size, 0.002)
         solve_time = np.full(time.size, 1e-4)
         solve_time[17] = 5e-3
-        return {
+        tables = {
             "/reference": Series(time, {"alpha_v": 0.3 * wave, "alpha_h": 0.5 * wave}),
             "/command": Series(
                 time,
@@ -83,6 +89,7 @@ def make_tables() -> MakeTables:
                 },
             ),
         }
+        return {name: replace(table, units=UNITS[name]) for name, table in tables.items()}
 
     return make
 
@@ -93,15 +100,8 @@ def make_log(tmp_path: Path, make_tables: MakeTables) -> MakeLog:
 
     def make(name: str = "run.mcap", *, killed: bool = False, **kind: float) -> Path:
         tables = make_tables(**kind)
-        topics = standard_topics(
-            references=_ANGLES,
-            inputs=[Field("u_v", "V"), Field("u_h", "V")],
-            outputs=_ANGLES,
-            states=_STATES,
-            estimates=_STATES,
-        )
-        log = RunLog(tmp_path / name, topics, {"limits": json.dumps(LIMITS)})
-        fields = {topic.name: topic.field_names for topic in topics if topic.name in tables}
+        log = RunLog(tmp_path / name, _TOPICS, {"limits": json.dumps(LIMITS)})
+        fields = {topic.name: topic.field_names for topic in _TOPICS if topic.name in tables}
         nothing = {"message": ""}
         for index, time in enumerate(tables["/command"].time):
             for topic, names in fields.items():

@@ -159,3 +159,21 @@ def test_scoring_needs_no_library_that_is_slow_to_import() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_units_are_those_of_the_schema_not_of_the_name(make_tables: MakeTables) -> None:
+    tables = make_tables()
+    time = tables["/reference"].time
+    spin = {"S_h": np.ones(time.size)}
+    tables["/plant/state"] = Series(time, spin, {"S_h": "rad/s"})
+    tables["/estimate"] = Series(
+        time,
+        spin | {"innovation_alpha_h": np.ones(time.size)},
+        {"S_h": "rad/s", "innovation_alpha_h": "rad"},
+    )
+    tables["/command"] = Series(time, {"u_v": np.ones(time.size)}, {"u_v": "1"})
+    score = score_tables(tables, limits={}, duration_s=40.0)
+    assert score["estimate"]["units"] == {"S_h": "rad/s", "alpha_h": "rad"}
+    assert score["inputs"]["u_v"]["unit"] == "1"
+    tables["/command"] = Series(time, {"u_v": np.ones(time.size)})
+    assert score_tables(tables, limits={}, duration_s=40.0)["inputs"]["u_v"]["unit"] == ""

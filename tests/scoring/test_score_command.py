@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 from trms_cli.commands import score
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.recordings.run_log import RunLog
+from trms_cli.recordings.topics import Field, standard_topics
 
 from .conftest import MakeLog
 
@@ -115,3 +118,17 @@ def test_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
         score.main(["--help"])
     assert caught.value.code == 0
     assert capsys.readouterr().out == score.HELP
+
+
+def test_units_are_those_that_the_log_tells(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = [Field("S_h", "rad/s"), Field("alpha_h", "rad")]
+    topics = standard_topics(inputs=[Field("u_h", "V")], states=states, estimates=states)
+    with RunLog(tmp_path / "run.mcap", topics, {}) as log:
+        for k in range(10):
+            log.write("/plant/state", k * 10**7, (0.1, 0.2))
+            log.write("/estimate", k * 10**7, (0.2, 0.3, 0.1, 0.1))
+    assert score.main([str(tmp_path / "run.mcap")]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"S_h +rad/s +0\.1\b", printed) and "N*m*s" not in printed

@@ -195,8 +195,6 @@ def _print_channels(
 
 
 def _print_estimate(estimate: dict[str, Any]) -> None:
-    from trms_cli.scoring.score import unit_by_name
-
     rmse, prediction = estimate["rmse"], estimate["prediction_rmse"]
     columns = {"RMSE of state": rmse, "RMSE of 1-step prediction": prediction}
     # an observer that is handed the true state has no error worth a column
@@ -211,7 +209,7 @@ def _print_estimate(estimate: dict[str, Any]) -> None:
     table = _table("estimate", *columns)
     for name in names:
         numbers = [_number(values.get(name)) for values in columns.values()]
-        table.add_row(name, unit_by_name(name), *numbers)
+        table.add_row(name, estimate["units"].get(name, ""), *numbers)
     console = _console()
     console.print(table)
     if estimate["nees_mean"] is not None:

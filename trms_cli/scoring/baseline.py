@@ -271,7 +271,9 @@ def _figures(score: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Figure, floa
             node = node[part]
         if "" in figures:
             for name, value in node.items():
-                yield f"{group}.{name}", (figures[""], value)
+                unit = score["estimate"].get("units", {}).get(name, "")
+                own = Figure(unit, figures[""].tolerance, figures[""].judged)
+                yield f"{group}.{name}", (own, value)
         elif group == "solver":
             for name, figure in figures.items():
                 yield f"{group}.{name}", (figure, node[name])

@@ -6,7 +6,8 @@ rig no estimation error. Beside the keys of the schema, channels say how many st
 they were scored on the true ``state`` or on the ``measurement`` (``scored_on``): a simulated
 rig's true state is taken where the log has it, since a sensor's noise is not the controller's
 error. ``estimate`` also has ``nees_expected`` (the mean of a consistent filter) and
-``prediction_rmse`` (one step ahead, per output), which exist for replayed recordings too.
+``prediction_rmse`` (one step ahead, per output), which exist for replayed recordings too, and the
+``units`` of both.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ SCHEMA = "trms.score/1"
 LIMITS_KEY = "limits"
 #: Share of a run in which an observer may find its feet before its innovations are judged.
 _TRANSIENT = 0.1
-_UNITS = {"alpha": "rad", "omega": "rad/s", "S": "N*m*s", "u": "V", "i": "A"}
 
 Limits = Mapping[str, tuple[float, float]]
 
@@ -50,7 +50,7 @@ class Columns(Protocol):
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units by name; may lack some."""
+        """Units by name; a signal that it lacks is scored without one."""
         ...
 
 
@@ -233,6 +233,8 @@ def _estimate(tables: Mapping[str, Columns]) -> dict[str, Any]:
             [consistency.whiteness_p(values[settled]) for values in innovations.values()]
         ),
         "prediction_rmse": {name: metrics.rmse(values) for name, values in innovations.items()},
+        "units": {name: _unit(estimate, name) for name in errors}
+        | {name: _unit(estimate, f"innovation_{name}") for name in innovations},
     }
 
 
@@ -331,12 +333,8 @@ def _floats(table: Columns, name: str) -> Array:
 
 
 def _unit(table: Columns, name: str) -> str:
-    return table.units.get(name) or unit_by_name(name)
-
-
-def unit_by_name(name: str) -> str:
-    """Unit that a signal of the design's vocabulary has; empty for any other name."""
-    return _UNITS.get(name.partition("_")[0], "")
+    """The unit that the log's schema tells; a name alone tells none."""
+    return table.units.get(name, "")
 
 
 def _median(values: list[float]) -> float:
