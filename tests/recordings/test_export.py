@@ -17,6 +17,8 @@ from trms_cli.recordings import output_file
 from trms_cli.recordings.export import export_log
 from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.recordings.recording import read_recording
+from trms_cli.recordings.run_log import RunLog
+from trms_cli.recordings.topics import Topic
 
 
 @pytest.fixture
@@ -40,17 +42,49 @@ def test_parquet_joins_all_topics_on_time(tmp_path: Path, log: LoggedRun) -> Non
     table = pq.read_table(out)
     assert table.schema.field("measurement.alpha_v").metadata == {b"unit": b"rad"}
     assert table.schema.metadata[b"config.yaml"].decode() == log.config
-    assert table.num_rows == 121  # one time has two events
-    time = np.array(table["time"])
-    assert np.all(np.diff(time) >= 0) and list(time[5:7]) == [0.05, 0.05]
+    np.testing.assert_array_equal(np.array(table["time"]), log.table("/command").time)
     rows = table.to_pylist()
     assert rows[3]["command.u_v"] == 4.0 and rows[3]["measurement.alpha_h"] is None
     assert rows[3]["controller.status"] == "optimal" and rows[3]["prediction.time"] is None
     assert rows[0]["prediction.time"] == pytest.approx([0, 0.1, 0.2, 0.3])
-    assert rows[5]["event.kind"] == "saturation" and rows[6]["event.kind"] == "note"
-    assert rows[6]["command.u_v"] is None
-    command = [row["command.u_v"] for row in rows if row["command.u_v"] is not None]
-    np.testing.assert_array_equal(command, log.table("/command").columns["u_v"])
+    np.testing.assert_array_equal(np.array(table["command.u_v"]), np.arange(1.0, 121.0))
+
+
+def test_parquet_has_one_row_a_sample_time_whatever_happens_then(
+    tmp_path: Path, topics: list[Topic]
+) -> None:
+    with RunLog(tmp_path / "run.mcap", topics, {}) as run:
+        run.event(0, "fault", "rig", "before the first sample")
+        for time_ns in (10, 20, 30):
+            run.write("/command", time_ns * 10**6, (1.0, 2.0))
+        run.event(20 * 10**6, "saturation_begin", "u_v", "at its limit", 3.0)
+        run.event(20 * 10**6, "note", "person", "pushed the beam")
+        run.event(27 * 10**6, "gap", "recording", "between two samples", 0.5)
+        run.event(99 * 10**6, "note", "person", "after the last sample")
+    export_log(read_log(tmp_path / "run.mcap"), tmp_path / "run.parquet", "parquet")
+    table = pq.read_table(tmp_path / "run.parquet")
+    rows = table.to_pylist()
+    assert [row["time"] for row in rows] == [0.01, 0.02, 0.03]
+    assert [row["command.u_v"] for row in rows] == [1.0, 1.0, 1.0]
+    assert rows[0]["event.kind"] == ["fault"] and rows[2]["event.time"] == [0.099]
+    assert rows[1]["event.time"] == [0.02, 0.02, 0.027]
+    assert rows[1]["event.kind"] == ["saturation_begin", "note", "gap"]
+    assert rows[1]["event.value"] == [3.0, None, 0.5]
+    assert table.schema.field("event.time").metadata == {b"unit": b"s"}
+
+
+def test_rows_without_an_event_are_null(tmp_path: Path, log: LoggedRun) -> None:
+    export_log(log, tmp_path / "run.parquet", "parquet")
+    rows = pq.read_table(tmp_path / "run.parquet").to_pylist()
+    assert [k for k, row in enumerate(rows) if row["event.kind"] is not None] == [5]
+    assert rows[5]["event.kind"] == ["saturation", "note"]
+
+
+def test_a_log_of_events_alone_holds_no_sample(tmp_path: Path, topics: list[Topic]) -> None:
+    with RunLog(tmp_path / "run.mcap", topics, {}) as run:
+        run.event(0, "fault", "rig", "at once")
+    with pytest.raises(RecordingError, match="no sample"):
+        export_log(read_log(tmp_path / "run.mcap"), tmp_path / "run.parquet", "parquet")
 
 
 def test_mat_has_a_struct_per_topic(tmp_path: Path, log: LoggedRun) -> None:

@@ -21,8 +21,8 @@ far as it goes. The file appears when it is whole; nothing is overwritten unless
   LOG            an MCAP log of trms
   --format NAME  csv      inputs, outputs and references on the sample grid, as `trms import`
                           and `plant=replay` read it
-                 parquet  one wide table of all topics, columns topic.field, units in the
-                          fields' metadata
+                 parquet  one wide table of all topics, a row per sample time, columns
+                          topic.field, units in the fields' metadata; events as lists
                  mat      a struct per topic, units beside the values
                  (default: what the ending of --out tells, else csv)
   --out FILE     where to write (default: beside LOG, with the format's ending)

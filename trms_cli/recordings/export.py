@@ -15,6 +15,7 @@ from trms_cli.recordings.log_reader import LoggedRun, Table
 from trms_cli.recordings.mcap_recording import recording_of
 from trms_cli.recordings.output_file import whole_file
 
+_EVENTS = "/event"
 SUFFIXES = {"csv": ".csv", "parquet": ".parquet", "mat": ".mat"}
 
 
@@ -29,8 +30,8 @@ def export_log(log: LoggedRun, path: Path | str, format: str, *, force: bool = F
         Refused when it exists, unless ``force``.
     format : str
         "csv": the recording (inputs, outputs, references) on the sample grid, as
-        ``trms import`` reads it. "parquet": one wide table of all topics. "mat": a struct
-        per topic.
+        ``trms import`` reads it. "parquet": one wide table of all topics, a row per sample
+        time. "mat": a struct per topic.
     """
     path = Path(path)
     if format == "csv":
@@ -42,7 +43,7 @@ def export_log(log: LoggedRun, path: Path | str, format: str, *, force: bool = F
             where="--format",
             remedy=f"formats are {', '.join(SUFFIXES)}",
         )
-    if not any(len(table) for table in log.tables.values()):
+    if not any(len(table) for name, table in log.tables.items() if name != _EVENTS):
         raise RecordingError(
             "the log holds no sample", where=str(log.path), remedy="repeat the run"
         )
@@ -54,26 +55,35 @@ def export_log(log: LoggedRun, path: Path | str, format: str, *, force: bool = F
 
 
 def _write_parquet(log: LoggedRun, path: Path) -> None:
-    """Write one row per time of any topic; cells of topics silent at that time are null.
+    """Write one row per sample time; cells of topics silent at that time are null.
 
     Columns are named ``topic.field``; each field's metadata holds its unit, the table's
-    the run's metadata, score and config.
+    the run's metadata, score and config. Events make no rows: those that happened from a
+    sample until the next one are lists in that sample's row, with their own times.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    tables = {name: table for name, table in log.tables.items() if len(table)}
-    keys = {name: _row_keys(table.time_ns) for name, table in tables.items()}
-    grid = np.unique(np.concatenate(list(keys.values())), axis=0)
-    arrays = [pa.array(grid[:, 0] / 1e9, pa.float64())]
+    tables = {name: t for name, t in log.tables.items() if len(t) and name != _EVENTS}
+    grid = np.unique(np.concatenate([table.time_ns for table in tables.values()]))
+    arrays = [pa.array(grid / 1e9, pa.float64())]
     fields = [pa.field("time", pa.float64(), metadata={"unit": "s"})]
+
+    def add(topic: str, key: str, array: Any, unit: str) -> None:
+        label = f"{topic.strip('/').replace('/', '.')}.{key}"
+        fields.append(pa.field(label, array.type, metadata={"unit": unit}))
+        arrays.append(array)
+
     for name, table in tables.items():
-        row_of_grid = _positions(grid, keys[name])
+        row_of_grid = _positions(grid, table.time_ns)
         for key, column in table.columns.items():
-            array = _arrow_column(column, row_of_grid)
-            label = f"{name.strip('/').replace('/', '.')}.{key}"
-            fields.append(pa.field(label, array.type, metadata={"unit": table.units[key]}))
-            arrays.append(array)
+            add(name, key, _arrow_column(column, row_of_grid), table.units[key])
+    events = log.tables.get(_EVENTS)
+    if events is not None and len(events):
+        rows = np.maximum(np.searchsorted(grid, events.time_ns, side="right") - 1, 0)
+        add(_EVENTS, "time", _arrow_lists(events.time, rows, len(grid)), "s")
+        for key, column in events.columns.items():
+            add(_EVENTS, key, _arrow_lists(column, rows, len(grid)), events.units[key])
     metadata = {
         "trms.run": orjson.dumps(log.run),
         "trms.score": orjson.dumps(log.score),
@@ -82,23 +92,22 @@ def _write_parquet(log: LoggedRun, path: Path) -> None:
     pq.write_table(pa.table(arrays, schema=pa.schema(fields, metadata=metadata)), path)
 
 
-def _row_keys(time_ns: np.ndarray) -> np.ndarray:
-    """Return (n, 2) rows of time [ns] and how many messages at that time came before.
-
-    Several events may happen at one time; each keeps a row of its own.
-    """
-    first = np.searchsorted(time_ns, time_ns, side="left")
-    return np.column_stack([time_ns, np.arange(len(time_ns)) - first])
+def _positions(grid: np.ndarray, time_ns: np.ndarray) -> np.ndarray:
+    """Return for each time of the grid the last message at that time, or -1."""
+    last = np.searchsorted(time_ns, grid, side="right") - 1
+    return np.where((last >= 0) & (time_ns[np.maximum(last, 0)] == grid), last, -1)
 
 
-def _positions(grid: np.ndarray, keys: np.ndarray) -> np.ndarray:
-    """Return for each grid row the row of ``keys`` equal to it, or -1."""
-    joined = np.concatenate([grid, keys])
-    _, inverse = np.unique(joined, axis=0, return_inverse=True)
-    inverse = inverse.reshape(-1)
-    positions = np.full(len(grid), -1)
-    positions[inverse[len(grid) :]] = np.arange(len(keys))  # grid rows are sorted and unique
-    return positions
+def _arrow_lists(column: np.ndarray, rows: np.ndarray, count: int) -> Any:
+    """Return ``count`` lists of what belongs to each row; null for a row without any."""
+    import pyarrow as pa
+
+    cells: list[list[Any] | None] = [None] * count
+    number = column.dtype == float
+    for row, value in zip(rows.tolist(), column.tolist(), strict=True):
+        cell = cells[row] = cells[row] or []
+        cell.append(None if number and np.isnan(value) else value)
+    return pa.array(cells, pa.list_(pa.float64() if number else pa.string()))
 
 
 def _arrow_column(column: np.ndarray, row_of_grid: np.ndarray) -> Any:
