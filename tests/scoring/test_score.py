@@ -58,6 +58,8 @@ def test_the_figures_are_those_of_the_run(make_tables: MakeTables) -> None:
     assert estimate["nees_expected"] == 2
     assert estimate["innovation_whiteness_p"] > 0.01
     assert estimate["prediction_rmse"]["alpha_h"] == pytest.approx(0.002, rel=0.05)
+    assert estimate["innovations"]["alpha_v"]["normalised_square"] == pytest.approx(1.0, rel=0.1)
+    assert abs(estimate["innovations"]["alpha_v"]["correlation"]) < 0.05
     assert score["solver"]["time_ms"]["median"] == pytest.approx(0.1)
     assert score["solver"]["time_ms"]["max"] == pytest.approx(5.0)
     assert score["solver"]["deadline_misses"] == 1

@@ -132,3 +132,33 @@ def test_units_are_those_that_the_log_tells(
     assert score.main([str(tmp_path / "run.mcap")]) == 0
     printed = capsys.readouterr().out
     assert re.search(r"S_h +rad/s +0\.1\b", printed) and "N*m*s" not in printed
+
+
+@pytest.mark.parametrize(
+    ("p", "correlation", "square", "said", "warned"),
+    [
+        (0.3, 0.01, 1.0, "innovations white\nNIS 0.90 to 1.00 a channel (1 is consistent", False),
+        # an encoder's steps: certain, and no reason to doubt the model
+        (0.0, 0.32, 1.1, "innovations not white (lag-1 correlation 0.32 at most)\nNIS", False),
+        (0.0, -0.5, None, "not white (lag-1 correlation -0.50 at most)\nNIS 0.90 a", False),
+        (0.0, 0.95, 1.0, "not white (lag-1 correlation 0.95 at most)", True),
+        (0.0, 0.1, 7.3, "NIS 0.90 to 7.30", True),
+    ],
+)
+def test_innovations_are_doubted_by_size_not_by_number_of_samples(
+    p: float, correlation: float, square: float | None, said: str, warned: bool
+) -> None:
+    estimate = {
+        "innovation_whiteness_p": p,
+        "innovations": {
+            "alpha_v": {"normalised_square": 0.9, "correlation": 0.0},
+            "alpha_h": {"normalised_square": square, "correlation": correlation},
+        },
+    }
+    lines = score._innovation_lines(estimate)
+    assert said in "\n".join(lines)
+    assert any("misses something" in line for line in lines) is warned
+
+
+def test_without_innovations_nothing_is_said_of_them() -> None:
+    assert score._innovation_lines({"innovation_whiteness_p": None, "innovations": {}}) == []

@@ -64,6 +64,10 @@ _INPUTS = (
     ("total_variation", "total variation", "{}"),
     ("saturation_share", "share of time saturated", ""),
 )
+#: What is more than sensors do: an encoder's steps alone, under a model that is exactly right,
+#: correlate neighbouring innovations by up to 0.6, and thousands of samples make that certain.
+_MUCH_CORRELATION = 0.7
+_MUCH_NIS = 2.0
 _VIOLATIONS = (("samples", "samples outside", ""), ("worst", "worst excess", "{}"))
 
 
@@ -215,12 +219,30 @@ def _print_estimate(estimate: dict[str, Any]) -> None:
     if estimate["nees_mean"] is not None:
         expected = f"{estimate['nees_expected']} is consistent, more is overconfident"
         console.print(f"  NEES {_number(estimate['nees_mean'])} ({expected})", highlight=False)
-    if estimate["innovation_whiteness_p"] is not None:
-        p = estimate["innovation_whiteness_p"]
-        meaning = "white" if p >= 0.05 else "correlated in time: the model misses something"
-        value = f"= {p:.2g}" if p > 1e-99 else "< 1e-99"
-        console.print(f"  innovations: p {value}, {meaning}", highlight=False)
+    for line in _innovation_lines(estimate):
+        console.print(f"  {line}", highlight=False)
     console.print()
+
+
+def _innovation_lines(estimate: dict[str, Any]) -> list[str]:
+    """How far the innovations are from those of a filter that knows everything."""
+    channels = estimate["innovations"].values()
+    correlations = [c["correlation"] for c in channels if c["correlation"] is not None]
+    squares = [c["normalised_square"] for c in channels if c["normalised_square"] is not None]
+    correlation = max(correlations, key=abs, default=0.0)
+    lines = []
+    p = estimate["innovation_whiteness_p"]
+    if p is not None and p >= 0.05:
+        lines.append("innovations white")
+    elif p is not None:
+        lines.append(f"innovations not white (lag-1 correlation {correlation:.2f} at most)")
+    if squares:
+        low, high = min(squares), max(squares)
+        range_ = f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
+        lines.append(f"NIS {range_} a channel (1 is consistent, more is overconfident)")
+    if abs(correlation) > _MUCH_CORRELATION or max(squares, default=0.0) > _MUCH_NIS:
+        lines.append("the model, or the noise that the observer was told, misses something")
+    return lines
 
 
 def _print_solver(solver: dict[str, Any]) -> None:

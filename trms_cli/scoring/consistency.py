@@ -38,6 +38,26 @@ def nees(error: Array, standard_deviation: Array) -> Array:
     return np.sum((error / standard_deviation) ** 2, axis=1)
 
 
+def normalised_square(innovation: Array, standard_deviation: Array) -> float:
+    """Mean of (ν/σ)² of one channel: 1 for a filter that believes the right amount.
+
+    Samples without a deviation above 0 are left out; NaN if that leaves none.
+    """
+    present = ~np.isnan(innovation) & (standard_deviation > 0)
+    share = innovation[present] / standard_deviation[present]
+    return float(np.mean(share**2)) if share.size else math.nan
+
+
+def neighbour_correlation(values: Array) -> float:
+    """Correlation of each value with the next one; pairs that lack one are left out."""
+    centred = values - np.nanmean(values) if np.any(~np.isnan(values)) else values
+    product = centred[1:] * centred[:-1]
+    power = centred**2
+    if np.all(np.isnan(product)) or not np.nansum(power) > 0:
+        return math.nan
+    return float(np.nanmean(product) / np.nanmean(power))
+
+
 def whiteness_p(innovation: Array) -> float:
     """p-value of the Ljung–Box test: small if the innovations are correlated in time.
 

@@ -18,7 +18,11 @@ from typing import Any
 import numpy as np
 
 from trms_cli.scoring import metrics
-from trms_cli.scoring.consistency import whiteness_p
+from trms_cli.scoring.consistency import (
+    neighbour_correlation,
+    normalised_square,
+    whiteness_p,
+)
 from trms_cli.scoring.metrics import Array
 from trms_cli.scoring.score import Columns
 
@@ -50,9 +54,9 @@ def innovation_table(
         figures = {
             "prediction_rmse": metrics.rmse(innovation),
             "unchanged_rmse": metrics.rmse(np.diff(measured[~np.isnan(measured)])),
-            "normalised_square": float(np.mean(share**2)) if share.size else math.nan,
+            "normalised_square": normalised_square(innovation[settled], deviation[settled]),
             "within_2sd": float(np.mean(np.abs(share) <= 2.0)) if share.size else math.nan,
-            "correlation": _neighbours(innovation[settled]),
+            "correlation": neighbour_correlation(innovation[settled]),
             "whiteness_p": whiteness_p(innovation[settled]),
         }
         document["channels"][name] = {
@@ -61,16 +65,6 @@ def innovation_table(
             "unit": unit,
         }
     return document
-
-
-def _neighbours(values: Array) -> float:
-    """Correlation of each value with the next one."""
-    centred = values - np.nanmean(values) if np.any(~np.isnan(values)) else values
-    product = centred[1:] * centred[:-1]
-    power = centred**2
-    if np.all(np.isnan(product)) or not np.nansum(power) > 0:
-        return math.nan
-    return float(np.nanmean(product) / np.nanmean(power))
 
 
 def _floats(table: Columns, name: str) -> Array:

@@ -7,7 +7,8 @@ they were scored on the true ``state`` or on the ``measurement`` (``scored_on``)
 rig's true state is taken where the log has it, since a sensor's noise is not the controller's
 error. ``estimate`` also has ``nees_expected`` (the mean of a consistent filter) and
 ``prediction_rmse`` (one step ahead, per output), which exist for replayed recordings too, and the
-``units`` of both.
+``units`` of both; its ``innovations`` hold, per output, the mean of (ν/σ)² and the correlation of
+each innovation with the next: how much it is that ``innovation_whiteness_p`` finds.
 """
 
 from __future__ import annotations
@@ -225,6 +226,12 @@ def _estimate(tables: Mapping[str, Columns]) -> dict[str, Any]:
         for name in estimate.columns
         if name.startswith("innovation_") and not name.startswith("innovation_sd_")
     }
+    spreads = {
+        name: _floats(estimate, f"innovation_sd_{name}")
+        if f"innovation_sd_{name}" in estimate.columns
+        else np.full(values.shape, np.nan)
+        for name, values in innovations.items()
+    }
     return {
         "rmse": {name: metrics.rmse(error) for name, error in errors.items()},
         "nees_mean": nees,
@@ -232,6 +239,15 @@ def _estimate(tables: Mapping[str, Columns]) -> dict[str, Any]:
         "innovation_whiteness_p": consistency.joint_p(
             [consistency.whiteness_p(values[settled]) for values in innovations.values()]
         ),
+        "innovations": {
+            name: {
+                "normalised_square": consistency.normalised_square(
+                    values[settled], spreads[name][settled]
+                ),
+                "correlation": consistency.neighbour_correlation(values[settled]),
+            }
+            for name, values in innovations.items()
+        },
         "prediction_rmse": {name: metrics.rmse(values) for name, values in innovations.items()},
         "units": {name: _unit(estimate, name) for name in errors}
         | {name: _unit(estimate, f"innovation_{name}") for name in innovations},
