@@ -20,6 +20,8 @@ def run_folder(tmp_path_factory) -> Path:
 
     folder = tmp_path_factory.mktemp("docs") / "there"
     words = ["controller=newton_mpc", "sim.duration=1", "picture=false", f"out={folder}"]
+    push = "disturbance@plant.disturbances=yaw_push"
+    words += [push, "plant.disturbances.yaw_push.known=true", "sim.prediction_every=4"]
     assert main(["run", *words]) == 0
     return folder
 
@@ -43,6 +45,18 @@ def test_its_topics_and_fields_are_those_of_a_log(run_folder):
     for topic in ("/reference", "/command", "/measurement", "/controller", "/event"):
         for name in log.table(topic).columns:
             assert f"`{name}`" in described[topic], (topic, name)
+
+
+def test_measured_torques_are_there_by_equation(run_folder):
+    log = read_log(run_folder / "run.mcap")
+    assert list(log.table("/disturbance").columns) == ["d_yaw_moment"]
+    assert len(log.table("/disturbance")) == len(log.table("/measurement")) == 50
+    assert "`d_yaw_moment`" in PAGE.read_text(encoding="utf-8")
+
+
+def test_predictions_come_as_often_as_it_says(run_folder):
+    log = read_log(run_folder / "run.mcap")
+    np.testing.assert_allclose(log.table("/prediction").time, [0.0, 0.4, 0.8])
 
 
 def test_its_kinds_of_events_are_those_that_are_written():
