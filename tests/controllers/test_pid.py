@@ -253,6 +253,12 @@ def test_given_gains_are_taken_and_the_others_tuned() -> None:
     assert yaw.gains.ki > 0
 
 
+def test_gains_of_both_axes_are_taken_as_they_are() -> None:
+    """Even where they are of no use: kd is 0 unless given, and pitch hardly damps itself."""
+    pitch, yaw = started(Pid(pitch=Gains(0.1, 0.05), yaw=Gains(0.05, 0.02))).axes
+    assert (pitch.gains, yaw.gains) == (Gains(0.1, 0.05, 0.0), Gains(0.05, 0.02, 0.0))
+
+
 @pytest.mark.parametrize(
     ("options", "where", "words"),
     [
@@ -261,7 +267,9 @@ def test_given_gains_are_taken_and_the_others_tuned() -> None:
         ({"operating_points": [{"alpha_v": 1.4}]}, "operating_points[0]", "cannot rest"),
         ({"operating_points": []}, "operating_points", "at least one"),
         ({"max_sensitivity": 1.01}, "pitch", "raise max_sensitivity"),
-        ({"pitch": {"kp": 1.0, "kii": 2.0}}, "pitch", "kii"),
+        ({"pitch": {"kp": 1.0, "kii": 2.0}}, "pitch.kii", "kii"),
+        ({"pitch": {"kp": 0.1, "ki": 0.05}}, "pitch", "larger kd"),
+        ({"pitch": {"kp": 0.1}}, "pitch.ki", "required"),
         ({"yaw": "manual"}, "yaw", "manual"),
         ({"smoothness": {"roll": 1.0}}, "smoothness", "pitch"),
     ],
@@ -270,5 +278,5 @@ def test_mistakes_are_reported_by_key(options: dict[str, object], where: str, wo
     node = {"_target_": "trms_cli.controllers.pid.Pid", **options}
     with pytest.raises(ConfigurationError) as caught:
         started(build(node, "controller"))
-    assert caught.value.where.startswith(f"controller.{where}")
+    assert caught.value.where == f"controller.{where}"
     assert words in f"{caught.value.problem} {caught.value.remedy}"

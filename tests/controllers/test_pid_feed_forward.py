@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from trms_cli.controllers.pid_feed_forward import (
     holding_torques,
     inverse,
     rotor_lag,
+    rotor_tables,
     torque_curve,
 )
 from trms_cli.models.newtonian import Newtonian
@@ -65,6 +68,19 @@ def test_an_axis_is_held_by_the_input_of_its_steady_state(steady: SteadyState) -
     for angle in (-1.0, -0.25, 0.5, 1.25):
         exact = steady.solve(np.array([0.0, angle])).u[1]
         assert curve.at(holding.at(angle)) == pytest.approx(exact, abs=1e-6)
+
+
+def test_the_tables_are_kept_by_model(
+    steady: SteadyState, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "functions"))
+    channels = {"pitch": 0, "yaw": 1}
+    first = rotor_tables(MODEL, channels, steady)
+    monkeypatch.setattr("trms_cli.controllers.pid_feed_forward.torque_curve", None)
+    assert rotor_tables(MODEL, channels, steady) == first
+    for other in (Newtonian(parameters={"l_cb": 0.25}), Newtonian(currents="dynamic")):
+        with pytest.raises(TypeError):  # is computed anew
+            rotor_tables(other, channels, steady)
 
 
 def test_the_inverse_of_a_rotor_before_an_axis_is_exact() -> None:

@@ -37,41 +37,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.linear_design import Linearisation, require_drivable
-from trms_cli.controllers.operating_point import SteadyState
-from trms_cli.controllers.pid_feed_forward import (
-    INVERTED,
-    Table,
-    decoupling,
-    holding_torques,
-    inverse,
-    rotor_lag,
-    torque_curve,
-)
-from trms_cli.controllers.pid_tuning import (
-    AxisPlant,
-    Filters,
-    Gains,
-    Margins,
-    held,
-    margins,
-    tuned,
-    worst,
-)
+from trms_cli.controllers.pid_design import ROTOR_OF_AXIS, AxisDesign, Design
+from trms_cli.controllers.pid_feed_forward import Table
+from trms_cli.controllers.pid_tuning import Gains, Margins
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model
 
-FloatArray = npt.NDArray[np.float64]
 _Positive = Annotated[float, Meta(gt=0)]
 _NotNegative = Annotated[float, Meta(ge=0)]
-#: Which rotor holds which axis.
-_ROTOR_OF_AXIS = {"pitch": "main", "yaw": "tail"}
 
 
 @dataclass
@@ -162,10 +139,12 @@ class Pid:
     Attributes
     ----------
     pitch, yaw : "auto" or Gains
-        ``auto`` tunes them for the model at the operating point; see
+        kp, ki and kd in N m/rad, N m/(rad s) and N m s/rad; kd is 0 where it is not given.
+        ``auto`` tunes them for the model at the operating points; see
         :mod:`trms_cli.controllers.pid_tuning`.
     operating_points : list of dict of str to float
-        Controlled angles at which the model is linearised for tuning, rad. Yaw must need thrust
+        Controlled angles at which the model is linearised for tuning and for the inverse that is
+        fed forward, rad. Yaw must need thrust
         there: the tail rotor has no slope where it stands still.
     max_sensitivity : float
         M, the bound on the peak of the sensitivity in tuning.
@@ -212,11 +191,11 @@ class Pid:
                 remedy="give at least one, as [{alpha_v: 0.0, alpha_h: 0.5}]",
             )
         for name in self.smoothness:
-            if name not in _ROTOR_OF_AXIS:
+            if name not in ROTOR_OF_AXIS:
                 raise ConfigurationError(
                     f"{name!r} is not an axis",
                     where="smoothness",
-                    remedy=nearest(name, _ROTOR_OF_AXIS),
+                    remedy=nearest(name, ROTOR_OF_AXIS),
                 )
 
     def preview(self, setup: ControlSetup) -> int:
@@ -224,115 +203,49 @@ class Pid:
 
     def init(self, setup: ControlSetup) -> PidState:
         model, T = setup.model, setup.sample_time
-        steady = SteadyState(model)
-        curves = {n: torque_curve(model, n, _channel(model, n), steady) for n in model.axes}
-        gains, robustness, inverses, laws, couplings = self._gains(model, T, steady, curves)
-        keep = self.derivative_filter / (self.derivative_filter + T)
-        axes = []
-        for name, axis in model.axes.items():
-            channel, curve = _channel(model, name), curves[name]
-            torque_of = curve.inverse()
-            g = gains[name]
-            tracking = self.tracking_time or (math.sqrt(g.kd / g.ki) if g.ki and g.kd else 1.0)
-            lag = self.reference_lag
-            if lag is None:
-                lag = max(rotor_lag(inverses[name]), 10 * T)
-            axes.append(
-                AxisState(
-                    state=model.state_index(axis.angle),
-                    reference=model.controlled.index(axis.angle),
-                    channel=channel,
-                    gains=g,
-                    step=T,
-                    curve=curve,
-                    torque_of=torque_of,
-                    holding=holding_torques(model, name, channel, steady, torque_of)
-                    if self.feed_forward
-                    else None,
-                    inverse=inverses[name][1:].tolist(),
-                    keep=keep,
-                    derivative_gain=g.kd * (1 - keep) / T,
-                    tracking=min(1.0 / laws[name].ratio, T / tracking),
-                    coupling=couplings[name] if self.feed_forward else [],
-                    lead=laws[name].ratio,
-                    slow=laws[name].lead_filter / (laws[name].lead_filter + T),
-                    reference_rate=1 / lag if lag > 0 else 0.0,
-                    least=curve.x[0],
-                    most=curve.x[-1],
-                )
-            )
-        return PidState(axes, robustness)
+        designs = Design(
+            given={"pitch": self.pitch, "yaw": self.yaw},
+            operating_points=self.operating_points,
+            max_sensitivity=self.max_sensitivity,
+            smoothness=self.smoothness,
+            derivative_filter=self.derivative_filter,
+            lead_filter=self.lead_filter,
+        ).of(model, T)
+        return PidState(
+            [self._axis(model, design, T) for design in designs.values()],
+            {name: design.margins for name, design in designs.items()},
+        )
 
-    def _gains(
-        self, model: Model, T: float, steady: SteadyState, curves: Mapping[str, Table]
-    ) -> tuple[
-        dict[str, Gains],
-        dict[str, Margins],
-        dict[str, FloatArray],
-        dict[str, Filters],
-        dict[str, list[float]],
-    ]:
-        """Gains by axis, tuned where they are not given, and the worst margins of each loop."""
-        key = "controller.operating_points"
-        given = {"pitch": self.pitch, "yaw": self.yaw}
-        linearisation = Linearisation(model, T, steady)
-        points = []
-        for i, angles in enumerate(self.operating_points):
-            points.append(linearisation.at(angles, f"{key}[{i}]"))
-            if any(given[name] == "auto" for name in model.axes):
-                require_drivable(points[-1], f"{key}[{i}]")
-        gains: dict[str, Gains] = {}
-        robustness: dict[str, Margins] = {}
-        inverses: dict[str, FloatArray] = {}
-        laws: dict[str, Filters] = {}
-        systems = []
-        for point in points:
-            B = point.B.copy()
-            for name in model.axes:
-                channel = _channel(model, name)
-                torque_of = curves[name].inverse()
-                B[:, channel] /= torque_of.slope(float(point.target.u[channel]))
-            systems.append((point.A, B, point.C))
-        z, original = np.exp(1j * INVERTED * T), systems
-        couplings: dict[str, list[float]] = {}
-        for name, axis in model.axes.items():
-            channel, row = _channel(model, name), model.controlled.index(axis.angle)
-            by_channel = [
-                [AxisPlant(A, B[:, other], C[row], T).response(z) for A, B, C in original]
-                for other in [*(_channel(model, known) for known in gains), channel]
-            ]
-            couplings[name] = [
-                decoupling(cross, by_channel[-1], INVERTED, self.lead_filter)
-                for cross in by_channel[:-1]
-            ]
-            plants = [AxisPlant(A, B[:, channel], C[row], T) for A, B, C in systems]
-            inverses[name] = inverse(
-                [plant.response(np.exp(1j * INVERTED * T)) for plant in plants], INVERTED
-            )
-            lead = rotor_lag(inverses[name])
-            filters = (
-                Filters(self.derivative_filter, lead, self.lead_filter)
-                if lead > self.lead_filter
-                else Filters(self.derivative_filter)
-            )
-            laws[name] = filters
-            chosen = given[name]
-            if not isinstance(chosen, Gains):
-                chosen = tuned(
-                    plants,
-                    filters,
-                    self.max_sensitivity,
-                    self.smoothness.get(name, 3.0),
-                    f"controller.{name}",
-                )
-            gains[name] = chosen
-            robustness[name] = worst(margins(plant, chosen, filters) for plant in plants)
-            # One loop after the other: the next axis is tuned with this one held.
-            systems = [
-                held(plant, chosen, filters, B, C)
-                for plant, (_, B, C) in zip(plants, systems, strict=True)
-            ]
-        return gains, robustness, inverses, laws, couplings
+    def _axis(self, model: Model, design: AxisDesign, T: float) -> AxisState:
+        gains, filters, curve = design.gains, design.filters, design.curve
+        keep = filters.derivative / (filters.derivative + T)
+        tracking = self.tracking_time
+        if tracking is None:
+            # The law of one axis without an integral or a derivative has no time of its own.
+            tracking = math.sqrt(gains.kd / gains.ki) if gains.ki and gains.kd else 1.0
+        lag = self.reference_lag
+        if lag is None:
+            lag = max(design.rotor_lag, 10 * T)
+        return AxisState(
+            state=model.state_index(design.angle),
+            reference=model.controlled.index(design.angle),
+            channel=design.channel,
+            gains=gains,
+            step=T,
+            curve=curve,
+            torque_of=curve.inverse(),
+            holding=design.holding if self.feed_forward else None,
+            inverse=list(design.inverse[1:]),
+            keep=keep,
+            derivative_gain=gains.kd * (1 - keep) / T,
+            tracking=min(1.0 / filters.ratio, T / tracking),
+            coupling=list(design.coupling) if self.feed_forward else [],
+            lead=filters.ratio,
+            slow=filters.lead_filter / (filters.lead_filter + T),
+            reference_rate=1 / lag if lag > 0 else 0.0,
+            least=curve.x[0],
+            most=curve.x[-1],
+        )
 
     def step(self, state: PidState, sample: ControlSample, *, want_prediction: bool) -> Command:
         x = sample.estimate.x.tolist()
@@ -352,8 +265,6 @@ class Pid:
                 _start(axis, angle, float(u[axis.channel]), weight)
             wanted, forward = _guided(axis, reference[axis.reference])
             behind = angle - wanted if axis.reference_rate else angle
-            if math.isnan(axis.last_error):
-                axis.last_error = behind
             axis.derivative = axis.keep * axis.derivative - axis.derivative_gain * (
                 behind - axis.last_error
             )
@@ -371,24 +282,6 @@ class Pid:
             axis.integral += axis.tracking * (torque - asked)
             u[axis.channel] = axis.curve.at(torque)
         return Command(u)
-
-
-def _channel(model: Model, axis: str) -> int:
-    """Input of the rotor that holds an axis.
-
-    Raises
-    ------
-    ConfigurationError
-        For a model with an axis or rotors of other names.
-    """
-    rotor = _ROTOR_OF_AXIS.get(axis, "")
-    if rotor not in model.rotors:
-        raise ConfigurationError(
-            f"no rotor of model {model.name!r} is known to hold its axis {axis!r}",
-            where="controller",
-            remedy="pid knows the axes pitch and yaw with the rotors main and tail; try lqr",
-        )
-    return names(model.inputs).index(model.rotors[rotor])
 
 
 def _guided(axis: AxisState, reference: float) -> tuple[float, float]:
@@ -416,9 +309,11 @@ def _guided(axis: AxisState, reference: float) -> tuple[float, float]:
 
 def _start(axis: AxisState, angle: float, command: float, weight: float) -> None:
     """Bumpless: if the reference were where the rig is, the command in force would go on."""
-    axis.guide = (angle, 0.0, 0.0)
+    at_rest = (angle, 0.0, 0.0)
+    axis.guide = at_rest
     forward = _guided(axis, angle)[1]
-    torque = axis.torque_of.at(command)
+    axis.guide = at_rest
+    axis.last_error = 0.0 if axis.reference_rate else angle
     axis.forward_lag = forward
-    axis.lagged = torque - forward
+    axis.lagged = axis.torque_of.at(command) - forward
     axis.integral = axis.lagged - axis.gains.kp * (weight - 1) * angle

@@ -2,22 +2,27 @@
 
 The thrust of a rotor goes as ω|ω|, so that a volt is worth little where the rotor stands still and
 much where it turns fast: the loop gain of an axis would change with its angle and with what pushes
-it. The law therefore asks for a torque on its axis, and the :class:`TorqueCurve` of its rotor
-turns that into an input. Both the curve and the holding torques are read off the steady states of
-the model (:mod:`trms_cli.controllers.operating_point`), dead zones and supply limits included.
+it. The law therefore asks for a torque on its axis, and the :func:`torque_curve` of its rotor turns
+that into an input. Both the curve and the holding torques are read off the steady states of the
+model (:mod:`trms_cli.controllers.operating_point`), dead zones and supply limits included. That
+takes some hundred solutions, so the tables are kept between runs.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.controllers import operating_point
 from trms_cli.controllers.operating_point import SteadyState, Target
+from trms_cli.core.result_cache import cached_result
 from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,13 +38,21 @@ _SMALLEST_TORQUE, _POINTS = 1e-5, 120
 _ENOUGH, _REFUSALS = 0.85, 4
 _ANGLES = 25  # of the table of holding torques
 _FURTHEST = 1.5  # rad, its range where an axis has no stops
+#: The memory of the input path is at its fixed point whatever the step, s.
+_MEMORY_STEP = 0.02
 #: rad/s: the axes are followed up to about here.
 INVERTED = np.geomspace(0.1, 3.0, 24)
 
 
 @dataclass(frozen=True)
 class Table:
-    """A function of one number, linear between its points and constant beyond them."""
+    """A function of one number, linear between its points and constant beyond them.
+
+    Attributes
+    ----------
+    x, y : list of float
+        Its points; x increases.
+    """
 
     x: list[float]
     y: list[float]
@@ -61,6 +74,70 @@ class Table:
         """Of the cell that a value is in."""
         i = min(max(bisect_right(self.x, value), 1), len(self.x) - 1)
         return (self.y[i] - self.y[i - 1]) / (self.x[i] - self.x[i - 1])
+
+
+@dataclass(frozen=True)
+class RotorTables:
+    """What the steady states say of one axis and its rotor.
+
+    Attributes
+    ----------
+    curve : Table
+        Input by torque, V by N m.
+    holding : Table
+        Torque by angle, N m by rad.
+    """
+
+    curve: Table
+    holding: Table
+
+
+def rotor_tables(
+    model: Model, channels: Mapping[str, int], steady: SteadyState
+) -> dict[str, RotorTables]:
+    """The tables of each axis, from the cache where this model has been asked before.
+
+    Parameters
+    ----------
+    model : Model
+    channels : dict of str to int
+        Input of the rotor that holds the axis, by axis.
+    steady : SteadyState
+        Of this model, with its own parameters and equal weights.
+    """
+
+    def computed() -> dict[str, RotorTables]:
+        tables = {}
+        for axis, channel in channels.items():
+            curve = torque_curve(model, axis, channel, steady)
+            holding = holding_torques(model, axis, channel, steady, curve.inverse())
+            tables[axis] = RotorTables(curve, holding)
+        return tables
+
+    inputs = [*_all_that_steady_states_follow_from(model), sorted(channels.items())]
+    return cached_result(__file__, inputs, dict[str, RotorTables], computed)
+
+
+def _all_that_steady_states_follow_from(model: Model) -> list[object]:
+    """Equations, numbers and limits of a model, and the solver's code."""
+    x, u, p, w = model.symbols()
+    memory = ca.SX.sym("memory", len(model.memory(_MEMORY_STEP)))
+    arriving, after = model.input_path(memory, u, p, (0.0, 1.0), _MEMORY_STEP)
+    equations = ca.Function(
+        "equations", [x, u, p, w, memory], [model.dynamics(x, u, p, w), arriving, after]
+    )
+    return [
+        equations.serialize(),
+        model.parameters.values,
+        model.rest(),
+        model.state_names,
+        names(model.disturbances),
+        model.controlled,
+        sorted(model.axes.items()),
+        sorted(model.input_limits.items()),
+        sorted(model.stops.items()),
+        Path(operating_point.__file__).read_bytes(),
+    ]
 
 
 def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> Table:
@@ -95,7 +172,7 @@ def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> 
                 refused += 1
                 step /= 4
                 continue
-            moved = abs(following.u[channel] - last.u[channel]) / limit
+            moved = float(abs(following.u[channel] - last.u[channel])) / limit
             if moved < _CELL / 2:
                 step *= 2.0
                 if step > 1e6:

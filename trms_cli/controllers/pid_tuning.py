@@ -71,12 +71,12 @@ class Filters:
 
 
 class Gains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Gains of one axis: ``u = kp e + ki ∫e dt − kd dα/dt``.
+    """Gains of one axis, by which the law asks for a torque: ``kp e + ki ∫e dt + kd de/dt``.
 
     Attributes
     ----------
     kp, ki, kd : float
-        N m/rad, N m/(rad s), N m s/rad; before the lead.
+        N m/rad, N m/(rad s), N m s/rad; before the lead. kd acts on −α without a reference lag.
     """
 
     kp: float
