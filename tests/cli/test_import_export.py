@@ -112,3 +112,18 @@ def test_wrong_options(module: object, argv: list[str], problem: str) -> None:
 def test_a_log_is_not_imported(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="log already"):
         import_.main([str(tmp_path / "x.mcap")])
+
+
+@pytest.mark.parametrize("ending", ["csv", "mat"])
+def test_every_export_that_is_a_recording_is_imported_again(
+    trms: Program, tmp_path: Path, csv: Path, ending: str
+) -> None:
+    assert trms("import", str(csv), "--out", "a.mcap").returncode == 0
+    assert trms("export", "a.mcap", "--format", ending).returncode == 0
+    done = trms("import", f"a.{ending}", "--out", "b.mcap")
+    assert done.returncode == 0 and not done.stderr
+    before, after = read_recording(csv), read_recording(tmp_path / "b.mcap")
+    np.testing.assert_allclose(after.time, before.time, rtol=0, atol=1e-12)
+    for name, values in before.channels.items():
+        np.testing.assert_array_equal(after.channels[name], values)
+    assert after.metadata == before.metadata and after.units == before.units

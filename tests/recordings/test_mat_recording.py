@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,10 @@ import pytest
 from scipy.io import savemat
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.recording import read_recording
+from trms_cli.recordings.export import export_log
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.recordings.mcap_recording import write_mcap
+from trms_cli.recordings.recording import Recording, read_recording
 
 GOOD: dict[str, Any] = {
     "t": np.array([[0.0], [0.1], [0.2]]),
@@ -69,3 +73,73 @@ def test_not_a_mat_file(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(RecordingError):
             read_recording(path)
+
+
+@pytest.mark.parametrize("close", [True, False])
+def test_an_exported_run_comes_back(
+    tmp_path: Path, write_run: Callable[..., Path], close: bool
+) -> None:
+    log = read_log(write_run(tmp_path / "run.mcap", 60, close=close))
+    export_log(log, tmp_path / "run.mat", "mat")
+    direct, exported = read_recording(log.path), read_recording(tmp_path / "run.mat")
+    np.testing.assert_allclose(exported.time, direct.time, rtol=0, atol=1e-12)
+    assert list(exported.channels) == list(direct.channels) and "r_v" in exported.channels
+    for name, values in direct.channels.items():
+        np.testing.assert_array_equal(exported.channels[name], values)
+    assert exported.units == direct.units
+    assert bool(exported.remarks) is not close
+
+
+def test_an_imported_recording_comes_back_from_mat(tmp_path: Path, recording: Recording) -> None:
+    shifted = Recording(
+        recording.time - 0.5, recording.channels, recording.units, recording.metadata
+    )
+    write_mcap(shifted, tmp_path / "rec.mcap", {"imported": "true"})
+    export_log(read_log(tmp_path / "rec.mcap"), tmp_path / "rec.mat", "mat")
+    back = read_recording(tmp_path / "rec.mat")
+    np.testing.assert_allclose(back.time, shifted.time, rtol=0, atol=1e-12)
+    assert back.metadata == recording.metadata
+    for name, values in recording.channels.items():
+        np.testing.assert_array_equal(back.channels[name], values)
+
+
+NESTED: dict[str, Any] = {
+    "measurement": {
+        "time": np.array([0.0, 0.1, 0.2]),
+        "alpha_v": np.array([0.0, 90.0, np.nan]),
+        "units": {"alpha_v": "deg"},
+    },
+    "command": {"time": np.array([0.0, 0.15]), "u_v": np.array([1.0, 2.0])},
+}
+
+
+def test_a_struct_per_topic_by_hand(tmp_path: Path) -> None:
+    savemat(tmp_path / "rec.mat", NESTED)
+    recording = read_recording(tmp_path / "rec.mat")
+    np.testing.assert_allclose(recording.channels["alpha_v"], [0.0, np.pi / 2, np.nan])
+    np.testing.assert_array_equal(recording.channels["u_v"], [1.0, 1.0, 2.0])  # held
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "problem"),
+    [
+        ("command", {"u_v": np.ones(3)}, "'command.u_v' has 3 samples, command.time has 2"),
+        ("measurement", {"time": np.array([0.0, 0.2, 0.1])}, r"at measurement.time\(3\)"),
+        ("measurement", {"units": {"alpha_v": "V"}}, "'V' does not fit"),
+        ("measurement", {"units": "deg"}, "'measurement.units' is not a struct"),
+        ("measurement", {"time": None}, "'measurement' is not a struct with a time"),
+        ("command", None, "has no /command"),
+        ("command", {"u_v": None}, "lacks an input"),
+    ],
+)
+def test_what_is_wrong_with_a_topic_is_told(
+    tmp_path: Path, topic: str, change: dict[str, Any] | None, problem: str
+) -> None:
+    struct = {k: v for k, v in {**NESTED[topic], **(change or {})}.items() if v is not None}
+    content = {"complete": True, **NESTED, topic: struct}
+    if change is None:
+        del content[topic]
+    savemat(tmp_path / "rec.mat", content)
+    with pytest.raises(RecordingError, match=problem) as caught:
+        read_recording(tmp_path / "rec.mat")
+    assert str(tmp_path / "rec.mat") in caught.value.where and caught.value.remedy

@@ -35,7 +35,7 @@ Names: t, u_v u_h (main and tail rotor input), alpha_v alpha_h (pitch, yaw), ome
 (rotor speeds), r_v r_h (references), i_v i_h (currents), d_* (known disturbances). t, one
 input and one output are required. Any unit that fits is converted: deg, rpm, ms, mV, %, 1, …
 An empty cell is a missing sample. A MAT file holds vectors of these names in SI units, or a
-struct `units` that says otherwise: units.alpha_v = 'deg'.
+struct `units` that says otherwise: units.alpha_v = 'deg'; or it is an export of `trms export`.
 
 examples
   trms import recording.csv

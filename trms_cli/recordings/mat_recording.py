@@ -1,22 +1,31 @@
-"""Recordings as MAT files: one vector per channel, named as in a CSV header.
+"""Recordings as MAT files: one vector per channel, or a struct per topic as exports have it.
 
 In MATLAB: ``save('rec.mat', 't', 'u_v', 'u_h', 'alpha_v', 'alpha_h')``. Values are in SI
 (commands in V) unless a struct ``units`` says otherwise: ``units.alpha_v = 'deg'``. Other
 variables that are text become metadata; a single struct that holds all of it is opened.
+
+A file with the structs ``measurement`` and ``command`` (and ``reference``, ``disturbance`` where
+there are any) is read as the log that it was exported from: each has its own ``time`` and
+``units``, and what lies on other times than the measurement's is held.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.channels import find_channel
+from trms_cli.recordings.channels import REFERENCE_OF_AXIS, find_channel
 from trms_cli.recordings.recording import Recording, require_channels, require_values
 from trms_cli.recordings.units import to_si
 
+if TYPE_CHECKING:
+    from trms_cli.recordings.log_reader import Table
+
+#: Structs of an exported log that are a recording.
+_TOPICS = ("measurement", "command", "reference", "disturbance")
 _REMEDY = "save('rec.mat', 't', 'u_v', 'u_h', 'alpha_v', 'alpha_h'), each a vector"
 
 
@@ -24,6 +33,8 @@ def read_mat(path: Path | str) -> Recording:
     """Read a MAT recording into SI units; NaN is a missing sample."""
     path = Path(path)
     variables = _variables(path)
+    if "t" not in variables and isinstance(variables.get("measurement"), dict):
+        return _of_topics(path, variables)
     units = variables.get("units", {})
     if not isinstance(units, dict):
         raise RecordingError("'units' is not a struct", where=str(path), remedy="units.t = 's'")
@@ -59,6 +70,65 @@ def read_mat(path: Path | str) -> Recording:
     metadata = {name: value for name, value in variables.items() if isinstance(value, str)}
     remarks = (f"variables not used: {', '.join(ignored)}",) if ignored else ()
     return Recording(time, channels, si_units, metadata, path, remarks)
+
+
+def _of_topics(path: Path, content: dict[str, Any]) -> Recording:
+    """Read the layout of ``trms export --format mat``."""
+    # imported here: a log's reader is not needed for vectors
+    from trms_cli.recordings.log_reader import LoggedRun
+    from trms_cli.recordings.mcap_recording import OWN_PREFIX, recording_of
+
+    tables = {f"/{name}": _table(path, name, content[name]) for name in _TOPICS if name in content}
+    run = content.get("run", {})
+    told = {str(k): str(v) for k, v in run.items()} if isinstance(run, dict) else {}
+    # a name in MATLAB has no dot
+    mangled = OWN_PREFIX.replace(".", "_")
+    told = {
+        OWN_PREFIX + key.removeprefix(mangled) if key.startswith(mangled) else key: text
+        for key, text in told.items()
+    }
+    complete = bool(content.get("complete", True))
+    problems = () if complete else ("the run that it was exported from did not end",)
+    log = LoggedRun(path, complete, told.get("outcome", "died"), tables, told, {}, {}, problems)
+    recording = recording_of(log)
+    require_channels(["t", *recording.channels], str(path))
+    require_values(recording.channels, str(path))
+    return recording
+
+
+def _table(path: Path, topic: str, struct: Any) -> Table:
+    from trms_cli.recordings.log_reader import Table
+
+    if not isinstance(struct, dict) or "time" not in struct:
+        raise RecordingError(
+            f"{topic!r} is not a struct with a time",
+            where=str(path),
+            remedy=f"{topic}.time and the channels beside it, as trms export writes them",
+        )
+    units = struct.get("units", {})
+    if not isinstance(units, dict):
+        raise RecordingError(f"'{topic}.units' is not a struct", where=str(path), remedy=_REMEDY)
+    time = _vector(path, f"{topic}.time", struct["time"])
+    _check_time(path, time, f"{topic}.time")
+    columns, si_units = {}, {}
+    for name, value in struct.items():
+        meant = REFERENCE_OF_AXIS.get(str(name), name) if topic == "reference" else name
+        channel = find_channel(str(meant))
+        if channel is None:
+            continue
+        vector = _vector(path, f"{topic}.{name}", value)
+        if len(vector) != len(time):
+            raise RecordingError(
+                f"'{topic}.{name}' has {len(vector)} samples, {topic}.time has {len(time)}",
+                where=str(path),
+                remedy="give each channel a value per time, NaN where it is missing",
+            )
+        unit = str(units.get(name, channel.units[0] if channel.units else "1"))
+        columns[name], si_units[name] = to_si(
+            vector, unit, channel.units, where=str(path), name=f"{topic}.{name}"
+        )
+    # to the nanosecond, as logs have it
+    return Table(time, np.round(time * 1e9).astype(np.int64), columns, si_units)
 
 
 def _variables(path: Path) -> dict[str, Any]:
@@ -101,7 +171,7 @@ def _vector(path: Path, name: str, value: Any) -> np.ndarray:
     return vector
 
 
-def _check_time(path: Path, time: np.ndarray) -> None:
+def _check_time(path: Path, time: np.ndarray, name: str = "t") -> None:
     if len(time) < 2:
         raise RecordingError(
             "there is a single sample", where=str(path), remedy="a recording needs two or more"
@@ -110,7 +180,7 @@ def _check_time(path: Path, time: np.ndarray) -> None:
     if len(wrong):
         index = int(wrong[0]) + 1
         raise RecordingError(
-            f"time does not rise at t({index + 1}): {time[index]:.9g} s after "
+            f"time does not rise at {name}({index + 1}): {time[index]:.9g} s after "
             f"{time[index - 1]:.9g} s",
             where=str(path),
             remedy="sort the samples and keep one per time; NaN is no time",

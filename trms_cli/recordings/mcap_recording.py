@@ -18,7 +18,7 @@ from trms_cli.recordings.topics import Field, Topic, standard_topics
 _TOPICS = ("/measurement", "/command", "/reference", "/disturbance")
 _TIME_OFFSET = "time_offset_s"
 #: What a recording says about itself, apart from what trms says about the log.
-_OWN = "recording."
+OWN_PREFIX = "recording."
 _BOOKKEEPING = frozenset({"schema", "end", "outcome", "last_time_s", _TIME_OFFSET})
 
 
@@ -76,7 +76,7 @@ def write_mcap(
     """
     topics = _topics(recording)
     offset_ns = max(0, -round(float(recording.time[0]) * 1e9))
-    metadata = {f"{_OWN}{key}": value for key, value in recording.metadata.items()}
+    metadata = {f"{OWN_PREFIX}{key}": value for key, value in recording.metadata.items()}
     metadata.update(run_metadata)
     if offset_ns:
         metadata[_TIME_OFFSET] = repr(offset_ns / 1e9)
@@ -109,7 +109,11 @@ def write_mcap(
 
 def _own_metadata(run: dict[str, str]) -> dict[str, str]:
     """Return what an imported recording said about itself; of a run, what defines it."""
-    own = {key.removeprefix(_OWN): text for key, text in run.items() if key.startswith(_OWN)}
+    own = {
+        key.removeprefix(OWN_PREFIX): text
+        for key, text in run.items()
+        if key.startswith(OWN_PREFIX)
+    }
     if own or run.get("imported"):
         return own
     return {key: text for key, text in run.items() if key not in _BOOKKEEPING}
