@@ -64,6 +64,15 @@ def test_json_has_the_printed_figures(trms: Program, tmp_path: Path, csv: Path) 
     assert document["topics"]["/command"] == 198 and (tmp_path / "x.parquet").is_file()
 
 
+def test_an_angle_of_many_turns_is_imported_with_a_note(
+    trms: Program, tmp_path: Path, csv: Path
+) -> None:
+    csv.write_text(CSV.replace("alpha_v[deg]", "alpha_v[rad]"))
+    done = trms("import", str(csv))
+    assert done.returncode == 0 and "note: alpha_v reaches" in done.stdout
+    assert "full turn" in done.stdout and (tmp_path / "rec.mcap").is_file()
+
+
 def test_a_fault_is_told_with_its_line_and_nothing_is_written(
     trms: Program, tmp_path: Path, csv: Path
 ) -> None:

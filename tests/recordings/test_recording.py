@@ -122,3 +122,18 @@ def test_unknown_endings(tmp_path: Path, name: str) -> None:
 def test_a_folder_is_no_recording(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="folder"):
         read_recording(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "told"), [(9000.0, "157.1 rad (9000°)"), (-400.0, "6.981 rad (400°)"), (359.0, "")]
+)
+def test_an_angle_of_more_than_a_turn_is_doubted(degrees: float, told: str) -> None:
+    angle = np.deg2rad([0.0, degrees, np.nan, 0.0])
+    recording = Recording(
+        np.arange(4.0),
+        {"u_v": np.zeros(4), "alpha_v": angle, "omega_v": np.full(4, 300.0)},
+        {"u_v": "V", "alpha_v": "rad", "omega_v": "rad/s"},
+    )
+    doubts = [note for note in recording.notes() if "full turn" in note]
+    assert len(doubts) == (1 if told else 0)
+    assert not told or f"alpha_v reaches {told}" in doubts[0]

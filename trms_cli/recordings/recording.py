@@ -14,6 +14,8 @@ from trms_cli.recordings.channels import find_channel
 
 #: A step longer than this many sample times is a gap: at least one sample is not there.
 GAP_FACTOR = 1.5
+#: rad. Cables and stops keep either axis of a twin rotor below it.
+FULL_TURN = 2 * np.pi
 #: Deviations of the step below this share of the sample time are not worth a word.
 JITTER_SHARE = 0.01
 
@@ -87,6 +89,13 @@ class Recording:
             )
         for name, count in self.missing.items():
             lines.append(f"{name}: {count} of {len(self)} samples missing")
+        for name in self.names("output"):
+            largest = float(np.nanmax(np.abs(self.channels[name]), initial=0.0))
+            if self.units[name] == "rad" and largest > FULL_TURN:
+                lines.append(
+                    f"{name} reaches {largest:.4g} rad ({np.degrees(largest):.4g}°), more than a "
+                    "full turn, which no rig of this kind makes: is its unit right?"
+                )
         steps = np.diff(self.time)
         steps = steps[steps <= GAP_FACTOR * self.sample_time]
         jitter = float(np.max(np.abs(steps - self.sample_time)))
