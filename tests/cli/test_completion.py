@@ -81,6 +81,9 @@ class TestBash:
         (tmp_path / "records").mkdir()
         assert set(replies("trms import rec")) == {"recording.csv", "records/"}
 
+    def test_words_of_an_option(self, replies):
+        assert replies("trms export run.mcap --format ") == ["csv", "parquet", "mat"]
+
     def test_list(self, replies):
         assert replies("trms list mod") == ["model"]
         assert "newtonian_full" in replies("trms list model newt")
@@ -112,12 +115,16 @@ def test_a_press_of_tab_in_an_interactive_bash(executable, tmp_path):
     try:
         os.write(master, b"source <(trms completion bash); echo loa''ded\n")
         _read_until(master, "loaded")
+        os.write(master, b"trms run ref=square signal@ref.\tv=si\t disturbance@pl\tya\t seed=2\n")
+        placed = _read_until(master, "seed=2>")
         os.write(master, b"trms run sim.dur\t5 model=newtonian_f\t 'effect=[yaw_cou\t] seed=1\n")
         output = _read_until(master, "seed=1>")  # bash closes the quote that was opened
     finally:
         shell.kill()
         shell.wait()
         os.close(master)
+    placed_choices = "<signal@ref.alpha_v=sine><disturbance@plant.disturbances=yaw_push>"
+    assert f"<ref=square>{placed_choices}<seed=2>" in placed
     choices = "<model=newtonian_full><effect=[yaw_coulomb_friction]>"
     assert f"<run><sim.duration=5>{choices}<seed=1>" in output
 

@@ -27,8 +27,9 @@ examples
 """
 
 # Bash takes `=`, `:` and `@` as ends of a word (COMP_WORDBREAKS): what stands before the last
-# of them must not come back, unless the word is quoted. A word that goes on (`controller=`,
-# `effect=[a`) gets no space.
+# of them must not come back, unless the word is quoted. What is replaced begins behind `=` and
+# `:`, but with the `@` itself, which readline takes for the first letter of a host name. A word
+# that goes on (`controller=`, `effect=[a`) gets no space.
 _BASH = r"""
 _trms_complete() {
     local line=${COMP_LINE:0:COMP_POINT} word kept reply
@@ -36,7 +37,7 @@ _trms_complete() {
     kept=""
     case $word in
         [\'\"]*) ;;
-        *[=:@]*) kept=${word%"${word##*[=:@]}"} ;;
+        *[=:@]*) kept=${word%"${word##*[=:@]}"}; kept=${kept%@} ;;
     esac
     COMPREPLY=()
     while IFS= read -r reply; do

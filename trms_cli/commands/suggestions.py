@@ -63,6 +63,9 @@ def _of_command(command: str, module: Any, earlier: Sequence[str], word: str) ->
         own = _OPTION.findall(module.HELP)
         more = _OPTIONS_OF_COMPOSING if primary else ()
         return _starting(word, sorted({*own, *more, *_OPTIONS_OF_ALL}))
+    words = _words_of(last, module.HELP) if last.startswith("--") else []
+    if words:
+        return _starting(word, words)
     if last.startswith("--") and _takes_file(last, module.HELP):
         return _paths(word)
     if command == "completion":
@@ -74,6 +77,12 @@ def _of_command(command: str, module: Any, earlier: Sequence[str], word: str) ->
     if primary is None:
         return _paths(word)
     return _of_overrides(primary, earlier, word)
+
+
+def _words_of(option: str, help_text: str) -> list[str]:
+    """The words that an option takes, where its help has them as ``--format csv|mat``."""
+    found = re.search(rf"{option} ([a-z]+(?:\|[a-z]+)+)", help_text)
+    return found[1].split("|") if found else []
 
 
 def _takes_file(option: str, help_text: str) -> bool:
