@@ -7,7 +7,7 @@ import pytest
 from closed_loop_case import SAMPLE_TIME, Trajectory, run, squares
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
-from trms_cli.controllers.linear_design import Linearisation, steady_gain
+from trms_cli.controllers.linear_design import Linearisation
 from trms_cli.controllers.lqr import Lqr, LqrState
 from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
@@ -144,8 +144,8 @@ def test_the_operating_point_needs_a_turning_tail_rotor() -> None:
         started(Lqr(operating_point={"alpha_v": 0.0, "alpha_h": 0.0}))
     assert caught.value.where == "controller.operating_point"
     assert "alpha_h=0.5" in caught.value.remedy
-    linear = Linearisation(BOTH, SAMPLE_TIME, SteadyState(BOTH))
-    gain = steady_gain(linear.at({"alpha_h": 0.5}, ""))
+    linear = Linearisation(BOTH, SAMPLE_TIME, SteadyState(BOTH)).at({"alpha_h": 0.5}, "")
+    gain = linear.C @ np.linalg.solve(np.eye(len(linear.A)) - linear.A, linear.B)
     assert gain[1, 1] == pytest.approx(1.70, abs=0.02)  # rad/V, from the yaw curve of the rig
 
 

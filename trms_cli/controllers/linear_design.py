@@ -166,15 +166,7 @@ def require_drivable(linear: LinearModel, where: str) -> None:
             )
 
 
-def steady_gain(linear: LinearModel) -> FloatArray:
-    """Change of the controlled angles in steady state by the inputs, rad/V, shape (n_r, n_u)."""
-    try:
-        return _gain(linear, 1.0)
-    except np.linalg.LinAlgError:
-        # An axis that nothing pulls back integrates: look at the gain a little above z = 1.
-        return _gain(linear, 1 + 1e-6)
-
-
 def _gain(linear: LinearModel, z: float) -> FloatArray:
+    """Of the controlled angles to the inputs at z, rad/V, shape (n_r, n_u)."""
     n = linear.A.shape[0]
     return np.asarray(linear.C @ np.linalg.solve(z * np.eye(n) - linear.A, linear.B))

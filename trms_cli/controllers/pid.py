@@ -221,7 +221,7 @@ class Pid:
         keep = filters.derivative / (filters.derivative + T)
         tracking = self.tracking_time
         if tracking is None:
-            # The law of one axis without an integral or a derivative has no time of its own.
+            # Without an integral or a derivative the gains have no time of their own.
             tracking = math.sqrt(gains.kd / gains.ki) if gains.ki and gains.kd else 1.0
         lag = self.reference_lag
         if lag is None:
