@@ -71,7 +71,7 @@ class AxisState:
     keep, derivative_gain : float
         a, and k_d (1 − a)/T.
     tracking : float
-        T/T_t, at most 1.
+        T/T_t, at most τ_f/τ.
     coupling : list of float
         Torque by the rate of m_ff of each axis before this one, s.
     lead, slow : float
@@ -160,7 +160,7 @@ class Pid:
         Time constant of each of the three lags on the reference, s; 0 for none, None for the
         rotor's τ, but at least 10 T.
     tracking_time : float or None
-        T_t, s; None takes √(k_d/k_i), but not less than T.
+        T_t, s, but not less than T τ/τ_f. None takes √(k_d/k_i), and 1 s where either is 0.
     feed_forward : bool
     sample_time : float or None
         Control period, s; None takes every sample.
