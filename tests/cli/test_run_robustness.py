@@ -55,7 +55,31 @@ class Own:
                 raise ZeroDivisionError("a slip of mine")
             if self.how == "garbage":
                 return Command(np.full(state, math.nan))
+            if self.how == "nothing":
+                return None
+            if self.how == "words":
+                return Command(["up", "down"])
         return Command(np.full(state, 0.1))
+
+
+class Bare:
+    # the least that a controller is: not even a sample time
+    def preview(self, setup):
+        return 0
+
+    def init(self, setup):
+        return len(setup.model.inputs)
+
+    def step(self, state, sample, *, want_prediction):
+        return Command(np.full(state, 0.1))
+
+
+class Unfinished:
+    def preview(self, setup):
+        return 0
+
+    def init(self, setup):
+        return None
 """
 
 
@@ -197,6 +221,40 @@ def test_its_trace_can_be_had(trms, own):
     result = trms("run", *own, "controller.how=raise", "sim.duration=3", "--debug")
     assert "Traceback" in result.stderr
     assert "raise ZeroDivisionError" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [("nothing", "step returned None, not a Command"), ("words", "no array of numbers")],
+)
+def test_what_is_no_command_is_told_with_the_log(trms, own, how, told):
+    result = trms("run", *own, f"controller.how={how}", "sim.duration=3", "out=there")
+    words = " ".join(result.stderr.split())
+    assert result.returncode == 1
+    for part in (told, "one value (V) for each", "the log up to 1.00 s", "there/run.mcap"):
+        assert part in words
+
+
+def _without_keys(tmp_path: Path, name: str) -> None:
+    file = tmp_path / "lab" / "configs" / "controller" / "own.yaml"
+    file.write_text(f"# {name}\n_target_: misbehaving.{name}\n", encoding="utf-8")
+
+
+def test_a_controller_without_a_sample_time_takes_every_sample(trms, own, tmp_path):
+    _without_keys(tmp_path, "Bare")
+    result = trms("run", *own, "sim.duration=1", "out=there")
+    assert result.returncode == 0, result.stderr
+    assert len(read_log(tmp_path / "there" / "run.mcap").table("/controller")) == 50
+
+
+def test_a_controller_that_lacks_a_method_is_refused_before_the_run(trms, own, tmp_path):
+    _without_keys(tmp_path, "Unfinished")
+    result = trms("run", *own, "out=there")
+    words = " ".join(result.stderr.split())
+    assert result.returncode == 2
+    assert "controller misbehaving.Unfinished lacks step" in words
+    assert "docs/writing-a-plugin.md" in words
+    assert not (tmp_path / "there").exists()
 
 
 def test_a_plugin_that_cannot_start_leaves_nothing_behind(trms, own, tmp_path):

@@ -15,6 +15,7 @@ import yaml
 
 from trms_cli import __version__
 from trms_cli.commands.composition import Composition
+from trms_cli.commands.plugin_contract import check_contract
 from trms_cli.core.plugins import build
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import ParameterSet
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 #: Keys of the log's ``trms.run`` record, each with JSON: what ``trms run --from LOG`` reads.
 OVERRIDES_KEY, CONFIG_DIRS_KEY, VERSIONS_KEY = "overrides", "config_dirs", "versions"
+#: The plugins that a closed loop calls, by their keys.
+PARTS = ("plant", "observer", "controller", "ref")
 #: Packages whose version may change a figure of a run.
 _COMPUTING_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "hydra-core", "mcap")
 
@@ -41,12 +44,15 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
         For the first key that is wrong.
     """
     simulation = config["sim"]
+    parts = {key: build(config[key], key) for key in ("model", *PARTS)}
+    for key in PARTS:
+        check_contract(parts[key], key)
     return Experiment(
-        model=build(config["model"], "model"),
-        plant=build(config["plant"], "plant"),
-        observer=build(config["observer"], "observer"),
-        controller=build(config["controller"], "controller"),
-        reference=build(config["ref"], "ref"),
+        model=parts["model"],
+        plant=parts["plant"],
+        observer=parts["observer"],
+        controller=parts["controller"],
+        reference=parts["ref"],
         duration=number(simulation["duration"], "sim.duration"),
         sample_time=number(simulation["sample_time"], "sim.sample_time"),
         seed=whole_number(config["seed"], "seed"),

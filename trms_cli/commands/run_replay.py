@@ -14,6 +14,7 @@ from trms_cli.commands import run_assembly as assembly
 from trms_cli.commands.composition import Composition, Outcome
 from trms_cli.commands.git_revision import GitRevision
 from trms_cli.commands.invocation import program
+from trms_cli.commands.plugin_contract import check_contract
 from trms_cli.commands.plugin_failure import plugin_failure
 from trms_cli.commands.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
@@ -49,6 +50,7 @@ def perform_replay(composition: Composition) -> Outcome:
     config = composition.config
     model = build(config["model"], "model")
     observer = build(config["observer"], "observer")
+    check_contract(observer, "observer")
     plant = build(config["plant"], "plant")
     try:
         rig = plant.load(model)

@@ -95,13 +95,15 @@ class Experiment:
         ConfigurationError
             If the control period is not a whole multiple of the sample time.
         """
-        period = self.controller.sample_time or self.sample_time
+        # a plugin may do without the attribute: it then takes every sample
+        period = getattr(self.controller, "sample_time", None) or self.sample_time
         ratio = round(period / self.sample_time)
         if ratio < 1 or abs(ratio * self.sample_time - period) > 1e-9 * period:
             raise ConfigurationError(
-                f"{period:g} s given, with sim.sample_time={self.sample_time:g} s",
+                f"controller.sample_time={period:g} s is no whole multiple of "
+                f"sim.sample_time={self.sample_time:g} s",
                 where="controller.sample_time",
-                remedy="a whole multiple of sim.sample_time",
+                remedy="change one of the two; controller.sample_time=null takes every sample",
             )
         return ratio
 
@@ -252,6 +254,8 @@ class Loop:
             self._controller_state, sample, want_prediction=want_prediction
         )
         spent = perf_counter() - begin
+        if not isinstance(command, Command):
+            raise _no_command(f"step returned {command!r}, not a Command")
         u = self._applied(command, sample.previous_command, now_ns, lower, upper)
         self.history.writer("/controller")(
             now_ns,
@@ -285,13 +289,12 @@ class Loop:
         upper: list[float],
     ) -> FloatArray:
         """The command after limits; whatever a controller says, only finite numbers pass."""
-        asked = np.asarray(command.u, dtype=float)
+        try:
+            asked = np.asarray(command.u, dtype=float)
+        except (TypeError, ValueError):
+            raise _no_command(f"command is {command.u!r}, no array of numbers") from None
         if asked.shape != previous.shape:
-            raise SimulationError(
-                f"the controller's command has shape {asked.shape}, the rig takes {previous.shape}",
-                where="controller",
-                remedy="Command.u has one value (V) for each of the model's inputs, in their order",
-            )
+            raise _no_command(f"command has shape {asked.shape}, the rig takes {previous.shape}")
         applied = previous.copy()
         for i, value in enumerate(asked.tolist()):
             finite = math.isfinite(value)
@@ -310,6 +313,15 @@ class Loop:
                 kind = "fault_end" if finite else "fault"
                 self.history.event(now_ns, kind, "controller", f"{name} {words}", value)
         return applied
+
+
+def _no_command(what: str) -> SimulationError:
+    return SimulationError(
+        f"the controller's {what}",
+        where="controller",
+        remedy="step returns Command(u): one value (V) for each of the model's inputs, in their "
+        "order",
+    )
 
 
 def _check_finite(references: FloatArray, times: FloatArray, axes: Sequence[str]) -> None:
