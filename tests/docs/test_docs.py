@@ -8,12 +8,14 @@ reader. A block with ``file=PATH`` is that file. A ``console`` block shows what 
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -94,6 +96,40 @@ def test_every_page_is_in_the_index() -> None:
     for page in (ROOT / "docs").glob("*.md"):
         if page.name != "index.md":
             assert f"({page.name})" in index, f"docs/index.md does not name {page.name}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_no_path_leads_out_of_the_checkout(page: Path) -> None:
+    assert not re.search(r"=\.\./.*", page.read_text(encoding="utf-8")), page.name
+
+
+def scored(folder: Path, *words: str) -> dict[str, Any]:
+    """Channels of the score of a run."""
+    from trms_cli.cli import main
+
+    assert main(["run", *words, "picture=false", f"out={folder}"]) == 0
+    return json.loads((folder / "score.json").read_text(encoding="utf-8"))["channels"]
+
+
+def test_preview_does_what_the_readme_says(tmp_path: Path) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    numbers = re.search(r"RMSE ([\d.]+) to ([\d.]+) rad\).*?\(([\d.]+) to ([\d.]+)\)", text)
+    assert numbers is not None
+    without = scored(tmp_path / "without")
+    preview = scored(tmp_path / "preview", "controller.preview_horizon=15")
+    measured = [run[axis]["rmse"] for axis in ("alpha_h", "alpha_v") for run in (without, preview)]
+    assert measured == pytest.approx([float(n) for n in numbers.groups()], rel=0.02)
+    assert all(c["unsettled_steps"] == c["steps"] for c in preview.values())
+
+
+def test_a_push_settles_as_getting_started_says(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "getting-started.md").read_text(encoding="utf-8")
+    number = re.search(r"settling time ([\d.]+) s, worst of 3 steps", text)
+    assert number is not None
+    push = "disturbance@plant.disturbances=yaw_push"
+    yaw = scored(tmp_path / "push", push, "sim.duration=60")["alpha_h"]
+    assert yaw["settling_time_s"] == pytest.approx(float(number[1]), abs=0.1) and yaw["steps"] == 3
+    assert yaw["settling_time_median_s"] < 4.0
 
 
 def test_make_targets_in_the_pages_exist() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
+from trms_cli.commands.run_folder import log_of
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, RecordingError
 
 if TYPE_CHECKING:
@@ -22,10 +23,12 @@ Usage: trms score LOG… [--baseline FILE] [--write-baseline FILE] [--json]
 Prints how well runs tracked their references, what that took, how good the estimates were and
 how the solver did. Channels are scored on the rig's true state where the log has it, else on
 the measurements. A dash stands for what does not exist: a sine has no settling time. With
-several steps the worst one counts; the median over the steps stands below it. The log of a run
-that died is scored as far as it goes, and said to be incomplete.
+several steps the worst one counts; the median over the steps stands below it. A step is judged
+until the reference changes again: if a push comes in between, it has settled when it is back
+after the push; and with a controller that leaves for the next step early (preview), it has not.
+The log of a run that died is scored as far as it goes, and said to be incomplete.
 
-  LOG                    MCAP logs of trms
+  LOG                    MCAP logs of trms, or folders of runs
   --baseline FILE        compare with a baseline, or with a score that --json printed; the exit
                          code is 1 if tracking, estimation, limits or solver failures got worse
                          by more than the tolerances
@@ -102,7 +105,7 @@ def main(argv: list[str]) -> int:
 
     baseline = read_baseline(given.baseline) if given.baseline else None
     scored: list[tuple[LoggedRun, dict[str, Any], list[Row] | None]] = []
-    for path in given.logs:
+    for path in map(log_of, given.logs):
         log = read_log(path)
         score = score_log(log)
         scored.append((log, score, compare(score, baseline) if baseline else None))
