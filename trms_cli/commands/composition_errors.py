@@ -91,11 +91,20 @@ def _refused(
     message = str(error)
     placed = re.search(r"Could not override '([^']+@[^']+)'", message)
     if placed:
-        hints = [line.strip() for line in message.splitlines()[1:] if "To append" not in line]
+        places = re.findall(r"[\w/]+@[\w.]+", message.replace(placed[1], ""))
         return ConfigurationError(
             "nothing is chosen at this place",
             where=placed[1],
-            remedy=" ".join(filter(None, hints)) or "`--cfg job` shows the keys that there are",
+            remedy=nearest(placed[1], places)
+            if places
+            else "`--cfg job` shows the keys that there are",
+        )
+    double = re.search(r"Multiple values for ([\w/]+@[\w.]+?)\.? ", message)
+    if double:
+        return ConfigurationError(
+            "something is chosen at this place already",
+            where=double[1],
+            remedy=f"write {double[1]}=OPTION without a +",
         )
     key = re.search(r"Could not (?:override|delete from config\.) '([^']+)'", message)
     if key:

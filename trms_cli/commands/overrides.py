@@ -24,6 +24,8 @@ from trms_cli.core.plugins import nearest
 #: Keys whose value is a path: quoted for Hydra's grammar, which forbids ``=``, ``(`` and others.
 PATH_KEYS = ("out", "file", "path")
 
+#: All options of the composing command; ``--from`` is taken off before.
+_OPTIONS = ("--cfg", "--config-dir", "--from", "--multirun", "--help", "--debug")
 _PLAIN_NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*")
 
 
@@ -75,7 +77,7 @@ def read_request(argv: Sequence[str]) -> Request:
             raise ConfigurationError(
                 f"unknown option {word!r}",
                 where="the command line",
-                remedy=nearest(word, ["--cfg", "--config-dir", "--multirun", "--help", "--debug"]),
+                remedy=nearest(word, _OPTIONS),
             )
         else:
             overrides.append(word)
@@ -123,7 +125,11 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
             prepared.append(str(override))
             continue
         if override.package:
-            prepared.append(str(_placed_choice(override, primary, groups)))
+            placed = _placed_choice(override, primary, groups)
+            if (placed.key, placed.package[1:]) in keys.places():
+                # `+signal@ref.alpha_v=sine` is meant without the plus: the place is there
+                placed = placed._replace(prefix=placed.prefix.lstrip("+"))
+            prepared.append(str(placed))
             continue
         _check_first_name(override, primary, groups)
         if override.key in primary.defaults:
@@ -218,7 +224,14 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
     names = _names(value)
     if names is None:  # quotes, functions or interpolations: Hydra's to judge
         return [override]
+    if value.count("[") != value.count("]"):
+        raise ConfigurationError(
+            f"a bracket is missing in {value!r}",
+            where=group,
+            remedy=f"write '{group}=[NAME,NAME]'",
+        )
     if several:
+        _refuse_twice(group, names)
         override = override._replace(value=_as_lists(group, value, names, multirun))
         names = [name for item in names for name in _names(item.strip("[]")) or []]
     elif any(is_path(name) for name in names):
@@ -241,6 +254,17 @@ def _names(value: str) -> list[str] | None:
         return None
     items = [item.strip() for item in re.findall(r"\[[^\]]*\]|[^,\[\]]+", value)]
     return [item for item in items if item]
+
+
+def _refuse_twice(group: str, lists: Sequence[str]) -> None:
+    """The second of two equal names would replace the first in silence."""
+    for item in lists:
+        names = _names(item.strip("[]")) or []
+        twice = [name for i, name in enumerate(names) if name in names[:i]]
+        if twice:
+            raise ConfigurationError(
+                f"{twice[0]} stands twice in {item}", where=group, remedy="name each once"
+            )
 
 
 def _as_lists(group: str, value: str, names: Sequence[str], multirun: bool) -> str:

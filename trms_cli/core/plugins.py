@@ -142,7 +142,8 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
     """The value with nested plugins built, in the type that the hint asks for."""
     if _holds_plugin(value):
         return _built_inside(value, where)
-    _refuse_unusable(value, where)
+    if hint is not str:  # a text is asked for where one is meant, not a number
+        _refuse_unusable(value, where)
     try:
         return msgspec.convert(value, hint, strict=True)
     except msgspec.ValidationError as error:

@@ -46,6 +46,8 @@ def words(hint: Any) -> str:
         return ", or ".join(words(member) for member in arguments)
     if hint in _PLAIN:
         return _PLAIN[hint]
+    if origin is tuple and arguments == (float, float):
+        return "two numbers [lower, upper]"
     if origin is tuple and arguments[-1:] != (...,):
         return f"a list of {len(arguments)}: {', '.join(map(words, arguments))}"
     if _is_a(hint, Mapping):

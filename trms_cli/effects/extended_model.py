@@ -34,7 +34,13 @@ class ExtendedModel(Model):
     """
 
     def __init__(self, base: Model, name: str, effect: Effect) -> None:
-        effect.check(base)
+        try:
+            effect.check(base)
+        except ModelError as error:
+            if not error.where:
+                error.where = f"effect.{name}"
+                error.remedy += "; leave the effect out, or choose another model (model=…)"
+            raise
         own = effect.parameters()
         if name in effect_names(base):
             raise ModelError(

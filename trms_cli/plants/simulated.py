@@ -175,8 +175,13 @@ class SimulatedRun:
         times = np.arange(setup.samples, dtype=np.float64) * setup.sample_time
         w = np.zeros((setup.samples, len(equations)))
         for name, disturbance in rig.disturbances.items():
-            column = _known(disturbance.equation, equations, f"disturbances.{name}.equation")
-            w[:, column] += disturbance.torque.sample(times)
+            if disturbance.equation not in equations:
+                raise ConfigurationError(
+                    f"the rig has no equation {disturbance.equation!r}",
+                    where=f"disturbances.{name}.equation",
+                    remedy=nearest(disturbance.equation, equations),
+                )
+            w[:, equations.index(disturbance.equation)] += disturbance.torque.sample(times)
         return w
 
     def _known(self, rig: SimulatedRig, setup: PlantSetup) -> dict[str, FloatArray]:

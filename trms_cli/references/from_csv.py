@@ -87,12 +87,18 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
     """
     from trms_cli.recordings.units import to_si
 
+    if not path.exists():
+        raise RecordingError(
+            f"there is no file {str(path)!r}",
+            where="file",
+            remedy="give the path of a CSV file whose header is like t[s],r_v[rad],r_h[rad]",
+        )
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(
-            f"the reference cannot be read: {error}",
-            where=str(path),
+            f"{str(path)!r} cannot be read: {getattr(error, 'strerror', None) or error}",
+            where="file",
             remedy="give the path of a CSV file whose header is like t[s],r_v[rad],r_h[rad]",
         ) from error
     rows = _rows(text)
