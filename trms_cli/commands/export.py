@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from trms_cli.commands.plain_options import PlainOptions
+from trms_cli.commands.run_folder import log_of
 
 SUMMARY = "turn an MCAP log into CSV, Parquet or MAT"
 
@@ -18,7 +19,7 @@ usage: trms export LOG [--format csv|parquet|mat] [--out FILE] [--force] [--json
 Writes a run's log for programs that read no MCAP. The log of a run that died is written as
 far as it goes. The file appears when it is whole; nothing is overwritten unless told so.
 
-  LOG            an MCAP log of trms
+  LOG            an MCAP log of trms, or the folder of a run
   --format NAME  csv      inputs, outputs and references on the sample grid, as `trms import`
                           and `plant=replay` read it
                  parquet  one wide table of all topics, a row per sample time, columns
@@ -45,6 +46,7 @@ def main(argv: list[str]) -> int:
     options.add_argument("--force", action="store_true")
     options.add_argument("--json", action="store_true")
     given = options.parse_args(argv)
+    given.log = log_of(given.log)
     format_ = given.format or _format_of(given.out)
     out = given.out or given.log.with_suffix(f".{format_}")
 

@@ -53,6 +53,11 @@ def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
     return folder
 
 
+def log_of(path: Path) -> Path:
+    """The log that `path` is, or that lies in the run's folder that it is."""
+    return path / LOG_NAME if (path / LOG_NAME).is_file() else path
+
+
 def _dated(what: str) -> Path:
     now = datetime.now()
     base = Path("outputs", now.strftime("%Y-%m-%d"), f"{now.strftime('%H-%M-%S')}-{what}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.composition import Composition, Outcome, Task, compose, execute
 from trms_cli.commands.invocation import program
+from trms_cli.commands.run_folder import log_of
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def take_log(argv: Sequence[str]) -> tuple[Path | None, list[str]]:
                 where=OPTION,
                 remedy=f"write {OPTION} outputs/…/run.mcap",
             )
-    return (None if log is None else Path(log)), rest
+    return (None if log is None else log_of(Path(log))), rest
 
 
 def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
