@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from trms_cli import __version__
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+from trms_cli.core.errors import EXIT_OK, TrmsError, interrupted_code
 
 EXIT_BUG = 70  #: an error that no code of ours expected (EX_SOFTWARE of sysexits.h)
 
@@ -65,11 +65,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         sys.stderr.write(describe_error(error, colour=_has_colour(sys.stderr)))
         return error.exit_code
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         if debug:
             raise
         sys.stderr.write("\ninterrupted\n")
-        return EXIT_INTERRUPTED
+        return interrupted_code(error)
     except BrokenPipeError:
         return _reader_left()
     except Exception as error:

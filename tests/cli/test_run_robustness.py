@@ -152,12 +152,12 @@ def test_a_killed_run_s_log_holds_everything_up_to_the_last_second(started, tmp_
 
 
 @posix
-@pytest.mark.parametrize("ending", [signal.SIGINT])
-def test_an_interrupted_run_leaves_a_complete_and_marked_log(started, trms, ending):
+@pytest.mark.parametrize(("ending", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_run_leaves_a_complete_and_marked_log(started, trms, ending, code):
     process, path = started()
     process.send_signal(ending)
     output, error = process.communicate(timeout=30)
-    assert process.returncode == 130
+    assert process.returncode == code
     assert "Traceback" not in error
     assert "there/run.mcap" in error
     assert "interrupted at" in error
@@ -255,6 +255,26 @@ def test_a_controller_that_lacks_a_method_is_refused_before_the_run(trms, own, t
     assert "controller misbehaving.Unfinished lacks step" in words
     assert "docs/writing-a-plugin.md" in words
     assert not (tmp_path / "there").exists()
+
+
+@posix
+def test_that_there_is_no_compiler_is_said_once(trms, own, tmp_path):
+    words = [*own, "sim.duration=0.2"]
+    for more in (["out=one"], ["-m", "seed=1,2", "out=many"]):
+        result = trms("run", *words, *more, PATH=str(tmp_path), CC="")
+        assert result.returncode == 0, result.stderr
+        assert result.stderr.count("no C compiler") == 1
+        assert "trms doctor" in result.stderr
+    result = trms("run", *words, "out=asked", TRMS_COMPILE="0")
+    assert result.stderr == ""
+
+
+def test_a_run_s_folder_stands_for_its_log(trms, own):
+    assert trms("run", *own, "sim.duration=1", "out=there").returncode == 0
+    assert trms("score", "there").stdout == trms("score", "there/run.mcap").stdout
+    assert trms("export", "there").returncode == 0
+    result = trms("run", "--from", "there", "out=again")
+    assert result.returncode == 0, result.stderr
 
 
 def test_a_plugin_that_cannot_start_leaves_nothing_behind(trms, own, tmp_path):

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +16,7 @@ from typing import Any
 
 from trms_cli.commands.composition import Composition, Outcome, execute
 from trms_cli.commands.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK
+from trms_cli.core.errors import EXIT_OK, Terminated, interrupted_code
 
 SUMMARY = "close the loop: simulate or replay, log, score, draw"
 COMPOSES = "run"
@@ -48,7 +51,7 @@ keys that are changed most
   effect.NAME.SIZE (the unit: `trms list effect NAME`)
 
 options
-  --from LOG         repeat the run of a log; what follows changes it
+  --from LOG         repeat the run of a log (or of a run's folder); what follows changes it
   -m, --multirun     one run for each combination of the values that commas part
   --cfg job          print the composed configuration and stop
   --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
@@ -60,7 +63,7 @@ def main(argv: Sequence[str]) -> int:
     from trms_cli.commands.run_repeat import repeat, take_log
 
     log, rest = take_log(argv)
-    with _rare_collection():
+    with _rare_collection(), _termination():
         if log is not None:
             return repeat(log, rest, COMPOSES, perform)
         return execute(rest, COMPOSES, perform)
@@ -83,6 +86,7 @@ def perform(composition: Composition) -> Outcome:
     begin = perf_counter()
     assembly.check_files(composition.config)
     experiment = assembly.experiment_of(composition.config)
+    _tell_of_missing_compiler(composition)
     revision = GitRevision.ask()
     logs: list[Any] = []
 
@@ -116,14 +120,14 @@ def perform(composition: Composition) -> Outcome:
                 loop.run(screen.progress)
             score = _score(loop, log.path, complete=True)
             log.close("completed", score)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
             score = _score(loop, log.path, complete=False)
             log.close("interrupted", score)
             write_document(score, log.path.with_name(SCORE_NAME))
             screen.say_interrupted(loop.done * experiment.sample_time)
             if composition.job is not None:
                 raise  # the sweep ends too
-            return Outcome(EXIT_INTERRUPTED)
+            return Outcome(interrupted_code(error))
         except BaseException as error:
             log.close("failed")
             if isinstance(error, Exception):
@@ -141,6 +145,34 @@ def perform(composition: Composition) -> Outcome:
                 picture = None
     screen.say_finished(score, picture, perf_counter() - begin)
     return Outcome(EXIT_OK, _objective(score))
+
+
+@contextmanager
+def _termination() -> Iterator[None]:
+    """SIGTERM ends what runs inside as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+
+    def terminate(*_: Any) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _tell_of_missing_compiler(composition: Composition) -> None:
+    """Once a run, and in a sweep with its first job only; not where compiling is turned off."""
+    from trms_cli.core.compilation import compiler
+
+    if composition.job in (None, 0) and "TRMS_COMPILE" not in os.environ and compiler() is None:
+        sys.stderr.write(
+            "note   no C compiler: runs are two to three times slower; "
+            "`trms doctor` tells what to install\n"
+        )
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from trms_cli.commands.invocation import program
 from trms_cli.commands.plugin_contract import check_contract
 from trms_cli.commands.plugin_failure import plugin_failure
 from trms_cli.commands.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
+from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError, interrupted_code
 from trms_cli.core.plugins import TARGET, build, locate
 from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig, RecordedRun
@@ -79,10 +79,10 @@ def perform_replay(composition: Composition) -> Outcome:
     screen = ReplayScreen(composition, rig, log.path)
     try:
         replay.run(screen.progress)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         log.close("interrupted", _score(replay, log.path, complete=False))
         screen.say_interrupted(replay.done * rig.sample_time)
-        return Outcome(EXIT_INTERRUPTED)
+        return Outcome(interrupted_code(error))
     except BaseException as error:
         log.close("failed")
         reached = replay.done * rig.sample_time

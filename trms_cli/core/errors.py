@@ -9,6 +9,16 @@ EXIT_OK = 0
 EXIT_WORSE = 1  #: a comparison with a baseline failed
 EXIT_BAD_INPUT = 2  #: what was typed, or a file that was given, cannot be used
 EXIT_INTERRUPTED = 130  #: Ctrl-C, as the shell has it
+EXIT_TERMINATED = 143  #: SIGTERM, as the shell has it
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: what a scheduler sends ends a run as Ctrl-C does, its log closed and marked."""
+
+
+def interrupted_code(error: KeyboardInterrupt) -> int:
+    """The exit code of a program that was interrupted."""
+    return EXIT_TERMINATED if isinstance(error, Terminated) else EXIT_INTERRUPTED
 
 
 class TrmsError(Exception):
