@@ -75,7 +75,7 @@ def test_a_wrong_file_is_told_by_its_line(
 
 
 def test_a_missing_file_is_told(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(RecordingError, match="there is no file"):
         FromCsv(file=str(tmp_path / "none.csv"), column="r_v")
     with pytest.raises(RecordingError, match="cannot be read"):
         FromCsv(file=str(tmp_path), column="r_v")
