@@ -57,7 +57,9 @@ class TestWhatItLeaves:
     def test_the_screen_fits_a_terminal_and_tells_what_to_do_next(self, finished):
         _, result = finished
         lines = result.stdout.splitlines()
-        assert max(map(len, lines)) <= 90
+        # The commands at the end hold the path of the program, as long as that is.
+        table = lines[: next(i for i, line in enumerate(lines) if line.startswith("next"))]
+        assert max(map(len, table)) <= 90
         assert len(lines) <= 24
         for part in ("tracking", "RMSE", "inputs", "estimate", "solver", "× real time"):
             assert part in result.stdout

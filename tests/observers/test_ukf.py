@@ -421,7 +421,7 @@ def test_it_starts_from_measurements_and_from_rotors_that_turn_as_commanded() ->
         ({"disturbances": ["yaw_momentum"]}, "observer.disturbances", "did you mean yaw_moment?"),
         ({"measurement_noise": {"alpha": 1.0}}, "observer.measurement_noise", "alpha_v"),
         ({"process_noise": {"states": {"omega": 1.0}}}, "observer.process_noise.states", "omega_h"),
-        ({"process_noise": {"angel": 1.0}}, "observer.process_noise", "angel"),
+        ({"process_noise": {"angel": 1.0}}, "observer.process_noise.angel", "angle"),
         ({"alpha": 0.0}, "observer.alpha", ">"),
         ({"kappa": -11.0}, "observer.kappa", "above -10"),
     ],
