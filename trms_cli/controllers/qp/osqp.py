@@ -32,7 +32,7 @@ class Osqp:
     """
 
     tolerance: Annotated[float, Meta(gt=0)] = 1e-8
-    max_iterations: Annotated[int, Meta(ge=1)] = 20000
+    max_iterations: Annotated[int, Meta(ge=1)] = 50000
 
     def start(self) -> _Workspace:
         """A fresh workspace."""
@@ -77,9 +77,7 @@ class Osqp:
         if workspace.last is not None and len(workspace.last) == n + 2 * k:
             solver.warm_start(x=workspace.last)
         result = solver.solve(raise_error=False)
-        # "Inaccurate" is within ten times the tolerance, which is set far below what matters.
-        good = result.info.status in ("solved", "solved inaccurate")
-        solved = good and bool(np.isfinite(result.x).all())
+        solved = result.info.status == "solved" and bool(np.isfinite(result.x).all())
         workspace.last = result.x if solved else None
         message = "" if solved else str(result.info.status)
         return QpResult(np.array(result.x[:n]), solved, int(result.info.iter), message)
