@@ -157,7 +157,18 @@ class RecordedRig:
         ConfigurationError
             If its channels or units are not those of the model; it tells what to do.
         """
-        recording = self._part_of(read_recording(Path(self.file).expanduser()))
+        return self.take(self.part_of(read_recording(Path(self.file).expanduser())), model)
+
+    def take(self, recording: Recording, model: Model) -> RecordedRun:
+        """Check a recording in memory, all of it, against the model.
+
+        ``file``, ``start`` and ``end`` have no part in it: see :meth:`part_of`.
+
+        Raises
+        ------
+        RecordingError, ConfigurationError
+            As :meth:`load` does.
+        """
         inputs = self._inputs(recording, model)
         available = tuple(name for name in names(model.outputs) if name in recording.channels)
         if not available:
@@ -193,8 +204,14 @@ class RecordedRig:
             recording,
         )
 
-    def _part_of(self, recording: Recording) -> Recording:
-        """The rows from start to end."""
+    def part_of(self, recording: Recording) -> Recording:
+        """The rows from ``start`` to ``end``.
+
+        Raises
+        ------
+        ConfigurationError
+            If fewer than two are left.
+        """
         start = -np.inf if self.start is None else self.start
         end = np.inf if self.end is None else self.end
         chosen = (recording.time >= start) & (recording.time <= end)

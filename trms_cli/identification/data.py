@@ -1,0 +1,235 @@
+"""From files to datasets: what ``real=[FILE, …]`` and the keys of ``data`` mean.
+
+The recordings are read, cut, and checked against the model by the room of plants, as a replay
+does it; here they become plain arrays.
+"""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.models.model import Model, names
+from trms_cli.plants.recorded import read_runs
+from trms_cli.plants.replay import RecordedRig
+from trms_cli.plants.sensors import Sensors
+
+#: The word of ``noise_sd`` that asks for an estimate.
+ESTIMATE: Literal["estimate"] = "estimate"
+#: The log in a folder of ``trms run``.
+_LOG = "run.mcap"
+#: Standard deviation of a normal variable over its median absolute value.
+_MAD_TO_SD = 1.4826
+#: The third difference of white noise of variance 1 has the variance 1 + 9 + 9 + 1.
+_THIRD_DIFFERENCE_SD = 20**0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataOptions:
+    """What is taken from recordings.
+
+    Attributes
+    ----------
+    start, end : float or None
+        Part of each recording to take, s in its own time; None for all.
+    input_scale : dict of str to float
+        By input: what a recorded 1 is in the model's unit, where the units differ.
+    command_delay : int
+        Samples from a row's time until its command acts.
+    jitter : float
+        Largest deviation of a step from whole sample times, as a share of one.
+    channels : list of str or None
+        Outputs to use; None takes all that the model has and the file holds.
+    noise_sd : dict of str to float, or "estimate"
+        White noise per output, in its unit. ``estimate`` takes it from the data: see
+        :func:`noise_estimate`.
+    quantum : dict of str to float
+        Resolution per output, in its unit; its share of the noise is q/√12.
+    """
+
+    start: float | None = None
+    end: float | None = None
+    input_scale: Mapping[str, float] = field(default_factory=dict)
+    command_delay: Annotated[int, Meta(ge=0)] = 0
+    jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
+    channels: tuple[str, ...] | None = None
+    noise_sd: Mapping[str, Annotated[float, Meta(ge=0)]] | Literal["estimate"] = field(
+        default_factory=dict
+    )
+    quantum: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+
+    def rig(self, file: str) -> RecordedRig:
+        """The recording in ``file`` as a rig that can be replayed."""
+        noise = {} if self.noise_sd == ESTIMATE else self.noise_sd
+        assert isinstance(noise, Mapping)
+        return RecordedRig(
+            file=file,
+            start=self.start,
+            end=self.end,
+            input_scale=self.input_scale,
+            command_delay=self.command_delay,
+            jitter=self.jitter,
+            sensors=Sensors(channels=self.channels, noise_sd=noise, quantum=self.quantum),
+        )
+
+
+def load_datasets(
+    real: Sequence[str] | str, model: Model, options: DataOptions | None = None
+) -> list[Dataset]:
+    """Read recordings for a model.
+
+    Parameters
+    ----------
+    real : str or sequence of str
+        Files (CSV, MAT, MCAP), folders of runs, or patterns such as ``monday/*.csv``.
+    model : Model
+        Its inputs must all be recorded. Of its outputs those are taken that are.
+    options : DataOptions or None
+        None takes the defaults: everything, with no noise declared.
+
+    Returns
+    -------
+    list of Dataset
+        In the order of the files; more than one of a file that is split at its gaps. Names
+        are unique.
+
+    Raises
+    ------
+    RecordingError
+        If a file cannot be read or is not evenly sampled.
+    ConfigurationError
+        If its channels or units are not those of the model; it tells what to do.
+    """
+    options = options or DataOptions()
+    datasets: list[Dataset] = []
+    for file in files_of(real):
+        with _in_words_of_data():
+            runs, sha256 = read_runs(options.rig(file), model)
+        for run in runs:
+            remarks = [*run.remarks]
+            noise = np.array([run.noise_sd[name] for name in names(run.outputs)])
+            if options.noise_sd == ESTIMATE:
+                noise = np.maximum(noise, noise_estimate(run.measurements))
+                figures = zip(run.outputs, noise, strict=True)
+                remarks.append(
+                    "noise estimated from the data: "
+                    + ", ".join(f"{s.name} {sd:.3g} {s.unit}" for s, sd in figures)
+                )
+            datasets.append(
+                Dataset(
+                    _unique(file, [d.name for d in datasets]),
+                    file,
+                    sha256,
+                    run.sample_time,
+                    run.time,
+                    run.inputs,
+                    run.outputs,
+                    np.ascontiguousarray(run.commands),
+                    np.ascontiguousarray(run.measurements),
+                    noise,
+                    tuple(remarks),
+                )
+            )
+    return datasets
+
+
+def noise_estimate(measurements: FloatArray) -> FloatArray:
+    """Standard deviation of the white noise on each column.
+
+    From the third differences, in which a motion that is smooth over four samples cancels, by
+    their median absolute value, which single outliers do not move. Samples beside a missing
+    one have no part in it. It overestimates where the motion is fast for the sample time. A
+    channel at rest on an encoder's step gives 0; the quantum's share is declared apart.
+
+    Parameters
+    ----------
+    measurements : (n, n_y) array
+        NaN where missing.
+
+    Returns
+    -------
+    (n_y,) array
+        0 for a column with fewer than eight differences.
+    """
+    estimates = []
+    for column in measurements.T:
+        third = np.diff(column, 3)
+        third = third[np.isfinite(third)]
+        spread = float(np.median(np.abs(third))) if len(third) >= 8 else 0.0
+        estimates.append(_MAD_TO_SD * spread / _THIRD_DIFFERENCE_SD)
+    return np.array(estimates)
+
+
+def files_of(real: Sequence[str] | str) -> list[str]:
+    """The files that ``real`` names, patterns and folders of runs resolved.
+
+    Raises
+    ------
+    ConfigurationError
+        If nothing is named, a pattern fits no file, a folder holds no log, or a file occurs
+        twice.
+    """
+    given = [real] if isinstance(real, str) else list(real)
+    files: list[str] = []
+    for name in given:
+        path = Path(name).expanduser()
+        if path.is_dir():
+            if not (path / _LOG).is_file():
+                raise ConfigurationError(
+                    f"the folder {name!r} holds no {_LOG}",
+                    where="real",
+                    remedy=f"give the folder of a run, a file, or a pattern: '{name}/*.csv'",
+                )
+            files.append(str(path / _LOG))
+        elif path.exists() or not any(sign in name for sign in "*?["):
+            files.append(str(path))
+        else:
+            found = sorted(glob.glob(str(path), recursive=True))
+            if not found:
+                raise ConfigurationError(
+                    f"no file fits the pattern {name!r}", where="real", remedy="look at the folder"
+                )
+            files += found
+    if not files:
+        raise ConfigurationError(
+            "no recording is given", where="real", remedy="real=FILE, or 'real=[FILE, FILE]'"
+        )
+    twice = next((file for i, file in enumerate(files) if file in files[:i]), None)
+    if twice is not None:
+        raise ConfigurationError(
+            f"{twice} is given twice", where="real", remedy="a recording counts once"
+        )
+    return files
+
+
+def _unique(file: str, taken: Sequence[str]) -> str:
+    """A short name for a file (of a run, its folder's), numbered from 2 on if it is taken."""
+    path = Path(file)
+    name = path.absolute().parent.name if path.name == _LOG else path.stem
+    number, candidate = 1, name
+    while candidate in taken:
+        number += 1
+        candidate = f"{name}-{number}"
+    return candidate
+
+
+@contextmanager
+def _in_words_of_data() -> Iterator[None]:
+    """Errors of a replayed plant, told by the keys that are given here."""
+    try:
+        yield
+    except TrmsError as error:
+        for part in ("where", "remedy"):
+            text = str(getattr(error, part)).replace("plant.file", "real")
+            text = text.replace("plant.", "data.").replace("sensors.", "data.")
+            setattr(error, part, text)
+        raise
