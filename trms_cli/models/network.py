@@ -1,0 +1,370 @@
+"""A trained network as data: what it computes, exactly, and how it is written down.
+
+A network maps a regressor φ to an output, both normalised by figures that stay with it::
+
+    z = (φ − regressor_mean) / regressor_sd        output = output_mean + output_sd · N(z)
+
+    mlp      N(z) = W_L tanh(… tanh(W_1 z + b_1) …) + b_L  [+ A z]
+    rbf      N(z) = b + A z + W g(r),   g(r) = exp(−r²/2)
+    wavelet  N(z) = b + A z + W g(r),   g(r) = (n_z − r²) exp(−r²/2)      r_i = ‖z − c_i‖ / d_i
+
+The wavelet is the radial Mexican hat (Zhang 1997, IEEE Trans. Neural Networks 8(2), after Zhang
+& Benveniste 1992, IEEE Trans. Neural Networks 3(6)); its direct linear part is theirs too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.core.errors import ModelError
+from trms_cli.models.model import FloatArray
+
+Kind = Literal["mlp", "rbf", "wavelet"]
+_FIGURES = ("regressor_mean", "regressor_sd", "output_mean", "output_sd")
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A static map with its normalisation.
+
+    Attributes
+    ----------
+    kind : {"mlp", "rbf", "wavelet"}
+    weights : mapping of str to array
+        mlp: ``W1`` (h_1, n_z), ``b1`` (h_1,), … up to the output layer ``WL`` (n_out, h), ``bL``
+        (n_out,), and, where there is a direct linear part, ``A`` (n_out, n_z).
+        rbf, wavelet: ``centres`` (n_c, n_z), ``widths`` (n_c,), ``W`` (n_out, n_c), ``A``
+        (n_out, n_z), ``b`` (n_out,). All in normalised units.
+    regressor_mean, regressor_sd : (n_phi,) arrays
+        In the regressor's units.
+    output_mean, output_sd : (n_out,) arrays
+        In the output's units.
+
+    Raises
+    ------
+    ModelError
+        For shapes that do not fit, a figure that is not finite, or a scale that is not positive.
+    """
+
+    kind: Kind
+    weights: Mapping[str, FloatArray]
+    regressor_mean: FloatArray
+    regressor_sd: FloatArray
+    output_mean: FloatArray
+    output_sd: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in _FIGURES:
+            object.__setattr__(self, name, _array(getattr(self, name), 1, name))
+        weights = {
+            name: _array(value, 1 if _is_vector(name) else 2, f"weights.{name}")
+            for name, value in self.weights.items()
+        }
+        object.__setattr__(self, "weights", weights)
+        if self.kind not in get_args(Kind):
+            raise ModelError(
+                f"{self.kind!r} given", where="kind", remedy=f"one of {', '.join(get_args(Kind))}"
+            )
+        self._check_shapes()
+        for name in ("regressor_sd", "output_sd"):
+            if not np.all(getattr(self, name) > 0):
+                raise ModelError("a scale is not positive", where=name, remedy="train again")
+
+    @property
+    def n_regressors(self) -> int:
+        return int(self.regressor_mean.size)
+
+    @property
+    def n_outputs(self) -> int:
+        return int(self.output_mean.size)
+
+    @property
+    def n_layers(self) -> int:
+        """Layers of weights of an mlp, the output layer among them."""
+        return sum(1 for name in self.weights if name.startswith("W"))
+
+    def expression(self, regressor: ca.SX) -> ca.SX:
+        """The output as a CasADi expression, exact to rounding and with exact derivatives.
+
+        Parameters
+        ----------
+        regressor : (n_phi, 1) casadi.SX
+
+        Returns
+        -------
+        (n_out, 1) casadi.SX
+        """
+        z = (regressor - ca.DM(self.regressor_mean)) / ca.DM(self.regressor_sd)
+        w = {name: ca.DM(value) for name, value in self.weights.items()}
+        if self.kind == "mlp":
+            last = self.n_layers
+            activation = z
+            for layer in range(1, last):
+                activation = ca.tanh(w[f"W{layer}"] @ activation + w[f"b{layer}"])
+            result = w[f"W{last}"] @ activation + w[f"b{last}"]
+        else:
+            activations = []
+            for centre, width in zip(self.weights["centres"], self.weights["widths"], strict=True):
+                square = ca.sumsqr((z - ca.DM(centre)) / width)
+                bell = ca.exp(-square / 2)
+                activations.append(bell if self.kind == "rbf" else (z.shape[0] - square) * bell)
+            result = w["W"] @ ca.vertcat(*activations) + w["b"]
+        if "A" in w:
+            result += w["A"] @ z
+        return ca.DM(self.output_mean) + ca.DM(self.output_sd) * result
+
+    def evaluate(self, regressors: FloatArray) -> FloatArray:
+        """The outputs for many regressors at once, ``(n, n_phi) -> (n, n_out)``."""
+        z = (regressors - self.regressor_mean) / self.regressor_sd
+        w = self.weights
+        if self.kind == "mlp":
+            last = self.n_layers
+            activation = z
+            for layer in range(1, last):
+                activation = np.tanh(activation @ w[f"W{layer}"].T + w[f"b{layer}"])
+            result = activation @ w[f"W{last}"].T + w[f"b{last}"]
+        else:
+            square = squared_distances(z, w["centres"]) / w["widths"] ** 2
+            bell = np.exp(-square / 2)
+            hidden = bell if self.kind == "rbf" else (z.shape[1] - square) * bell
+            result = hidden @ w["W"].T + w["b"]
+        if "A" in w:
+            result = result + z @ w["A"].T
+        return np.asarray(self.output_mean + self.output_sd * result)
+
+    def to_data(self) -> dict[str, Any]:
+        """Plain data for a YAML file; read back, every bit is there."""
+        weights = {name: value.tolist() for name, value in self.weights.items()}
+        figures = {name: getattr(self, name).tolist() for name in _FIGURES}
+        return {"kind": self.kind, **figures, "weights": weights}
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any], where: str = "network") -> Network:
+        """The network of :meth:`to_data`.
+
+        Raises
+        ------
+        ModelError
+            For a key that is missing or unknown, and for figures that do not fit; it names the
+            key.
+        """
+        check_keys(data, {"kind", "weights", *_FIGURES}, where)
+        if not isinstance(data["weights"], Mapping):
+            raise ModelError(
+                "no mapping of weights", where=f"{where}.weights", remedy="train again"
+            )
+        try:
+            return cls(**data)
+        except ModelError as error:
+            raise ModelError(
+                error.problem, where=f"{where}.{error.where}", remedy=error.remedy
+            ) from None
+
+    def _check_shapes(self) -> None:
+        n_z, n_out = self.n_regressors, self.n_outputs
+        expected: dict[str, tuple[int, ...]] = {}
+        if self.kind == "mlp":
+            before = n_z
+            for layer in range(1, self.n_layers + 1):
+                rows = self.weights[f"W{layer}"].shape[0] if f"W{layer}" in self.weights else -1
+                after = n_out if layer == self.n_layers else rows
+                expected |= {f"W{layer}": (after, before), f"b{layer}": (after,)}
+                before = after
+            if not expected:
+                expected = {"W1": (n_out, n_z), "b1": (n_out,)}
+            if "A" in self.weights:
+                expected["A"] = (n_out, n_z)
+        else:
+            n_c = len(self.weights["centres"]) if "centres" in self.weights else -1
+            expected = {"centres": (n_c, n_z), "widths": (n_c,), "W": (n_out, n_c)}
+            expected |= {"A": (n_out, n_z), "b": (n_out,)}
+        expected |= {"regressor_sd": (n_z,), "output_sd": (n_out,)}
+        given = {name: value.shape for name, value in self.weights.items()}
+        given |= {"regressor_sd": self.regressor_sd.shape, "output_sd": self.output_sd.shape}
+        for name in sorted(expected.keys() | given.keys()):
+            if expected.get(name) != given.get(name):
+                raise ModelError(
+                    f"shape {given.get(name, 'missing')}",
+                    where=name if name.endswith("_sd") else f"weights.{name}",
+                    remedy=f"a network of kind {self.kind!r} with {n_z} regressors and {n_out} "
+                    f"outputs has {expected.get(name, 'no such weights')}",
+                )
+        if self.kind != "mlp" and not np.all(self.weights["widths"] > 0):
+            raise ModelError(
+                "a width is not positive", where="weights.widths", remedy="train again"
+            )
+
+
+@dataclass(frozen=True)
+class NarxStructure:
+    """Which past samples a network predicts the next output from.
+
+    The output at sample k is predicted from ``y(k − l)``, l in ``output_lags``, and ``u(k − m)``,
+    m in ``input_lags``; ``u(k − 1)`` is the command that is held over the step that ends in
+    ``y(k)``, so that a model in the form ``x⁺ = f(x, u)`` has it as its input.
+
+    Attributes
+    ----------
+    outputs, inputs : tuple of str
+        Names of the signals.
+    output_units, input_units : tuple of str
+        One a signal.
+    output_lags, input_lags : tuple of int
+        Rising, at least 1; the first output lag is 1 for an incremental network.
+    sample_time : float
+        s.
+    incremental : bool
+        The network gives ``y(k) − y(k − 1)``, else ``y(k)``.
+    differences : bool
+        After the most recent output the regressor has the differences between successive lags
+        instead of the values: lagged values of a slow signal are nearly equal, and first-order
+        training crawls along that valley.
+
+    Raises
+    ------
+    ModelError
+        For lags that do not rise from 1 on, units that are not one a signal, a sample time that
+        is not positive.
+    """
+
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    output_units: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_lags: tuple[int, ...]
+    input_lags: tuple[int, ...]
+    sample_time: float
+    incremental: bool = True
+    differences: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("outputs", "inputs", "output_units", "input_units"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        for name in ("output_lags", "input_lags"):
+            lags = tuple(getattr(self, name))
+            object.__setattr__(self, name, lags)
+            if not lags or lags[0] < 1 or any(b <= a for a, b in zip(lags, lags[1:], strict=False)):
+                raise ModelError(
+                    f"{list(lags)} given", where=name, remedy="rising whole numbers, from 1 on"
+                )
+        if self.incremental and self.output_lags[0] != 1:
+            raise ModelError(
+                f"{list(self.output_lags)} given",
+                where="output_lags",
+                remedy="a network of increments starts from lag 1",
+            )
+        for what in ("output", "input"):
+            if len(getattr(self, f"{what}_units")) != len(getattr(self, f"{what}s")):
+                raise ModelError(
+                    f"{len(getattr(self, f'{what}_units'))} given",
+                    where=f"{what}_units",
+                    remedy=f"one for each of {', '.join(getattr(self, f'{what}s'))}",
+                )
+        if not self.sample_time > 0:
+            raise ModelError(
+                f"{self.sample_time!r} given", where="sample_time", remedy="a positive time in s"
+            )
+
+    @property
+    def n_regressors(self) -> int:
+        outputs = len(self.outputs) * len(self.output_lags)
+        return outputs + len(self.inputs) * len(self.input_lags)
+
+    @property
+    def longest_lag(self) -> int:
+        """Samples of the past that must be known before the first prediction."""
+        return max(self.output_lags[-1], self.input_lags[-1])
+
+    def lagged_names(self) -> tuple[str, ...]:
+        """What :meth:`arrangement` works on: ``y(k−l)`` lag by lag, then ``u(k−m)``."""
+        outputs = [f"{name}(k-{lag})" for lag in self.output_lags for name in self.outputs]
+        inputs = [f"{name}(k-{lag})" for lag in self.input_lags for name in self.inputs]
+        return (*outputs, *inputs)
+
+    def arrangement(self) -> FloatArray:
+        """The regressor as a linear map of the lagged values, ``(n_phi, n_phi)``: φ = T lagged.
+
+        ``lagged`` has the outputs lag by lag (all signals at the first lag, then all at the
+        second, …) and then the inputs likewise, as :meth:`lagged_names` says.
+        """
+        result = np.eye(self.n_regressors)
+        if self.differences:
+            n_y = len(self.outputs)
+            for row in range(n_y, n_y * len(self.output_lags)):
+                result[row, row - n_y] = 1.0
+                result[row, row] = -1.0
+        return result
+
+    def to_data(self) -> dict[str, Any]:
+        """Plain data for a YAML file."""
+        return {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in ((name, getattr(self, name)) for name in self.__dataclass_fields__)
+        }
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any], where: str = "structure") -> NarxStructure:
+        """The structure of :meth:`to_data`.
+
+        Raises
+        ------
+        ModelError
+            For a key that is missing or unknown and for values that do not fit; it names the key.
+        """
+        check_keys(data, set(cls.__dataclass_fields__), where)
+        try:
+            return cls(**data)
+        except ModelError as error:
+            raise ModelError(
+                error.problem, where=f"{where}.{error.where}", remedy=error.remedy
+            ) from None
+        except TypeError as error:
+            raise ModelError(
+                f"a value of the wrong type ({error})", where=where, remedy="write it as trained"
+            ) from None
+
+
+def squared_distances(points: FloatArray, centres: FloatArray) -> FloatArray:
+    """Squared Euclidean distances, ``(n, n_z), (n_c, n_z) -> (n, n_c)``."""
+    return np.asarray(np.sum((points[:, None, :] - centres[None, :, :]) ** 2, axis=2))
+
+
+def check_keys(data: Any, expected: set[str], where: str) -> None:
+    """Refuse a mapping that lacks a key or has one more.
+
+    Raises
+    ------
+    ModelError
+        It names the key.
+    """
+    if not isinstance(data, Mapping):
+        raise ModelError(f"{data!r} is no mapping", where=where, remedy="train again")
+    for name in sorted(expected ^ set(data)):
+        word = "missing" if name in expected else "unknown"
+        raise ModelError(
+            f"key {word}", where=f"{where}.{name}", remedy=f"keys: {', '.join(sorted(expected))}"
+        )
+
+
+def _is_vector(name: str) -> bool:
+    return name.startswith("b") or name == "widths"
+
+
+def _array(value: Any, dimensions: int, where: str) -> FloatArray:
+    try:
+        result = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ModelError("not an array of numbers", where=where, remedy="train again") from None
+    if result.ndim != dimensions or not np.all(np.isfinite(result)):
+        raise ModelError(
+            "not finite" if result.ndim == dimensions else f"{result.ndim} dimensions",
+            where=where,
+            remedy=f"finite numbers in {dimensions} dimension(s)",
+        )
+    result.setflags(write=False)
+    return result
