@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal, get_args
 
 import casadi as ca
@@ -248,7 +249,7 @@ class NarxStructure:
         for name in ("output_lags", "input_lags"):
             lags = tuple(getattr(self, name))
             object.__setattr__(self, name, lags)
-            if not lags or lags[0] < 1 or any(b <= a for a, b in zip(lags, lags[1:], strict=False)):
+            if not lags or lags[0] < 1 or any(b <= a for a, b in pairwise(lags)):
                 raise ModelError(
                     f"{list(lags)} given", where=name, remedy="rising whole numbers, from 1 on"
                 )
