@@ -8,6 +8,7 @@ result to rounding.
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import hashlib
 import os
@@ -69,30 +70,59 @@ def compiled(function: ca.Function) -> ca.Function:
     program = compiler()
     if program is None:
         return function
-    folder = cache_folder()
+    library = _library([function], "", program)
+    return function if library is None else ca.external(function.name(), str(library))
+
+
+def compiled_library(functions: Sequence[ca.Function], driver: str) -> ctypes.CDLL | None:
+    """Functions and C code that calls them, as one loaded library; None without a compiler.
+
+    A loop around a model's step costs a Python call a step; as C beside the generated functions
+    it costs nothing, and it runs without the interpreter's lock.
+
+    Parameters
+    ----------
+    functions : sequence of casadi.Function
+        With dense inputs and outputs.
+    driver : str
+        C source put after them. Each function is there as
+        ``int NAME(const double** arg, double** res, long long* iw, double* w, int mem)``.
+    """
+    program = compiler()
+    library = None if program is None else _library(functions, driver, program)
+    return None if library is None else ctypes.CDLL(str(library))
+
+
+def _library(functions: Sequence[ca.Function], driver: str, program: str) -> Path | None:
+    """File of the compiled functions, built if need be; None where that cannot be done."""
+    content = [*(function.serialize() for function in functions), driver]
     key = hashlib.sha256(
-        "\n".join([function.serialize(), ca.__version__, program, *COMPILER_FLAGS]).encode()
+        "\n".join([*content, ca.__version__, program, *COMPILER_FLAGS]).encode()
     ).hexdigest()[:32]
-    library = folder / f"{function.name()}_{key}.so"
+    library = cache_folder() / f"{functions[0].name()}_{key}.so"
     if not library.exists():
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            _build(function, program, library)
+            library.parent.mkdir(parents=True, exist_ok=True)
+            _build(functions, driver, program, library)
         except (OSError, subprocess.CalledProcessError):
             # An unwritable cache or a broken compiler costs speed, never the run.
-            return function
-    return ca.external(function.name(), str(library))
+            return None
+    return library
 
 
-def _build(function: ca.Function, program: str, library: Path) -> None:
+def _build(functions: Sequence[ca.Function], driver: str, program: str, library: Path) -> None:
     with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
-        source = f"{function.name()}.c"
-        generator = ca.CodeGenerator(source)
-        generator.add(function)
+        source = Path(scratch) / f"{functions[0].name()}.c"
+        generator = ca.CodeGenerator(source.name)
+        for function in functions:
+            generator.add(function)
         generator.generate(f"{scratch}{os.sep}")
+        if driver:
+            with source.open("a", encoding="utf-8") as stream:
+                stream.write(driver)
         built = Path(scratch) / library.name
         subprocess.run(
-            [program, *COMPILER_FLAGS, "-o", str(built), str(Path(scratch) / source), "-lm"],
+            [program, *COMPILER_FLAGS, "-o", str(built), str(source), "-lm"],
             check=True,
             capture_output=True,
         )

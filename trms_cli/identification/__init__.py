@@ -1,0 +1,1 @@
+"""Fitting models to recordings, judging them on recordings, and designing what to record."""

@@ -1,0 +1,153 @@
+"""A recording as fits and validation take it: plain arrays in the order of a model's signals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.model import Signal, index_of, names
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """One recording, or a part of one, on a uniform grid.
+
+    Attributes
+    ----------
+    name : str
+        Short, for tables and legends.
+    source : str
+        The file.
+    sha256 : str
+        Of the file's bytes, hexadecimal.
+    sample_time : float
+        s.
+    time : (n,) array
+        s, the rig's own.
+    inputs : tuple of Signal
+        Columns of ``commands``.
+    outputs : tuple of Signal
+        Columns of ``measurements``.
+    commands : (n, n_u) array
+        In the inputs' units, constant from each sample to the next; finite everywhere.
+    measurements : (n, n_y) array
+        In the outputs' units, NaN where a sample is missing.
+    noise_sd : (n_y,) array
+        Declared standard deviation of each output, a quantum's share included.
+    remarks : tuple of str
+        What was found in the recording and what was done to it.
+    """
+
+    name: str
+    source: str
+    sha256: str
+    sample_time: float
+    time: FloatArray
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    commands: FloatArray
+    measurements: FloatArray
+    noise_sd: FloatArray
+    remarks: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the end of the last, s."""
+        return len(self) * self.sample_time
+
+    def output(self, name: str) -> FloatArray:
+        """The measured samples of an output, shape (n,)."""
+        return self.measurements[:, index_of(self.outputs, name, f"measured in {self.source}")]
+
+    def part(self, first: int, last: int) -> Dataset:
+        """The samples from ``first`` up to, and without, ``last``."""
+        return replace(
+            self,
+            time=self.time[first:last],
+            commands=self.commands[first:last],
+            measurements=self.measurements[first:last],
+        )
+
+    def split(self, share: float) -> tuple[Dataset, Dataset]:
+        """The first ``share`` of the samples, and the rest."""
+        cut = round(share * len(self))
+        return self.part(0, cut), self.part(cut, len(self))
+
+    def driven_by(self, channels: Sequence[str]) -> Dataset:
+        """The recording for a model whose states ``channels`` are prescribed.
+
+        Each channel moves from the outputs to the inputs. An input is constant over a step, so it
+        takes the mean of the samples at the two ends of the step; missing samples are
+        interpolated, and the remarks say how many.
+
+        Raises
+        ------
+        ConfigurationError
+            If the recording does not measure a channel, or has hardly any sample of it.
+        """
+        columns, remarks = [self.commands], list(self.remarks)
+        for name in channels:
+            if name not in names(self.outputs):
+                raise ConfigurationError(
+                    f"{self.source} does not measure {name!r}",
+                    where="driven",
+                    remedy=f"it measures {', '.join(names(self.outputs))}",
+                )
+            values = self.output(name)
+            present = np.isfinite(values)
+            if np.count_nonzero(present) < len(values) / 2:
+                raise ConfigurationError(
+                    f"{name!r} is missing in {np.count_nonzero(~present)} of {len(values)} samples",
+                    where="driven",
+                    remedy="leave it out, so that the model's own rotor is used",
+                )
+            if not present.all():
+                remarks.append(f"{np.count_nonzero(~present)} samples of {name} interpolated")
+                values = np.interp(self.time, self.time[present], values[present])
+            columns.append(np.append((values[:-1] + values[1:]) / 2, values[-1])[:, None])
+        kept = [i for i, signal in enumerate(self.outputs) if signal.name not in channels]
+        moved = tuple(s for name in channels for s in self.outputs if s.name == name)
+        return replace(
+            self,
+            inputs=(*self.inputs, *moved),
+            outputs=tuple(self.outputs[i] for i in kept),
+            commands=np.ascontiguousarray(np.hstack(columns)),
+            measurements=np.ascontiguousarray(self.measurements[:, kept]),
+            noise_sd=self.noise_sd[kept],
+            remarks=tuple(remarks),
+        )
+
+    def windows(self, length: float, stride: float | None = None) -> tuple[IntArray, IntArray]:
+        """First sample and number of samples of windows of equal length.
+
+        Parameters
+        ----------
+        length : float
+            s; the whole recording where it is shorter.
+        stride : float or None
+            s between the starts of two windows; None: ``length``. A rest at the end that is
+            at least half a window long is taken as a shorter window if windows do not overlap.
+
+        Returns
+        -------
+        first, count : (m,) arrays
+        """
+        samples = min(len(self), max(2, round(length / self.sample_time)))
+        hop = samples if stride is None else max(1, round(stride / self.sample_time))
+        first = np.arange(0, len(self) - samples + 1, hop)
+        count = np.full(len(first), samples)
+        rest = len(self) - (first[-1] + samples)
+        if stride is None and rest >= max(2, samples / 2):
+            first = np.append(first, len(self) - rest)
+            count = np.append(count, rest)
+        return first.astype(np.int64), count.astype(np.int64)

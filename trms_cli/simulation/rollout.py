@@ -1,0 +1,358 @@
+"""Windows of a recording simulated with a model, and how the outputs depend on its parameters.
+
+The loop over samples is C around the model's compiled step, so that a second of a rig at 50 Hz
+takes microseconds. Sensitivities are exact: with the slopes A = ∂f/∂x and P = ∂f/∂θ of one
+integration step,
+
+    X⁺ = A X + [0 P]        X = ∂x/∂(x₀, θ),  at the start [I 0]
+    ∂y/∂(x₀, θ) = C X + [0 D]
+
+which is the derivative of the discretised model itself, not an approximation of the continuous
+one's. Without a compiler the same functions run in CasADi's virtual machine, one call a sample.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.compilation import BufferedFunction, compiled_library
+from trms_cli.core.errors import ModelError
+from trms_cli.models.discretisation import Method, discretise
+from trms_cli.models.model import Model, Signal
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+#: s. Longest integration step unless another is asked for.
+LONGEST_STEP = 0.02
+#: Fewer samples than this are not worth a second thread.
+_WORTH_A_THREAD = 2000
+
+
+class Simulated(NamedTuple):
+    """Outputs of windows, one after another.
+
+    Attributes
+    ----------
+    y : (N, n_y) array
+        At every sample of every window, N the sum of their lengths.
+    ends : (m, n_x) array
+        States one sample after the last of each window.
+    """
+
+    y: FloatArray
+    ends: FloatArray
+
+
+class Sensitive(NamedTuple):
+    """Outputs of windows with their slopes.
+
+    Attributes
+    ----------
+    y, ends : arrays
+        As of :class:`Simulated`.
+    dy : (N, n_y, n_x + n_f) array
+        In the window's own start first, in the free parameters then.
+    dends : (m, n_x, n_x + n_f) array
+    """
+
+    y: FloatArray
+    ends: FloatArray
+    dy: FloatArray
+    dends: FloatArray
+
+
+class Rollout:
+    """A model over windows of commands that are constant between samples.
+
+    Parameters
+    ----------
+    model : Model
+    sample_time : float
+        s, of the commands and the outputs.
+    free : sequence of str
+        Parameters in which :meth:`sensitivities` differentiates.
+    substeps : int or None
+        Integration steps a sample; None: as many as keep them to :data:`LONGEST_STEP`, and one
+        for a model that has only a step.
+    method : {"auto", "rk4", "rodas3"}
+    jobs : int
+        Threads among which windows are divided.
+
+    Attributes
+    ----------
+    states : tuple of Signal
+        The model's, followed by its memory.
+
+    Raises
+    ------
+    ModelError
+        For a free parameter that the model does not have, or a step that it cannot make.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        sample_time: float,
+        *,
+        free: Sequence[str] = (),
+        substeps: int | None = None,
+        method: Method = "auto",
+        jobs: int = 1,
+    ) -> None:
+        for name in free:
+            if name not in model.parameters:
+                raise ModelError(
+                    f"model {model.name!r} has no parameter {name!r}",
+                    where="free",
+                    remedy=f"it has: {', '.join(model.parameters.names)}",
+                )
+        if substeps is None:
+            stepped = hasattr(model, "sample_time")
+            substeps = 1 if stepped else int(np.ceil(sample_time / LONGEST_STEP - 1e-9))
+        self.model, self.sample_time, self.free, self.jobs = model, sample_time, tuple(free), jobs
+        # The slopes of one integration step are short code; those of several grow with each.
+        # Only what remembers past commands has to see the sample as a whole.
+        whole = bool(model.memory(sample_time)) or hasattr(model, "sample_time")
+        self._repeats = 1 if whole else substeps
+        self._discrete = discretise(
+            model, sample_time / self._repeats, substeps // self._repeats, method
+        )
+        self.states: tuple[Signal, ...] = self._discrete.states
+        self._library: ctypes.CDLL | None = None
+        self._functions = _functions(self._discrete, self.free)
+        self._library = compiled_library(self._functions, self._driver())
+        if self._library is None:
+            self._buffered = [BufferedFunction(f, compile=False) for f in self._functions]
+
+    @property
+    def n_x(self) -> int:
+        return len(self.states)
+
+    def initial(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """A full state from the model's own, its memory as after a long time at a command."""
+        return self._discrete.initial(x, u)
+
+    def outputs(
+        self,
+        commands: FloatArray,
+        first: npt.ArrayLike,
+        count: npt.ArrayLike,
+        starts: FloatArray,
+        p: FloatArray | None = None,
+    ) -> Simulated:
+        """Simulate windows.
+
+        Parameters
+        ----------
+        commands : (n, n_u) array
+            Of the whole recording.
+        first, count : (m,) arrays of int
+            First sample and number of samples of each window.
+        starts : (m, n_x) array
+            States at each first sample.
+        p : (n_p,) array or None
+            Values of all the model's parameters; None: the model's own.
+        """
+        call = self._call(commands, first, count, starts, p)
+        y = np.empty((call.rows, self.model.n_y))
+        ends = np.empty((len(call.count), self.n_x))
+        self._share(call, self._outputs_of, (y, ends))
+        return Simulated(y, ends)
+
+    def sensitivities(
+        self,
+        commands: FloatArray,
+        first: npt.ArrayLike,
+        count: npt.ArrayLike,
+        starts: FloatArray,
+        p: FloatArray | None = None,
+    ) -> Sensitive:
+        """Simulate windows with the slopes in their starts and in the free parameters.
+
+        Parameters are those of :meth:`outputs`.
+        """
+        call = self._call(commands, first, count, starts, p)
+        m, columns = len(call.count), self.n_x + len(self.free)
+        y, ends = np.empty((call.rows, self.model.n_y)), np.empty((m, self.n_x))
+        dy = np.empty((call.rows, self.model.n_y, columns))
+        dends = np.empty((m, self.n_x, columns))
+        self._share(call, self._sensitivities_of, (y, ends, dy, dends))
+        return Sensitive(y, ends, dy, dends)
+
+    def _call(
+        self,
+        commands: FloatArray,
+        first: npt.ArrayLike,
+        count: npt.ArrayLike,
+        starts: FloatArray,
+        p: FloatArray | None,
+    ) -> _Call:
+        begin = np.ascontiguousarray(first, dtype=np.int64)
+        lengths = np.ascontiguousarray(count, dtype=np.int64)
+        given = self.model.parameters.values if p is None else p
+        call = _Call(
+            np.ascontiguousarray(commands, dtype=float),
+            begin,
+            lengths,
+            np.ascontiguousarray(starts, dtype=float),
+            np.ascontiguousarray(given, dtype=float),
+        )
+        m = len(begin)
+        shapes = {
+            "commands": (call.commands.shape[1:], (self.model.n_u,)),
+            "count": (lengths.shape, (m,)),
+            "starts": (call.starts.shape, (m, self.n_x)),
+            "p": (call.p.shape, (len(self.model.parameters),)),
+        }
+        for name, (shape, wanted) in shapes.items():
+            if shape != wanted:
+                raise ValueError(f"{name} has shape {shape}, and {wanted} is needed")
+        if m and (begin.min() < 0 or lengths.min() < 1 or (begin + lengths).max() > len(commands)):
+            raise ValueError("a window lies outside the commands")
+        return call
+
+    def _share(self, call: _Call, work: Any, results: tuple[FloatArray, ...]) -> None:
+        """Divide the windows among the threads; each writes its own part of the results."""
+        m = len(call.count)
+        offsets = np.concatenate([[0], np.cumsum(call.count)])
+        jobs = min(self.jobs, m, max(1, call.rows // _WORTH_A_THREAD))
+        if self._library is None:
+            jobs = 1
+        cuts = np.searchsorted(offsets, np.linspace(0, call.rows, jobs + 1)[1:-1])
+        edges = [0, *cuts.tolist(), m]
+
+        def piece(a: int, b: int) -> None:
+            rows = slice(offsets[a], offsets[b])
+            parts = (results[0][rows], results[1][a:b])
+            if len(results) > 2:
+                parts += (results[2][rows], results[3][a:b])
+            work(call.part(a, b), parts)
+
+        ranges = [(a, b) for a, b in pairwise(edges) if b > a]
+        if len(ranges) == 1:
+            piece(*ranges[0])
+            return
+        with ThreadPoolExecutor(len(ranges)) as pool:
+            list(pool.map(lambda edge: piece(*edge), ranges))
+
+    def _outputs_of(self, call: _Call, results: tuple[FloatArray, ...]) -> None:
+        if self._library is not None:
+            self._library.trms_rollout(*call.pointers(), *map(_pointer, results))
+            return
+        y, ends = results
+        step, measure = self._buffered[:2]
+        for j, k, row, x, u in call.samples():
+            y[row] = measure.evaluate(x, u, call.p)[0]
+            for _ in range(self._repeats):
+                x[:] = step.evaluate(x, u, call.p)[0]
+            if k == call.count[j] - 1:
+                ends[j] = x
+
+    def _sensitivities_of(self, call: _Call, results: tuple[FloatArray, ...]) -> None:
+        if self._library is not None:
+            self._library.trms_sensitivities(*call.pointers(), *map(_pointer, results))
+            return
+        y, ends, dy, dends = results
+        step, measure = self._buffered[2:]
+        n, f = self.n_x, len(self.free)
+        now = np.empty((n, n + f))
+        for j, k, row, x, u in call.samples():
+            if k == 0:
+                now[:] = np.eye(n, n + f)
+            value, c, d = measure.evaluate(x, u, call.p)
+            y[row] = value
+            dy[row] = c.reshape(-1, n) @ now
+            dy[row][:, n:] += d.reshape(-1, f)
+            for _ in range(self._repeats):
+                after, a, b = step.evaluate(x, u, call.p)
+                now = a.reshape(n, n) @ now
+                now[:, n:] += b.reshape(n, f)
+                x[:] = after
+            if k == call.count[j] - 1:
+                ends[j], dends[j] = x, now
+
+    def _driver(self) -> str:
+        functions = self._functions
+        sizes = {
+            "NX": self.n_x,
+            "NU": self.model.n_u,
+            "NY": self.model.n_y,
+            "SUBSTEPS": self._repeats,
+            "SZ_ARG": max(f.sz_arg() for f in functions),
+            "SZ_RES": max(f.sz_res() for f in functions),
+            "SZ_IW": max(f.sz_iw() for f in functions),
+            "SZ_W": max(f.sz_w() for f in functions),
+        }
+        if len(functions) > 2:
+            sizes["NF"] = len(self.free)
+        definitions = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+        source = Path(__file__).with_name("rollout_driver.c").read_text(encoding="utf-8")
+        return definitions + source
+
+
+class _Call(NamedTuple):
+    """Checked arguments of a simulation."""
+
+    commands: FloatArray
+    first: IntArray
+    count: IntArray
+    starts: FloatArray
+    p: FloatArray
+
+    @property
+    def rows(self) -> int:
+        return int(self.count.sum())
+
+    def part(self, a: int, b: int) -> _Call:
+        return self._replace(first=self.first[a:b], count=self.count[a:b], starts=self.starts[a:b])
+
+    def pointers(self) -> tuple[Any, ...]:
+        arrays = (self.first, self.count, self.commands, self.starts, self.p)
+        return (ctypes.c_longlong(len(self.count)), *map(_pointer, arrays))
+
+    def samples(self) -> Any:
+        """Window, sample, row of the results, state (to be advanced in place), command."""
+        row = 0
+        for j, (first, count) in enumerate(zip(self.first, self.count, strict=True)):
+            x = self.starts[j].copy()
+            for k in range(count):
+                yield j, k, row, x, self.commands[first + k]
+                row += 1
+
+
+def _pointer(array: npt.NDArray[Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _functions(discrete: Any, free: Sequence[str]) -> list[ca.Function]:
+    """Step and measurement, and both with slopes, without disturbances."""
+    model = discrete.model
+    x, u, p, _ = discrete.symbols()
+    after = discrete.step(x, u, p, ca.SX.zeros(model.n_w))
+    y = discrete.measurement(x, u, p)
+    columns = [model.parameters.names.index(name) for name in free]
+
+    def slopes(of: ca.SX) -> list[ca.SX]:
+        in_p = ca.jacobian(of, p)[:, columns] if columns else ca.SX.zeros(of.shape[0], 0)
+        return [ca.densify(ca.jacobian(of, x)), ca.densify(in_p)]
+
+    made = {
+        "rollout_step": [after],
+        "rollout_measure": [y],
+        "rollout_step_slopes": [after, *slopes(after)],
+        "rollout_measure_slopes": [y, *slopes(y)],
+    }
+    return [
+        ca.Function(name, [x, u, p], ca.cse([ca.densify(r) for r in results]))
+        for name, results in made.items()
+    ]
