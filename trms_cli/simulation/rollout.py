@@ -16,6 +16,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -233,10 +234,9 @@ class Rollout:
 
         def piece(a: int, b: int) -> None:
             rows = slice(offsets[a], offsets[b])
-            parts = (results[0][rows], results[1][a:b])
-            if len(results) > 2:
-                parts += (results[2][rows], results[3][a:b])
-            work(call.part(a, b), parts)
+            # by sample and by window in turn: y, ends and, with slopes, dy, dends
+            parts = (r[rows] if i % 2 == 0 else r[a:b] for i, r in enumerate(results))
+            work(call.part(a, b), tuple(parts))
 
         ranges = [(a, b) for a, b in pairwise(edges) if b > a]
         if len(ranges) == 1:
@@ -300,7 +300,8 @@ class Rollout:
         return definitions + source
 
 
-class _Call(NamedTuple):
+@dataclass(frozen=True)
+class _Call:
     """Checked arguments of a simulation."""
 
     commands: FloatArray
@@ -314,7 +315,8 @@ class _Call(NamedTuple):
         return int(self.count.sum())
 
     def part(self, a: int, b: int) -> _Call:
-        return self._replace(first=self.first[a:b], count=self.count[a:b], starts=self.starts[a:b])
+        windows = {name: getattr(self, name)[a:b] for name in ("first", "count", "starts")}
+        return replace(self, **windows)
 
     def pointers(self) -> tuple[Any, ...]:
         arrays = (self.first, self.count, self.commands, self.starts, self.p)
