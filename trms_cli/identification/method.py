@@ -1,0 +1,122 @@
+"""What a method of identification is: problem in, fitted model out, on the way interruptible."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.identification.problem import FitProblem
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Outcome(Enum):
+    """How a fit ended; the value is the sentence for the user."""
+
+    CONVERGED = "converged"
+    BUDGET_SPENT = "the budget was spent before the search settled: the best so far is kept"
+    INTERRUPTED = "interrupted: the best so far is kept"
+    STUCK = "no step lowers the cost, though its slope is not zero: look at the starts and scales"
+    FAILED = "no start could be simulated: look at the parameters, the units and the time step"
+
+    @property
+    def settled(self) -> bool:
+        """Whether the result is what the method was after."""
+        return self is Outcome.CONVERGED
+
+
+class HistoryPoint(NamedTuple):
+    """The search at one moment."""
+
+    evaluations: int  #: simulations of all recordings so far
+    seconds: float  #: since the fit began
+    cost: float  #: the best so far
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitResult:
+    """What a fit found.
+
+    Attributes
+    ----------
+    method : str
+    outcome : Outcome
+    cost : float
+        At the end: half the sum of squared whitened residuals, robust and with the priors, for
+        parameters of equations; a network's own training loss.
+    values : dict of str to float
+        The free parameters by name, in the order of ``covariance``.
+    covariance : (n_f, n_f) array or None
+    history : sequence of HistoryPoint
+    evaluations : int
+    seconds : float
+    model_document : dict or None
+        A model that is not a parameter set (a network), as the content of a model file.
+    details : dict
+        What else there is to tell, as JSON has it.
+    """
+
+    method: str
+    outcome: Outcome
+    cost: float
+    values: Mapping[str, float] = field(default_factory=dict)
+    covariance: FloatArray | None = None
+    history: Sequence[HistoryPoint] = ()
+    evaluations: int = 0
+    seconds: float = 0.0
+    model_document: Mapping[str, Any] | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def theta(self) -> FloatArray:
+        """The values as a vector, shape (n_f,)."""
+        return np.array(list(self.values.values()), dtype=float)
+
+
+class Progress(Protocol):
+    """Who watches a fit. A method calls it a few times a second at most a few microseconds each."""
+
+    def update(self, fraction: float, cost: float, message: str) -> bool:
+        """Tell how far it is; False asks to stop with the best so far.
+
+        Parameters
+        ----------
+        fraction : float
+            Of the work, 0 to 1.
+        cost : float
+            The best so far.
+        message : str
+            One line.
+        """
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Keep what the method needs to go on after an interruption, as JSON has it."""
+
+    def saved(self) -> Mapping[str, Any] | None:
+        """What was kept by an interrupted fit of the same problem; None: begin."""
+
+
+class Unwatched:
+    """A progress that shows nothing, never stops and resumes nothing."""
+
+    def update(self, fraction: float, cost: float, message: str) -> bool:
+        return True
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        pass
+
+    def saved(self) -> Mapping[str, Any] | None:
+        return None
+
+
+@runtime_checkable
+class Method(Protocol):
+    """A method of identification: a frozen dataclass of its settings."""
+
+    def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
+        """Fit the problem. The same problem, settings and seed give the same result."""

@@ -1,0 +1,335 @@
+"""What is to be fitted: a model, its free parameters with what is known of them, recordings."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import Model, names
+from trms_cli.models.parameters import Parameter, ParameterSet
+
+FloatArray = npt.NDArray[np.float64]
+
+#: The word of ``free`` for all parameters that have a prior.
+PRIORS = "priors"
+#: Share of its start by which a parameter without prior is scaled; of 1 where it starts at 0.
+_SCALE_WITHOUT_PRIOR = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """What a user says of a parameter before the data: instead of what its set says.
+
+    Attributes
+    ----------
+    mean : float or None
+        In the parameter's unit; None: the value in the parameter set.
+    sd : float or None
+        Standard deviation in the parameter's unit.
+    relative_sd : float or None
+        The same as a share of the mean; with neither of the two the parameter is free of a prior.
+    """
+
+    mean: float | None = None
+    sd: Annotated[float, Meta(gt=0)] | None = None
+    relative_sd: Annotated[float, Meta(gt=0)] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeParameter:
+    """One parameter that a fit may move.
+
+    Attributes
+    ----------
+    name, unit : str
+    start : float
+        The model's present value, where a search begins.
+    prior_mean : float
+        Centre of the normal prior; also the reference of a parameter without one.
+    prior_sd : float or None
+        Its standard deviation, in ``unit``; None: nothing is known but the bounds.
+    lower, upper : float
+        Hard bounds, infinite where there are none.
+    """
+
+    name: str
+    unit: str
+    start: float
+    prior_mean: float
+    prior_sd: float | None
+    lower: float
+    upper: float
+
+    @property
+    def scale(self) -> float:
+        """A typical change, in ``unit``, positive: what steps and search spaces are scaled by."""
+        if self.prior_sd is not None:
+            return self.prior_sd
+        size = max(abs(self.prior_mean), abs(self.start))
+        if size > 0:
+            return _SCALE_WITHOUT_PRIOR * size
+        width = self.upper - self.lower
+        return _SCALE_WITHOUT_PRIOR * (width if np.isfinite(width) else 1.0)
+
+    def search_range(self, sd: float = 3.0) -> tuple[float, float]:
+        """Finite bounds for a search of the whole space: ``prior_mean ± sd·scale``, within bounds.
+
+        The start always lies inside.
+        """
+        low = max(self.lower, min(self.prior_mean - sd * self.scale, self.start))
+        high = min(self.upper, max(self.prior_mean + sd * self.scale, self.start))
+        return low, high
+
+
+def free_parameters(
+    parameters: ParameterSet,
+    chosen: Sequence[str],
+    *,
+    centres: ParameterSet | None = None,
+    priors: Mapping[str, Prior | None] | None = None,
+    bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
+) -> tuple[FreeParameter, ...]:
+    """Free parameters by name.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        The model's: present values, priors, bounds.
+    chosen : sequence of str
+        Names (``k_fvp``, an effect's size ``yaw_coulomb_friction.torque``), patterns (``k_*``),
+        ``priors`` for all that have a prior, and any of these after ``!`` to leave out again.
+    centres : ParameterSet or None
+        Where the priors lie when the model's values are other starts; None: ``parameters``.
+    priors : dict of str to Prior or None
+        Priors in place of the set's; None takes a parameter's prior away.
+    bounds : dict of str to (lower, upper)
+        In place of the set's; None on a side: no bound there.
+
+    Returns
+    -------
+    tuple of FreeParameter
+        In the order of the model's parameters.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name or pattern that fits nothing, or priors and bounds that contradict each other.
+    """
+    priors, bounds = priors or {}, bounds or {}
+    taken = set[str]()
+    for word in chosen:
+        if word.startswith("!"):
+            taken -= _fitting(parameters, word[1:], priors)
+        else:
+            taken |= _fitting(parameters, word, priors)
+    if not taken:
+        raise ConfigurationError(
+            "no parameter is free",
+            where="free",
+            remedy=f"free=[{PRIORS}] frees all that have a prior; or name some of: "
+            + ", ".join(parameters.names),
+        )
+    for key, given in (("priors", priors), ("bounds", bounds)):
+        for name in given:
+            if name not in taken:
+                raise ConfigurationError(
+                    f"{name!r} is not free", where=f"{key}.{name}", remedy=nearest(name, taken)
+                )
+    return tuple(
+        _free(parameter, (centres or parameters)[parameter.name].value, priors, bounds)
+        for parameter in parameters
+        if parameter.name in taken
+    )
+
+
+def _fitting(parameters: ParameterSet, word: str, priors: Mapping[str, Prior | None]) -> set[str]:
+    if word == PRIORS:
+        known = {p.name for p in parameters if p.prior_sd is not None}
+        return known | {n for n in priors if n in parameters}
+    found = {name for name in parameters.names if fnmatch.fnmatchcase(name, word)}
+    if not found:
+        raise ConfigurationError(
+            f"no parameter is called {word!r}", where="free", remedy=nearest(word, parameters.names)
+        )
+    return found
+
+
+def _free(
+    parameter: Parameter,
+    centre: float,
+    priors: Mapping[str, Prior | None],
+    bounds: Mapping[str, tuple[float | None, float | None]],
+) -> FreeParameter:
+    name = parameter.name
+    sd = None if parameter.prior_sd is None else abs(centre) * parameter.prior_sd
+    if sd == 0.0:  # a share of zero says nothing
+        sd = None
+    if name in priors:
+        own = priors[name]
+        if own is None:
+            sd = None
+        else:
+            if own.sd is not None and own.relative_sd is not None:
+                raise ConfigurationError(
+                    "sd and relative_sd are both given",
+                    where=f"priors.{name}",
+                    remedy="give one of them",
+                )
+            centre = centre if own.mean is None else own.mean
+            sd = own.sd
+            if own.relative_sd is not None:
+                sd = abs(centre) * own.relative_sd
+                if sd == 0.0:
+                    raise ConfigurationError(
+                        "relative_sd of a mean of zero",
+                        where=f"priors.{name}",
+                        remedy=f"give sd in {parameter.unit or '1'}",
+                    )
+    low, high = bounds.get(name, (parameter.lower, parameter.upper))
+    lower = -np.inf if low is None else float(low)
+    upper = np.inf if high is None else float(high)
+    if not lower < upper:
+        raise ConfigurationError(
+            f"from {lower:g} to {upper:g}",
+            where=f"bounds.{name}",
+            remedy="give [lower, upper] with lower < upper, null for none",
+        )
+    if not lower <= centre <= upper:
+        raise ConfigurationError(
+            f"the prior's centre {centre:g} lies outside {lower:g} to {upper:g}",
+            where=f"bounds.{name}" if name in bounds else f"priors.{name}",
+            remedy=f"widen bounds.{name}, or move priors.{name}.mean",
+        )
+    start = float(np.clip(parameter.value, lower, upper))
+    return FreeParameter(
+        name=name,
+        unit=parameter.unit,
+        start=start,
+        prior_mean=float(centre),
+        prior_sd=sd,
+        lower=lower,
+        upper=upper,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitProblem:
+    """A model, recordings of one rig, and what may move.
+
+    Attributes
+    ----------
+    model : Model
+        Its inputs are those of the datasets, which measure some or all of its outputs.
+    datasets : tuple of Dataset
+        To be fitted.
+    validation : tuple of Dataset
+        Never fitted: for stopping early, for selection.
+    free : tuple of FreeParameter
+        May be empty for methods that have none (networks).
+    window_length : float
+        s: the recordings are simulated in windows of this length, each from its own start.
+    window_stride : float or None
+        s between the starts of windows; None: they lie end to end. Overlapping windows count
+        each sample once all the same: their weights are reduced.
+    robust : float or None
+        Residuals beyond this many standard deviations count linearly (Huber); None: never.
+    discrepancy : {"estimate", "none"}
+        Whether the standard deviation of each output is raised by what the model cannot follow,
+        estimated from the residuals, above the declared noise.
+    substeps : int or None
+        Integration steps a sample; None: as many as keep a step at 20 ms or below.
+    seed : int
+        Of all that is drawn.
+    jobs : int
+        Threads.
+    """
+
+    model: Model
+    datasets: tuple[Dataset, ...]
+    validation: tuple[Dataset, ...] = ()
+    free: tuple[FreeParameter, ...] = ()
+    window_length: Annotated[float, Meta(gt=0)] = 10.0
+    window_stride: Annotated[float, Meta(gt=0)] | None = None
+    robust: Annotated[float, Meta(gt=0)] | None = 3.0
+    discrepancy: Literal["estimate", "none"] = "estimate"
+    substeps: Annotated[int, Meta(ge=1)] | None = None
+    seed: Annotated[int, Meta(ge=0)] = 0
+    jobs: Annotated[int, Meta(ge=1)] = 2
+
+    def __post_init__(self) -> None:
+        if not self.datasets:
+            raise ConfigurationError(
+                "no recording is given", where="real", remedy="real=FILE, or 'real=[FILE, FILE]'"
+            )
+        for dataset in (*self.datasets, *self.validation):
+            if names(dataset.inputs) != names(self.model.inputs):
+                raise ConfigurationError(
+                    f"{dataset.source} gives the inputs {', '.join(names(dataset.inputs))}, the "
+                    f"model takes {', '.join(names(self.model.inputs))}",
+                    where="real",
+                    remedy="load it for this model (driven=… on both or on neither)",
+                )
+            unknown = set(names(dataset.outputs)) - set(names(self.model.outputs))
+            if unknown:
+                raise ConfigurationError(
+                    f"the model does not predict {', '.join(sorted(unknown))} of {dataset.source}",
+                    where="real",
+                    remedy=f"it predicts {', '.join(names(self.model.outputs))}",
+                )
+        for parameter in self.free:
+            if parameter.name not in self.model.parameters:
+                raise ConfigurationError(
+                    f"the model has no parameter {parameter.name!r}",
+                    where="free",
+                    remedy=nearest(parameter.name, self.model.parameters.names),
+                )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in order."""
+        return tuple(parameter.name for parameter in self.free)
+
+    @property
+    def starts(self) -> FloatArray:
+        """Their present values, shape (n_f,)."""
+        return np.array([parameter.start for parameter in self.free])
+
+    @property
+    def prior_means(self) -> FloatArray:
+        """Centres of their priors, shape (n_f,)."""
+        return np.array([parameter.prior_mean for parameter in self.free])
+
+    @property
+    def prior_precisions(self) -> FloatArray:
+        """``1/sd²`` of their priors, 0 where there is none, shape (n_f,)."""
+        return np.array([0.0 if p.prior_sd is None else p.prior_sd**-2 for p in self.free])
+
+    @property
+    def scales(self) -> FloatArray:
+        """Their typical changes, shape (n_f,)."""
+        return np.array([parameter.scale for parameter in self.free])
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds, each (n_f,)."""
+        return (
+            np.array([parameter.lower for parameter in self.free]),
+            np.array([parameter.upper for parameter in self.free]),
+        )
+
+    def all_values(self, theta: FloatArray) -> FloatArray:
+        """The model's whole parameter vector with the free ones at ``theta``, shape (n_p,)."""
+        p = self.model.parameters.values
+        order = self.model.parameters.names
+        for value, name in zip(theta, self.names, strict=True):
+            p[order.index(name)] = value
+        return p
