@@ -1,0 +1,1 @@
+"""Networks trained on recordings: regressors, losses, training algorithms, structure."""

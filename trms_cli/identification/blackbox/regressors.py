@@ -1,0 +1,201 @@
+"""From samples to regressors and targets, and the scales that normalise them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.models.model import names
+from trms_cli.models.network import NarxStructure
+
+#: A signal whose spread is below this share of its size never moves, rounding apart.
+_LEAST_SPREAD = 1e-9
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One recording at a network's sample time.
+
+    Attributes
+    ----------
+    outputs : (n, n_y) array
+        NaN where a sample is missing.
+    inputs : (n, n_u) array
+        Constant from each sample to the next.
+    name : str
+    """
+
+    outputs: FloatArray
+    inputs: FloatArray
+    name: str = ""
+
+    def __len__(self) -> int:
+        return len(self.outputs)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Mean and spread of regressors and targets, over the data that a network is fitted to.
+
+    Attributes
+    ----------
+    regressor_mean, regressor_sd : (n_phi,) arrays
+    output_mean, output_sd : (n_y,) arrays
+        Of the target: of increments, where the network gives increments.
+    level_sd : (n_y,) array
+        Of the outputs themselves: the scale of simulation errors.
+    """
+
+    regressor_mean: FloatArray
+    regressor_sd: FloatArray
+    output_mean: FloatArray
+    output_sd: FloatArray
+    level_sd: FloatArray
+
+
+def sampled(
+    dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0
+) -> Samples:
+    """The signals of a structure from a recording, at the structure's sample time.
+
+    Of the outputs every d-th sample is taken; a command is the mean over the d samples.
+
+    Parameters
+    ----------
+    smoothing : float
+        s, length of a cubic Savitzky–Golay window over the outputs before samples are taken;
+        0 for none. It looks ahead, so it is for fitting only.
+
+    Raises
+    ------
+    RecordingError
+        If the sample times have no whole ratio, a signal is missing, or a channel has no sample.
+    """
+    ratio = structure.sample_time / dataset.sample_time
+    step = round(ratio)
+    if step < 1 or abs(ratio - step) > 1e-6 * ratio:
+        raise RecordingError(
+            f"the recording is sampled each {dataset.sample_time:g} s and the network each "
+            f"{structure.sample_time:g} s",
+            where=dataset.source,
+            remedy="choose a whole multiple: method.sample_time="
+            f"{max(1, step) * dataset.sample_time:g}",
+        )
+    outputs = _columns(dataset, structure.outputs, dataset.measurements, names(dataset.outputs))
+    inputs = _columns(dataset, structure.inputs, dataset.commands, names(dataset.inputs))
+    if smoothing > 0:
+        outputs = smoothed(outputs, round(smoothing / dataset.sample_time))
+    n = len(outputs) // step
+    means = inputs[: n * step].reshape(n, step, -1).mean(axis=1) if step > 1 else inputs[:n]
+    return Samples(outputs[: n * step : step], means, dataset.name)
+
+
+def _columns(
+    dataset: Dataset, wanted: Sequence[str], values: FloatArray, known: Sequence[str]
+) -> FloatArray:
+    for name in wanted:
+        if name not in known:
+            raise RecordingError(
+                f"{name!r} is not recorded",
+                where=dataset.source,
+                remedy=f"there are: {', '.join(known)}; choose a model that has no more",
+            )
+    result = values[:, [list(known).index(name) for name in wanted]]
+    for name, column in zip(wanted, result.T, strict=True):
+        if not np.any(np.isfinite(column)):
+            raise RecordingError(
+                f"{name!r} has no sample", where=dataset.source, remedy="leave it out or record it"
+            )
+    return result
+
+
+def smoothed(outputs: FloatArray, window: int) -> FloatArray:
+    """Each column through a cubic Savitzky–Golay filter of (about) so many samples.
+
+    A column with missing samples is smoothed between them as if they lay on a straight line, and
+    they stay missing.
+    """
+    from scipy.signal import savgol_filter
+
+    window = min(window, len(outputs)) // 2 * 2 + 1
+    if window > len(outputs):
+        window -= 2
+    if window < 5:
+        return outputs
+    result = outputs.copy()
+    index = np.arange(len(outputs))
+    for column in result.T:  # views
+        there = np.isfinite(column)
+        filled = np.interp(index, index[there], column[there])
+        column[there] = savgol_filter(filled, window, 3)[there]
+    return result
+
+
+def rows(structure: NarxStructure, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """Regressors (n, n_phi) and targets (n, n_y), without those that lack a sample."""
+    regressors, targets, _ = placed_rows(structure, samples)
+    return regressors, targets
+
+
+def placed_rows(
+    structure: NarxStructure, samples: Samples
+) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """:func:`rows`, and the sample k that each row predicts."""
+    first, n = structure.longest_lag, len(samples)
+    lagged = [samples.outputs[first - lag : n - lag] for lag in structure.output_lags]
+    lagged += [samples.inputs[first - lag : n - lag] for lag in structure.input_lags]
+    regressors = np.hstack(lagged) @ structure.arrangement().T
+    targets = samples.outputs[first:].copy()
+    if structure.incremental:
+        targets -= samples.outputs[first - 1 : n - 1]
+    complete = np.isfinite(regressors).all(axis=1) & np.isfinite(targets).all(axis=1)
+    return regressors[complete], targets[complete], np.arange(first, n)[complete]
+
+
+def scaling(structure: NarxStructure, recordings: Sequence[Samples]) -> Scaling:
+    """Scales from the recordings that a network is fitted to.
+
+    Raises
+    ------
+    RecordingError
+        If there are fewer rows than regressors, or an input or output never moves.
+    """
+    pairs = [rows(structure, samples) for samples in recordings]
+    regressors = np.vstack([pair[0] for pair in pairs])
+    targets = np.vstack([pair[1] for pair in pairs])
+    where = ", ".join(samples.name for samples in recordings)
+    if len(regressors) < 2 * structure.n_regressors:
+        raise RecordingError(
+            f"only {len(regressors)} complete samples for {structure.n_regressors} regressors",
+            where=where,
+            remedy=f"record at least {100 * structure.n_regressors * structure.sample_time:.0f} s",
+        )
+    for kind, signals in (("inputs", structure.inputs), ("outputs", structure.outputs)):
+        everything = np.vstack([getattr(samples, kind) for samples in recordings])
+        for name, column in zip(signals, everything.T, strict=True):
+            spread = float(np.nanstd(column))
+            if not spread > _LEAST_SPREAD * max(1.0, float(np.nanmax(np.abs(column)))):
+                raise RecordingError(
+                    f"{name!r} never moves",
+                    where=where,
+                    remedy="record with an excitation that moves it, for instance a multilevel "
+                    "random command (`trms excite`)",
+                )
+    levels = np.vstack([samples.outputs for samples in recordings])
+    return Scaling(
+        regressors.mean(axis=0),
+        _spread(regressors),
+        targets.mean(axis=0),
+        _spread(targets),
+        np.nanstd(levels, axis=0),
+    )
+
+
+def _spread(values: FloatArray) -> FloatArray:
+    """Standard deviations, 1 where a column is constant (it is then zero when normalised)."""
+    spread = values.std(axis=0)
+    return np.asarray(np.where(spread > 0, spread, 1.0))

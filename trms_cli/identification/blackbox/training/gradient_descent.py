@@ -1,0 +1,70 @@
+"""Gradient descent: plain, with momentum, with an adaptive rate, with both.
+
+Momentum is that of Rumelhart, Hinton & Williams (1986, Nature 323), the adaptive rate that of
+Vogl, Mangis, Rigler, Zink & Alkon (1988, Biological Cybernetics 59)::
+
+    Δ_k = μ Δ_{k−1} − η ∇E        a step that raises E by more than the tolerance is taken back,
+                                   μ counts as zero until a step succeeds, and η falls; after a
+                                   step that lowers E, η grows
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.identification.blackbox.one_step import Objective
+from trms_cli.identification.blackbox.trainable import FloatArray
+from trms_cli.identification.blackbox.training.training import Report
+
+#: A rate that fell this low moves no weight any more.
+_LEAST_RATE = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradientDescent:
+    """Steps down the gradient.
+
+    Attributes
+    ----------
+    learning_rate : float
+        η at the start.
+    momentum : float
+        μ; 0 for none.
+    adaptive : bool
+        Whether η adapts and bad steps are taken back.
+    growth, decay : float
+        Factors of η after a good and after a bad step.
+    tolerance : float
+        Factor by which a step may raise the loss.
+    """
+
+    learning_rate: Annotated[float, Meta(gt=0)] = 0.05
+    momentum: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    adaptive: bool = False
+    growth: Annotated[float, Meta(ge=1)] = 1.05
+    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.7
+    tolerance: Annotated[float, Meta(ge=1)] = 1.04
+
+    regularised: ClassVar[bool] = False
+
+    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+        theta, rate = start, self.learning_rate
+        change, momentum = np.zeros_like(theta), self.momentum
+        loss, slope = objective.gradient(theta)
+        while rate > _LEAST_RATE and np.isfinite(loss):
+            trial_change = momentum * change - rate * slope
+            trial = theta + trial_change
+            trial_loss, trial_slope = objective.gradient(trial)
+            if self.adaptive and not trial_loss <= self.tolerance * loss:
+                rate *= self.decay
+                momentum = 0.0
+            else:
+                if self.adaptive and trial_loss < loss:
+                    rate *= self.growth
+                    momentum = self.momentum
+                theta, change, loss, slope = trial, trial_change, trial_loss, trial_slope
+            report(theta, loss, float(np.linalg.norm(slope)))

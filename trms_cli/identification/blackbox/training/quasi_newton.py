@@ -1,0 +1,79 @@
+"""Quasi-Newton training: BFGS (scipy's) and the one-step secant method.
+
+One-step secant (R. Battiti 1992, Neural Computation 4(2)) is BFGS that forgets: the inverse
+Hessian before each update is the identity, so that a direction costs a few products of vectors::
+
+    d = −g + A s + B y,   s = θ_k − θ_{k−1},  y = g_k − g_{k−1},
+    B = sᵀg / sᵀy,        A = −(1 + yᵀy/sᵀy) sᵀg/sᵀy + yᵀg/sᵀy
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.identification.blackbox.one_step import Objective
+from trms_cli.identification.blackbox.trainable import FloatArray
+from trms_cli.identification.blackbox.training.conjugate_gradient import (
+    minimise_by_scipy,
+    quiet_step,
+)
+from trms_cli.identification.blackbox.training.line_search import LineSearch
+from trms_cli.identification.blackbox.training.training import Report
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bfgs:
+    """``scipy.optimize.minimize(method="BFGS")``."""
+
+    regularised: ClassVar[bool] = False
+
+    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+        minimise_by_scipy("BFGS", {}, objective, start, report)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneStepSecant:
+    """Battiti's memoryless BFGS with a strong Wolfe line search.
+
+    Attributes
+    ----------
+    curvature : float
+        Largest share of the slope along the line that a search leaves.
+    """
+
+    curvature: Annotated[float, Meta(gt=0, lt=1)] = 0.4
+
+    regularised: ClassVar[bool] = False
+
+    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+        search = LineSearch(objective, self.curvature)
+        theta, (loss, slope) = start, search.evaluate(start)
+        direction, before, fresh = -slope, None, True
+        while True:
+            length = quiet_step(search, theta, direction, loss, slope, before)
+            if length is None:
+                if fresh:
+                    return
+                direction, fresh = -slope, True
+                continue
+            s = length * direction
+            theta = theta + s
+            before, (loss, after) = loss, search.evaluate(theta)
+            direction = _secant(after, s, after - slope)
+            slope, fresh = after, False
+            report(theta, loss, float(np.linalg.norm(slope)))
+
+
+def _secant(slope: FloatArray, s: FloatArray, y: FloatArray) -> FloatArray:
+    """Battiti's direction; steepest descent where it does not descend."""
+    sy = float(s @ y)
+    if sy <= 0:
+        return -slope
+    b = float(s @ slope) / sy
+    a = -(1.0 + float(y @ y) / sy) * b + float(y @ slope) / sy
+    direction = -slope + a * s + b * y
+    return direction if direction @ slope < 0 else -slope

@@ -1,0 +1,57 @@
+"""Resilient propagation (RPROP).
+
+M. Riedmiller & H. Braun (1993), IEEE Int. Conf. Neural Networks: each weight has a step of its
+own that grows while the sign of its slope stays and shrinks when it changes; the size of the
+slope plays no part. After a change of sign the last step of that weight is taken back and its
+slope counts as zero once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.identification.blackbox.one_step import Objective
+from trms_cli.identification.blackbox.trainable import FloatArray
+from trms_cli.identification.blackbox.training.training import Report
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resilient:
+    """RPROP.
+
+    Attributes
+    ----------
+    first_step, least_step, most_step : float
+        Step of each weight at the start and its bounds.
+    growth, decay : float
+        η⁺ and η⁻.
+    """
+
+    first_step: Annotated[float, Meta(gt=0)] = 0.01
+    least_step: Annotated[float, Meta(gt=0)] = 1e-7
+    most_step: Annotated[float, Meta(gt=0)] = 5.0
+    growth: Annotated[float, Meta(gt=1)] = 1.2
+    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.5
+
+    regularised: ClassVar[bool] = False
+
+    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+        theta, step = start, np.full_like(start, self.first_step)
+        before, change = np.zeros_like(theta), np.zeros_like(theta)
+        _, slope = objective.gradient(theta)
+        while True:
+            agreement = before * slope
+            grown = np.minimum(step * self.growth, self.most_step)
+            shrunk = np.maximum(step * self.decay, self.least_step)
+            step = np.where(agreement > 0, grown, np.where(agreement < 0, shrunk, step))
+            change = np.where(agreement < 0, -change, -np.sign(slope) * step)
+            before = np.where(agreement < 0, 0.0, slope)
+            theta = theta + change
+            loss, slope = objective.gradient(theta)
+            if not np.isfinite(loss):
+                return
+            report(theta, loss, float(np.linalg.norm(slope)))

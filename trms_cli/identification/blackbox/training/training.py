@@ -1,0 +1,226 @@
+"""What is common to all training algorithms: when to stop, what is kept, what is told.
+
+An algorithm minimises an :class:`Objective` from a start and reports after each epoch; the
+report raises :class:`TrainingStopped` when it is time to end, which no algorithm catches. So an
+algorithm is nothing but its published steps, and a library's minimiser fits the same interface.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Annotated, ClassVar, Protocol
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.identification.blackbox.one_step import Objective
+from trms_cli.identification.blackbox.trainable import FloatArray
+
+
+class Outcome(enum.Enum):
+    """How a training ended: a sentence and what to do."""
+
+    GRADIENT = "the gradient vanished: a minimum"
+    EPOCHS = "all epochs done (more: method.stopping.epochs)"
+    VALIDATION = "the validation error rose; the weights of its minimum are kept"
+    GOAL = "the loss reached its goal"
+    NO_PROGRESS = "no step reduces the loss any more (try another seed, or another algorithm)"
+    INTERRUPTED = "interrupted; the best weights so far are kept"
+
+
+class TrainingStopped(Exception):
+    """Raised by the report to end an algorithm."""
+
+
+class Report(Protocol):
+    """Called by an algorithm after each epoch."""
+
+    def __call__(
+        self, theta: FloatArray, loss: float, slope: float, effective: float | None = None
+    ) -> None:
+        """Take note of the weights, the loss, the norm of its gradient and, of a regularised
+        training, the effective number of parameters.
+
+        Raises
+        ------
+        TrainingStopped
+            When it is time to end.
+        """
+        ...
+
+
+class TrainingAlgorithm(Protocol):
+    """A training algorithm: configuration, and one method."""
+
+    #: Whether the training guards against over-fitting itself and needs no early stopping.
+    regularised: ClassVar[bool]
+
+    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+        """Reduce the loss epoch by epoch; return when nothing reduces it any more."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stopping:
+    """When a training ends.
+
+    Attributes
+    ----------
+    epochs : int
+        At the most.
+    gradient : float
+        Ends below this norm of the loss's gradient.
+    goal : float
+        Ends below this loss.
+    patience : int
+        Epochs without a lower validation error until it ends; 0: no early stopping.
+    """
+
+    epochs: Annotated[int, Meta(ge=1)] = 300
+    gradient: Annotated[float, Meta(ge=0)] = 1e-7
+    goal: Annotated[float, Meta(ge=0)] = 0.0
+    patience: Annotated[int, Meta(ge=0)] = 20
+
+
+@dataclass(frozen=True)
+class History:
+    """A training epoch by epoch; entry 0 is the start.
+
+    Attributes
+    ----------
+    seconds, losses, validation, slopes, effective : lists of float
+        Time since the start (without the time that validation takes), mean squared residuals of
+        the fitted data and of the validation data (NaN where there are none), norm of the
+        gradient, effective number of parameters (NaN where not known).
+    """
+
+    seconds: list[float] = field(default_factory=list)
+    losses: list[float] = field(default_factory=list)
+    validation: list[float] = field(default_factory=list)
+    slopes: list[float] = field(default_factory=list)
+    effective: list[float] = field(default_factory=list)
+
+    @property
+    def epochs(self) -> int:
+        return max(0, len(self.losses) - 1)
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a training gave.
+
+    Attributes
+    ----------
+    theta : (P,) array
+        Weights of the smallest validation error where early stopping is on, else the last.
+    history : History
+    outcome : Outcome
+    best_epoch : int
+        The epoch whose weights are kept.
+    """
+
+    theta: FloatArray
+    history: History
+    outcome: Outcome
+    best_epoch: int
+
+
+#: Told after each epoch: the epoch, the loss, the validation loss. May raise KeyboardInterrupt.
+Watcher = Callable[[int, float, float], None]
+
+
+class _Recorder:
+    """The report of one training."""
+
+    def __init__(
+        self, start: FloatArray, stopping: Stopping, validation: Objective | None, early: bool
+    ) -> None:
+        self.history = History()
+        self.outcome = Outcome.NO_PROGRESS
+        self.kept, self.best, self.best_epoch = start.copy(), np.inf, 0
+        self._stopping, self._validation, self._early = stopping, validation, early
+        self._watcher: Watcher | None = None
+        self._spent, self._resumed = 0.0, perf_counter()
+
+    def watched_by(self, watcher: Watcher | None) -> None:
+        self._watcher = watcher
+
+    def __call__(
+        self, theta: FloatArray, loss: float, slope: float, effective: float | None = None
+    ) -> None:
+        self._spent += perf_counter() - self._resumed
+        history, epoch = self.history, len(self.history.losses)
+        checked = self._validation.loss(theta) if self._validation is not None else np.nan
+        history.seconds.append(self._spent)
+        history.losses.append(loss)
+        history.validation.append(checked)
+        history.slopes.append(slope)
+        history.effective.append(np.nan if effective is None else effective)
+        if not self._early or checked < self.best or epoch == 0:
+            self.kept, self.best, self.best_epoch = theta.copy(), checked, epoch
+        if self._watcher is not None:
+            self._watcher(epoch, loss, checked)
+        self._end_if_due(epoch, loss, slope)
+        self._resumed = perf_counter()
+
+    def _end_if_due(self, epoch: int, loss: float, slope: float) -> None:
+        stopping = self._stopping
+        reasons = {
+            Outcome.GOAL: loss <= stopping.goal,
+            Outcome.GRADIENT: slope <= stopping.gradient,
+            Outcome.VALIDATION: self._early and epoch - self.best_epoch >= stopping.patience,
+            Outcome.EPOCHS: epoch >= stopping.epochs,
+        }
+        for outcome, due in reasons.items():
+            if due:
+                self.outcome = outcome
+                raise TrainingStopped
+
+
+def train(
+    algorithm: TrainingAlgorithm,
+    objective: Objective,
+    start: FloatArray,
+    stopping: Stopping,
+    *,
+    validation: Objective | None = None,
+    watcher: Watcher | None = None,
+) -> Training:
+    """Train from a start until the algorithm or the stopping rule ends it.
+
+    Parameters
+    ----------
+    validation : Objective or None
+        The same error on data that is not fitted. With ``stopping.patience`` above 0 the
+        weights of its minimum are kept, unless the algorithm regularises itself.
+    watcher : callable or None
+        Told after each epoch; a KeyboardInterrupt from it, or from the keyboard, ends the
+        training and keeps the best weights so far.
+
+    Raises
+    ------
+    ConfigurationError
+        If the loss is not finite at the start.
+    """
+    early = validation is not None and stopping.patience > 0 and not algorithm.regularised
+    recorder = _Recorder(start, stopping, validation, early)
+    recorder.watched_by(watcher)
+    loss, slope = objective.gradient(start)
+    if not np.isfinite(loss):
+        raise ConfigurationError(
+            "the network's first simulation diverges",
+            where="method",
+            remedy="start from a network trained on one-step errors, or on shorter windows",
+        )
+    try:
+        recorder(start, loss, float(np.linalg.norm(slope)))
+        algorithm.minimise(objective, start.copy(), recorder)
+    except TrainingStopped:
+        pass
+    except KeyboardInterrupt:
+        recorder.outcome = Outcome.INTERRUPTED
+    return Training(recorder.kept, recorder.history, recorder.outcome, recorder.best_epoch)
