@@ -1,0 +1,1 @@
+"""How well a model foretells a recording: errors, residual tests, spectra, comparison."""

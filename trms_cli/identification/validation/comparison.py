@@ -1,0 +1,139 @@
+"""Which of several models foretells better, and whether the difference is more than chance.
+
+The same windows of the same recordings, for all models: so their errors are paired. Windows
+overlap and neighbours resemble each other, so whole blocks of time are drawn anew, with all that
+lies in them (H. R. Künsch, "The jackknife and the bootstrap for general stationary observations",
+Ann. Statist. 17, 1989, without overlap of the blocks).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.identification.dataset import FloatArray
+from trms_cli.identification.validation.free_run import WindowErrors
+
+_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class BlockSums:
+    """Squared errors of one model, channel and horizon, summed over blocks of time.
+
+    Attributes
+    ----------
+    squares, counts : (b,) arrays
+        Sum of the squared errors in each block, and how many samples they are.
+    """
+
+    squares: FloatArray
+    counts: FloatArray
+
+    @property
+    def rms(self) -> float:
+        """Over all blocks."""
+        total = self.counts.sum()
+        return float(np.sqrt(self.squares.sum() / total)) if total else np.nan
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its 95 % interval."""
+
+    value: float  #: the estimate
+    lower: float  #: 2.5 % of the draws lie below
+    upper: float  #: 2.5 % of the draws lie above
+
+
+def block_sums(
+    recordings: Sequence[WindowErrors], channel: str, block: int, errors: str = "errors"
+) -> BlockSums:
+    """Sum the squared errors of a channel over blocks.
+
+    Parameters
+    ----------
+    recordings : sequence of WindowErrors
+        Of one horizon; a block never reaches over the end of a recording.
+    block : int
+        Samples; windows that begin in it belong to it.
+    errors : {"errors", "unchanged"}
+    """
+    squares: list[float] = []
+    counts: list[float] = []
+    for windows in recordings:
+        if channel not in windows.channels or not len(windows.first):
+            continue
+        column = getattr(windows, errors)[:, :, windows.channels.index(channel)]
+        with np.errstate(over="ignore"):
+            each = np.nansum(column**2, axis=1)
+        present = np.count_nonzero(~np.isnan(column), axis=1)
+        of = (windows.first - windows.first[0]) // block
+        squares += np.bincount(of, each).tolist()
+        counts += np.bincount(of, present).tolist()
+    return BlockSums(np.array(squares), np.array(counts))
+
+
+def rms_interval(sums: BlockSums, seed: int) -> Interval:
+    """The RMS with its interval; without one for fewer than four blocks."""
+    return _interval(sums.rms, [sums], lambda rms: rms[0], seed)
+
+
+def ratio_interval(one: BlockSums, other: BlockSums, seed: int) -> Interval:
+    """RMS of the one over RMS of the other, paired by blocks."""
+    value = one.rms / other.rms if other.rms > 0 else np.nan
+    return _interval(value, [one, other], lambda rms: rms[0] / rms[1], seed)
+
+
+def mean_log_ratio(
+    one: Mapping[tuple[str, float], BlockSums], other: Mapping[tuple[str, float], BlockSums], seed: int
+) -> Interval:
+    """Geometric mean over channels and horizons of the ratios of RMS, paired by blocks.
+
+    Horizons have different numbers of windows; a draw takes the same share of each.
+    """
+    keys = [key for key in one if key in other and one[key].rms > 0 and other[key].rms > 0]
+    if not keys:
+        return Interval(np.nan, np.nan, np.nan)
+    value = float(np.exp(np.mean([np.log(one[k].rms / other[k].rms) for k in keys])))
+    blocks = {key: min(len(one[key].squares), len(other[key].squares)) for key in keys}
+    most = max(blocks.values())
+    if most < 4:
+        return Interval(value, np.nan, np.nan)
+    draws = _draws(most, seed)
+    logs = np.zeros(len(draws))
+    for key in keys:
+        # blocks that only shorter horizons reach are taken from the same places, wrapped
+        chosen = draws % blocks[key]
+        a, b = (_rms_of_draws(x[key], chosen) for x in (one, other))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs += np.log(a / b) / len(keys)
+    lower, upper = np.exp(np.nanquantile(logs, [0.025, 0.975]))
+    return Interval(value, float(lower), float(upper))
+
+
+def _interval(value: float, sums: Sequence[BlockSums], figure, seed: int) -> Interval:  # type: ignore[no-untyped-def]
+    blocks = len(sums[0].squares)
+    if blocks < 4 or not np.isfinite(value):
+        return Interval(value, np.nan, np.nan)
+    draws = _draws(blocks, seed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drawn = figure([_rms_of_draws(each, draws) for each in sums])
+    drawn = drawn[np.isfinite(drawn)]
+    if not drawn.size:
+        return Interval(value, np.nan, np.nan)
+    lower, upper = np.quantile(drawn, [0.025, 0.975])
+    return Interval(value, float(lower), float(upper))
+
+
+def _draws(blocks: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, blocks, (_DRAWS, blocks))
+
+
+def _rms_of_draws(sums: BlockSums, draws: np.ndarray) -> FloatArray:
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.asarray(
+            np.sqrt(sums.squares[draws].sum(axis=1) / sums.counts[draws].sum(axis=1))
+        )

@@ -1,0 +1,192 @@
+"""One-step errors: what a model foretells of the next sample, from all samples before it.
+
+A model with a derivative predicts through an unscented Kalman filter; its innovations are the
+errors. No torque is estimated beside the state unless asked for: it would explain in the model's
+place. How far the filter trusts the model is its process noise, and a wrong amount leaves
+correlated innovations from a right model. So the intensities are scaled to the recording, one
+factor for the beam and one for what drives it, by the likelihood of the innovations
+
+    ln L = −½ Σ (ν²/s² + ln s²)
+
+A network's one-step error is that of a step from measured values (:mod:`lagged_state`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.validation.lagged_state import measured_states
+from trms_cli.identification.validation.options import PredictorOptions
+from trms_cli.models.model import Model, index_of, names
+from trms_cli.observers.observer import ObserverSetup
+from trms_cli.observers.ukf import InitialSd, ProcessNoise, Ukf
+from trms_cli.simulation.rollout import Rollout
+
+#: Kinds of states whose process noise is scaled together.
+_BEAM, _DRIVE = ("angle", "momentum"), ("rotor", "current", "other")
+#: log10 of the factors that are tried; the filter breaks down where it trusts its model entirely.
+_RANGE = (-4.0, 2.0)
+
+
+@dataclass(frozen=True)
+class OneStep:
+    """Predictions of the next sample.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        Columns of the arrays.
+    errors : (n, n_y) array
+        Measured minus predicted, in the outputs' units; NaN where there is none.
+    expected_sd : (n, n_y) array
+        What the predictor believes its errors to be; NaN for one that does not say.
+    states : (n, n_x) array
+        The model's states with the measurement at the sample known.
+    noise_factors : dict of str to float
+        Of the process noise, by ``beam`` and ``drive``; empty without a filter.
+    predictor : str
+        How the prediction was made, for people.
+    """
+
+    channels: tuple[str, ...]
+    errors: FloatArray
+    expected_sd: FloatArray
+    states: FloatArray
+    noise_factors: Mapping[str, float] = field(default_factory=dict)
+    predictor: str = ""
+
+
+def predict_one_step(
+    model: Model,
+    dataset: Dataset,
+    rollout: Rollout,
+    options: PredictorOptions,
+    noise_factors: Mapping[str, float] | None = None,
+) -> OneStep:
+    """Predict every sample from those before it.
+
+    Parameters
+    ----------
+    rollout : Rollout
+        Of the model at the recording's sample time.
+    noise_factors : mapping or None
+        Factors of the process noise that are known already (from another recording).
+    """
+    remembered = measured_states(model, dataset)
+    if remembered is not None:
+        return _from_measured(model, dataset, rollout, remembered)
+    factors = dict(noise_factors or {"beam": 1.0, "drive": 1.0})
+    if noise_factors is None and options.process_noise == "fitted":
+        factors = _fitted_factors(model, dataset, options)
+    filtered = _filtered(model, dataset, options, factors)
+    errors, sd, states = filtered
+    settled = round(options.settle / dataset.sample_time)
+    errors[:settled] = np.nan
+    words = "unscented Kalman filter, " + (
+        f"torques estimated on {', '.join(options.torques)}"
+        if options.torques
+        else "no torque estimated"
+    )
+    if options.process_noise == "fitted":
+        words += (
+            f", process noise scaled by maximum likelihood (beam {factors['beam']:.2g}, "
+            f"drive {factors['drive']:.2g})"
+        )
+    return OneStep(names(dataset.outputs), errors, sd, states, factors, words)
+
+
+def _from_measured(
+    model: Model, dataset: Dataset, rollout: Rollout, states: FloatArray
+) -> OneStep:
+    """One step of the model from measured states."""
+    n = len(dataset)
+    first = np.flatnonzero(~np.isnan(states[: n - 1]).any(axis=1))
+    columns = [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
+    predicted = np.full((n, len(columns)), np.nan)
+    if first.size:
+        simulated = rollout.outputs(
+            dataset.commands, first, np.full(len(first), 2), states[first]
+        ).y
+        predicted[first + 1] = simulated[1::2][:, columns]
+    return OneStep(
+        names(dataset.outputs),
+        dataset.measurements - predicted,
+        np.full(predicted.shape, np.nan),
+        states,
+        {},
+        "one step of the model from measured values",
+    )
+
+
+def _filtered(
+    model: Model, dataset: Dataset, options: PredictorOptions, factors: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Innovations, their deviations, and filtered states."""
+    nominal = ProcessNoise()
+    scaled = {kind: factors["beam"] * getattr(nominal, kind) for kind in _BEAM}
+    scaled |= {kind: factors["drive"] * getattr(nominal, kind) for kind in _DRIVE}
+    observer = Ukf(
+        disturbances=options.torques,
+        process_noise=ProcessNoise(**scaled),
+        initial_sd=InitialSd(),
+    )
+    n, n_y = dataset.measurements.shape
+    state = observer.init(
+        ObserverSetup(
+            model,
+            dataset.sample_time,
+            names(dataset.outputs),
+            dict(zip(names(dataset.outputs), dataset.noise_sd.tolist(), strict=True)),
+            dataset.measurements[0],
+            dataset.commands[0],
+        )
+    )
+    innovations, sd, states = np.empty((n, n_y)), np.empty((n, n_y)), np.empty((n, model.n_x))
+    command = dataset.commands[0]
+    with np.errstate(all="ignore"):
+        for k in range(n):
+            estimate = observer.step(state, command, dataset.measurements[k], None)
+            innovations[k], sd[k] = estimate.innovation, estimate.innovation_sd
+            states[k] = estimate.x
+            command = dataset.commands[k]
+    return innovations, sd, states
+
+
+def _fitted_factors(
+    model: Model, dataset: Dataset, options: PredictorOptions
+) -> dict[str, float]:
+    """Factors of the process noise that make the innovations most likely, one after the other."""
+    factors = {"drive": 1.0, "beam": 1.0}
+    skipped = round(options.settle / dataset.sample_time)
+
+    def cost(name: str) -> Callable[[float], float]:
+        def of(exponent: float) -> float:
+            trial = factors | {name: 10.0**exponent}
+            innovations, sd, _ = _filtered(model, dataset, options, trial)
+            share = (innovations / sd)[skipped:]
+            value = np.nansum(np.where(np.isnan(share), 0.0, share**2 + 2 * np.log(sd[skipped:])))
+            return float(value) if np.isfinite(value) else 1e300
+
+        return of
+
+    for name in factors:
+        factors[name] = 10.0 ** _smallest(cost(name))
+    return factors
+
+
+def _smallest(cost: Callable[[float], float]) -> float:
+    """A coarse grid and one parabola: the likelihood is flat to within a third of a decade."""
+    grid = np.arange(_RANGE[0], _RANGE[1] + 0.5, 1.0)
+    values = [cost(float(x)) for x in grid]
+    best = int(np.argmin(values))
+    if best in (0, len(grid) - 1):
+        return float(grid[best])
+    left, middle, right = values[best - 1 : best + 2]
+    bend = left - 2 * middle + right
+    move = 0.5 * (left - right) / bend if bend > 0 else 0.0
+    trial = float(grid[best] + np.clip(move, -0.5, 0.5))
+    return trial if cost(trial) < middle else float(grid[best])

@@ -1,0 +1,117 @@
+"""Where in the operating range the error lies.
+
+Each sample of the free-run windows belongs to a bin of every operating variable (the measured
+outputs and the commands). Bins hold equally many samples, so that a share of the squared error is
+to be compared with one over the number of bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.identification.dataset import FloatArray
+
+#: Bins of an operating variable.
+BINS = 8
+
+
+@dataclass(frozen=True)
+class RegionTable:
+    """The error of one channel over one operating variable.
+
+    Attributes
+    ----------
+    channel, variable : str
+    edges : (b + 1,) array
+        Of the bins, in the variable's unit.
+    rms : (b,) array
+        Of the error in each bin, in the channel's unit.
+    time_share, error_share : (b,) arrays
+        Of the samples, and of the squared error.
+    """
+
+    channel: str
+    variable: str
+    edges: FloatArray
+    rms: FloatArray
+    time_share: FloatArray
+    error_share: FloatArray
+
+    @property
+    def concentration(self) -> float:
+        """Largest share of the error in a quarter of the bins that lie side by side, over its
+        share of the time: 1 for an error that is everywhere alike."""
+        width = max(1, len(self.rms) // 4)
+        ratios = [
+            self.error_share[i : i + width].sum() / self.time_share[i : i + width].sum()
+            for i in range(len(self.rms) - width + 1)
+        ]
+        return float(max(ratios))
+
+    def worst(self) -> tuple[float, float, float, float]:
+        """The worst quarter of the bins, side by side: from, to, share of time, share of error."""
+        width = max(1, len(self.rms) // 4)
+        starts = range(len(self.rms) - width + 1)
+        i = max(
+            starts,
+            key=lambda k: self.error_share[k : k + width].sum() / self.time_share[k : k + width].sum(),
+        )
+        return (
+            float(self.edges[i]),
+            float(self.edges[i + width]),
+            float(self.time_share[i : i + width].sum()),
+            float(self.error_share[i : i + width].sum()),
+        )
+
+
+def region_tables(
+    errors: Mapping[str, FloatArray], variables: Mapping[str, FloatArray], bins: int = BINS
+) -> list[RegionTable]:
+    """Tables of all channels over all variables.
+
+    Parameters
+    ----------
+    errors : dict of str to (N,) arrays
+        By channel; NaN where there is none.
+    variables : dict of str to (N,) arrays
+        Operating variables at the same samples; NaN where missing.
+    """
+    tables = []
+    for variable, values in variables.items():
+        present = values[~np.isnan(values)]
+        if present.size < 10 * bins:
+            continue
+        edges = np.unique(np.quantile(present, np.linspace(0, 1, bins + 1)))
+        if len(edges) < 3:
+            continue  # it hardly moves
+        for channel, error in errors.items():
+            table = _table(channel, variable, error, values, edges)
+            if table is not None:
+                tables.append(table)
+    return tables
+
+
+def _table(
+    channel: str, variable: str, error: FloatArray, values: FloatArray, edges: FloatArray
+) -> RegionTable | None:
+    known = np.isfinite(error) & ~np.isnan(values)
+    square = error[known] ** 2
+    if not square.size or not np.isfinite(square.sum()) or not square.sum() > 0:
+        return None
+    n = len(edges) - 1
+    bin_of = np.clip(np.searchsorted(edges, values[known], side="right") - 1, 0, n - 1)
+    counts = np.bincount(bin_of, minlength=n).astype(float)
+    sums = np.bincount(bin_of, square, minlength=n)
+    if np.any(counts == 0):
+        return None
+    return RegionTable(
+        channel,
+        variable,
+        edges,
+        np.sqrt(sums / counts),
+        counts / counts.sum(),
+        sums / sums.sum(),
+    )
