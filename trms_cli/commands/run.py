@@ -98,7 +98,8 @@ def perform(composition: Composition) -> Outcome:
         log = RunLog(
             composition.folder("run") / LOG_NAME,
             topics,
-            assembly.run_metadata(composition, experiment.model, plant, revision.answer()),
+            assembly.run_metadata(composition, experiment.model, plant, revision.answer())
+            | {"loop": "closed" if _follows(experiment.controller) else "open"},
             assembly.attachments(composition, experiment.model, getattr(plant, "parameters", None)),
         )
         logs.append(log)
@@ -137,7 +138,7 @@ def perform(composition: Composition) -> Outcome:
         write_document(score, log.path.with_name(SCORE_NAME))
         picture = log.path.with_name(PICTURE_NAME) if composition.config["picture"] else None
         if picture is not None:
-            words = {"title": _title(composition), "limits": _limits(loop)}
+            words = {"title": _title(composition, experiment.controller), "limits": _limits(loop)}
             try:
                 painter.draw(loop.history, score, picture, **words)
             except OSError as error:  # the run is safe in its log: this much may fail
@@ -238,9 +239,16 @@ def _objective(score: dict[str, Any]) -> float | None:
     return float(sum(errors))
 
 
-def _title(composition: Composition) -> str:
+def _follows(controller: Any) -> bool:
+    """Whether there is a reference to be followed: not in open loop."""
+    return bool(getattr(controller, "follows_reference", True))
+
+
+def _title(composition: Composition, controller: Any) -> str:
     choices = composition.choices
-    words = [f"{choices.get('controller')}", f"ref {choices.get('ref')}"]
+    words = [f"{choices.get('controller')}"]
+    if _follows(controller):
+        words.append(f"ref {choices.get('ref')}")
     words += [f"{group} {choices.get(group)}" for group in ("model", "observer", "plant")]
     effects = choices.get("effect")
     if effects:

@@ -146,8 +146,10 @@ def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
     states = [_field(signal) for signal in model.states]
     controlled = [states[model.state_index(name)] for name in model.controlled]
     inputs = [_field(signal) for signal in plant.inputs]
+    # A controller that follows nothing has no reference to be logged or scored.
+    followed = getattr(experiment.controller, "follows_reference", True)
     topics = standard_topics(
-        references=controlled,
+        references=controlled if followed else [],
         inputs=inputs,
         outputs=[_field(signal) for signal in plant.outputs],
         states=[_field(signal) for signal in plant.states],

@@ -120,7 +120,9 @@ class RunScreen:
 
     def _what(self) -> str:
         e, choices = self._experiment, self._composition.choices
-        parts = [str(choices.get("controller")), f"ref {choices.get('ref')}"]
+        parts = [str(choices.get("controller"))]
+        if getattr(e.controller, "follows_reference", True):
+            parts.append(f"ref {choices.get('ref')}")
         parts += [f"{group} {choices.get(group)}" for group in ("observer", "plant")]
         effects = choices.get("effect")
         if effects:
@@ -132,6 +134,8 @@ class RunScreen:
         effects = self._composition.choices.get("effect")
         if self._composition.choices.get("plant") == "simulated" and not effects:
             return "effect=yaw_coulomb_friction"
+        if not getattr(self._experiment.controller, "follows_reference", True):
+            return "controller=pid"
         return "ref=sine" if self._composition.choices.get("ref") != "sine" else "ref=square"
 
     def _job_line(self, score: Mapping[str, Any]) -> str:

@@ -71,13 +71,13 @@ class FromCsv:
 
 
 def read_columns(path: Path, column: str) -> tuple[Array, Array]:
-    """Time and one angle of a CSV file, in SI units.
+    """Time and one column of a CSV file, in SI units: an angle, or a command by its name.
 
     Returns
     -------
     time : (n,) s
         Strictly rising.
-    values : (n,) rad
+    values : (n,) rad, or V or 1 for a command
 
     Raises
     ------
@@ -85,6 +85,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
         If the file cannot be read, has no such column, an unknown unit, or a cell that is not
         a finite number; it names the file and the line.
     """
+    from trms_cli.recordings.channels import find_channel
     from trms_cli.recordings.units import to_si
 
     if not path.exists():
@@ -144,8 +145,11 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
             remedy="sort the rows by t, and give each time once",
         )
     seconds, _ = to_si(time, units["t"], ("s",), where=where, name="t")
-    angle, _ = to_si(values, units[column], ("rad",), where=where, name=column)
-    return seconds, angle
+    channel = find_channel(column)
+    is_command = channel is not None and channel.role == "input"
+    fitting = channel.units if channel is not None and is_command else ("rad",)
+    converted, _ = to_si(values, units[column], fitting, where=where, name=column)
+    return seconds, converted
 
 
 def _rows(text: str) -> Iterator[tuple[int, list[str]]]:

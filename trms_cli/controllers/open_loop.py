@@ -1,0 +1,167 @@
+"""No control: signals are played as commands, to see what a rig does with them.
+
+    u(t) = u₀ + s(t), cut to the input's limits
+
+with u₀ = 0, or the command that holds the model at an operating point. References have no part in
+it: none is logged, and no tracking error is scored.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, FloatArray
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.model import names
+from trms_cli.references.signal import Signal, require_signal
+
+#: Samples for which the signals are evaluated at once.
+_BLOCK = 1024
+
+
+@dataclass
+class OpenLoopState:
+    """What a run of it needs.
+
+    Attributes
+    ----------
+    period : float
+        Between two commands, s.
+    signals : list of Signal or None
+        By input; None rests.
+    offset, lower, upper : (n_u,) array
+        u₀ and the limits.
+    units : list of str
+        Of the inputs.
+    names : list of str
+    block : int
+        Which run of samples is at hand.
+    commands : (n, n_u) array
+        What is asked for in it.
+    """
+
+    period: float
+    signals: list[Signal | None]
+    offset: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    units: list[str]
+    names: list[str]
+    block: int = -1
+    commands: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def asked(self, time: float) -> FloatArray:
+        """What the signals ask for at a time (s), before limits, shape (n_u,)."""
+        block, k = divmod(round(time / self.period), _BLOCK)
+        if block != self.block:
+            times = (block * _BLOCK + np.arange(_BLOCK)) * self.period
+            self.commands = np.tile(self.offset, (_BLOCK, 1))
+            for column, signal in zip(self.commands.T, self.signals, strict=True):
+                if signal is not None:
+                    column += signal.sample(times)
+            self.block = block
+        return self.commands[k]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenLoop:
+    """Signals as commands. All amplitudes and offsets of the signals are in the input's unit.
+
+    Attributes
+    ----------
+    u_v, u_h : Signal or None
+        What the main and the tail rotor are told, beyond u₀; None: nothing.
+    operating_point : dict of str to float, or None
+        Angles (rad) at which the model rests with u₀; those not named rest at zero. None: u₀ = 0.
+    sample_time : float or None
+        Period of the commands, s; None takes every sample.
+    """
+
+    u_v: Signal | None = None
+    u_h: Signal | None = None
+    operating_point: Mapping[str, float] | None = None
+    sample_time: float | None = None
+
+    #: Nothing is to be followed: no reference in the log, no tracking error in the score.
+    follows_reference: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for name in ("u_v", "u_h"):
+            if getattr(self, name) is not None:
+                require_signal(getattr(self, name), name)
+
+    def preview(self, setup: ControlSetup) -> int:
+        """No reference is looked at."""
+        return 0
+
+    def init(self, setup: ControlSetup) -> OpenLoopState:
+        """A fresh state.
+
+        Raises
+        ------
+        ConfigurationError
+            If the model cannot rest at the operating point.
+        """
+        model = setup.model
+        inputs = names(model.inputs)
+        lower, upper = model.input_bounds()
+        return OpenLoopState(
+            setup.sample_time,
+            [getattr(self, name, None) for name in inputs],
+            self._resting_command(setup),
+            lower,
+            upper,
+            [signal.unit for signal in model.inputs],
+            list(inputs),
+        )
+
+    def step(
+        self, state: OpenLoopState, sample: ControlSample, *, want_prediction: bool
+    ) -> Command:
+        """The signals' values now; the message says what was cut."""
+        u = state.asked(sample.time)
+        cut = np.clip(u, state.lower, state.upper)
+        message = ""
+        if not np.array_equal(cut, u):
+            message = ", ".join(
+                f"{name} cut from {asked:.4g} to {left:.4g} {unit}"
+                for name, asked, left, unit in zip(state.names, u, cut, state.units, strict=True)
+                if asked != left
+            )
+        return Command(cut, message=message)
+
+    def _resting_command(self, setup: ControlSetup) -> FloatArray:
+        model = setup.model
+        if self.operating_point is None:
+            return np.zeros(model.n_u)
+        for name, value in self.operating_point.items():
+            if name not in model.controlled:
+                raise ConfigurationError(
+                    f"{name!r} is no angle of model {model.name!r}",
+                    where=f"operating_point.{name}",
+                    remedy=nearest(name, model.controlled),
+                )
+            if not math.isfinite(value):
+                raise ConfigurationError(
+                    f"{value!r} given", where=f"operating_point.{name}", remedy="an angle in rad"
+                )
+        asked = np.array([self.operating_point.get(name, 0.0) for name in model.controlled])
+        target = SteadyState(model).solve(asked)
+        if not target.converged or target.projected:
+            reached = ", ".join(
+                f"{name} {value:.3g} rad"
+                for name, value in zip(model.controlled, target.reference_reached, strict=True)
+            )
+            raise ConfigurationError(
+                f"model {model.name!r} cannot rest there",
+                where="operating_point",
+                remedy=f"the nearest point at which it rests: {reached}",
+            )
+        return np.array(target.u)
