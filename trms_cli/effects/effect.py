@@ -16,8 +16,11 @@ from functools import lru_cache
 import casadi as ca
 
 from trms_cli.core.errors import ModelError
+from trms_cli.models.dry_friction import axis_of, moment_index, resisted
 from trms_cli.models.model import Axis, Model, Signal, index_of
 from trms_cli.models.parameters import Parameter
+
+__all__ = ["Effect", "EffectContext", "axis_of", "resisting_impulse", "rotor_input"]
 
 
 @dataclass(frozen=True)
@@ -136,22 +139,6 @@ class Effect(ABC):
         return y
 
 
-def axis_of(model: Model, name: str) -> Axis:
-    """An axis of a model.
-
-    Raises
-    ------
-    ModelError
-        If the model has no such axis.
-    """
-    if name not in model.axes:
-        raise ModelError(
-            f"model {model.name!r} has no {name} axis",
-            remedy=f"it has: {', '.join(model.axes) or 'none'}",
-        )
-    return model.axes[name]
-
-
 def rotor_input(model: Model, rotor: str) -> int:
     """Position of a rotor's input in ``u``.
 
@@ -174,43 +161,16 @@ def resisting_impulse(
     torque: ca.SX | Callable[[ca.SX], ca.SX] | None,
     duration: float,
 ) -> ca.SX:
-    """States after dry friction has acted on an axis for a time, set-valued at rest.
-
-    The torque opposes the rate and stops it exactly where it suffices: with the free rate ``r`` at
-    the end of the interval and ``d`` the change of the state by a unit torque over it, the impulse
-    is ``−clip(r/∂r, −torque·h, +torque·h)``. This is Moreau's time stepping (1988): no smoothing of
-    the sign, no creep at rest, no limit on the step.
+    """States after dry friction has acted on an axis; see :mod:`trms_cli.models.dry_friction`.
 
     Parameters
     ----------
     torque : casadi.SX, callable or None
-        N m, not negative; a function of the rate (rad/s), for which the mean rate over the
-        interval is found by iteration; None removes the whole rate (an inelastic stop).
+        N m, not negative; a function of the rate (rad/s); None removes the whole rate.
     duration : float
         s.
     """
-    terms = _resistance_function(at.model, axis, duration)
-    free_rate, change, gain, acceleration = terms(at.x, at.u, at.p, at.w)
-    needed = free_rate / gain
-    if torque is None:
-        return at.x - change * needed
-    if not callable(torque):
-        return at.x - change * _clipped(needed, torque * duration)
-    # The rate before the interval is that after it less what the model did in between.
-    rate_before = free_rate - duration * acceleration
-    mean = rate_before
-    for _ in range(_MEAN_RATE_ITERATIONS):
-        impulse = _clipped(needed, torque(mean) * duration)
-        mean = (rate_before + free_rate - gain * impulse) / 2
-    return at.x - change * _clipped(needed, torque(mean) * duration)
-
-
-#: Each shrinks the error of the mean rate by about ``h |dτ/dΩ| / 2J``, a few percent.
-_MEAN_RATE_ITERATIONS = 2
-
-
-def _clipped(value: ca.SX, bound: ca.SX) -> ca.SX:
-    return ca.fmin(ca.fmax(value, -bound), bound)
+    return resisted(at.model, (at.x, at.u, at.p, at.w), axis, torque, duration)
 
 
 # The functions below are built once for a model and inlined wherever they are called: an effect is
@@ -231,31 +191,6 @@ def _acceleration_function(model: Model, axes: tuple[str, ...]) -> ca.Function:
     f = model.dynamics(x, u, p, w)
     rates = f[[model.state_index(axis_of(model, axis).angle) for axis in axes]]
     acceleration = ca.jtimes(rates, x, f)
-    columns = [_moment_index(model, axis) for axis in axes]
+    columns = [moment_index(model, axis) for axis in axes]
     mobility = ca.jacobian(acceleration, w)[:, columns]
     return ca.Function("accelerations", [x, u, p, w], [acceleration, mobility])
-
-
-@lru_cache(maxsize=256)
-def _resistance_function(model: Model, axis: str, duration: float) -> ca.Function:
-    """``(x, u, p, w) → rate, change, gain, acceleration``, for a torque over the duration.
-
-    A torque that is constant over the interval moves the angle too, by about half of what its
-    final rate would, and meets damping and stiffness on the way. ``change`` is the response
-    ``∫ exp(J s) ds / h`` of the linearised model to the order h²; with fewer terms an axis that
-    should rest creeps under a constant load (at a·h/2 with the first term alone).
-    """
-    x, u, p, w = model.symbols()
-    f = model.dynamics(x, u, p, w)
-    rate = f[model.state_index(axis_of(model, axis).angle)]
-    change = term = ca.jacobian(f, w)[:, _moment_index(model, axis)]
-    for order in (2, 3):
-        term = duration / order * ca.jtimes(f, x, term)
-        change = change + term
-    gain = ca.jtimes(rate, x, change)
-    acceleration = ca.jtimes(rate, x, f)
-    return ca.Function("resistance", [x, u, p, w], [rate, change, gain, acceleration])
-
-
-def _moment_index(model: Model, axis: str) -> int:
-    return index_of(model.disturbances, axis_of(model, axis).moment, "a disturbance")

@@ -11,6 +11,8 @@ parameter set (:class:`trms_cli.models.parameters.ParameterFile`)::
       yaw_coulomb_friction: {torque: 0.004}
 
 An effect that is not in the library gives its class by ``_target_``, and all its arguments.
+
+A trained network stands for a model too; see :mod:`trms_cli.models.narx_file` for its form.
 """
 
 from __future__ import annotations
@@ -24,11 +26,14 @@ from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.model import Model
+from trms_cli.models.narx_file import is_network_file, narx_of, read_narx_file
 from trms_cli.models.parameters import ParameterFile, parameter_file
 
 
 def load_model(
-    path: str, parameters: Mapping[str, float | Mapping[str, float]] | None = None
+    path: str,
+    parameters: Mapping[str, float | Mapping[str, float]] | None = None,
+    rig: Model | None = None,
 ) -> Model:
     """The model that a file describes, with its effects.
 
@@ -39,6 +44,8 @@ def load_model(
     parameters : mapping
         Other values for some parameters (``k_fvp``) or sizes (``yaw_coulomb_friction.torque``, or
         nested as a command line has it).
+    rig : Model, optional
+        What a run simulates in the place of the model; it means nothing here.
 
     Raises
     ------
@@ -47,13 +54,18 @@ def load_model(
     ModelError
         If the file's content does not fit; it names the file and the key.
     """
-    content = parameter_file(path, where="model.path")
-    model = _nominal(content, path)
-    _check_parameters(content, model, path)
-    _check_limits(content, model, path)
+    if is_network_file(path):
+        network = read_narx_file(path)
+        model: Model = narx_of(network, path)
+        described: Mapping[str, Mapping[str, Any]] = network.effects
+    else:
+        content = parameter_file(path, where="model.path")
+        model = _nominal(content, path)
+        _check_parameters(content, model, path)
+        _check_limits(content, model, path)
+        described = content.effects
     effects = {
-        name: _effect(name, sizes, f"{path}: effects.{name}")
-        for name, sizes in content.effects.items()
+        name: _effect(name, sizes, f"{path}: effects.{name}") for name, sizes in described.items()
     }
     try:
         model = extended(model, effects)
@@ -107,9 +119,12 @@ def _built(node: Mapping[str, Any], where: str, parameters: Mapping[str, Any]) -
 
 def _check_parameters(content: ParameterFile, model: Model, path: str) -> None:
     """Refuse a file whose parameters are not those of the built-in model."""
-    reference = build(_option("model", content.model, path), path).parameters
+    option = _option("model", content.model, path)
+    reference = build(option, path).parameters
+    # A set may serve several models: what its kin has and this one does not, it may give.
+    shared = parameter_file(option["parameter_set"]).parameters
     for name in content.parameters:
-        if name not in reference:
+        if name not in reference and name not in shared:
             raise ModelError(
                 f"model {content.model!r} has no parameter {name!r}",
                 where=f"{path}: parameters.{name}",

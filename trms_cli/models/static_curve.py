@@ -13,13 +13,13 @@ s in [−1, 1]: a handful of operations a knot, without a branch, in any CasADi 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ModelError
+from trms_cli.models.measured_table import read_table
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -139,31 +139,15 @@ def read_static_curve(path: str, where: str) -> StaticCurve:
     ModelError
         If there is no such file, or its content is not such a table.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise ModelError(
-            f"cannot read {path!r}: {reason}",
-            where=where,
-            remedy=f"give a CSV of steady values with the header {_HEADER}",
-        ) from error
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not lines:
-        raise ModelError("the file is empty", where=path, remedy=f"it begins with {_HEADER}")
-    factors, order = _columns(lines[0][1], f"{path}:{lines[0][0]}")
-    table = np.array([_row(line, len(order), f"{path}:{number}") for number, line in lines[1:]])
-    if len(table) < _FEWEST_ROWS:
-        raise ModelError(
-            f"{len(table)} points given",
-            where=path,
-            remedy=f"a curve needs {_FEWEST_ROWS} points or more, over both directions",
-        )
-    u, omega, thrust = (table[:, order[name]] * factors[name] for name in ("u", "omega", "thrust"))
+    table = read_table(
+        path,
+        where,
+        what="a static curve",
+        header=_HEADER,
+        columns={"u": {"1": 1.0}, "omega": _SPEED_UNITS, "thrust": {"N": 1.0}},
+        fewest=_FEWEST_ROWS,
+    )
+    u, omega, thrust = table["u"], table["omega"], table["thrust"]
     rising = np.argsort(u)
     u, omega, thrust = u[rising], omega[rising], thrust[rising]
     if np.any(np.diff(u) <= 0) or np.any(np.diff(omega) <= 0):
@@ -175,40 +159,3 @@ def read_static_curve(path: str, where: str) -> StaticCurve:
             remedy="give each command once, with the speed that it holds; leave a dead zone out",
         )
     return StaticCurve(u, omega, thrust)
-
-
-def _columns(header: str, where: str) -> tuple[dict[str, float], dict[str, int]]:
-    """Factor to SI and position of each column."""
-    factors: dict[str, float] = {}
-    order: dict[str, int] = {}
-    for position, cell in enumerate(header.split(",")):
-        name, _, unit = cell.strip().rstrip("]").partition("[")
-        allowed = {"u": {"1": 1.0}, "omega": _SPEED_UNITS, "thrust": {"N": 1.0}}.get(name, {})
-        if unit not in allowed or name in order:
-            raise ModelError(
-                f"column {cell.strip()!r} is not part of a static curve",
-                where=where,
-                remedy=f"write the header {_HEADER} (omega also in rad/s)",
-            )
-        factors[name], order[name] = allowed[unit], position
-    if len(order) < 3:
-        raise ModelError(
-            f"the header {header.strip()!r} lacks a column",
-            where=where,
-            remedy=f"write the header {_HEADER}",
-        )
-    return factors, order
-
-
-def _row(line: str, width: int, where: str) -> list[float]:
-    try:
-        row = [float(cell) for cell in line.split(",")]
-    except ValueError:
-        row = []
-    if len(row) != width or not np.isfinite(row).all():
-        raise ModelError(
-            f"{line.strip()!r} is no row of {width} numbers",
-            where=where,
-            remedy="write decimals with a point and separate columns by commas",
-        )
-    return row
