@@ -1,0 +1,1 @@
+"""Fitting the parameters of equations by simulation: windows, least squares, statistics."""

@@ -1,0 +1,105 @@
+"""The cost of a grey-box fit in parameters and starts, and its parabola at a point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.identification.greybox.elimination import Joint, Quadratic, triangles
+from trms_cli.identification.greybox.weights import Weights
+from trms_cli.identification.greybox.windows import Residuals, Windows
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass
+class Objective:
+    """Maximum a posteriori: half the sum of squares of residuals and of deviations from priors.
+
+    Attributes
+    ----------
+    windows : Windows
+    weights : Weights
+    centres : (m, n_x) array
+        Of the starts' priors.
+    joined : float or None
+        Standard deviation of the gaps between windows, as a share of the starts' spread; None:
+        windows know nothing of each other.
+    evaluations : int
+        Simulations of all windows so far; with slopes they count once as well.
+    """
+
+    windows: Windows
+    weights: Weights
+    centres: FloatArray
+    joined: float | None = None
+    evaluations: int = field(default=0)
+
+    def __post_init__(self) -> None:
+        problem = self.windows.problem
+        self.scales = problem.scales
+        self.means, self.precisions = problem.prior_means, problem.prior_precisions
+
+    def cost(self, theta: FloatArray, starts: FloatArray) -> float:
+        """Its value; infinite where the simulation is not finite."""
+        residuals = self._simulated(theta, starts, slopes=False)
+        return self._cost(theta, starts, residuals)
+
+    def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
+        """Its value, and the parabola in scaled changes.
+
+        Starts are scaled by their spread, parameters by their scales.
+        """
+        residuals = self._simulated(theta, starts, slopes=True)
+        cost = self._cost(theta, starts, residuals)
+        assert residuals.j is not None
+        roots = self.weights.roots(residuals.r) * self.windows.measured
+        a_b = self.scaled(residuals.j) * roots[..., None]
+        m, n_all = len(self.windows), a_b.shape[-1]
+        quadratic = Quadratic(
+            triangles(a_b.reshape(m, -1, n_all), (residuals.r * roots).reshape(m, -1)),
+            (starts - self.centres) / self.windows.spread,
+            np.sqrt(self.precisions) * self.scales,
+            np.sqrt(self.precisions) * (theta - self.means),
+            self._joint(starts, residuals),
+        )
+        return cost, quadratic, residuals
+
+    def scaled(self, j: FloatArray) -> FloatArray:
+        """Slopes per scaled unit of starts and parameters."""
+        slopes: FloatArray = j * np.concatenate([self.windows.spread, self.scales])
+        return slopes
+
+    def _simulated(self, theta: FloatArray, starts: FloatArray, slopes: bool) -> Residuals:
+        self.evaluations += 1
+        p = self.windows.problem.all_values(theta)
+        return self.windows.residuals(p, starts, slopes=slopes)
+
+    def _cost(self, theta: FloatArray, starts: FloatArray, residuals: Residuals) -> float:
+        if not residuals.finite:
+            return np.inf
+        cost = self.weights.cost(residuals.r)
+        cost += 0.5 * float(np.sum(((starts - self.centres) / self.windows.spread) ** 2))
+        cost += 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
+        if self.joined is not None:
+            gaps = self._gaps(starts, residuals)[self.windows.follows]
+            cost += 0.5 * float(np.sum(gaps**2))
+        return cost if np.isfinite(cost) else np.inf
+
+    def _gaps(self, starts: FloatArray, residuals: Residuals) -> FloatArray:
+        assert self.joined is not None
+        gaps = np.zeros_like(starts)
+        gaps[1:] = (residuals.ends[:-1] - starts[1:]) / (self.joined * self.windows.spread)
+        return gaps
+
+    def _joint(self, starts: FloatArray, residuals: Residuals) -> Joint | None:
+        if self.joined is None:
+            return None
+        assert residuals.dends is not None
+        weight = np.full(len(self.windows.spread), 1.0 / self.joined)
+        from_before = np.zeros_like(residuals.dends)
+        slopes = self.scaled(residuals.dends[:-1])
+        from_before[1:] = slopes / (self.joined * self.windows.spread)[None, :, None]
+        return Joint(self.windows.follows, from_before, weight, self._gaps(starts, residuals))

@@ -1,0 +1,103 @@
+"""How much a residual counts: noise, what the model cannot follow, correlation, outliers.
+
+The cost of a fit is
+
+    ½ Σ_c 1/φ_c Σ_t ρ(r_c(t)/σ_c)  +  priors
+
+with Huber's ρ (Annals of Mathematical Statistics 35, 1964), twice the usual scale so that it is
+r² for small r. ``σ_c`` is the declared noise of channel c or the residuals' own size, whichever
+is larger; ``φ_c`` ≥ 1 is the number of samples that together say as much as one would if the
+residuals were white. Residuals of a model with an error of its own are correlated over seconds;
+counted as white they would drown the priors and all doubt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+_MAD_TO_SD = 1.4826
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Scales of the residuals.
+
+    Attributes
+    ----------
+    sd : (m, n_y) array
+        By window and output.
+    samples : (n_y,) array
+        φ of each output.
+    share : float
+        Weight of each squared residual where windows overlap.
+    robust : float or None
+        Huber's threshold.
+    """
+
+    sd: FloatArray
+    samples: FloatArray
+    share: float
+    robust: float | None
+
+    @property
+    def trust(self) -> FloatArray:
+        """Factor of each output's squared whitened residuals, shape (n_y,)."""
+        trust: FloatArray = self.share / self.samples
+        return trust
+
+    def whitened(self, r: FloatArray) -> FloatArray:
+        """Residuals (m, c, n_y) over their standard deviation."""
+        whitened: FloatArray = r / self.sd[:, None]
+        return whitened
+
+    def cost(self, r: FloatArray) -> float:
+        """The data's part of the cost, from residuals (m, c, n_y) that are not whitened."""
+        z = self.whitened(r)
+        loss = z**2
+        if self.robust is not None:
+            size = np.abs(z)
+            far = size > self.robust
+            loss = np.where(far, 2 * self.robust * size - self.robust**2, loss)
+        return 0.5 * float(loss.sum(axis=(0, 1)) @ self.trust)
+
+    def roots(self, r: FloatArray) -> FloatArray:
+        """Factors (m, c, n_y) of residuals and slopes whose squares make the cost's parabola.
+
+        Iteratively reweighted least squares: the parabola touches the cost at ``r`` and lies
+        above it elsewhere.
+        """
+        factors = np.sqrt(self.trust) / self.sd[:, None]
+        if self.robust is None:
+            return np.broadcast_to(factors, r.shape)
+        size = np.abs(self.whitened(r))
+        roots: FloatArray = factors * np.sqrt(self.robust / np.maximum(size, self.robust))
+        return roots
+
+
+def sizes(r: FloatArray, measured: BoolArray, declared: FloatArray) -> FloatArray:
+    """Size of each output's residuals over their declared deviation, robust, shape (n_y,).
+
+    Parameters
+    ----------
+    r, measured : (m, c, n_y) arrays
+    declared : (m, n_y) array
+    """
+    z = np.abs(r / declared[:, None])
+    found = np.ones(r.shape[2])
+    for i in range(r.shape[2]):
+        here = z[..., i][measured[..., i]]
+        if len(here):
+            # The median misses rare large errors on purpose, and is zero for an encoder at rest.
+            found[i] = max(_MAD_TO_SD * float(np.median(here)), _clipped_rms(here))
+    return found
+
+
+def _clipped_rms(z: FloatArray) -> float:
+    """Root mean square without the largest hundredth."""
+    return float(np.sqrt(np.mean(np.minimum(z, np.quantile(z, 0.99)) ** 2)))

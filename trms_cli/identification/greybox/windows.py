@@ -1,0 +1,219 @@
+"""All windows of a problem's recordings, simulated at once, as whitened residuals."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.greybox.starts import estimated_starts, spreads
+from trms_cli.identification.problem import FitProblem
+from trms_cli.models.model import names
+from trms_cli.simulation.rollout import Rollout
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+#: No residual is divided by less than this (in the output's unit).
+_LEAST_SD = 1e-9
+
+
+class Residuals(NamedTuple):
+    """Predicted less measured, not yet divided by anything.
+
+    Attributes
+    ----------
+    r : (m, c, n_y) array
+        By window, sample, output; 0 where nothing was measured.
+    j : (m, c, n_y, n_x + n_f) array or None
+        Slopes in the window's start (the model's states) and in the free parameters.
+    ends : (m, n_x) array
+        States one sample after each window.
+    dends : (m, n_x, n_x + n_f) array or None
+    """
+
+    r: FloatArray
+    j: FloatArray | None
+    ends: FloatArray
+    dends: FloatArray | None
+
+    @property
+    def finite(self) -> bool:
+        """Whether the simulation stayed finite in all windows."""
+        return bool(np.isfinite(self.r).all())
+
+
+class Windows:
+    """The windows of recordings with one sample time.
+
+    Parameters
+    ----------
+    problem : FitProblem
+    datasets : sequence of Dataset or None
+        None: those that are to be fitted.
+    length : float or None
+        s, instead of the problem's.
+    with_parameters : bool
+        Whether slopes in the free parameters are wanted; without them only those in the starts
+        are computed, which is what a search without gradients needs.
+
+    Attributes
+    ----------
+    rollout : Rollout
+    measured : (m, c, n_y) array of bool
+        Where there is something to compare.
+    declared : (m, n_y) array
+        Standard deviation of each output's noise in each window, as declared.
+    share : float
+        Weight of a squared residual: below 1 where windows overlap.
+    follows : (m,) array of bool
+        Whether a window begins where the one before it ends.
+    spread : (n_x,) array
+        Standard deviation of the prior of the starts.
+    """
+
+    def __init__(
+        self,
+        problem: FitProblem,
+        datasets: tuple[Dataset, ...] | None = None,
+        *,
+        length: float | None = None,
+        with_parameters: bool = True,
+    ) -> None:
+        self.problem = problem
+        self.datasets = problem.datasets if datasets is None else datasets
+        self._check_sample_times()
+        model = problem.model
+        self.sample_time = self.datasets[0].sample_time
+        free = problem.names if with_parameters else ()
+        self.rollout = Rollout(
+            model, self.sample_time, free=free, substeps=problem.substeps, jobs=problem.jobs
+        )
+        length = problem.window_length if length is None else length
+        stride = problem.window_stride
+        if stride is not None:
+            stride = min(stride, length)
+        self.share = 1.0 if stride is None else stride / length
+        self._commands = np.vstack([d.commands for d in self.datasets])
+        firsts, counts, self._of_dataset, offset = [], [], [], 0
+        for dataset in self.datasets:
+            first, count = dataset.windows(length, stride)
+            self._of_dataset.append((dataset, first, slice(offset, offset + len(first))))
+            firsts.append(first)
+            counts.append(count)
+            offset += len(first)
+        lengths = np.cumsum([0, *(len(d) for d in self.datasets)])
+        self.local_first = np.concatenate(firsts)
+        self.first = np.concatenate([f + o for f, o in zip(firsts, lengths, strict=False)])
+        self.count = np.concatenate(counts)
+        self.follows = np.concatenate(
+            [[False], self.first[1:] == self.first[:-1] + self.count[:-1]]
+        )
+        for _, _, rows in self._of_dataset:
+            self.follows[rows.start] = False
+        self.spread = spreads(model)
+        self._index = np.arange(int(self.count.max()))[None] < self.count[:, None]
+        self.declared, self._target = self._measurements()
+        self.measured = np.isfinite(self._target)
+        if not self.measured.any():
+            raise ConfigurationError(
+                "the recordings hold no measured sample", where="real", remedy="look at the files"
+            )
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @property
+    def n_x(self) -> int:
+        """Number of states of the model, its memory not among them."""
+        return self.problem.model.n_x
+
+    def starts(self, p: FloatArray) -> FloatArray:
+        """Estimated starts of the windows, shape (m, n_x)."""
+        return np.vstack([s[:, : self.n_x] for s, _ in self._estimated(p)])
+
+    def residuals(self, p: FloatArray, starts: FloatArray, *, slopes: bool = False) -> Residuals:
+        """Simulate.
+
+        Parameters
+        ----------
+        p : (n_p,) array
+            All parameters.
+        starts : (m, n_x) array
+        slopes : bool
+            Whether the slopes are wanted.
+        """
+        x, memory_slopes = self._with_memory(p, starts)
+        if not slopes:
+            y, ends = self.rollout.outputs(self._commands, self.first, self.count, x, p)
+            return Residuals(self._compared(y), None, ends[:, : self.n_x], None)
+        y, ends, dy, dends = self.rollout.sensitivities(
+            self._commands, self.first, self.count, x, p
+        )
+        j = np.zeros((*self._index.shape, *dy.shape[1:]))
+        j[self._index] = dy
+        dends = dends[:, : self.n_x]
+        j, dends = self._in_model_states(j, dends, memory_slopes)
+        return Residuals(self._compared(y), j, ends[:, : self.n_x], dends)
+
+    def _compared(self, y: FloatArray) -> FloatArray:
+        r = np.zeros(self._target.shape)
+        r[self._index] = y
+        return np.where(self.measured, r - self._target, 0.0)
+
+    def _in_model_states(
+        self, j: FloatArray, dends: FloatArray, memory_slopes: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Slopes without those in the memory, whose own slopes go to the parameters."""
+        n, n_all = self.n_x, self.rollout.n_x
+        if memory_slopes is None:
+            return j, dends
+        through = [
+            np.einsum("m...k,mkf->m...f", slopes[..., n:n_all], memory_slopes)
+            for slopes in (j, dends)
+        ]
+        j = np.concatenate([j[..., :n], j[..., n_all:] + through[0]], axis=-1)
+        dends = np.concatenate([dends[..., :n], dends[..., n_all:] + through[1]], axis=-1)
+        return j, dends
+
+    def _with_memory(
+        self, p: FloatArray, starts: FloatArray
+    ) -> tuple[FloatArray, FloatArray | None]:
+        if self.rollout.n_x == self.n_x:
+            return starts, None
+        x, slopes = zip(*self._estimated(p), strict=True)
+        full = np.vstack(x)
+        full[:, : self.n_x] = starts
+        return full, np.concatenate(slopes)
+
+    def _estimated(self, p: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        found = []
+        for dataset, first, _ in self._of_dataset:
+            states, slopes = estimated_starts(self.rollout, dataset, first, p)
+            found.append((states, slopes))
+        return found
+
+    def _measurements(self) -> tuple[FloatArray, FloatArray]:
+        """Declared noise (m, n_y) and measured outputs (m, c, n_y), NaN where there is none."""
+        outputs = names(self.problem.model.outputs)
+        sd = np.ones((len(self), len(outputs)))
+        target = np.full((*self._index.shape, len(outputs)), np.nan)
+        for dataset, first, rows in self._of_dataset:
+            columns = [outputs.index(name) for name in names(dataset.outputs)]
+            sd[rows, columns] = np.maximum(dataset.noise_sd, _LEAST_SD)
+            for j, begin in zip(range(rows.start, rows.stop), first, strict=True):
+                n = int(self.count[j])
+                target[j, :n, columns] = dataset.measurements[begin : begin + n].T
+        return sd, target
+
+    def _check_sample_times(self) -> None:
+        times = {round(dataset.sample_time, 9) for dataset in self.datasets}
+        if len(times) > 1:
+            raise ConfigurationError(
+                f"the recordings have different sample times: {sorted(times)} s",
+                where="real",
+                remedy="fit those of one sample time together, or resample them",
+            )
