@@ -57,9 +57,7 @@ class Scaling:
     level_sd: FloatArray
 
 
-def sampled(
-    dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0
-) -> Samples:
+def sampled(dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0) -> Samples:
     """The signals of a structure from a recording, at the structure's sample time.
 
     Of the outputs every d-th sample is taken; a command is the mean over the d samples.

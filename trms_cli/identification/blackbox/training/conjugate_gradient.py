@@ -23,7 +23,7 @@ from msgspec import Meta
 
 from trms_cli.identification.blackbox.one_step import Objective
 from trms_cli.identification.blackbox.trainable import FloatArray
-from trms_cli.identification.blackbox.training.line_search import LineSearch
+from trms_cli.identification.blackbox.training.line_search import DECREASE, LineSearch
 from trms_cli.identification.blackbox.training.training import Report
 
 Update = Literal["fletcher_reeves", "polak_ribiere", "powell_beale"]
@@ -50,7 +50,8 @@ class ConjugateGradient:
 
     def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
         if self.update == "polak_ribiere":
-            minimise_by_scipy("CG", {"c2": self.curvature}, objective, start, report)
+            options = {"c1": min(DECREASE, self.curvature / 2), "c2": self.curvature}
+            minimise_by_scipy("CG", options, objective, start, report)
             return
         search = LineSearch(objective, self.curvature)
         theta, (loss, slope) = start, search.evaluate(start)

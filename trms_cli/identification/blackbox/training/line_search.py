@@ -8,7 +8,7 @@ from trms_cli.identification.blackbox.one_step import Objective
 from trms_cli.identification.blackbox.trainable import FloatArray
 
 #: Armijo's constant.
-_DECREASE = 1e-4
+DECREASE = 1e-4
 
 
 class LineSearch:
@@ -51,7 +51,7 @@ class LineSearch:
             gfk=slope,
             old_fval=loss,
             old_old_fval=loss_before,
-            c1=_DECREASE,
+            c1=min(DECREASE, self._curvature / 2),
             c2=self._curvature,
             maxiter=20,
         )

@@ -1,0 +1,145 @@
+"""Networks with free weights: one statement of the value, exact slopes."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from trms_cli.core.errors import ModelError
+from trms_cli.identification.blackbox.radial import Radial
+from trms_cli.identification.blackbox.trainable import Mlp
+from trms_cli.models.network import Network
+
+N_Z, N_OUT, N = 3, 2, 7
+NETWORKS = {
+    "one hidden layer": Mlp(N_Z, N_OUT, (4,)),
+    "two hidden layers": Mlp(N_Z, N_OUT, (4, 3)),
+    "a direct part": Mlp(N_Z, N_OUT, (4,), direct=True),
+    "linear": Mlp(N_Z, N_OUT, ()),
+    "rbf": Radial("rbf", N_Z, N_OUT, 5),
+    "wavelet": Radial("wavelet", N_Z, N_OUT, 5),
+}
+
+
+@pytest.fixture(params=NETWORKS.values(), ids=NETWORKS.keys())
+def network(request):
+    return request.param
+
+
+@pytest.fixture
+def theta(network):
+    return 0.5 * np.random.default_rng(1).standard_normal(network.n_parameters)
+
+
+@pytest.fixture
+def z():
+    return np.random.default_rng(2).standard_normal((N, N_Z))
+
+
+def stored(network, theta) -> Network:
+    generator = np.random.default_rng(3)
+    return Network(
+        network.kind,
+        network.named(theta),
+        generator.standard_normal(N_Z),
+        generator.uniform(0.5, 2.0, N_Z),
+        generator.standard_normal(N_OUT),
+        generator.uniform(0.5, 2.0, N_OUT),
+    )
+
+
+def central(f, x: np.ndarray, step: float = 1e-6) -> np.ndarray:
+    """Differences of an array-valued function, the slope last."""
+    columns = []
+    for i in range(x.size):
+        up, down = x.copy(), x.copy()
+        up.flat[i] += step
+        down.flat[i] -= step
+        columns.append((f(up) - f(down)) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+def test_slopes_in_the_weights_are_those_of_differences(network, theta, z):
+    _, jacobian, _ = network.slopes(theta, z)
+    assert jacobian == pytest.approx(central(lambda t: network.values(t, z), theta), abs=2e-8)
+
+
+def test_slopes_in_the_regressor_are_those_of_differences(network, theta, z):
+    _, _, by_z = network.slopes(theta, z)
+    for k in range(N):
+        expected = central(lambda row: network.values(theta, row[None])[0], z[k])
+        assert by_z[k] == pytest.approx(expected, abs=2e-8)
+
+
+def test_pulling_back_is_the_product_with_the_slopes(network, theta, z):
+    weight = np.random.default_rng(4).standard_normal((N, N_OUT))
+    values, jacobian, by_z = network.slopes(theta, z)
+    by_theta, back = network.pulled_back(theta, z, weight)
+    assert by_theta == pytest.approx(np.einsum("no,nop->p", weight, jacobian), abs=1e-12)
+    assert back == pytest.approx(np.einsum("no,noz->nz", weight, by_z), abs=1e-12)
+    assert values == pytest.approx(network.values(theta, z), abs=1e-12)
+
+
+def test_a_stored_network_computes_what_was_trained(network, theta, z):
+    model = stored(network, theta)
+    regressors = model.regressor_mean + model.regressor_sd * z
+    expected = model.output_mean + model.output_sd * network.values(theta, z)
+    assert model.evaluate(regressors) == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_expression_equals_the_evaluation_and_has_the_trained_slopes(network, theta, z):
+    model = stored(network, theta)
+    regressor = ca.SX.sym("phi", N_Z)
+    output = model.expression(regressor)
+    function = ca.Function("f", [regressor], [output, ca.jacobian(output, regressor)])
+    regressors = model.regressor_mean + model.regressor_sd * z
+    _, _, by_z = network.slopes(theta, z)
+    slopes = model.output_sd[:, None] * by_z / model.regressor_sd
+    for row, expected, slope in zip(regressors, model.evaluate(regressors), slopes, strict=True):
+        value, derivative = function(row)
+        assert value.full().ravel() == pytest.approx(expected, abs=1e-12)
+        assert derivative.full() == pytest.approx(slope, abs=1e-11)
+
+
+def test_what_is_written_comes_back_with_every_bit(network, theta):
+    import yaml
+
+    model = stored(network, theta)
+    again = Network.from_data(yaml.safe_load(yaml.safe_dump(model.to_data())))
+    assert again.to_data() == model.to_data()
+    for name, value in model.weights.items():
+        assert again.weights[name].tobytes() == value.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        (lambda d: d["weights"].pop("b1"), "network.weights.b1"),
+        (lambda d: d["weights"]["b1"].append(0.0), "network.weights.b1"),
+        (lambda d: d["weights"].update(W2=[[float("nan")] * 4] * 2), "network.weights.W2"),
+        (lambda d: d.pop("output_sd"), "network.output_sd"),
+        (lambda d: d.update(output_sd=[1.0]), "network.output_sd"),
+        (lambda d: d.update(regressor_sd=[1.0, 0.0, 1.0]), "network.regressor_sd"),
+        (lambda d: d.update(kind="svm"), "network.kind"),
+        (lambda d: d.update(colour="red"), "network.colour"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused_by_its_key(change, where):
+    network = NETWORKS["one hidden layer"]
+    data = stored(network, np.ones(network.n_parameters)).to_data()
+    change(data)
+    with pytest.raises(ModelError) as refused:
+        Network.from_data(data)
+    assert refused.value.where == where
+    assert refused.value.remedy
+
+
+def test_starting_weights_spread_the_units_and_follow_the_seed():
+    network = Mlp(4, 2, (30,))
+    theta = network.start(np.random.default_rng(0))
+    assert np.array_equal(theta, network.start(np.random.default_rng(0)))
+    w = network.named(theta)
+    norms = np.linalg.norm(w["W1"], axis=1)
+    assert norms == pytest.approx(0.5 * 0.7 * 30 ** (1 / 4))
+    assert len(np.unique(np.sign(w["b1"]))) == 2
