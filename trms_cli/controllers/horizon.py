@@ -318,11 +318,12 @@ class Horizon:
 
 def _stage(discrete: DiscreteModel, with_sensitivities: bool) -> ca.Function:
     """One control period: (x, u, p, w) → x⁺ [, ∂x⁺/∂x, ∂x⁺/∂u]."""
-    x, u, p, w = discrete.symbols()
-    results = [discrete.step(x, u, p, w)]
     if with_sensitivities:
-        results += [ca.densify(ca.jacobian(results[0], v)) for v in (x, u)]
-    return ca.Function("stage", [x, u, p, w], ca.cse(results))
+        return discrete.slopes("stage")
+    if len(discrete.parts) > 1:
+        return discrete.step
+    x, u, p, w = discrete.symbols()
+    return ca.Function("stage", [x, u, p, w], ca.cse([discrete.step(x, u, p, w)]))
 
 
 def _propagated(

@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -75,14 +74,8 @@ class Linearisation:
         self.model = model
         self._steady = steady
         self._discrete = discretise(model, step_length, substeps)
-        x, u, p, w = self._discrete.symbols()
-        after = self._discrete.step(x, u, p, w)
         # Evaluated a few times only: not worth compiling.
-        self._slopes = ca.Function(
-            "slopes",
-            [x, u, p, w],
-            [ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(after, u))],
-        )
+        self._slopes = self._discrete.slopes()
 
     def at(self, angles: Mapping[str, float], where: str) -> LinearModel:
         """The linear model where the rig rests at the given controlled angles.
@@ -120,7 +113,7 @@ class Linearisation:
                 remedy=f"the closest that it can: {reached} rad",
             )
         full = discrete.initial(target.x, target.u)
-        A, B = (
+        _, A, B = (
             np.array(value)
             for value in self._slopes(full, target.u, model.parameters.values, np.zeros(model.n_w))
         )

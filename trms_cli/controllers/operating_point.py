@@ -5,11 +5,12 @@ Solves
     minimise  ½ Σ_i q_i (x_c(i) − r_i)²   over x, u     subject to   f(x, u, p, w) = 0,  |u| ≤ u_max
 
 which is ``f = 0, x_c = r`` wherever the reference is reachable, and the closest reachable reference
-in weighted least squares where it is not. Each iteration is one Newton step on the optimality
-conditions, as one compiled function; bounds are held by an active set around it. The second
-derivatives of f are left out at first: they vanish with the multipliers where the reference is
-reached, and with them the iteration is drawn to saddles. Where the closest reachable reference is
-far and the first iteration swings, they are put in to finish.
+in weighted least squares where it is not. (f of a model that only steps is its change over a step,
+in the states s that the others follow from; see :mod:`trms_cli.models.rest`.) Each iteration is
+one Newton step on the optimality conditions, as one compiled function; bounds are held by an active
+set around it. The second derivatives of f are left out at first: they vanish with the multipliers
+where the reference is reached, and with them the iteration is drawn to saddles. Where the closest
+reachable reference is far and the first iteration swings, they are put in to finish.
 
 Two degeneracies of the rig are met by a proximal term that is far below every physical scale:
 
@@ -33,6 +34,7 @@ import numpy.typing as npt
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model
+from trms_cli.models.rest import RestEquations, rest_equations
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -70,8 +72,9 @@ class Target:
         Bound that each input is at: −1, 0 for none, 1.
     asked : tuple of float
         The reference that it was solved for, rad.
-    multiplier : (n_x,) array
-        Of the dynamics, in rad² over their units: zero where the reference is reached.
+    multiplier : (n_s,) array
+        Of the dynamics, in rad² over their units: zero where the reference is reached. One for
+        each unknown of :mod:`trms_cli.models.rest`.
     """
 
     x: FloatArray
@@ -106,7 +109,9 @@ class SteadyState:
         parameters: FloatArray | None = None,
     ) -> None:
         self.model = model
-        self._controlled = [model.state_index(name) for name in model.controlled]
+        equations = rest_equations(model)
+        self._rows = list(equations.unknowns)
+        self._controlled = _controlled_rows(model, equations)
         self._weights = np.array([(weights or {}).get(name, 1.0) for name in model.controlled])
         if not np.all(self._weights > 0):
             raise ModelError(
@@ -115,18 +120,19 @@ class SteadyState:
             )
         self._stops = [model.stops.get(name, np.inf) for name in model.controlled]
         self._upper = model.input_bounds()[1].tolist()
-        self._newton = BufferedFunction(_newton_step(model))
+        self._newton = BufferedFunction(_newton_step(model, equations))
         (self._z, self._r, self._w, p, q, self._active, self._bound, reach, self._curved) = (
             self._newton.inputs
         )
-        n = model.n_x + model.n_u
-        self._x, self._u = self._z[: model.n_x], self._z[model.n_x : n]  # views
+        n_s = len(self._rows)
+        n = n_s + model.n_u
+        self._s, self._u = self._z[:n_s], self._z[n_s:n]  # views
         self._multiplier = self._z[n:]
-        self._z_next, self._report = self._newton.outputs
+        self._z_next, self._report, self._x = self._newton.outputs
         p[:] = model.parameters.values if parameters is None else parameters
         q[:] = self._weights
         reach[:] = self._upper
-        self._rest = model.rest()
+        self._rest = model.rest()[self._rows]
 
     def solve(
         self,
@@ -167,7 +173,7 @@ class SteadyState:
 
     def _from(self, guess: Target) -> tuple[int, ...] | None:
         """Iterate from a target; the active set at the solution, or None when there is none."""
-        self._x[:] = guess.x
+        self._s[:] = guess.x[self._rows]
         self._u[:] = guess.u
         self._multiplier[:] = guess.multiplier
         active = guess.active
@@ -213,8 +219,8 @@ class SteadyState:
         best: tuple[float, Target] | None = None
         sets = itertools.product((0, 1, -1), repeat=self.model.n_u)
         for active in sets:
-            for x, u in self._starts():
-                self._x[:], self._u[:] = x, u
+            for s, u in self._starts():
+                self._s[:], self._u[:] = s, u
                 self._multiplier[:] = 0.0
                 if not self._converge(active, False) and not self._converge(active, True):
                     continue
@@ -228,7 +234,7 @@ class SteadyState:
                     best = (cost, target)
         if best is not None:
             return best[1]
-        self._x[:], self._u[:], self._multiplier[:] = self._rest, 0.0, 0.0
+        self._s[:], self._u[:], self._multiplier[:] = self._rest, 0.0, 0.0
         self._newton()
         return self._target(asked, (0,) * self.model.n_u)
 
@@ -241,12 +247,12 @@ class SteadyState:
 
     def _beyond_stops(self) -> bool:
         return any(
-            abs(self._x[i]) > stop + REACHED
+            abs(self._s[i]) > stop + REACHED
             for i, stop in zip(self._controlled, self._stops, strict=True)
         )
 
     def _cost(self) -> float:
-        error = self._x[self._controlled] - self._r
+        error = self._s[self._controlled] - self._r
         return float(error @ (self._weights * error))
 
     def _starts(self) -> Iterable[tuple[FloatArray, FloatArray]]:
@@ -256,16 +262,16 @@ class SteadyState:
         """
         at_reference = self._rest.copy()
         at_reference[self._controlled] = self._r
-        for x in (at_reference, self._rest):
+        for s in (at_reference, self._rest):
             for shares in itertools.product((0.4, -0.4), repeat=self.model.n_u):
-                yield x, np.array(shares) * self._upper
+                yield s, np.array(shares) * self._upper
 
     def _target(self, asked: list[float], active: tuple[int, ...]) -> Target:
         x, u = self._x.copy(), self._u.copy()
         for i, side in enumerate(active):
             if side:
                 u[i] = side * self._upper[i]
-        reached = [float(x[i]) for i in self._controlled]
+        reached = [float(self._s[i]) for i in self._controlled]
         residual = float(self._report[0])
         return Target(
             x,
@@ -286,56 +292,75 @@ def _beside(guess: Target, asked: list[float]) -> bool:
     )
 
 
-def _newton_step(model: Model) -> ca.Function:
-    """One step on the optimality conditions from (x, u).
-
-    Active inputs go to their bound; the others are stationary. Returns the next x and u, and a
-    report: the largest rate |f|, the largest move of a controlled angle, and the slope of the cost
-    in each input.
-    """
-    n_x, n_u = model.n_x, model.n_u
-    _, _, p, w = model.symbols()
-    n = n_x + n_u
-    z = ca.SX.sym("z", n + n_x)
-    x, u, multiplier, curved = z[:n_x], z[n_x:n], z[n:], ca.SX.sym("curved")
+def _controlled_rows(model: Model, equations: RestEquations) -> list[int]:
+    """Positions of the controlled angles among the unknowns."""
     rows = [model.state_index(name) for name in model.controlled]
+    for name, row in zip(model.controlled, rows, strict=True):
+        if row not in equations.unknowns:
+            raise ModelError(
+                f"{name!r} is controlled, and model {model.name!r} only copies it from another "
+                "state or an input",
+                where="model",
+                remedy="control a state that the model computes",
+            )
+    return [equations.unknowns.index(row) for row in rows]
+
+
+def _newton_step(model: Model, equations: RestEquations) -> ca.Function:
+    """One step on the optimality conditions from (s, u); s is x where x has a derivative.
+
+    Active inputs go to their bound; the others are stationary. Returns the next s and u, a report
+    (the largest rate |f|, the largest move of a controlled angle, and the slope of the cost in
+    each input), and the whole state x of the s and u given.
+    """
+    n_s, n_u = len(equations.unknowns), model.n_u
+    _, _, p, w = model.symbols()
+    n = n_s + n_u
+    z = ca.SX.sym("z", n + n_s)
+    s, u, multiplier, curved = z[:n_s], z[n_s:n], z[n:], ca.SX.sym("curved")
+    rows = _controlled_rows(model, equations)
     n_r = len(rows)
     r, q = ca.SX.sym("r", n_r), ca.SX.sym("q", n_r)
     active, bound = ca.SX.sym("active", n_u), ca.SX.sym("bound", n_u)
     reach = ca.SX.sym("reach", n_u)
 
-    f = model.dynamics(x, _arriving(model, u, p), p, w)
+    arriving = _arriving(model, u, p)
+    f = equations.residual(s, arriving, p, w)
     slopes = ca.jacobian(f, z[:n])
-    f_x, f_u = slopes[:, :n_x], slopes[:, n_x:]
+    f_s, f_u = slopes[:, :n_s], slopes[:, n_s:]
     curvature = curved * ca.jacobian(slopes.T @ multiplier, z[:n])
-    select = ca.SX(ca.DM.eye(n_x)[rows, :])
+    select = ca.SX(ca.DM.eye(n_s)[rows, :])
     weigh = select.T @ ca.diag(q)
 
     free = ca.diag(1 - active)
-    # Rows: stationarity in x, stationarity (or the bound) in u, the dynamics.
-    in_x = weigh @ select + _PROXIMAL * ca.SX.eye(n_x) + curvature[:n_x, :n_x]
-    in_u = _PROXIMAL * free + ca.diag(active) + free @ curvature[n_x:, n_x:]
+    # Rows: stationarity in s, stationarity (or the bound) in u, the dynamics.
+    in_s = weigh @ select + _PROXIMAL * ca.SX.eye(n_s) + curvature[:n_s, :n_s]
+    in_u = _PROXIMAL * free + ca.diag(active) + free @ curvature[n_s:, n_s:]
     system = ca.blockcat(
         [
-            [in_x, curvature[:n_x, n_x:], f_x.T],
-            [free @ curvature[n_x:, :n_x], in_u, free @ f_u.T],
-            [f_x, f_u, -_PROXIMAL * ca.SX.eye(n_x)],
+            [in_s, curvature[:n_s, n_s:], f_s.T],
+            [free @ curvature[n_s:, :n_s], in_u, free @ f_u.T],
+            [f_s, f_u, -_PROXIMAL * ca.SX.eye(n_s)],
         ]
     )
-    right = ca.vertcat(-weigh @ (x[rows] - r), active * (bound - u), -f)
+    right = ca.vertcat(-weigh @ (s[rows] - r), active * (bound - u), -f)
     solution = _solved(system, right)
-    dx, du, following = solution[:n_x], solution[n_x:n], solution[n:]
+    ds, du, following = solution[:n_s], solution[n_s:n], solution[n:]
     # Near the double root the slope is tiny and the step huge: no input moves by more than a
     # quarter of its range at once.
     largest = ca.mmax(ca.fabs(du) / reach)
     shorten = ca.if_else(largest > 0.5, 0.5 / largest, 1.0)
-    report = ca.vertcat(ca.mmax(ca.fabs(f)), ca.mmax(ca.fabs(dx[rows])), f_u.T @ following)
+    report = ca.vertcat(ca.mmax(ca.fabs(f)), ca.mmax(ca.fabs(ds[rows])), f_u.T @ following)
     return ca.Function(
         "steady_state_step",
         [z, r, w, p, q, active, bound, reach, curved],
-        [ca.vertcat(z[:n] + shorten * ca.vertcat(dx, du), following), report],
+        [
+            ca.vertcat(z[:n] + shorten * ca.vertcat(ds, du), following),
+            report,
+            equations.state(s, arriving),
+        ],
         ["z", "r", "w", "p", "q", "active", "bound", "reach", "curved"],
-        ["z_next", "report"],
+        ["z_next", "report", "x"],
     )
 
 

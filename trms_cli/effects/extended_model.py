@@ -41,6 +41,8 @@ class ExtendedModel(Model):
                 error.where = f"effect.{name}"
                 error.remedy += "; leave the effect out, or choose another model (model=…)"
             raise
+        if base.sample_time is not None:
+            _require_outside(base, name, effect)
         own = effect.parameters()
         if name in effect_names(base):
             raise ModelError(
@@ -59,7 +61,7 @@ class ExtendedModel(Model):
         )
         self.controlled, self.input_limits = base.controlled, base.input_limits
         self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
-        self.stiff = base.stiff
+        self.stiff, self.sample_time = base.stiff, base.sample_time
 
     def rest(self) -> FloatArray:
         return np.concatenate([self.base.rest(), np.zeros(self.n_x - self.base.n_x)])
@@ -73,6 +75,12 @@ class ExtendedModel(Model):
         return ca.vertcat(
             self.base.dynamics(at.x, u, at.p, pushed), self.effect.derivative(replace(at, w=pushed))
         )
+
+    def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        if self.sample_time is None:
+            return super().transition(x, u, p, w)
+        at = self._context(x, u, p, w)
+        return self.base.transition(at.x, u, at.p, w)
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         at = self._context(x, u, p, ca.SX.zeros(self.n_w))
@@ -109,6 +117,48 @@ class ExtendedModel(Model):
         at = replace(at, x=self.base.impulse(at.x, u, at.p, w, duration))
         return ca.vertcat(self.effect.impulse(at, duration), at.own)
 
+    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
+        own = _prefixed(self.effect.sensor_memory(step), self.effect_name)
+        return (*self.base.sensor_memory(step), *own)
+
+    def sensor_path(
+        self,
+        memory: ca.SX,
+        before: ca.SX,
+        after: ca.SX,
+        u: ca.SX,
+        p: ca.SX,
+        window: tuple[float, float],
+        step: float,
+    ) -> ca.SX:
+        first, last = (self._context(x, u, p, ca.SX.zeros(self.n_w)) for x in (before, after))
+        shown, own = self._sensors(memory, step)
+        beneath = self.base.sensor_path(shown, first.x, last.x, u, first.p, window, step)
+        if own.is_empty():
+            return beneath
+        # A part that begins a step still reads by the memory of the last one.
+        y_before = self.base.reading(shown, first.x, u, first.p, step, window[0] or 1.0)
+        y_after = self.base.reading(beneath, last.x, u, first.p, step, window[1])
+        own = self.effect.sensor_path(replace(last, shown=own), y_before, y_after, window, step)
+        return ca.vertcat(beneath, own)
+
+    def reading(
+        self, memory: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX, step: float, since: float = 1.0
+    ) -> ca.SX:
+        at = self._context(x, u, p, ca.SX.zeros(self.n_w))
+        shown, own = self._sensors(memory, step)
+        y = self.base.reading(shown, at.x, u, at.p, step, since)
+        return self.effect.reading(replace(at, shown=own), y, step, since)
+
+    def noise_sd(self, p: ca.SX, step: float) -> ca.SX:
+        at = self._context(ca.SX.zeros(self.n_x), ca.SX.zeros(self.n_u), p, ca.SX.zeros(self.n_w))
+        return ca.vertcat(self.base.noise_sd(at.p, step), self.effect.noise_sd(at, step))
+
+    def _sensors(self, memory: ca.SX, step: float) -> tuple[ca.SX, ca.SX]:
+        """Sensors' memory of the model beneath, and the effect's."""
+        n = len(self.base.sensor_memory(step))
+        return memory[:n, 0], memory[n:, 0]
+
     def _context(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> EffectContext:
         n = self.base.n_x
         n_p = len(self.base.parameters)
@@ -117,6 +167,19 @@ class ExtendedModel(Model):
     def _named(self, p: ca.SX) -> dict[str, ca.SX]:
         n = len(self.base.parameters)
         return {name: p[n + i] for i, name in enumerate(self._sizes)}
+
+
+def _require_outside(base: Model, name: str, effect: Effect) -> None:
+    """Refuse an effect that would change the equations of a model that has none."""
+    inside = ("states", "derivative", "disturbance", "impulse")
+    if any(getattr(type(effect), part) is not getattr(Effect, part) for part in inside):
+        raise ModelError(
+            f"{name} acts within the equations of motion, and model {base.name!r} only steps from "
+            "sample to sample",
+            where=f"effect.{name}",
+            remedy="add effects on the command's path to it (a dead zone, a delay, a lag), or let "
+            "the rig have equations: model@plant.model=newtonian",
+        )
 
 
 def extended(model: Model, effects: Mapping[str, Effect]) -> Model:

@@ -7,6 +7,10 @@ command is constant.
 The linearly implicit step is RODAS3 (Sandu et al. 1997, Atmospheric Environment 31): order three,
 L-stable, four stages, one Jacobian and one factorisation a substep. L-stability matters: a merely
 A-stable step (ROS3P was tried) lets the currents ring for many steps before they follow the rotor.
+
+A model that has only a step of its own length is taken a whole number of times. Such a step may be
+a large network: the repetitions call one function, and their slopes follow by the chain rule, so
+that the generated code does not grow with their number.
 """
 
 from __future__ import annotations
@@ -40,9 +44,13 @@ class DiscreteModel:
     step_length : float
         s.
     states : tuple of Signal
-        The model's states followed by its memory (past inputs of a delay, for instance).
+        The model's states, the sensors' memory if asked for, and the memory of the input path
+        (past commands of a delay, for instance).
     step, measurement : casadi.Function
         ``(x, u, p, w) → x⁺`` and ``(x, u, p) → y``.
+    parts : tuple of casadi.Function
+        Steps, one after the other, that make up ``step``; a single one for a model with a
+        derivative.
     """
 
     model: Model
@@ -50,6 +58,8 @@ class DiscreteModel:
     states: tuple[Signal, ...]
     step: ca.Function
     measurement: ca.Function
+    parts: tuple[ca.Function, ...]
+    n_sensors: int = 0  #: entries of the sensors' memory, which follow the model's states
 
     @property
     def n_x(self) -> int:
@@ -71,6 +81,32 @@ class DiscreteModel:
             ["x_next", "A", "B", "P", "G"],
         )
 
+    def slopes(self, name: str = "slopes") -> ca.Function:
+        """``(x, u, p, w) → x⁺, ∂x⁺/∂x, ∂x⁺/∂u``, the slopes dense."""
+        if len(self.parts) == 1:
+            x, u, p, w = self.symbols()
+            after = self.step(x, u, p, w)
+            results = [after, *(ca.densify(ca.jacobian(after, v)) for v in (x, u))]
+            return ca.Function(name, [x, u, p, w], ca.cse(results))
+        return self._chained(name)
+
+    def _chained(self, name: str) -> ca.Function:
+        """The slopes of several parts, each of which is generated once."""
+        sizes = (self.n_x, self.model.n_u, len(self.model.parameters), self.model.n_w)
+        x, u, p, w = (ca.MX.sym(v, n) for v, n in zip("xupw", sizes, strict=True))
+        in_x, in_u, state = ca.MX(ca.DM.eye(self.n_x)), ca.MX(self.n_x, self.model.n_u), x
+        single: dict[int, ca.Function] = {}
+        for part in self.parts:
+            key = id(part)
+            if key not in single:
+                at = self.symbols()
+                after = part(*at)
+                results = [after, *(ca.jacobian(after, v) for v in at[:2])]
+                single[key] = ca.Function(f"part_{len(single)}", list(at), ca.cse(results))
+            state, a, b = single[key](state, u, p, w)
+            in_x, in_u = a @ in_x, a @ in_u + b
+        return ca.Function(name, [x, u, p, w], [state, ca.densify(in_x), ca.densify(in_u)])
+
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Fresh symbols (x, u, p, w), with the memory in x."""
         _, u, p, w = self.model.symbols()
@@ -78,24 +114,45 @@ class DiscreteModel:
 
     def initial(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """A full state from the continuous one, its memory as after a long time at ``u``."""
-        n = self.model.n_x
+        sensors = self.model.n_x
+        n = sensors + self.n_sensors
         full = np.zeros(self.n_x)
-        full[:n] = x
-        if self.n_x == n:
-            return full
-        step = BufferedFunction(self.step)
+        full[:sensors] = x
         p, w = self.model.parameters.values, np.zeros(self.model.n_w)
-        for _ in range(_MOST_STEPS_TO_SETTLE):
-            memory = step.evaluate(full, u, p, w)[0][n:]
-            settled = np.array_equal(memory, full[n:])
-            full[n:] = memory
-            if settled:
-                break
+        if self.n_x > n:
+            step = BufferedFunction(self.step)
+            _settle(full[n:], lambda: step.evaluate(full, u, p, w)[0][n:])
+        if self.n_sensors:
+            showing = BufferedFunction(self._sensors_at_rest(), compile=False)
+            memory = full[sensors:n]
+            _settle(memory, lambda: showing.evaluate(memory, full[:sensors], u, p)[0])
         return full
+
+    def _sensors_at_rest(self) -> ca.Function:
+        """``(memory, x, u, p) → memory``, one step of the sensors over a state that stays."""
+        x, u, p, _ = self.model.symbols()
+        memory = ca.SX.sym("memory", self.n_sensors)
+        after = self.model.sensor_path(memory, x, x, u, p, (0.0, 1.0), self.step_length)
+        return ca.Function("sensors", [memory, x, u, p], [ca.densify(after)])
+
+
+def _settle(memory: np.ndarray, following: Callable[[], np.ndarray]) -> None:
+    """Repeat a step of a memory, in place, until it changes no bit."""
+    for _ in range(_MOST_STEPS_TO_SETTLE):
+        after = following()
+        settled = np.array_equal(after, memory)
+        memory[:] = after
+        if settled:
+            break
 
 
 def discretise(
-    model: Model, step_length: float, substeps: int = 1, method: Method = "auto"
+    model: Model,
+    step_length: float,
+    substeps: int = 1,
+    method: Method = "auto",
+    *,
+    sensors: bool = False,
 ) -> DiscreteModel:
     """Discretise a model with the command and the disturbances constant over the step.
 
@@ -107,26 +164,30 @@ def discretise(
         Equal integration steps inside it.
     method : {"auto", "rk4", "rodas3"}
         ``auto`` takes the L-stable step for a stiff model.
+    sensors : bool
+        Whether what the sensors remember is part of the state, as whatever simulates or estimates
+        measurements needs; without it they show what they would at rest.
 
     Raises
     ------
     ModelError
-        For a step that is not positive or fewer than one substep.
+        For a step that is not positive or fewer than one substep, and for one that is no whole
+        multiple of the sample time of a model that only steps (which has no use for substeps).
     """
     if not (step_length > 0 and substeps >= 1):
         raise ModelError(
             f"cannot discretise with step {step_length!r} s and {substeps!r} substeps",
             remedy="the step is positive and there is at least one substep",
         )
+    if model.sample_time is not None:
+        return _repeated(model, step_length, sensors)
     if method == "auto":
         method = "rodas3" if model.stiff else "rk4"
     integrate = {"rk4": _rk4, "rodas3": _rodas3}[method]
-    memory_signals = model.memory(step_length)
-    states = (*model.states, *memory_signals)
+    layout = _Layout(model, step_length, sensors)
     _, u, p, w = model.symbols()
-    full = ca.SX.sym("x", len(states))
-    # Two indices: a slice that leaves nothing of one element would keep a row of width one.
-    x, memory = full[: model.n_x, 0], full[model.n_x :, 0]
+    full = ca.SX.sym("x", len(layout.states))
+    x, shown, memory = layout.split(full)
     h = step_length / substeps
     at = ca.SX.sym("at", model.n_x)
     # Stated once, and inlined at each stage: to state them again takes ten times as long.
@@ -134,19 +195,113 @@ def discretise(
     for k in range(substeps):
         window = (k / substeps, (k + 1) / substeps)
         arriving, memory = model.input_path(memory, u, p, window, step_length)
+        before = x
         x = integrate(lambda z, a=arriving: dynamics(z, a, p, w), x, h)  # type: ignore[misc]
         x = model.impulse(x, arriving, p, w, h)
+        if layout.n_sensors:
+            shown = model.sensor_path(shown, before, x, arriving, p, window, step_length)
     # The equations name the same sine or square many times over; sharing them halves the work.
-    (after,) = ca.cse([ca.vertcat(x, memory)])
+    (after,) = ca.cse([ca.vertcat(x, shown, memory)])
     step = ca.Function("step", [full, u, p, w], [after], ["x", "u", "p", "w"], ["x_next"])
-    measurement = ca.Function(
-        "measurement",
-        [full, u, p],
-        [model.measurement(full[: model.n_x, 0], u, p)],
-        ["x", "u", "p"],
-        ["y"],
-    )
-    return DiscreteModel(model, step_length, states, step, measurement)
+    return layout.discrete(step, (step,))
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where states, sensors' memory and input path's memory stand in the full state."""
+
+    model: Model
+    step_length: float
+    sensors: bool
+
+    @property
+    def n_sensors(self) -> int:
+        return len(self._shown)
+
+    @property
+    def states(self) -> tuple[Signal, ...]:
+        return (*self.model.states, *self._shown, *self.model.memory(self.step_length))
+
+    @property
+    def _shown(self) -> tuple[Signal, ...]:
+        return self.model.sensor_memory(self.step_length) if self.sensors else ()
+
+    def split(self, full: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        n = self.model.n_x
+        end = n + self.n_sensors
+        # Two indices: a slice that leaves nothing of one element would keep a row of width one.
+        return full[:n, 0], full[n:end, 0], full[end:, 0]
+
+    def discrete(self, step: ca.Function, parts: tuple[ca.Function, ...]) -> DiscreteModel:
+        """The discrete model of a step, with the measurement that belongs to it."""
+        model = self.model
+        _, u, p, _ = model.symbols()
+        full = ca.SX.sym("x", len(self.states))
+        x, shown, _ = self.split(full)
+        if self.sensors:
+            y = model.reading(shown, x, u, p, self.step_length)
+        else:
+            y = model.measurement(x, u, p)
+        measurement = ca.Function("measurement", [full, u, p], [y], ["x", "u", "p"], ["y"])
+        return DiscreteModel(
+            model, self.step_length, self.states, step, measurement, parts, self.n_sensors
+        )
+
+
+def _repeated(model: Model, step_length: float, sensors: bool) -> DiscreteModel:
+    """A model's own step, as many times as the step asked for takes."""
+    count = repetitions(model, step_length)
+    layout = _Layout(model, step_length, sensors)
+    states = layout.states
+    parts: list[ca.Function] = []
+    for k in range(count):
+        if parts and len(states) == model.n_x:
+            parts.append(parts[0])  # without memory they are all equal
+            continue
+        _, u, p, w = model.symbols()
+        full = ca.SX.sym("x", len(states))
+        x, shown, memory = layout.split(full)
+        window = (k / count, (k + 1) / count)
+        arriving, memory = model.input_path(memory, u, p, window, step_length)
+        following = model.transition(x, arriving, p, w)
+        if layout.n_sensors:
+            shown = model.sensor_path(shown, x, following, arriving, p, window, step_length)
+        after = ca.vertcat(following, shown, memory)
+        name = "step" if count == 1 else f"step_{k}"
+        parts.append(ca.Function(name, [full, u, p, w], ca.cse([after])))
+    step = parts[0] if count == 1 else _composed(parts)
+    return layout.discrete(step, tuple(parts))
+
+
+def _composed(parts: list[ca.Function]) -> ca.Function:
+    x, u, p, w = (ca.MX.sym(name, parts[0].size1_in(i)) for i, name in enumerate("xupw"))
+    after = x
+    for part in parts:
+        after = part(after, u, p, w)
+    return ca.Function("step", [x, u, p, w], [after], ["x", "u", "p", "w"], ["x_next"])
+
+
+def repetitions(model: Model, step_length: float) -> int:
+    """How many steps of a model that only steps make up a longer one.
+
+    Raises
+    ------
+    ModelError
+        If no whole number does.
+    """
+    assert model.sample_time is not None
+    own = model.sample_time
+    count = round(step_length / own)
+    if count < 1 or abs(count * own - step_length) > 1e-9 * step_length:
+        raise ModelError(
+            f"model {model.name!r} steps by {own:g} s, and {step_length:g} s is no whole multiple "
+            "of that",
+            where="model",
+            remedy=f"set sim.sample_time and controller.sample_time to {own:g} s times a whole "
+            f"number (sim.sample_time={own:g} controller.sample_time={5 * own:g}), or train a "
+            "network at the sample time that is wanted",
+        )
+    return count
 
 
 def _rk4(f: Derivative, x: ca.SX, h: float) -> ca.SX:

@@ -7,6 +7,9 @@ A model is a hybrid system. Its continuous part is
 with generalised disturbances ``w``, one per physical equation. Effects may add two things that a
 differential equation cannot say: an input path with memory (a delay), and impulses at the end of
 each integration step (set-valued friction, a mechanical stop). Plain models have neither.
+
+A model that was learnt from samples has no derivative, only the step from one sample to the next;
+see :class:`trms_cli.models.discrete.SteppedModel`.
 """
 
 from __future__ import annotations
@@ -72,6 +75,8 @@ class Model(ABC):
         Input by rotor name (``main``, ``tail``).
     stiff : bool
         Whether an explicit integrator needs steps far below the dynamics of interest.
+    sample_time : float or None
+        s, of a model that only steps (:meth:`transition`); None for one with :meth:`dynamics`.
     """
 
     name: str
@@ -86,6 +91,7 @@ class Model(ABC):
     axes: Mapping[str, Axis]
     rotors: Mapping[str, str]
     stiff: bool = False
+    sample_time: float | None = None
 
     @abstractmethod
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
@@ -94,6 +100,19 @@ class Model(ABC):
     @abstractmethod
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         """Measured outputs, shape (n_y, 1)."""
+
+    def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        """States one ``sample_time`` later, shape (n_x, 1), of a model that only steps.
+
+        Raises
+        ------
+        ModelError
+            For a model in continuous time, whose step depends on its length.
+        """
+        raise ModelError(
+            f"model {self.name!r} has a derivative and no step of its own",
+            remedy="make one of any length: discretise(model, step_length)",
+        )
 
     def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
         """Physical quantities by name that effects and reports refer to (thrusts, inertias…)."""

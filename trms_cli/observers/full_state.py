@@ -1,7 +1,8 @@
 """Full state: the observer that is allowed to look inside the rig.
 
 What a perfect estimator would give; the reference that others are measured against. It works with
-simulated rigs only, also with ones that have more states than the model.
+simulated rigs only, also with ones that have more states than the model. What a black-box model
+remembers of past outputs and inputs is no state of a rig: it is kept here, sample by sample.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ import numpy.typing as npt
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.models.model import index_of
+from trms_cli.models.discrete import copied_states
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.model import Model, index_of
+from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.observer import Estimate, ObserverSetup
 
 FloatArray = npt.NDArray[np.float64]
@@ -23,9 +27,31 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass
 class FullStateState:
-    """The model's state names, what predicts the measurement, and the estimate that is reused."""
+    """What is used again at each sample.
 
+    Attributes
+    ----------
+    model : Model
+    names : tuple of str
+        States that are taken from the rig.
+    rows : list of int
+        Their places in x.
+    past : list of int
+        Places in x of the states that only remember.
+    advance : BufferedFunction or None
+        The model over a sample, for what it then remembers; None where it remembers nothing.
+    full : (n_full,) array
+        Its state, memory of the input path included; empty before the first sample.
+    measurement : BufferedFunction
+    estimate : Estimate
+    """
+
+    model: Model
     names: tuple[str, ...]
+    rows: list[int]
+    past: list[int]
+    advance: BufferedFunction | None
+    full: FloatArray
     measurement: BufferedFunction
     estimate: Estimate
 
@@ -51,7 +77,18 @@ class FullState:
             innovation=np.full(n_y, np.nan),
             innovation_sd=np.array([setup.noise_sd[name] for name in setup.outputs]),
         )
-        return FullStateState(model.state_names, measurement, estimate)
+        past = sorted(copied_states(model))
+        rows = [i for i in range(model.n_x) if i not in past]
+        return FullStateState(
+            model,
+            tuple(model.state_names[i] for i in rows),
+            rows,
+            past,
+            _advance(setup) if past else None,
+            np.zeros(0),
+            measurement,
+            estimate,
+        )
 
     def step(
         self,
@@ -71,7 +108,7 @@ class FullState:
                 remedy="estimate it: observer=ukf",
             )
         try:
-            estimate.x[:] = [truth[name] for name in state.names]
+            estimate.x[state.rows] = [truth[name] for name in state.names]
         except KeyError as missing:
             raise ConfigurationError(
                 f"the rig has no state {missing.args[0]!r}, which the model has; "
@@ -79,6 +116,8 @@ class FullState:
                 where="observer",
                 remedy="observer=ukf, or give rig and model the same states",
             ) from None
+        if state.advance is not None:
+            _remember(state, state.advance, command)
         predict = state.measurement
         predict.inputs[0][:] = estimate.x
         predict.inputs[1][:] = command
@@ -86,3 +125,41 @@ class FullState:
         estimate.predicted[:] = predict.outputs[0]
         np.subtract(measurement, predict.outputs[0], out=estimate.innovation)
         return estimate
+
+
+def _advance(setup: ObserverSetup) -> BufferedFunction:
+    """The model over one sample, which must be its own: between two samples nothing is known.
+
+    Raises
+    ------
+    ConfigurationError
+        If the model steps faster than the rig is sampled.
+    """
+    model = setup.model
+    discrete = discretise(model, setup.sample_time)
+    if len(discrete.parts) > 1:
+        raise ConfigurationError(
+            f"model {model.name!r} remembers outputs {model.sample_time:g} s apart, and the rig is "
+            f"looked at every {setup.sample_time:g} s",
+            where="observer",
+            remedy=f"sim.sample_time={model.sample_time:g}, or observer=ukf",
+        )
+    step = BufferedFunction(discrete.step)
+    step.inputs[2][:] = model.parameters.values
+    return step
+
+
+def _remember(state: FullStateState, advance: BufferedFunction, command: FloatArray) -> None:
+    """Fill in the states that only remember; at the first sample, as after a long rest."""
+    x, n_x = state.estimate.x, state.model.n_x
+    if not state.full.size:
+        truth = dict(zip(state.names, x[state.rows].tolist(), strict=True))
+        x[:] = resting_state(state.model, truth, command)
+        memory = discretise(state.model, state.model.sample_time or 0.0).initial(x, command)[n_x:]
+        state.full = np.concatenate([x, memory])
+        return
+    advance.inputs[0][:] = state.full
+    advance.inputs[1][:] = command
+    advance()
+    x[state.past] = advance.outputs[0][state.past]
+    state.full[:n_x], state.full[n_x:] = x, advance.outputs[0][n_x:]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.models.rest import rest_equations
 from trms_cli.observers.state_kinds import kinds_of_states
 
 FloatArray = npt.NDArray[np.float64]
@@ -31,6 +32,10 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
     measured : dict of str to float
         By channel, NaN where missing; channels that are no states are ignored.
     command : (n_u,) array
+
+    Notes
+    -----
+    States that only remember an output or input take its value.
     """
     x = model.rest()
     known = {
@@ -40,35 +45,58 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
     }
     for name, value in known.items():
         x[model.state_index(name)] = value
-    unknown = [i for i, name in enumerate(model.state_names) if name not in known]
-    if not unknown:
-        return x
-
-    weights = np.ones(model.n_x)
-    for i, (name, kind) in enumerate(zip(model.state_names, kinds_of_states(model), strict=True)):
-        if name in known and kind != "angle":
-            weights[i] = 0.0  # it may well be changing
-        if kind == "momentum":
-            weights[i] = _FAINT if known.keys() & _angles(model) else 1.0
-
-    at = model.symbols()
-    f = model.dynamics(*at)
-    linear = ca.Function("rates", list(at), [f, ca.densify(ca.jacobian(f, at[0]))])
-    constant = (command, model.parameters.values, np.zeros(model.n_w))
-    for _ in range(_ITERATIONS):
-        rates, slope = (np.array(value) for value in linear(x, *constant))
-        slope = weights[:, None] * slope[:, unknown]
-        # Scaled columns: rotor speeds are a hundred times what angles are.
-        scale = np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
-        move, *_ = np.linalg.lstsq(slope / scale, -weights * rates[:, 0], rcond=1e-10)
-        x[unknown] += move / scale
-        if np.max(np.abs(move / scale)) < 1e-9:
-            break
+    equations = rest_equations(model)
+    rows = list(equations.unknowns)
+    unknown = [k for k, i in enumerate(rows) if model.state_names[i] not in known]
+    _, u, p, w = model.symbols()
+    s = ca.SX.sym("s", len(rows))
+    if unknown:
+        f = equations.residual(s, u, p, w)
+        linear = ca.Function("rates", [s, u, p, w], [f, ca.densify(ca.jacobian(f, s))])
+        weights = _weights(model, rows, known.keys())
+        constant = (command, model.parameters.values, np.zeros(model.n_w))
+        _solve(x, rows, unknown, weights, lambda at: linear(at, *constant))
     if not np.all(np.isfinite(x)):
         x = model.rest()
         for name, value in known.items():
             x[model.state_index(name)] = value
-    return x
+    whole = ca.Function("whole", [s, u], [equations.state(s, u)])
+    return np.array(whole(x[rows], command))[:, 0]
+
+
+def _weights(model: Model, rows: list[int], known: Set[str]) -> FloatArray:
+    """How much the equation of each unknown counts."""
+    weights = np.ones(len(rows))
+    kinds = kinds_of_states(model)
+    for k, i in enumerate(rows):
+        name, kind = model.state_names[i], kinds[i]
+        # A known state may well be changing. The equation of an angle is its rate where there is
+        # a derivative; of a black box it is the balance of torques itself.
+        if name in known and (kind != "angle" or model.sample_time is not None):
+            weights[k] = 0.0
+        if kind == "momentum":
+            weights[k] = _FAINT if known & _angles(model) else 1.0
+    return weights
+
+
+def _solve(
+    x: FloatArray,
+    rows: list[int],
+    unknown: list[int],
+    weights: FloatArray,
+    linear: Callable[[FloatArray], Sequence[object]],
+) -> None:
+    """Gauss–Newton on the unknown ones among the rows, in place."""
+    free = [rows[k] for k in unknown]
+    for _ in range(_ITERATIONS):
+        rates, slope = (np.array(value) for value in linear(x[rows]))
+        slope = weights[:, None] * slope[:, unknown]
+        # Scaled columns: rotor speeds are a hundred times what angles are.
+        scale = np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
+        move, *_ = np.linalg.lstsq(slope / scale, -weights * rates[:, 0], rcond=1e-10)
+        x[free] += move / scale
+        if np.max(np.abs(move / scale)) < 1e-9:
+            break
 
 
 def _angles(model: Model) -> set[str]:

@@ -36,7 +36,7 @@ from trms_cli.models.model import index_of, names
 from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.observer import Estimate, ObserverSetup
 from trms_cli.observers.sigma_points import SigmaPoints
-from trms_cli.observers.state_kinds import kinds_of_states
+from trms_cli.observers.state_kinds import kinds_of_disturbances, kinds_of_states
 from trms_cli.observers.ukf_step import filter_step
 
 FloatArray = npt.NDArray[np.float64]
@@ -68,6 +68,10 @@ class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         N m/√s, the random walk of the estimated torques on the axes.
     rotor_disturbance : float
         N m/√s, the same on the rotors, whose own torques are a tenth of the axes'.
+    acceleration, rotor_acceleration : float
+        rad/s²/√s, the same for a black box, which knows accelerations in place of torques.
+    past : float
+        State's unit/√s, on states that only remember an output or input; what was, stays.
     states : dict of str to float
         Other values for single states (or disturbances), by name.
     """
@@ -79,6 +83,9 @@ class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     other: _NotNegative = 0.01
     disturbance: _NotNegative = 2e-3
     rotor_disturbance: _NotNegative = 2e-4
+    acceleration: _NotNegative = 0.05
+    rotor_acceleration: _NotNegative = 8.0
+    past: _NotNegative = 0.0
     states: Mapping[str, _NotNegative] = {}
 
 
@@ -91,6 +98,10 @@ class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         rad, rad/s, rad/s, A, the state's unit.
     disturbance, rotor_disturbance : float
         N m, of the torques on the axes and on the rotors.
+    acceleration, rotor_acceleration : float
+        rad/s², of what a black box has in place of torques.
+    past : float
+        State's unit, on states that only remember an output or input.
     states : dict of str to float
         Other values for single states (or disturbances), by name.
     """
@@ -102,6 +113,9 @@ class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     other: _Positive = 0.1
     disturbance: _Positive = 0.01
     rotor_disturbance: _Positive = 0.002
+    acceleration: _Positive = 0.2
+    rotor_acceleration: _Positive = 80.0
+    past: _Positive = 0.002
     states: Mapping[str, _Positive] = {}
 
 
@@ -174,14 +188,8 @@ class Ukf:
         points = SigmaPoints(model.n_x + len(equations), self.alpha, self.beta, self.kappa)
 
         augmented = (*model.state_names, *(names(model.disturbances)[i] for i in equations))
-        moments = {axis.moment for axis in model.axes.values()}
-        kinds = (
-            *kinds_of_states(model),
-            *(
-                "disturbance" if name in moments else "rotor_disturbance"
-                for name in augmented[model.n_x :]
-            ),
-        )
+        pushes = kinds_of_disturbances(model)
+        kinds = (*kinds_of_states(model), *(pushes[i] for i in equations))
         sd = _by_state(self.initial_sd, kinds, augmented, "initial_sd.states")
         intensity = _by_state(self.process_noise, kinds, augmented, "process_noise.states")
 

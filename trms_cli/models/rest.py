@@ -1,0 +1,61 @@
+"""Where a model rests: the equations of a steady state, and the unknowns that are left in them.
+
+For a model with a derivative they are ``f(x, u, p, w) = 0`` in all states. A model that steps
+rests where a step changes nothing; the states that only remember equal what they remember,
+
+    x = state(s, u)      residual(s, u) = (transition(x, u) − x) / T  in the rows of s
+
+so that a network with many delays has no more unknowns than it has outputs. The residual has the
+unit of a rate in both cases.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from trms_cli.models.discrete import copied_states, root_of
+from trms_cli.models.model import Model
+
+
+@dataclass(frozen=True)
+class RestEquations:
+    """Equations of the steady states of one model.
+
+    Attributes
+    ----------
+    unknowns : tuple of int
+        Positions in x of the states s that the others follow from.
+    state : casadi.Function
+        ``(s, u) → x``, inlined where it is called.
+    residual : casadi.Function
+        ``(s, u, p, w)`` → what is zero at rest, in the unit of s per second, shape (n_s, 1).
+    """
+
+    unknowns: tuple[int, ...]
+    state: ca.Function
+    residual: ca.Function
+
+
+def rest_equations(model: Model) -> RestEquations:
+    """The equations for the states of a model at rest, without the memory of its input path."""
+    x, u, p, w = model.symbols()
+    if model.sample_time is None:
+        f = model.dynamics(x, u, p, w)
+        return RestEquations(
+            tuple(range(model.n_x)),
+            ca.Function("state", [x, u], [x]),
+            ca.Function("residual", [x, u, p, w], [f]),
+        )
+    copies = copied_states(model)
+    roots = [root_of(copies, i) for i in range(model.n_x)]
+    unknowns = [i for i, root in enumerate(roots) if root == ("x", i)]
+    s = ca.SX.sym("s", len(unknowns))
+    lifted = ca.vertcat(*(s[unknowns.index(at)] if kind == "x" else u[at] for kind, at in roots))
+    change = model.transition(lifted, u, p, w)[unknowns] - s
+    return RestEquations(
+        tuple(unknowns),
+        ca.Function("state", [s, u], [lifted]),
+        ca.Function("residual", [s, u, p, w], [change / model.sample_time]),
+    )
