@@ -152,12 +152,12 @@ class TestWhatCannotBeFitted:
 
     def test_an_input_that_never_moves(self, samples):
         still = Samples(samples.outputs, np.full_like(samples.inputs, 0.3), "r")
-        with pytest.raises(RecordingError, match="'u' never moves.*excitation"):
+        with pytest.raises(RecordingError, match=r"'u' never moves.*excitation"):
             scaling(structure(), [still])
 
     def test_too_few_samples(self, samples):
         short = Samples(samples.outputs[:9], samples.inputs[:9], "r")
-        with pytest.raises(RecordingError, match="only 6 complete samples.*record at least"):
+        with pytest.raises(RecordingError, match=r"only 6 complete samples.*record at least"):
             scaling(structure(), [short])
 
     def test_windows_longer_than_the_recording(self, samples):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
@@ -90,10 +92,8 @@ class Trace(list):
 
 def traced(algorithm, objective, start, epochs: int) -> Trace:
     trace = Trace(epochs)
-    try:
+    with contextlib.suppress(TrainingStopped):
         algorithm.minimise(objective, start.copy(), trace)
-    except TrainingStopped:
-        pass
     return trace
 
 

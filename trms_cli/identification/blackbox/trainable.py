@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -75,7 +76,7 @@ class Mlp:
         """Place in θ and shape of each block of weights."""
         sizes = (self.n_regressors, *self.hidden, self.n_outputs)
         shapes: dict[str, tuple[int, ...]] = {}
-        for layer, (before, after) in enumerate(zip(sizes, sizes[1:], strict=False), start=1):
+        for layer, (before, after) in enumerate(pairwise(sizes), start=1):
             shapes |= {f"W{layer}": (after, before), f"b{layer}": (after,)}
         if self.direct:
             shapes["A"] = (self.n_outputs, self.n_regressors)
@@ -97,7 +98,7 @@ class Mlp:
         theta = np.zeros(self.n_parameters)
         sizes = (self.n_regressors, *self.hidden)
         w = self.named(theta)  # views
-        for layer, (before, after) in enumerate(zip(sizes, sizes[1:], strict=False), start=1):
+        for layer, (before, after) in enumerate(pairwise(sizes), start=1):
             reach = 0.7 * after ** (1.0 / before)
             weights = generator.uniform(-1.0, 1.0, (after, before))
             weights *= reach / np.linalg.norm(weights, axis=1, keepdims=True)

@@ -65,10 +65,7 @@ class ScaledConjugateGradient:
             if comparison >= 0:
                 theta, loss, r_before, r = trial, trial_loss, r, -trial_slope
                 scale_bar, success = 0.0, True
-                if k % theta.size == 0:
-                    p = r
-                else:
-                    p = r + (r @ r - r @ r_before) / mu * p
+                p = r if k % theta.size == 0 else r + (r @ r - r @ r_before) / mu * p
                 if comparison >= 0.75:
                     scale = max(scale / 4.0, 1e-15)
             else:
