@@ -103,7 +103,7 @@ def interface_of(axis: str, table: str | None, limit: float | None, where: str) 
     limit : float or None
         Where the voltage saturates to either side, V; None: where the table does, or nowhere.
     where : str
-        Beginning of the configuration keys ``<where>_interface`` and ``<where>_voltage_limit``.
+        Beginning of the configuration keys ``<where>interface`` and ``<where>voltage_limit``.
 
     Raises
     ------
@@ -115,12 +115,12 @@ def interface_of(axis: str, table: str | None, limit: float | None, where: str) 
     if limit is not None and not limit > 0:
         raise ConfigurationError(
             f"{limit!r} given",
-            where=f"{where}_voltage_limit",
+            where=f"{where}voltage_limit",
             remedy="give a voltage above 0 (21.5 main, 16.5 tail), or null",
         )
     if table is None:
         return Gain(f"k_u{axis}", limit)
-    u, volt = _read(table, f"{where}_interface")
+    u, volt = _read(table, f"{where}interface")
     first, last = _rising_part(u, volt)
     curve = rising_spline(u[first:last], volt[first:last])
     if curve is None or volt[first] >= 0 or volt[last - 1] <= 0:

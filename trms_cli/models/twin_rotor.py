@@ -166,8 +166,8 @@ class TwinRotor(Model):
 
         self.name = name
         self._circuits: dict[str, InterfaceCircuit] = {
-            "v": interface_of("v", main_interface, main_voltage_limit, "model.main"),
-            "h": interface_of("h", tail_interface, tail_voltage_limit, "model.tail"),
+            "v": interface_of("v", main_interface, main_voltage_limit, "model.main_"),
+            "h": interface_of("h", tail_interface, tail_voltage_limit, "model.tail_"),
         }
         self.parameters = _used(content, self._circuits, unused).replaced(parameters or {})
         self.states = tuple(STATES[name] for name in states)
@@ -257,6 +257,8 @@ class TwinRotor(Model):
             "thrust_tail": thrust["h"],
             "drag_torque_main": motor["v"].drag(omega["v"], c),
             "drag_torque_tail": motor["h"].drag(omega["h"], c),
+            "arm_main": c["l_m"],
+            "arm_tail": c["l_t"] * ca.cos(state.get("alpha_v", zero)),
             "current_main": current["v"],
             "current_tail": current["h"],
             "inertia_pitch": beam.inertia_v,

@@ -1,0 +1,147 @@
+"""The maker's model of the TRMS, as in Feedback's manual 33-949S.
+
+Symbols are the manual's: index 1 is the main rotor and pitch ψ, from the hanging rest; index 2
+the tail rotor and yaw φ; τ are first-order responses to the commands::
+
+    I_1 ψ̈ = M_1 − M_g sin ψ − B_1ψ ψ̇ − B_2ψ sgn ψ̇ − K_gy M_1 φ̇ cos ψ + w_pitch
+    I_2 φ̈ = M_2 − B_1φ φ̇ − B_2φ sgn φ̇ − M_R + w_yaw
+    M_i   = a_i τ_i|τ_i| + b_i τ_i
+    T_11 τ̇_1 = k_1 u_v − T_10 τ_1              T_21 τ̇_2 = k_2 u_h − T_20 τ_2
+    M_R   = k_c (T_0 s + 1)/(T_p s + 1) τ_1
+
+The reaction M_R of the main rotor on yaw has one state, ``T_p ζ̇ = τ_1 − ζ``, and is
+``k_c [ζ + T_0/T_p (τ_1 − ζ)]``.
+
+In this program's convention the pitch is 0 with the beam level: ``α_v = ψ − ψ_0``, ``α_h = φ``. ψ_0
+is a parameter; the manual does not give it.
+
+The terms with sgn are set-valued friction (:mod:`trms_cli.models.dry_friction`), not a smoothed
+sign: a slope that is steep enough to hold yaw would add a pole near −B_2φ/(I_2 ε), beyond what
+one step of a predictive controller can integrate. They are no part of the linearisation, of the
+steady states or of the eigenvalues, which are the manual's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.core.errors import ModelError
+from trms_cli.models.dry_friction import resisted
+from trms_cli.models.model import Axis, FloatArray, Model, Signal
+from trms_cli.models.parameters import parameter_file
+
+
+class FeedbackManual(Model):
+    """The maker's model, 7 states.
+
+    Parameters
+    ----------
+    dry_friction : bool
+        Whether the terms with sgn act.
+    parameter_set : str
+        The built-in set ``feedback_manual`` or the path of a parameter file.
+    parameters : mapping
+        Other values for some parameters, in SI.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown set or parameter.
+    ModelError
+        For a set of another model.
+    """
+
+    def __init__(
+        self,
+        *,
+        dry_friction: bool = True,
+        parameter_set: str = "feedback_manual",
+        parameters: Mapping[str, float] | None = None,
+    ) -> None:
+        content = parameter_file(parameter_set)
+        if "M_g" not in content.parameters:
+            raise ModelError(
+                f"the set {content.name!r} belongs to model {content.model!r}, whose equations "
+                "are others",
+                where="model.parameter_set",
+                remedy=f"choose feedback_manual, or model={content.model}",
+            )
+        self.dry_friction = dry_friction
+        self.parameters = content.parameter_set().replaced(parameters or {})
+        self.name = "feedback_manual"
+        self.states = (
+            Signal("tau_h", "V", "momentum of the tail rotor, in volts"),
+            Signal("S_h", "rad/s", "yaw rate"),
+            Signal("alpha_h", "rad", "yaw angle"),
+            Signal("tau_v", "V", "momentum of the main rotor, in volts"),
+            Signal("S_v", "rad/s", "pitch rate"),
+            Signal("alpha_v", "rad", "pitch angle, 0 with the beam level"),
+            Signal("reaction", "V", "lagged momentum of the main rotor in its reaction on yaw"),
+        )
+        self.inputs = (
+            Signal("u_v", "V", "command of the main rotor"),
+            Signal("u_h", "V", "command of the tail rotor"),
+        )
+        self.outputs = (self.states[5], self.states[2])
+        self.disturbances = (
+            Signal("pitch_moment", "N*m", "torque on pitch"),
+            Signal("yaw_moment", "N*m", "torque on yaw"),
+        )
+        limits = {"u_v": 2.5, "u_h": 2.5, "alpha_v": np.inf, "alpha_h": np.inf} | content.limits
+        self.controlled = ("alpha_v", "alpha_h")
+        self.input_limits = {name: limits[name] for name in ("u_v", "u_h")}
+        self.stops = {name: limits[name] for name in self.controlled}
+        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.rotors = {"main": "u_v", "tail": "u_h"}
+
+    def rest(self) -> FloatArray:
+        x = np.zeros(self.n_x)
+        x[self.state_index("alpha_v")] = -self.parameters["psi_0"].value
+        return x
+
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        return self._equations(x, u, p, w)[0]
+
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        return ca.vertcat(x[5], x[2])
+
+    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
+        return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
+
+    def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
+        if not self.dry_friction:
+            return x
+        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        for axis, torque in (("pitch", c["B_2psi"]), ("yaw", c["B_2phi"])):
+            x = resisted(self, (x, u, p, w), axis, torque, duration)
+        return x
+
+    def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """All rows, and the quantities met on the way."""
+        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        tau_h, rate_h, tau_v, rate_v, alpha_v, lagged = x[0], x[1], x[3], x[4], x[5], x[6]
+        psi = alpha_v + c["psi_0"]
+        main = c["a_1"] * tau_v * ca.fabs(tau_v) + c["b_1"] * tau_v
+        tail = c["a_2"] * tau_h * ca.fabs(tau_h) + c["b_2"] * tau_h
+        reaction = c["k_c"] * (lagged + c["T_0"] / c["T_p"] * (tau_v - lagged))
+        gravity = -c["M_g"] * ca.sin(psi)
+        gyroscopic = c["K_gy"] * main * rate_h * ca.cos(psi)
+        pitch = main + gravity - c["B_1psi"] * rate_v - gyroscopic + w[0]
+        yaw = tail - c["B_1phi"] * rate_h - reaction + w[1]
+        rows = ca.vertcat(
+            (c["k_2"] * u[1] - c["T_20"] * tau_h) / c["T_21"],
+            yaw / c["I_2"],
+            rate_h,
+            (c["k_1"] * u[0] - c["T_10"] * tau_v) / c["T_11"],
+            pitch / c["I_1"],
+            rate_v,
+            (tau_v - lagged) / c["T_p"],
+        )
+        return rows, {
+            "inertia_pitch": c["I_1"],
+            "inertia_yaw": c["I_2"],
+            "gravity_moment": gravity,
+        }
