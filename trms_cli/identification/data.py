@@ -54,6 +54,15 @@ class DataOptions:
         :func:`noise_estimate`.
     quantum : dict of str to float
         Resolution per output, in its unit; its share of the noise is q/√12.
+    resample : float or None
+        New sample time, s; None keeps the recording's.
+    outliers : "keep" or "mark"
+        Whether outliers become missing samples; they are reported in any case.
+    gaps : "keep", "split" or float
+        ``keep`` leaves missing samples missing; ``split`` makes a dataset of each part between
+        gaps of ``t``; a number fills what is missing for at most so many seconds.
+    delays : dict of str to float
+        s by which a channel is recorded late; negative for one that is early.
     """
 
     start: float | None = None
@@ -66,6 +75,10 @@ class DataOptions:
         default_factory=dict
     )
     quantum: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    resample: Annotated[float, Meta(gt=0)] | None = None
+    outliers: Literal["keep", "mark"] = "keep"
+    gaps: Literal["keep", "split"] | Annotated[float, Meta(gt=0)] = "keep"
+    delays: Mapping[str, float] = field(default_factory=dict)
 
     def rig(self, file: str) -> RecordedRig:
         """The recording in ``file`` as a rig that can be replayed."""
@@ -113,7 +126,14 @@ def load_datasets(
     datasets: list[Dataset] = []
     for file in files_of(real):
         with _in_words_of_data():
-            runs, sha256 = read_runs(options.rig(file), model)
+            runs, sha256 = read_runs(
+                options.rig(file),
+                model,
+                resample=options.resample,
+                outliers=options.outliers,
+                gaps=options.gaps,
+                delays=options.delays,
+            )
         for run in runs:
             remarks = [*run.remarks]
             noise = np.array([run.noise_sd[name] for name in names(run.outputs)])
@@ -231,5 +251,7 @@ def _in_words_of_data() -> Iterator[None]:
         for part in ("where", "remedy"):
             text = str(getattr(error, part)).replace("plant.file", "real")
             text = text.replace("plant.", "data.").replace("sensors.", "data.")
+            if part == "where" and text.split(".")[0] in ("resample", "gaps", "delays"):
+                text = f"data.{text}"
             setattr(error, part, text)
         raise
