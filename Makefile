@@ -13,11 +13,12 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export REASON
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test slow lint format check bench regression regression-update docs-figures lock clean
+.PHONY: help setup run test slow lint format check bench regression regression-update \
+	chapter2 chapter3 chapter4 docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(READY) ## make .venv with the locked dependencies and trms itself (all targets do it by themselves)
 
@@ -64,6 +65,15 @@ regression: $(READY) ## tracking errors against the baseline; fails when one got
 regression-update: $(READY) ## rewrite the baseline: make regression-update REASON="why"
 	@test -n "$$REASON" || { echo 'A baseline changes with a reason: make regression-update REASON="why"' >&2; exit 2; }
 	@$(BIN)/python -m experiments.regression --update --reason "$$REASON"
+
+chapter2: $(READY) ## study: white-box models, rotors alone, Newtonian against Lagrangian
+	@$(BIN)/python -m experiments.chapter2 $(ARGS)
+
+chapter3: $(READY) ## study: neural networks, thirteen training algorithms, structure
+	@$(BIN)/python -m experiments.chapter3 $(ARGS)
+
+chapter4: $(READY) ## study: grey-box fits, genetic algorithm and better, white against grey
+	@$(BIN)/python -m experiments.chapter4 $(ARGS)
 
 docs-figures: $(READY) ## draw the figures of docs/ with the program itself
 	@$(BIN)/python -m trms_cli.reporting.effect_figures docs/figures/effects
