@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -19,12 +20,14 @@ def main() -> None:
     """Draw the effects; run the README's run, keep its picture and what it printed."""
     effect_figures.main([str(HERE / "effects")])
     with tempfile.TemporaryDirectory() as scratch:
-        command = [sys.executable, "-m", "trms_cli", "run", "controller=newton_mpc", "ref=square"]
-        subprocess.run([*command, "picture=false"], cwd=scratch, check=True, capture_output=True)
+        # found on the path, the program tells the next commands by its bare name
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        told = {"cwd": scratch, "check": True, "env": os.environ | {"PATH": path}}
+        command = [shutil.which("trms", path=path) or "trms", "run"]
+        command += ["controller=newton_mpc", "ref=square"]
+        subprocess.run([*command, "picture=false"], capture_output=True, **told)
         shutil.rmtree(Path(scratch, "outputs"))  # the first one may have had to compile
-        done = subprocess.run(
-            command, cwd=scratch, check=True, stdout=subprocess.PIPE, text=True, encoding="utf-8"
-        )
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, encoding="utf-8", **told)
         (picture,) = Path(scratch).glob("outputs/*/*/run.png")
         shutil.copyfile(picture, HERE / "run.png")
     before, _, rest = README.read_text(encoding="utf-8").partition(BEGIN)
