@@ -7,6 +7,7 @@ back from; :func:`require_drivable` refuses the others.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -73,7 +74,7 @@ class Linearisation:
         substeps = max(1, int(np.ceil(step_length / _LONGEST_SUBSTEP)))
         self.model = model
         self._steady = steady
-        self._discrete = discretise(model, step_length, substeps)
+        self._discrete = discretise(_gliding(model), step_length, substeps)
         # Evaluated a few times only: not worth compiling.
         self._slopes = self._discrete.slopes()
 
@@ -121,6 +122,16 @@ class Linearisation:
         for row, name in enumerate(model.controlled):
             C[row, model.state_index(name)] = 1.0
         return LinearModel(discrete, target, A, B, C)
+
+
+def _gliding(model: Model) -> Model:
+    """The model without its impulses.
+
+    Set-valued friction holds an axis that rests: the rig would have no slopes there.
+    """
+    gliding = copy.copy(model)
+    gliding.impulse = lambda x, u, p, w, duration: x  # type: ignore[method-assign]
+    return gliding
 
 
 def require_drivable(linear: LinearModel, where: str) -> None:
