@@ -49,6 +49,11 @@ def test_every_reference_there_is_can_be_built_and_stays_in_reach(
 ) -> None:
     trajectory = composed(f"+ref={name}")
     values = trajectory.sample(TIMES)
+    if name == "speed":
+        assert trajectory.axes == ("omega_v", "omega_h")
+        # Both rotors hold these with less than 2.5 V.
+        assert values.min() > 0 and values[:, 0].max() < 250 and values[:, 1].max() < 600
+        return
     assert trajectory.axes == ("alpha_v", "alpha_h")
     assert values.shape == (TIMES.size, 2)
     assert values[:, 0].min() > -0.9 and values[:, 0].max() < 0.6
@@ -62,7 +67,9 @@ def test_configurations_say_what_they_are_and_in_which_unit(group: str) -> None:
         lines = text.splitlines()
         assert lines[0].startswith("# "), name
         for line in lines[1:]:
-            bare = line.strip().startswith(("-", "_target_:", "signal:", "alpha_", "defaults:"))
+            bare = line.strip().startswith(
+                ("-", "_target_:", "signal:", "alpha_", "omega_", "defaults:")
+            )
             assert bare or " # " in line, f"{name}: {line}"
 
 

@@ -44,7 +44,7 @@ from trms_cli.controllers.qp.problem import QpSolver
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.models.discretisation import DiscreteModel, discretise
-from trms_cli.models.model import names
+from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
 Positive = Annotated[float, Meta(gt=0)]
@@ -69,7 +69,8 @@ class NewtonMpc:
         How many control periods ahead the reference is known, at most N; beyond, it is taken as
         constant, so that the terminal state leaves N − preview periods to settle.
     state_weights, rate_weights, input_weights, move_weights : dict of str to float
-        See :class:`trms_cli.controllers.horizon.Weights`.
+        See :class:`trms_cli.controllers.horizon.Weights`. Where no controlled state has a weight
+        (the speed of a rotor alone), each gets that of its typical size.
     input_rate_limits : dict of str to float
         Largest change per second, V/s.
     soft_limits : dict of str to (float, float)
@@ -184,12 +185,14 @@ class NewtonMpcState:
         self.config, self.model = config, model
         self.discrete = discretise(model, setup.sample_time, config.integration_steps)
         blocks = blocks_of(config.prediction_horizon, tuple(config.move_blocks))
-        self.steady_state = SteadyState(model, _positive(config.state_weights))
+        sizes = typical_sizes(self.discrete)
+        weights = _tracking(model, config.state_weights, sizes)
+        self.steady_state = SteadyState(model, _positive(weights))
         horizon = Horizon(
             self.discrete,
             blocks,
             Weights(
-                config.state_weights,
+                weights,
                 config.rate_weights,
                 config.input_weights,
                 config.move_weights,
@@ -198,7 +201,7 @@ class NewtonMpcState:
             TerminalPrice(config.terminal_linear, config.terminal_quadratic)
             if config.terminal == "equality"
             else None,
-            typical_sizes(self.discrete),
+            sizes,
         )
         inputs = names(model.inputs)
         check_names(config.input_rate_limits, inputs, "input_rate_limits")
@@ -325,6 +328,20 @@ def _message(status: Status, state: NewtonMpcState) -> str:
     elif state.target is not None and state.target.projected:
         words.append("the reference is out of reach; the nearest steady state is the target")
     return "; ".join(words)
+
+
+def _tracking(model: Model, given: Mapping[str, float], sizes: FloatArray) -> Mapping[str, float]:
+    """The weights given, with those of what is controlled where none of them is named.
+
+    The usual weights are of angles. A rotor alone on a bench is controlled in its speed, whose
+    deviation then counts as a share of its typical size, as a radian does.
+    """
+    if any(name in given for name in model.controlled):
+        return given
+    return {
+        **given,
+        **{name: sizes[model.state_index(name)] ** -2.0 for name in model.controlled},
+    }
 
 
 def typical_sizes(discrete: DiscreteModel) -> FloatArray:

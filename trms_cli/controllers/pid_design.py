@@ -121,6 +121,12 @@ class Design:
         ConfigurationError
             By the key of an operating point or of gains that will not do.
         """
+        if not model.axes:
+            raise ConfigurationError(
+                f"model {model.name!r} has no axis, and pid holds the angles of axes",
+                where="controller",
+                remedy="choose newton_mpc or lqr",
+            )
         channels = {name: _channel(model, name) for name in model.axes}
         steady = SteadyState(model)
         tables = rotor_tables(model, channels, steady)

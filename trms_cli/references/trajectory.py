@@ -12,13 +12,14 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.references.shaping import Shaping
 from trms_cli.references.signal import Array, Signal, require_signal
 
-#: Every axis that can have a reference, in the order of the columns.
-AXES = ("alpha_v", "alpha_h")
+#: All that can have a reference, in the order of the columns: angles of a rig, speeds of a rotor
+#: that is alone on a bench.
+AXES = ("alpha_v", "alpha_h", "omega_v", "omega_h")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceTrajectory:
-    """What pitch and yaw are to follow.
+    """What pitch and yaw, or the speeds of rotors on a bench, are to follow.
 
     Parameters
     ----------
@@ -26,13 +27,17 @@ class ReferenceTrajectory:
         Pitch, rad. ``None`` on a rig that turns in the horizontal plane only.
     alpha_h : Signal, optional
         Yaw, rad. ``None`` on a rig that moves in the vertical plane only.
+    omega_v, omega_h : Signal, optional
+        Speeds of the main and the tail rotor, rad/s, where they are what is controlled.
     shaping : Shaping, optional
-        Limits on the rate, acceleration and jerk of both; ``None`` leaves the signals as they
+        Limits on the rate, acceleration and jerk of each; ``None`` leaves the signals as they
         are.
     """
 
     alpha_v: Signal | None = None
     alpha_h: Signal | None = None
+    omega_v: Signal | None = None
+    omega_h: Signal | None = None
     shaping: Shaping | None = None
 
     def __post_init__(self) -> None:
@@ -71,7 +76,7 @@ class ReferenceTrajectory:
 
         Returns
         -------
-        (n, len(axes)) rad
+        (n, len(axes)) rad, rad/s
             Columns as in :attr:`axes`.
         """
         times = np.asarray(times, dtype=float)
@@ -90,6 +95,8 @@ class ReferenceTrajectory:
                 raise ConfigurationError(
                     f"the rig moves in {axis}, for which there is no reference",
                     where=axis,
-                    remedy=f"choose one, e.g. signal@ref.{axis}=constant",
+                    remedy="choose ref=speed, which has references for speeds"
+                    if axis.startswith("omega")
+                    else f"choose one, e.g. signal@ref.{axis}=constant",
                 )
         return replace(self, **{axis: None for axis in self.axes if axis not in axes})

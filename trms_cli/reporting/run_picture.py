@@ -186,7 +186,7 @@ def _draw_channel(
     _frame(panel, seen)
     for bound in limits.get(name, ()):
         panel.axhline(bound, color=ALARM, lw=0.8, ls=":")
-    panel.set_ylabel(f"{LABELS.get(name, name)} [rad]")
+    panel.set_ylabel(f"{LABELS.get(name, name)} [{score.get('unit', 'rad')}]")
     panel.set_title(_score_line(score), loc="right", fontsize=8, color=GREY, pad=3)
     legend_above(panel)
 
@@ -289,11 +289,12 @@ def _faults(history: Drawable) -> Iterator[float]:
 def _score_line(score: Mapping[str, Any]) -> str:
     if not score:
         return ""
-    parts = [f"RMSE {_digits(score['rmse'])} rad"]
+    own = score.get("unit", "rad")
+    parts = [f"RMSE {_digits(score['rmse'])} {own}"]
     for key, words, unit in (
         ("overshoot_percent", "overshoot", " %"),
         ("settling_time_s", "settles in", " s"),
-        ("steady_state_error", "steady-state error", " rad"),
+        ("steady_state_error", "steady-state error", f" {own}"),
     ):
         if score.get(key) is not None:
             parts.append(f"{words} {_digits(score[key])}{unit}")
