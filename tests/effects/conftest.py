@@ -30,6 +30,18 @@ SIZES = {
     "actuator_lag": ["time_constant"],
     "dead_zone": ["width"],
     "supply_derating": ["depth"],
+    "rotor_friction": ["torque"],
+    "thrust_curve": ["exponent", "reverse"],
+    "rotor_reaction": ["drag", "inertia"],
+    "gyroscopic_coupling": ["inertia"],
+    "inflow": ["coefficient"],
+    "ground_effect": ["gain"],
+    "sensor_bias": ["bias"],
+    "sensor_delay": ["delay"],
+    "quantisation": ["quantum"],
+    "tacho_lag": ["time_constant"],
+    "flexible_mode": ["share"],
+    "disturbance": ["torque"],
 }
 NAMES = sorted(path.stem for path in (config_folder() / "effect").glob("*.yaml"))
 
@@ -74,16 +86,32 @@ def _effect(name: str, **sizes):
     return build(_node(name) | sizes, name)
 
 
+def _kind(name: str) -> str:
+    """What an effect is, without the axis or rotor it acts on; the name of its section and figure.
+
+    >>> _kind("main_reaction_on_yaw")
+    'rotor_reaction'
+    """
+    if "_reaction_on_" in name:
+        return "rotor_reaction"
+    part, rest = name.split("_", 1)
+    return rest if part in ("pitch", "yaw", "main", "tail") else name
+
+
 def _absent(name: str):
-    kind = name.split("_", 1)[1]
-    return _effect(name, **dict.fromkeys(SIZES[kind], 0.0))
+    return _effect(name, **dict.fromkeys(SIZES[_kind(name)], 0.0))
 
 
-def _simulate(model, inputs, step=0.02, substeps=4, start=None, method="auto", w=None):
-    """States (n + 1, n_x), memory included, under inputs (n, n_u) held over each step."""
+def _simulate(
+    model, inputs, step=0.02, substeps=4, start=None, method="auto", w=None, compile=False
+):
+    """States (n + 1, n_x), memory included, under inputs (n, n_u) held over each step.
+
+    By CasADi's virtual machine, as a compiler would take longer than the steps do.
+    """
     inputs = np.asarray(inputs, dtype=float)
-    discrete = discretise(model, step, substeps, method)
-    function = BufferedFunction(discrete.step)
+    discrete = discretise(model, step, substeps, method, sensors=True)
+    function = BufferedFunction(discrete.step, compile=compile)
     p = model.parameters.values
     w = np.zeros(model.n_w) if w is None else w
     x = np.zeros((len(inputs) + 1, discrete.n_x))
@@ -93,6 +121,14 @@ def _simulate(model, inputs, step=0.02, substeps=4, start=None, method="auto", w
     for k, u in enumerate(inputs):
         x[k + 1] = function.evaluate(x[k], u, p, w)[0]
     return x
+
+
+def _readings(model, states, inputs, step=0.02):
+    """What the sensors read at each of the states of :func:`_simulate`, (n + 1, n_y)."""
+    function = discretise(model, step, 1, sensors=True).measurement
+    u = np.vstack([np.asarray(inputs, dtype=float), inputs[-1]])
+    p = model.parameters.values
+    return np.array([np.asarray(function(x, v, p)).ravel() for x, v in zip(states, u, strict=True)])
 
 
 def _rich_input(samples: int, step: float = 0.02, seed: int = 1) -> np.ndarray:
@@ -119,7 +155,9 @@ def rig() -> SimpleNamespace:
         node=_node,
         effect=_effect,
         absent=_absent,
+        kind=_kind,
         simulate=_simulate,
+        readings=_readings,
         rich_input=_rich_input,
         right_hand_side=_right_hand_side,
         turntable=Turntable,

@@ -23,6 +23,7 @@ def test_each_option_describes_itself(rig, effect_name):
     assert re.match(r"# \w.{20,80}$", first)
     assert head == f"{effect_name}:"
     part = effect_name.split("_")[0]
+    assert (part in ("pitch", "yaw", "main", "tail")) == ("axis" in text or "rotor:" in text)
     for line in lines[1:]:
         key, value = re.match(r"  (\w+): +(\S+)", line).groups()
         if key in ("axis", "rotor"):
@@ -123,7 +124,7 @@ def test_each_command_of_the_document_composes(line):
 @pytest.mark.skipif(not DOCUMENT.exists(), reason="an installed package has no docs")
 def test_the_document_knows_every_effect_and_every_key(rig, effect_name):
     text = DOCUMENT.read_text("utf-8")
-    kind = effect_name.split("_", 1)[1]
+    kind = rig.kind(effect_name)
     title = kind.replace("_", " ").capitalize()
     section = re.search(rf"^## {title}\n(.*?)^## ", text, re.MULTILINE | re.DOTALL)[1]
     assert f"figures/effects/{kind}.png" in section

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import casadi as ca
 
 from trms_cli.core.errors import ModelError
-from trms_cli.models.dry_friction import axis_of, moment_index, resisted
-from trms_cli.models.model import Axis, Model, Signal, index_of
+from trms_cli.models.dry_friction import SPEEDS, axis_of, moment_index, resisted
+from trms_cli.models.model import Axis, Model, Signal, index_of, names
 from trms_cli.models.parameters import Parameter
 
 __all__ = ["Effect", "EffectContext", "axis_of", "resisting_impulse", "rotor_input"]
@@ -37,6 +37,8 @@ class EffectContext:
         The effect's own states (or, on the input path, its memory).
     sizes : dict of str to casadi.SX
         The effect's own parameters by their short names.
+    shown : casadi.SX
+        The effect's memory on the sensor path.
     """
 
     model: Model
@@ -46,6 +48,7 @@ class EffectContext:
     w: ca.SX
     own: ca.SX
     sizes: Mapping[str, ca.SX]
+    shown: ca.SX = field(default_factory=lambda: ca.SX.zeros(0))
 
     def axis(self, name: str) -> Axis:
         """The axis by name; see :func:`axis_of`."""
@@ -58,6 +61,19 @@ class EffectContext:
     def rate(self, axis: str) -> ca.SX:
         """Angular rate of an axis, rad/s."""
         return _rate_function(self.model, axis)(self.x, self.u, self.p, self.w)
+
+    def cosine_of_pitch(self) -> ca.SX:
+        """cos α of the pitch; 1 for a model whose pitch is locked level."""
+        return ca.cos(self.angle("pitch")) if "pitch" in self.model.axes else ca.SX(1)
+
+    def speed(self, rotor: str) -> ca.SX:
+        """Speed of a rotor, rad/s."""
+        return self.x[speed_row(self.model, rotor)]
+
+    def spin_up(self, rotor: str) -> ca.SX:
+        """Acceleration of a rotor, rad/s², with all that the model beneath does."""
+        slope = _slope_function(self.model, speed_row(self.model, rotor))
+        return slope(self.x, self.u, self.p, self.w)
 
     def quantity(self, name: str) -> ca.SX:
         """A physical quantity that the model names (``thrust_main``, ``inertia_yaw``…).
@@ -135,8 +151,37 @@ class Effect(ABC):
         return at.x
 
     def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
-        """The measured outputs as the changed sensors give them."""
+        """The measured outputs as the changed sensors give them when nothing has changed."""
         return y
+
+    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
+        """Discrete states of the sensors for a step of this length (s)."""
+        return ()
+
+    def sensor_path(
+        self,
+        at: EffectContext,
+        before: ca.SX,
+        after: ca.SX,
+        window: tuple[float, float],
+        step: float,
+    ) -> ca.SX:
+        """Memory of the sensors after a part of the step; see :meth:`Model.sensor_path`.
+
+        Parameters
+        ----------
+        before, after : (n_y, 1)
+            What the sensors beneath read at the beginning and the end of the part.
+        """
+        return at.shown
+
+    def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
+        """The measured outputs with what the sensors remember; see :meth:`Model.reading`."""
+        return self.output(at, y)
+
+    def noise_sd(self, at: EffectContext, step: float) -> ca.SX:
+        """Standard deviation of what noise adds to each of :meth:`states` in a step (s)."""
+        return ca.SX.zeros(len(self.states()))
 
 
 def rotor_input(model: Model, rotor: str) -> int:
@@ -155,13 +200,71 @@ def rotor_input(model: Model, rotor: str) -> int:
     return index_of(model.inputs, model.rotors[rotor], "an input")
 
 
+def speed_row(model: Model, rotor: str) -> int:
+    """Position of a rotor's speed in ``x``.
+
+    Raises
+    ------
+    ModelError
+        If the model has no such rotor, or its speed is no state.
+    """
+    rotor_input(model, rotor)
+    name = SPEEDS[rotor]
+    if name not in model.state_names:
+        raise ModelError(
+            f"model {model.name!r} has no state {name!r}, the speed of the {rotor} rotor",
+            remedy=f"it has: {', '.join(model.state_names)}",
+        )
+    return model.state_index(name)
+
+
+def motor_disturbance(model: Model, rotor: str) -> int:
+    """Position in ``w`` of the torque on a rotor."""
+    return index_of(model.disturbances, f"{rotor}_motor", f"a disturbance of model {model.name!r}")
+
+
+def output_row(model: Model, name: str) -> int:
+    """Position of a measured channel in ``y``.
+
+    Raises
+    ------
+    ModelError
+        If the model does not measure it.
+    """
+    known = names(model.outputs)
+    if name not in known:
+        raise ModelError(
+            f"model {model.name!r} does not measure {name!r}",
+            remedy=f"it measures: {', '.join(known)}",
+        )
+    return known.index(name)
+
+
+def require_quantities(model: Model, *wanted: str) -> None:
+    """Check that a model names some physical quantities.
+
+    Raises
+    ------
+    ModelError
+        For the first that it does not.
+    """
+    x, u, p, _ = model.symbols()
+    known = model.quantities(x, u, p)
+    for name in wanted:
+        if name not in known:
+            raise ModelError(
+                f"model {model.name!r} does not name {name!r}",
+                remedy=f"it names: {', '.join(sorted(known)) or 'nothing'}",
+            )
+
+
 def resisting_impulse(
     at: EffectContext,
-    axis: str,
+    part: str,
     torque: ca.SX | Callable[[ca.SX], ca.SX] | None,
     duration: float,
 ) -> ca.SX:
-    """States after dry friction has acted on an axis; see :mod:`trms_cli.models.dry_friction`.
+    """States after dry friction has acted on an axis or rotor; see :mod:`trms_cli.models.dry_friction`.
 
     Parameters
     ----------
@@ -170,7 +273,7 @@ def resisting_impulse(
     duration : float
         s.
     """
-    return resisted(at.model, (at.x, at.u, at.p, at.w), axis, torque, duration)
+    return resisted(at.model, (at.x, at.u, at.p, at.w), part, torque, duration)
 
 
 # The functions below are built once for a model and inlined wherever they are called: an effect is
@@ -183,6 +286,12 @@ def _rate_function(model: Model, axis: str) -> ca.Function:
     at = model.symbols()
     row = model.state_index(axis_of(model, axis).angle)
     return ca.Function("rate", list(at), [model.dynamics(*at)[row]])
+
+
+@lru_cache(maxsize=128)
+def _slope_function(model: Model, row: int) -> ca.Function:
+    at = model.symbols()
+    return ca.Function("slope", list(at), [model.dynamics(*at)[row]])
 
 
 @lru_cache(maxsize=128)

@@ -34,3 +34,25 @@ def first_order(
     kept = ca.exp(-duration / divisor)
     mean = target + (state - target) * (1 - kept) * (time_constant / duration)
     return mean, kept * state + (1 - kept) * target
+
+
+def first_order_ramp(error: ca.SX, rise: ca.SX, time_constant: ca.SX, duration: float) -> ca.SX:
+    """How far ``τ v̇ = target − v`` is off its target after a window over which that rises evenly.
+
+    ``e⁺ = exp(−h/τ) e − (1 − exp(−h/τ)) (τ/h) rise`` for ``e = v − target``. For τ = 0 it is zero,
+    bit for bit, with finite derivatives.
+
+    Parameters
+    ----------
+    error : casadi.SX
+        v − target at the beginning of the window.
+    rise : casadi.SX
+        Change of the target over the window.
+    time_constant : casadi.SX
+        τ, s, not negative.
+    duration : float
+        h, s.
+    """
+    divisor = ca.fmax(time_constant, duration / _LONGEST)
+    kept = ca.exp(-duration / divisor)
+    return kept * error - (1 - kept) * (time_constant / duration) * rise

@@ -84,6 +84,32 @@ class DrivenModel(Model):
         after = self.base.impulse(self._whole(x, u), u[: self.base.n_u, 0], p, w, duration)
         return after[self._kept]
 
+    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
+        return self.base.sensor_memory(step)
+
+    def sensor_path(
+        self,
+        memory: ca.SX,
+        before: ca.SX,
+        after: ca.SX,
+        u: ca.SX,
+        p: ca.SX,
+        window: tuple[float, float],
+        step: float,
+    ) -> ca.SX:
+        first, last = self._whole(before, u), self._whole(after, u)
+        own = u[: self.base.n_u, 0]
+        return self.base.sensor_path(memory, first, last, own, p, window, step)
+
+    def reading(
+        self, memory: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX, step: float, since: float = 1.0
+    ) -> ca.SX:
+        own = u[: self.base.n_u, 0]
+        return self.base.reading(memory, self._whole(x, u), own, p, step, since)[self._outputs]
+
+    def noise_sd(self, p: ca.SX, step: float) -> ca.SX:
+        return self.base.noise_sd(p, step)[self._kept]
+
     def _whole(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """The base model's states from those left and the prescribed inputs."""
         whole = ca.SX.zeros(self.base.n_x)

@@ -16,6 +16,9 @@ import casadi as ca
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Axis, Model, index_of
 
+#: The state that is a rotor's speed, by rotor.
+SPEEDS = {"main": "omega_v", "tail": "omega_h"}
+
 #: Each shrinks the error of the mean rate by about ``h |dτ/dΩ| / 2J``, a few percent.
 _MEAN_RATE_ITERATIONS = 2
 
@@ -41,14 +44,22 @@ def moment_index(model: Model, axis: str) -> int:
     return index_of(model.disturbances, axis_of(model, axis).moment, "a disturbance")
 
 
+def _turning(model: Model, part: str, x: ca.SX, f: ca.SX) -> tuple[ca.SX, int]:
+    """Rate of an axis or rotor, rad/s, and the position in ``w`` of the torque on it."""
+    if part in model.rotors:
+        speed = x[model.state_index(SPEEDS[part])]
+        return speed, index_of(model.disturbances, f"{part}_motor", "a disturbance")
+    return f[model.state_index(axis_of(model, part).angle)], moment_index(model, part)
+
+
 def resisted(
     model: Model,
     at: tuple[ca.SX, ca.SX, ca.SX, ca.SX],
-    axis: str,
+    part: str,
     torque: ca.SX | Callable[[ca.SX], ca.SX] | None,
     duration: float,
 ) -> ca.SX:
-    """States after dry friction has acted on an axis for a time.
+    """States after dry friction has acted on an axis or rotor for a time.
 
     Parameters
     ----------
@@ -57,14 +68,15 @@ def resisted(
     at : (x, u, p, w)
         States at the end of the interval, inputs that reached the motors, parameters,
         disturbances.
-    axis : str
+    part : str
+        An axis of the model, or one of its rotors.
     torque : casadi.SX, callable or None
         N m, not negative; a function of the rate (rad/s), for which the mean rate over the
         interval is found by iteration; None removes the whole rate (an inelastic stop).
     duration : float
         s.
     """
-    free_rate, change, gain, acceleration = _resistance_function(model, axis, duration)(*at)
+    free_rate, change, gain, acceleration = _resistance_function(model, part, duration)(*at)
     x = at[0]
     needed = free_rate / gain
     if torque is None:
@@ -85,7 +97,7 @@ def _clipped(value: ca.SX, bound: ca.SX) -> ca.SX:
 
 
 @lru_cache(maxsize=256)
-def _resistance_function(model: Model, axis: str, duration: float) -> ca.Function:
+def _resistance_function(model: Model, part: str, duration: float) -> ca.Function:
     """``(x, u, p, w) → rate, change, gain, acceleration``, for a torque over the duration.
 
     A torque that is constant over the interval moves the angle too, by about half of what its
@@ -97,9 +109,11 @@ def _resistance_function(model: Model, axis: str, duration: float) -> ca.Functio
     """
     x, u, p, w = model.symbols()
     f = model.dynamics(x, u, p, w)
-    rate = f[model.state_index(axis_of(model, axis).angle)]
-    change = term = ca.jacobian(f, w)[:, moment_index(model, axis)]
-    for order in (2, 3):
+    rate, torque = _turning(model, part, x, f)
+    change = term = ca.jacobian(f, w)[:, torque]
+    # A stiff model's currents follow a rotor within a step: their series does not converge.
+    stiff = model.stiff and part in model.rotors
+    for order in () if stiff else (2, 3):
         term = duration / order * ca.jtimes(f, x, term)
         change = change + term
     gain = ca.jtimes(rate, x, change)

@@ -4,9 +4,10 @@ A model is a hybrid system. Its continuous part is
 
     ẋ = dynamics(x, u, p, w)        y = measurement(x, u, p)
 
-with generalised disturbances ``w``, one per physical equation. Effects may add two things that a
-differential equation cannot say: an input path with memory (a delay), and impulses at the end of
-each integration step (set-valued friction, a mechanical stop). Plain models have neither.
+with generalised disturbances ``w``, one per physical equation. Effects may add what a differential
+equation cannot say: an input path with memory (a delay), sensors with memory, impulses at the end
+of each integration step (set-valued friction, a mechanical stop), and states that noise drives.
+Plain models have none of them.
 
 A model that was learnt from samples has no derivative, only the step from one sample to the next;
 see :class:`trms_cli.models.discrete.SteppedModel`.
@@ -148,6 +149,53 @@ class Model(ABC):
     def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
         """Continuous states after the impulses of the last ``duration`` seconds."""
         return x
+
+    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
+        """Discrete states of the sensors: what they still show of the past, :meth:`sensor_path`."""
+        return ()
+
+    def sensor_path(
+        self,
+        memory: ca.SX,
+        before: ca.SX,
+        after: ca.SX,
+        u: ca.SX,
+        p: ca.SX,
+        window: tuple[float, float],
+        step: float,
+    ) -> ca.SX:
+        """The sensors' memory after a part of the step.
+
+        Parameters
+        ----------
+        memory : (n_s, 1)
+        before, after : (n_x, 1)
+            States at the beginning and the end of the part.
+        window : (float, float)
+            The part as fractions of the step; the last part ends at 1.
+        step : float
+            Length of the whole step, s.
+        """
+        return memory
+
+    def reading(
+        self, memory: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX, step: float, since: float = 1.0
+    ) -> ca.SX:
+        """Measured outputs with what the sensors remember, shape (n_y, 1).
+
+        :meth:`measurement` is what they read when nothing has changed for long.
+
+        Parameters
+        ----------
+        memory : (n_s, 1)
+        since : float
+            How long ago the last step began, as a fraction of it.
+        """
+        return self.measurement(x, u, p)
+
+    def noise_sd(self, p: ca.SX, step: float) -> ca.SX:
+        """Standard deviation of what noise adds to each state in a step (s), shape (n_x, 1)."""
+        return ca.SX.zeros(self.n_x)
 
     # Conveniences that follow from the above.
 

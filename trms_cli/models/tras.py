@@ -153,6 +153,8 @@ class Tras(Model):
         return rows, {
             "thrust_main": thrust_v,
             "thrust_tail": thrust_h,
+            "arm_main": c["l_m"],
+            "arm_tail": c["l_t"] * ca.cos(alpha_v),
             "inertia_pitch": c["J_v"],
             "inertia_yaw": inertia_h,
             "gravity_moment": gravity,

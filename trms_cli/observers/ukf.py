@@ -14,15 +14,17 @@ The covariance is updated in Joseph's form over the sigma points,
 
 a sum of squares for non-negative weights (which the defaults have), with a floor far below every
 physical scale. A missing channel's row of ỹ is zero: the update conditions exactly on the others.
-The memory of an input path (past commands of a delay) is known and is carried beside the points.
+The memory of an input path (past commands of a delay) is known and is carried beside the points;
+what the sensors remember is as uncertain as the states, and belongs to the points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
+import casadi as ca
 import msgspec
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +33,9 @@ from msgspec import Meta
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.model import index_of, names
+from trms_cli.models.model import Model, index_of, names
 from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.observer import Estimate, ObserverSetup
 from trms_cli.observers.sigma_points import SigmaPoints
@@ -184,34 +187,51 @@ class Ukf:
         equations = self._equations(setup)
         channels = [index_of(model.outputs, n, "an output of the model") for n in setup.outputs]
         substeps = self.substeps or max(1, int(np.ceil(setup.sample_time / _LONGEST_SUBSTEP)))
-        discrete = discretise(model, setup.sample_time, substeps)
-        points = SigmaPoints(model.n_x + len(equations), self.alpha, self.beta, self.kappa)
+        discrete = discretise(model, setup.sample_time, substeps, sensors=True)
+        n_s = model.n_x + discrete.n_sensors
+        points = SigmaPoints(n_s + len(equations), self.alpha, self.beta, self.kappa)
 
-        augmented = (*model.state_names, *(names(model.disturbances)[i] for i in equations))
+        shown = discrete.states[model.n_x : n_s]
+        augmented = (
+            *(*model.state_names, *names(shown)),
+            *(names(model.disturbances)[i] for i in equations),
+        )
         pushes = kinds_of_disturbances(model)
-        kinds = (*kinds_of_states(model), *(pushes[i] for i in equations))
+        kinds = (
+            *(*kinds_of_states(model), *("past" for _ in shown)),
+            *(pushes[i] for i in equations),
+        )
+        noise_sd = self._noise_sd(setup)
         sd = _by_state(self.initial_sd, kinds, augmented, "initial_sd.states")
+        for i, channel in _read_at_first(setup):
+            # What is remembered of a channel starts from its first, noisy reading.
+            sd[i] = np.hypot(sd[i], noise_sd[channel])
         intensity = _by_state(self.process_noise, kinds, augmented, "process_noise.states")
+        driven = _driven_by_noise(model, setup.sample_time)
+        for row in np.flatnonzero(driven):
+            if augmented[row] not in self.process_noise.states:
+                intensity[row] = driven[row] / np.sqrt(setup.sample_time)
 
         start = resting_state(
             model,
             dict(zip(setup.outputs, setup.first_measurement, strict=True)),
             setup.first_command,
         )
-        mean = np.concatenate([start, np.zeros(len(equations))])
+        settled = discrete.initial(start, setup.first_command)
+        mean = np.concatenate([settled[:n_s], np.zeros(len(equations))])
         function = BufferedFunction(filter_step(discrete, equations, channels, points))
         arguments = dict(zip(function.function.name_in(), function.inputs, strict=True))
         arguments["m"][:] = mean
         arguments["P"][...] = np.diag(sd**2)
-        arguments["memory"][:] = discrete.initial(start, setup.first_command)[model.n_x :]
+        arguments["memory"][:] = settled[n_s:]
         arguments["p"][:] = model.parameters.values
         arguments["q"][:] = intensity**2 * setup.sample_time
-        arguments["r"][:] = self._noise_sd(setup) ** 2
+        arguments["r"][:] = noise_sd**2
         arguments["floor"][:] = (_FLOOR * sd) ** 2
         results = dict(zip(function.function.name_out(), function.outputs, strict=True))
         estimate = Estimate(
             x=results["m_next"][: model.n_x],
-            sd=results["sd"],
+            sd=results["sd"][: model.n_x],
             disturbance=results["d"],
             disturbance_sd=results["d_sd"],
             predicted=results["predicted"],
@@ -313,6 +333,22 @@ class Ukf:
                     remedy=f"observer.measurement_noise.{name}=… (standard deviation)",
                 )
         return sd
+
+
+def _driven_by_noise(model: Model, sample_time: float) -> FloatArray:
+    """What noise adds to each state in a sample by the model itself, shape (n_x,)."""
+    _, _, p, _ = model.symbols()
+    added = ca.Function("added", [p], [ca.densify(model.noise_sd(p, sample_time))])
+    return np.asarray(added(model.parameters.values)).ravel()
+
+
+def _read_at_first(setup: ObserverSetup) -> Iterator[tuple[int, int]]:
+    """States that remember a measured channel, and the position of that channel in y."""
+    model, copies = setup.model, copied_states(setup.model)
+    for i in copies:
+        kind, source = root_of(copies, i)
+        if kind == "x" and model.state_names[source] in setup.outputs:
+            yield i, setup.outputs.index(model.state_names[source])
 
 
 def _by_state(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import casadi as ca
 
 from trms_cli.models.discretisation import DiscreteModel
-from trms_cli.models.model import Model
 from trms_cli.observers.sigma_points import SigmaPoints
 
 
@@ -23,13 +22,13 @@ def filter_step(
     the next ``m, P, memory`` and a number that is finite exactly if they are.
     """
     model = discrete.model
-    n, n_x, n_y = points.n, model.n_x, len(channels)
-    n_m, n_p = discrete.n_x - n_x, len(model.parameters)
+    n, n_y = points.n, len(channels)
+    n_m, n_p = discrete.n_x - _estimated(discrete), len(model.parameters)
     spread = _spread_stage(points)
     advance_one = _dynamics_stage(discrete, equations)
     predict = _prediction_stage(points)
-    measure = _measurement_stage(model, channels, n)
-    update = _update_stage(model, equations, points, n_y)
+    measure = _measurement_stage(discrete, channels, n)
+    update = _update_stage(discrete, equations, points, n_y)
 
     m, P = ca.MX.sym("m", n), ca.MX.sym("P", n, n)
     memory, u, p = ca.MX.sym("memory", n_m), ca.MX.sym("u", model.n_u), ca.MX.sym("p", n_p)
@@ -67,6 +66,11 @@ def filter_step(
     )
 
 
+def _estimated(discrete: DiscreteModel) -> int:
+    """How many entries of the full state are estimated: all but the known past commands."""
+    return discrete.model.n_x + discrete.n_sensors
+
+
 def _spread_stage(points: SigmaPoints) -> ca.Function:
     m, P = ca.SX.sym("m", points.n), ca.SX.sym("P", points.n, points.n)
     return ca.Function("spread", [m, P], [points.around(m, P)])
@@ -75,19 +79,19 @@ def _spread_stage(points: SigmaPoints) -> ca.Function:
 def _dynamics_stage(discrete: DiscreteModel, equations: list[int]) -> ca.Function:
     """One sigma point (and the memory) over one sample."""
     model = discrete.model
-    n_x = model.n_x
-    z = ca.SX.sym("z", n_x + len(equations))
-    memory, u = ca.SX.sym("memory", discrete.n_x - n_x), ca.SX.sym("u", model.n_u)
+    n_s = _estimated(discrete)
+    z = ca.SX.sym("z", n_s + len(equations))
+    memory, u = ca.SX.sym("memory", discrete.n_x - n_s), ca.SX.sym("u", model.n_u)
     p = ca.SX.sym("p", len(model.parameters))
     known = ca.SX.sym("known", model.n_w)
     w = ca.SX(known)
     for k, equation in enumerate(equations):
-        w[equation] += z[n_x + k]
-    after = discrete.step(ca.vertcat(z[:n_x], memory), u, p, w)
+        w[equation] += z[n_s + k]
+    after = discrete.step(ca.vertcat(z[:n_s, 0], memory), u, p, w)
     return ca.Function(
         "advance_one",
         [z, memory, u, p, known],
-        [ca.densify(ca.vertcat(after[:n_x], z[n_x:], after[n_x:]))],
+        [ca.densify(ca.vertcat(after[:n_s, 0], z[n_s:, 0], after[n_s:, 0]))],
     )
 
 
@@ -111,14 +115,20 @@ def _diagonal(values: ca.MX) -> ca.MX:
     return ca.densify(ca.diag(values))
 
 
-def _measurement_stage(model: Model, channels: list[int], n: int) -> ca.Function:
+def _measurement_stage(discrete: DiscreteModel, channels: list[int], n: int) -> ca.Function:
+    model, n_s = discrete.model, _estimated(discrete)
     z, u = ca.SX.sym("z", n), ca.SX.sym("u", model.n_u)
     p = ca.SX.sym("p", len(model.parameters))
-    y = model.measurement(z[: model.n_x], u, p)[channels]
+    # What is known beside the points, past commands, has no part in a measurement.
+    full = ca.vertcat(z[:n_s, 0], ca.SX.zeros(discrete.n_x - n_s))
+    y = discrete.measurement(full, u, p)[channels]
     return ca.Function("measure_one", [z, u, p], [ca.densify(y)])
 
 
-def _update_stage(model: Model, equations: list[int], points: SigmaPoints, n_y: int) -> ca.Function:
+def _update_stage(
+    discrete: DiscreteModel, equations: list[int], points: SigmaPoints, n_y: int
+) -> ca.Function:
+    model, n_s = discrete.model, _estimated(discrete)
     n, count = points.n, points.count
     m, drawn = ca.MX.sym("m", n), ca.MX.sym("drawn", n, count)
     seen = ca.MX.sym("seen", n_y, count)
@@ -144,8 +154,8 @@ def _update_stage(model: Model, equations: list[int], points: SigmaPoints, n_y: 
     sd = ca.sqrt(ca.diag(P))
     d, d_sd = ca.MX(known), ca.MX.zeros(model.n_w)
     for k, equation in enumerate(equations):
-        d[equation] += m_next[model.n_x + k]
-        d_sd[equation] = sd[model.n_x + k]
+        d[equation] += m_next[n_s + k]
+        d_sd[equation] = sd[n_s + k]
     return ca.Function(
         "update",
         [m, drawn, seen, y, mask, r, floor, known],
@@ -153,7 +163,7 @@ def _update_stage(model: Model, equations: list[int], points: SigmaPoints, n_y: 
             m_next,
             P,
             ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P)),
-            sd[: model.n_x],
+            sd,
             d,
             d_sd,
             predicted,

@@ -6,12 +6,14 @@ It shares no object with the controller's model; its integration is its own and 
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.core.compilation import BufferedFunction
@@ -22,8 +24,9 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import FloatArray, Model, Signal, names
 from trms_cli.models.parameters import ParameterSet
+from trms_cli.models.rest import rest_equations
 from trms_cli.plants.disturbance import ScheduledDisturbance
-from trms_cli.plants.mechanical_stops import with_stops
+from trms_cli.plants.mechanical_stops import StoppedSteps, with_stops
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 
@@ -80,14 +83,23 @@ class SimulatedRig:
 
     def true_model(self) -> Model:
         """The rig's equations with effects and stops."""
-        effects = dict(self.effects)
-        if self.mechanical_stops:
-            effects |= with_stops(self.model)
-        return extended(self.model, effects)
+        effects, model = dict(self.effects), self.model
+        if self.mechanical_stops and model.sample_time is not None:
+            model = StoppedSteps(model)
+        elif self.mechanical_stops:
+            effects |= with_stops(model)
+        return extended(model, effects)
 
     def true_parameters(self, model: Model) -> ParameterSet:
         """The rig's parameter values, effects' sizes among them."""
         parameters = model.parameters
+        if self.prior_seed is not None and not self.model.parameters:
+            raise ConfigurationError(
+                f"{self.prior_seed} given, and the rig's model {self.model.name!r} has no "
+                "parameters to draw",
+                where="prior_seed",
+                remedy="choose a rig with equations: model@plant.model=newtonian",
+            )
         if self.prior_seed is not None:
             parameters = parameters.drawn(self.prior_seed, self.prior_scale)
         return parameters.replaced(self.parameters)
@@ -101,7 +113,7 @@ class SimulatedRun:
         self.model = model
         self.parameters = rig.true_parameters(model)
         substeps = max(1, math.ceil(setup.sample_time / rig.integration_step - 1e-9))
-        discrete = discretise(model, setup.sample_time, substeps)
+        discrete = discretise(model, setup.sample_time, substeps, sensors=True)
         self.inputs: tuple[Signal, ...] = model.inputs
         self.states: tuple[Signal, ...] = model.states
         available = names(model.outputs)
@@ -121,6 +133,8 @@ class SimulatedRun:
                     "(plant.mechanical_stops=false takes them away)",
                 )
             start[_known(name, names(model.states), "initial")] = value
+        if model.sample_time is not None:
+            start = _remembering(rig.model, start, self.first_command, rig.initial)
         # The buffers' arrays are fixed for life; the step writes beside its input and is copied
         # back, the measurement reads the same state.
         self._step = BufferedFunction(discrete.step)
@@ -136,6 +150,7 @@ class SimulatedRun:
         self._quanta = np.where(quanta > 0, quanta, 1.0)
         self._rounded = quanta > 0
         self._any_rounded = bool(self._rounded.any())
+        self._driven, self._pushes = _noise_on_states(model, self.parameters, setup)
         self._w = self._torques(rig, setup)
         self.known_disturbances: Mapping[str, FloatArray] = self._known(rig, setup)
         self._sample = 0
@@ -160,6 +175,8 @@ class SimulatedRun:
         step.inputs[3][:] = self._w[self._sample]
         step()
         self._full[:] = step.outputs[0]
+        if self._driven.size:
+            self._full[self._driven] += self._pushes[self._sample]
         self._sample += 1
         # One sum is the cheapest test of all states at once.
         if not math.isfinite(float(self._full.sum())):
@@ -193,6 +210,37 @@ class SimulatedRun:
                 torque = known.setdefault(disturbance.equation, np.zeros(setup.samples))
                 torque += disturbance.torque.sample(times)
         return known
+
+
+def _noise_on_states(
+    model: Model, parameters: ParameterSet, setup: PlantSetup
+) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """States that noise drives, and what it adds to each over the run, (samples, count)."""
+    _, _, p, _ = model.symbols()
+    added = ca.Function("added", [p], [ca.densify(model.noise_sd(p, setup.sample_time))])
+    sd = np.asarray(added(parameters.values)).ravel()
+    driven = np.flatnonzero(sd)
+    pushes = np.zeros((setup.samples, driven.size))
+    for column, row in enumerate(driven):
+        # A stream for each name: what other effects there are does not change the noise of one.
+        key = zlib.crc32(model.state_names[row].encode())
+        generator = np.random.default_rng(np.random.SeedSequence([setup.seed, key]))
+        pushes[:, column] = sd[row] * generator.standard_normal(setup.samples)
+    return driven, pushes
+
+
+def _remembering(
+    model: Model, start: FloatArray, command: FloatArray, given: Mapping[str, float]
+) -> FloatArray:
+    """A start at which what a model that steps remembers agrees with where it is, but as given."""
+    equations = rest_equations(model)
+    _, u, _, _ = model.symbols()
+    s = ca.SX.sym("s", len(equations.unknowns))
+    whole = ca.Function("whole", [s, u], [equations.state(s, u)])
+    settled = np.array(whole(start[list(equations.unknowns)], command))[:, 0]
+    for name in given:
+        settled[model.state_index(name)] = start[model.state_index(name)]
+    return settled
 
 
 def _selected(

@@ -118,15 +118,16 @@ class Rollout:
                     remedy=f"it has: {', '.join(model.parameters.names)}",
                 )
         if substeps is None:
-            stepped = hasattr(model, "sample_time")
+            stepped = model.sample_time is not None
             substeps = 1 if stepped else int(np.ceil(sample_time / LONGEST_STEP - 1e-9))
         self.model, self.sample_time, self.free, self.jobs = model, sample_time, tuple(free), jobs
         # The slopes of one integration step are short code; those of several grow with each.
-        # Only what remembers past commands has to see the sample as a whole.
-        whole = bool(model.memory(sample_time)) or hasattr(model, "sample_time")
+        # Only what remembers past commands or readings has to see the sample as a whole.
+        remembers = model.memory(sample_time) or model.sensor_memory(sample_time)
+        whole = bool(remembers) or model.sample_time is not None
         self._repeats = 1 if whole else substeps
         self._discrete = discretise(
-            model, sample_time / self._repeats, substeps // self._repeats, method
+            model, sample_time / self._repeats, substeps // self._repeats, method, sensors=True
         )
         self.states: tuple[Signal, ...] = self._discrete.states
         self._library: ctypes.CDLL | None = None

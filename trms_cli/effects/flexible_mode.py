@@ -1,0 +1,97 @@
+"""A flexible mode between the beam and the sensor: a lightly damped oscillator in series.
+
+What the encoder sits on hangs on the axis by a spring of its own; its deflection δ is driven by the
+acceleration of the axis, as that of a mass on a moving base::
+
+    δ̈ + 2 ζ ω₀ δ̇ + ω₀² δ = −α̈        y = α + c δ
+
+With c = 1 the whole of it is seen, y/α = (2ζω₀ s + ω₀²)/(s² + 2ζω₀ s + ω₀²). The angle is taken as
+linear in time over each integration step, for which the oscillator is solved exactly: no frequency
+is too high for the step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
+from trms_cli.models.model import Model, Signal
+from trms_cli.models.parameters import Parameter
+
+#: Hz: a slower mode is a motion of the rig; and at zero it would not exist.
+_SLOWEST = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlexibleMode(Effect):
+    """A flexible mode in one measured angle.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"}
+    share : float
+        c: how much of the deflection is seen.
+    frequency : float
+        ω₀/2π, Hz.
+    damping : float
+        ζ.
+    """
+
+    axis: Literal["pitch", "yaw"]
+    share: Annotated[float, Meta(ge=0, le=10)]
+    frequency: Annotated[float, Meta(ge=_SLOWEST)]
+    damping: Annotated[float, Meta(ge=0, le=0.9)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("share", self.share, "1", lower=0.0, upper=10.0, description="share c seen"),
+            Parameter(
+                "frequency", self.frequency, "Hz", lower=_SLOWEST, description="frequency ω₀/2π"
+            ),
+            Parameter(
+                "damping", self.damping, "1", lower=0.0, upper=0.9, description="damping ratio ζ"
+            ),
+        )
+
+    def check(self, model: Model) -> None:
+        output_row(model, axis_of(model, self.axis).angle)
+
+    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
+        return (
+            Signal("deflection", "rad", "deflection δ of the mode"),
+            Signal("rate", "rad/s", "rate of the mode's own angle α + δ"),
+        )
+
+    def sensor_path(
+        self,
+        at: EffectContext,
+        before: ca.SX,
+        after: ca.SX,
+        window: tuple[float, float],
+        step: float,
+    ) -> ca.SX:
+        row = output_row(at.model, at.axis(self.axis).angle)
+        duration = (window[1] - window[0]) * step
+        axis_rate = (after[row] - before[row]) / duration
+        deflection, slope = at.shown[0], at.shown[1] - axis_rate
+        # δ̈ + 2 ζ ω₀ δ̇ + ω₀² δ = 0 from here to the end of the part.
+        zeta, natural = at.sizes["damping"], 2 * math.pi * at.sizes["frequency"]
+        damped = natural * ca.sqrt(1 - zeta**2)
+        decay = ca.exp(-zeta * natural * duration)
+        cosine, sine = ca.cos(damped * duration), ca.sin(damped * duration) / damped
+        left = zeta * natural * sine
+        return ca.vertcat(
+            decay * (deflection * (cosine + left) + slope * sine),
+            decay * (slope * (cosine - left) - deflection * natural**2 * sine) + axis_rate,
+        )
+
+    def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
+        row = output_row(at.model, at.axis(self.axis).angle)
+        y = ca.SX(y)
+        y[row] += at.sizes["share"] * at.shown[0]
+        return y

@@ -1,0 +1,57 @@
+"""Ground effect: near the table the main rotor thrusts more.
+
+``F′ = F (1 + g exp(−h/h₀))`` while it blows down, with its height over the table
+``h = h_level + ℓ sin α``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.effects.thrust import check_thrust, thrust_torque
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+#: m: a thinner cushion would be a step for the integrator.
+_THINNEST = 1e-2
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundEffect(Effect):
+    """Cushion of air under the main rotor.
+
+    Attributes
+    ----------
+    gain : float
+        g: share of the thrust that is added at the table itself.
+    scale : float
+        h₀, m: height over which it falls to 1/e.
+    level_height : float
+        h_level, m: height of the rotor over the table with the beam level.
+    """
+
+    gain: Annotated[float, Meta(ge=0)]
+    scale: Annotated[float, Meta(ge=_THINNEST)]
+    level_height: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("gain", self.gain, "1", lower=0.0, description="g, at the table"),
+            Parameter(
+                "scale", self.scale, "m", lower=_THINNEST, description="height h₀ of the cushion"
+            ),
+        )
+
+    def check(self, model: Model) -> None:
+        check_thrust(model, "main")
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        height = self.level_height + at.quantity("arm_main") * ca.sin(at.angle("pitch"))
+        thrust = ca.fmax(at.quantity("thrust_main"), 0)
+        more = at.sizes["gain"] * ca.exp(-height / at.sizes["scale"])
+        return thrust_torque(at, "main", thrust * more)

@@ -1,0 +1,55 @@
+"""Inflow: a rotor that moves along its own axis in the direction of its thrust thrusts less.
+
+The angle of attack of the blades falls by the axial speed v over that of the blades, to first
+order (the advance ratio; Leishman, Principles of Helicopter Aerodynamics, 2006, ch. 2)::
+
+    ΔF = −k (v/ω) F(ω),   v = ℓ Ω
+
+with the arm ℓ and the rate Ω of the rotor's own axis. As F goes with ω|ω|, this damps the axis in
+proportion to the speed of the rotor, whichever way it turns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.effects.thrust import AXIS, check_thrust, thrust_torque
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+#: (rad/s)²: keeps F/ω, which is zero at rest, free of a division by zero.
+_AT_REST = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inflow(Effect):
+    """Loss of thrust by the rotor's own axial speed.
+
+    Attributes
+    ----------
+    rotor : {"main", "tail"}
+    coefficient : float
+        k, rad/m: speed of the rotor over the axial speed that would take all its thrust.
+    """
+
+    rotor: Literal["main", "tail"]
+    coefficient: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("coefficient", self.coefficient, "rad/m", lower=0.0, description="inflow k"),
+        )
+
+    def check(self, model: Model) -> None:
+        check_thrust(model, self.rotor)
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        omega = at.speed(self.rotor)
+        per_speed = at.quantity(f"thrust_{self.rotor}") * omega / ca.fmax(omega**2, _AT_REST)
+        axial = at.quantity(f"arm_{self.rotor}") * at.rate(AXIS[self.rotor])
+        return thrust_torque(at, self.rotor, -at.sizes["coefficient"] * axial * per_speed)

@@ -1,0 +1,57 @@
+"""Quantisation of an angle: an encoder counts lines, ``y = q round(α/q)``.
+
+Rounding has no useful derivative: it is zero nearly everywhere, and a fit would see a sensor that
+shows nothing. What stands here has the value of the rounded angle and the derivative of the angle
+itself (the straight-through derivative: that of the mean over a quantum), and none in the quantum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+#: The finest grid on which an angle of up to some turns is a double: rounding to it changes no
+#: digit that matters (1e-15 rad), but has a derivative of zero.
+_FINEST = 2.0**-50
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantisation(Effect):
+    """Resolution of one angle.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"}
+    quantum : float
+        q, rad.
+    """
+
+    axis: Literal["pitch", "yaw"]
+    quantum: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("quantum", self.quantum, "rad", lower=0.0, description="quantum q"),)
+
+    def check(self, model: Model) -> None:
+        output_row(model, axis_of(model, self.axis).angle)
+
+    def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
+        row = output_row(at.model, at.axis(self.axis).angle)
+        y = ca.SX(y)
+        angle, quantum = y[row], _constant(at.sizes["quantum"])
+        width = ca.fmax(quantum, _FINEST)
+        rounding = width * ca.floor(angle / width + 0.5) - _constant(angle)
+        y[row] = angle + ca.if_else(quantum > 0, rounding, 0)
+        return y
+
+
+def _constant(value: ca.SX) -> ca.SX:
+    """The value with a derivative of zero."""
+    return ca.floor(value / _FINEST) * _FINEST

@@ -1,0 +1,50 @@
+"""Coulomb friction of a rotor: brushes and bearing hold it until the motor is stronger.
+
+``τ = −F_c sgn(ω)`` on the rotor while it turns; at rest any torque in [−F_c, F_c] that keeps it
+there, by the same impulses as the friction of an axis (:mod:`trms_cli.models.dry_friction`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import (
+    Effect,
+    EffectContext,
+    motor_disturbance,
+    resisting_impulse,
+    speed_row,
+)
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorFriction(Effect):
+    """Coulomb friction of one rotor.
+
+    Attributes
+    ----------
+    rotor : {"main", "tail"}
+    torque : float
+        F_c, N m.
+    """
+
+    rotor: Literal["main", "tail"]
+    torque: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("torque", self.torque, "N*m", lower=0.0, description="Coulomb torque F_c"),
+        )
+
+    def check(self, model: Model) -> None:
+        speed_row(model, self.rotor)
+        motor_disturbance(model, self.rotor)
+
+    def impulse(self, at: EffectContext, duration: float) -> ca.SX:
+        return resisting_impulse(at, self.rotor, at.sizes["torque"], duration)

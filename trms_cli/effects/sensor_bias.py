@@ -1,0 +1,40 @@
+"""Bias of an angle sensor: the encoder's zero is not where the beam is level, ``y = α + b``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorBias(Effect):
+    """Constant error of one angle.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"}
+    bias : float
+        b, rad.
+    """
+
+    axis: Literal["pitch", "yaw"]
+    bias: Annotated[float, Meta(ge=-1, le=1)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("bias", self.bias, "rad", lower=-1.0, upper=1.0, description="bias b"),)
+
+    def check(self, model: Model) -> None:
+        output_row(model, axis_of(model, self.axis).angle)
+
+    def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
+        row = output_row(at.model, at.axis(self.axis).angle)
+        y = ca.SX(y)
+        y[row] += at.sizes["bias"]
+        return y

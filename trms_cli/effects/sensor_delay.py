@@ -1,0 +1,112 @@
+"""Delay of an angle sensor, of any fraction of a sample: ``y(t) = α(t − d)``.
+
+The sensor remembers what it would have shown at past samples. Between them stand cubics with the
+slopes of parabolas through neighbours (Catmull & Rom 1974, for uneven spacing): exact for
+parabolas in time, of third order in the sample time otherwise, smooth in the delay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
+from trms_cli.models.model import Model, Signal
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorDelay(Effect):
+    """Transport delay of one measured angle.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"}
+    delay : float
+        d, s.
+    longest : float
+        Bound of the delay, s; the past angles that are kept reach back this far.
+    """
+
+    axis: Literal["pitch", "yaw"]
+    delay: Annotated[float, Meta(ge=0)]
+    longest: Annotated[float, Meta(gt=0)] = 0.1
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter(
+                "delay",
+                self.delay,
+                "s",
+                lower=0.0,
+                upper=self._reach,
+                description="transport delay d",
+            ),
+        )
+
+    @property
+    def _reach(self) -> float:
+        return max(self.longest, self.delay)
+
+    def check(self, model: Model) -> None:
+        output_row(model, axis_of(model, self.axis).angle)
+
+    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
+        # One more than the delay reaches: the slope of the last stretch needs a neighbour.
+        kept = math.ceil(self._reach / step - 1e-9) + 1
+        return tuple(Signal(f"past_{k + 1}", "rad", "earlier angle") for k in range(kept))
+
+    def sensor_path(
+        self,
+        at: EffectContext,
+        before: ca.SX,
+        after: ca.SX,
+        window: tuple[float, float],
+        step: float,
+    ) -> ca.SX:
+        if window[0] > 0:
+            return at.shown
+        row = output_row(at.model, at.axis(self.axis).angle)
+        return ca.vertcat(before[row], at.shown[:-1, 0])
+
+    def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
+        row = output_row(at.model, at.axis(self.axis).angle)
+        # Ages of the remembered angles in steps: now, the last sample, the one before …
+        ages = [0.0, *(since + k for k in range(at.shown.shape[0]))]
+        angles = [y[row], *ca.vertsplit(at.shown)]
+        y = ca.SX(y)
+        y[row] = _at_age(at.sizes["delay"] / step, ages, angles)
+        return y
+
+
+def _at_age(age: ca.SX, ages: list[float], values: list[ca.SX]) -> ca.SX:
+    """The curve through values of rising ages, at an age; beyond the last one its value.
+
+    Written as the first value and what each stretch adds, which is zero bit for bit where the
+    stretch has not begun.
+    """
+    widths = [b - a for a, b in zip(ages[:-1], ages[1:], strict=True)]
+    rises = [b - a for a, b in zip(values[:-1], values[1:], strict=True)]
+    slopes = _slopes(widths, rises)
+    result = values[0]
+    for k, (width, rise) in enumerate(zip(widths, rises, strict=True)):
+        s = ca.fmin(ca.fmax((age - ages[k]) / width, 0), 1)
+        bend = (1 - s) * width * slopes[k] - s * width * slopes[k + 1]
+        result = result + s * s * (3 - 2 * s) * rise + s * (1 - s) * bend
+    return result
+
+
+def _slopes(widths: list[float], rises: list[ca.SX]) -> list[ca.SX]:
+    """Slope at each age of the parabola through it and its neighbours."""
+    steep = [rise / width for rise, width in zip(rises, widths, strict=True)]
+    inner = [
+        (steep[k] * widths[k + 1] + steep[k + 1] * widths[k]) / (widths[k] + widths[k + 1])
+        for k in range(len(widths) - 1)
+    ]
+    if not inner:
+        return [steep[0], steep[0]]
+    return [2 * steep[0] - inner[0], *inner, 2 * steep[-1] - inner[-1]]

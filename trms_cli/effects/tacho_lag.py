@@ -1,0 +1,67 @@
+"""Lag of a tacho: the measured speed of a rotor is filtered, ``τ ẏ = ω − y``.
+
+The speed is taken as linear in time over each integration step, for which the filter is solved
+exactly; no time constant is too short.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import SPEEDS, Effect, EffectContext, output_row, rotor_input
+from trms_cli.effects.first_order import first_order_ramp
+from trms_cli.models.model import Model, Signal
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class TachoLag(Effect):
+    """Low-pass filter of one measured rotor speed.
+
+    Attributes
+    ----------
+    rotor : {"main", "tail"}
+    time_constant : float
+        τ, s.
+    """
+
+    rotor: Literal["main", "tail"]
+    time_constant: Annotated[float, Meta(ge=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter(
+                "time_constant", self.time_constant, "s", lower=0.0, description="time constant τ"
+            ),
+        )
+
+    def check(self, model: Model) -> None:
+        rotor_input(model, self.rotor)
+        output_row(model, SPEEDS[self.rotor])
+
+    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
+        return (Signal("lag", "rad/s", "shown speed less the true one"),)
+
+    def sensor_path(
+        self,
+        at: EffectContext,
+        before: ca.SX,
+        after: ca.SX,
+        window: tuple[float, float],
+        step: float,
+    ) -> ca.SX:
+        row = output_row(at.model, SPEEDS[self.rotor])
+        duration = (window[1] - window[0]) * step
+        return first_order_ramp(
+            at.shown, after[row] - before[row], at.sizes["time_constant"], duration
+        )
+
+    def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
+        row = output_row(at.model, SPEEDS[self.rotor])
+        y = ca.SX(y)
+        y[row] += at.shown[0]
+        return y

@@ -1,0 +1,76 @@
+"""Thrust that does not go with the square of the speed, or differs more by direction.
+
+The model's thrust F(ω) is multiplied by a power of the speed, and by another factor in reverse::
+
+    F′(ω) = F(ω) (|ω|/ω₀)ᵉ          ω ≥ 0
+    F′(ω) = F(ω) (|ω|/ω₀)ᵉ (1 + r)  ω < 0
+
+At the speed ω₀ the power changes nothing, so that ω₀ is where the model's coefficient was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.effects.thrust import check_thrust, thrust_torque
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+#: rad/s: below it the power no longer changes, or its derivative at zero would be infinite.
+_SLOWEST = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThrustCurve(Effect):
+    """Another law of one rotor's thrust.
+
+    Attributes
+    ----------
+    rotor : {"main", "tail"}
+    exponent : float
+        e, added to the model's exponent (of about 2).
+    reverse : float
+        r, share by which the thrust in reverse differs from the model's.
+    reference : float
+        ω₀, rad/s.
+    """
+
+    rotor: Literal["main", "tail"]
+    exponent: Annotated[float, Meta(ge=-1, le=1)]
+    reverse: Annotated[float, Meta(ge=-1, le=1)]
+    reference: Annotated[float, Meta(gt=0)]
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter(
+                "exponent",
+                self.exponent,
+                "1",
+                lower=-1.0,
+                upper=1.0,
+                description="e, beyond the model's exponent",
+            ),
+            Parameter(
+                "reverse",
+                self.reverse,
+                "1",
+                lower=-1.0,
+                upper=1.0,
+                description="r, share of the thrust in reverse",
+            ),
+        )
+
+    def check(self, model: Model) -> None:
+        check_thrust(model, self.rotor)
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        omega = at.speed(self.rotor)
+        relative = ca.fmax(ca.fabs(omega), _SLOWEST) / self.reference
+        direction = 1 + at.sizes["reverse"] * (omega < 0)
+        factor = ca.exp(at.sizes["exponent"] * ca.log(relative)) * direction
+        return thrust_torque(at, self.rotor, at.quantity(f"thrust_{self.rotor}") * (factor - 1))
