@@ -35,6 +35,9 @@ class SimulationError:
         recordings.
     stride : int or None
         Samples between the starts of two windows; None: ``steps``.
+    every : int
+        Only each such step of a window counts: simulation errors of neighbouring samples tell
+        nearly the same, and most of the time goes into their products.
 
     Raises
     ------
@@ -52,6 +55,7 @@ class SimulationError:
         *,
         starts: Sequence[Samples] | None = None,
         stride: int | None = None,
+        every: int = 1,
     ) -> None:
         self.network, self.structure, self.scaling = network, structure, scaling
         self.steps, self._first = steps, structure.longest_lag
@@ -76,6 +80,9 @@ class SimulationError:
         self._inputs = np.array(inputs).swapaxes(0, 1).copy()
         targets_ = np.array(targets).swapaxes(0, 1).copy()
         self._present = np.isfinite(targets_)
+        self._counted = np.arange(1, steps + 1) % every == 0
+        self._counted[-1] = True
+        self._present[~self._counted] = False
         self._targets = np.where(self._present, targets_, 0.0)
         self._map = structure.arrangement() / scaling.regressor_sd[:, None]
         self._shift = scaling.regressor_mean / scaling.regressor_sd
@@ -127,7 +134,7 @@ class SimulationError:
         return NormalEquations(loss if np.isfinite(loss) else np.inf, curvature, slope)
 
     def _linearised(self, theta: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Residuals (m, n_y) and their slopes (m, n_y, P), step by step."""
+        """Residuals (m, n_y) and their slopes (m, n_y, P) of each step that counts."""
         structure, scaling = self.structure, self.scaling
         m, n_y = self._past.shape[1], len(structure.outputs)
         levels = np.empty((self._first + self.steps, m, n_y))
@@ -150,6 +157,8 @@ class SimulationError:
                 now += ring[(k - 1) % longest]
             ring[k % longest] = now
             step = k - self._first
+            if not self._counted[step]:
+                continue
             present = self._present[step]
             residuals = (levels[k] - self._targets[step]) / scaling.level_sd * present
             yield residuals, now * (present / scaling.level_sd)[:, :, None]

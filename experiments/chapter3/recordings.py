@@ -1,0 +1,101 @@
+"""Recordings of the simulated bench rig: seeded commands in, measured angles and speeds out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+import yaml
+
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
+from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.models.model import names
+from trms_cli.plants.plant import PlantSetup
+from trms_cli.plants.sensors import Sensors
+from trms_cli.plants.simulated import SimulatedRig
+
+
+def recording(
+    model: str,
+    excitation: Mapping[str, list[Mapping[str, Any]]],
+    *,
+    duration: float,
+    sample_time: float,
+    seed: int,
+    name: str,
+) -> Dataset:
+    """Drive the simulated rig in open loop and record it with the sensors of a real bench.
+
+    Parameters
+    ----------
+    model : str
+        Option of ``configs/model``.
+    excitation : dict of str to list of dict
+        By input: signals (``_target_`` and their figures) of which the sum is the command; a
+        signal with a ``seed`` has ``seed`` added to its own. The sum is kept within the limits.
+    duration, sample_time : float
+        s.
+    seed : int
+        Of the commands and of the noise.
+    name : str
+    """
+    built = build(_option("model", model), "model")
+    rig = SimulatedRig(model=built, sensors=bench_sensors())
+    n = round(duration / sample_time)
+    run = rig.init(PlantSetup(sample_time, n, seed))
+    time = np.arange(n) * sample_time
+    lower, upper = run.input_limits
+    columns = []
+    for number, signal in enumerate(run.inputs):
+        parts = [_seeded(part, seed, number) for part in excitation[signal.name]]
+        total = np.sum([build(part, "excitation").sample(time) for part in parts], axis=0)
+        columns.append(np.clip(total, lower[number], upper[number]))
+    commands = np.column_stack(columns)
+    measurements = np.empty((n, len(run.outputs)))
+    for k in range(n):
+        measurements[k] = run.measure()
+        run.advance(commands[k])
+    return Dataset(
+        name,
+        f"simulated {model}",
+        "",
+        sample_time,
+        time,
+        run.inputs,
+        run.outputs,
+        commands,
+        measurements,
+        np.array([run.noise_sd[channel] for channel in names(run.outputs)]),
+    )
+
+
+@cache
+def bench_sensors() -> Sensors:
+    """The sensors of the simulated rig's own configuration."""
+    sensors = build(_option("plant", "simulated")["sensors"], "sensors")
+    assert isinstance(sensors, Sensors)
+    return sensors
+
+
+def spans(datasets: list[Dataset]) -> dict[str, tuple[float, float]]:
+    """Smallest and largest sample of each output."""
+    values: FloatArray = np.vstack([dataset.measurements for dataset in datasets])
+    return {
+        name: (float(values[:, i].min()), float(values[:, i].max()))
+        for i, name in enumerate(names(datasets[0].outputs))
+    }
+
+
+def _option(group: str, name: str) -> dict[str, Any]:
+    path = config_folder() / group / f"{name}.yaml"
+    return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
+
+
+def _seeded(part: Mapping[str, Any], seed: int, number: int) -> dict[str, Any]:
+    """A signal with its seed moved: another recording, another input, another draw."""
+    if "seed" not in part:
+        return dict(part)
+    return {**part, "seed": int(part["seed"]) + 1000 * seed + 100 * number}

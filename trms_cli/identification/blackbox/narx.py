@@ -1,0 +1,203 @@
+"""NNARX and NNOE: perceptrons trained on one-step errors, and on simulations.
+
+Source: M. Nørgaard, O. Ravn, N. K. Poulsen & L. K. Hansen (2000), "Neural Networks for Modelling
+and Control of Dynamic Systems", chapters 2 and 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.identification.blackbox.outcome import Stage, fit_result, interrupted, told
+from trms_cli.identification.blackbox.preparation import Prepared, Regressors, prepared_problem
+from trms_cli.identification.blackbox.trainable import Mlp
+from trms_cli.identification.blackbox.training.levenberg_marquardt import LevenbergMarquardt
+from trms_cli.identification.blackbox.training.training import (
+    Stopping,
+    Training,
+    TrainingAlgorithm,
+    Watcher,
+    train,
+)
+from trms_cli.identification.method import FitResult, Progress
+from trms_cli.identification.problem import FitProblem
+
+Units = Annotated[int, Meta(ge=1, le=1000)]
+
+
+def one_step_training(
+    data: Prepared,
+    network: Mlp,
+    training: TrainingAlgorithm,
+    stopping: Stopping,
+    seed: int,
+    watcher: Watcher | None = None,
+    every: int = 1,
+) -> Training:
+    """Train a perceptron on one-step errors from random weights."""
+    generator = np.random.default_rng(np.random.SeedSequence([seed, 0x4E415258]))
+    return train(
+        training,
+        data.one_step(network, every=every),
+        network.start(generator),
+        stopping,
+        validation=data.one_step(network, "validation") if data.validation else None,
+        watcher=watcher,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NarxFit:
+    """NNARX: a perceptron that predicts one sample ahead.
+
+    Attributes
+    ----------
+    training : TrainingAlgorithm
+    regressors : Regressors
+    hidden : list of int
+        Units of each hidden layer.
+    direct : bool
+        A linear part from the regressor straight to the output.
+    starts : int
+        Random starts; the one of the smallest validation error (without validation: error) is
+        kept.
+    stopping : Stopping
+    """
+
+    training: TrainingAlgorithm
+    regressors: Regressors = field(default_factory=Regressors)
+    hidden: tuple[Units, ...] = (10,)
+    direct: bool = False
+    starts: Annotated[int, Meta(ge=1)] = 1
+    stopping: Stopping = field(default_factory=Stopping)
+
+    def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
+        """Fit the problem's recordings.
+
+        Raises
+        ------
+        RecordingError
+            If the recordings cannot be fitted; it says what to record instead.
+        """
+        check_training(self.training)
+        data = prepared_problem(self.regressors, problem)
+        network = Mlp(
+            data.structure.n_regressors, len(data.structure.outputs), self.hidden, self.direct
+        )
+        kept: Training | None = None
+        for start in range(self.starts):
+            name = "one step" if self.starts == 1 else f"start {start + 1} of {self.starts}"
+            share = 1.0 / self.starts
+            watcher = told(progress, start * share, share, self.stopping, name)
+            found = one_step_training(
+                data, network, self.training, self.stopping, problem.seed + start, watcher
+            )
+            if kept is None or _merit(found) < _merit(kept):
+                kept = found
+            if interrupted([Stage(name, found)]):
+                kept = replace(kept, outcome=found.outcome)
+                break
+        assert kept is not None
+        return fit_result("narx", problem, data, network, [Stage("one step", kept)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class NnoeFit:
+    """NNOE: a perceptron trained on simulations of many steps, over growing horizons.
+
+    Attributes
+    ----------
+    training : TrainingAlgorithm
+    regressors : Regressors
+    hidden, direct
+        As :class:`NarxFit`.
+    horizons : list of float
+        s, lengths of the windows, one training each; each begins with the weights of the last.
+    overlap : float
+        Share of a window that the next one covers again.
+    every : int
+        Only each such sample of a window counts.
+    first_epochs : int
+        Of the one-step training by Levenberg–Marquardt that gives the first weights.
+    stopping : Stopping
+        Of each training.
+    """
+
+    training: TrainingAlgorithm
+    regressors: Regressors = field(default_factory=Regressors)
+    hidden: tuple[Units, ...] = (10,)
+    direct: bool = True
+    horizons: tuple[Annotated[float, Meta(gt=0)], ...] = (0.5, 2.0)
+    overlap: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    every: Annotated[int, Meta(ge=1)] = 1
+    first_epochs: Annotated[int, Meta(ge=1)] = 20
+    stopping: Stopping = field(default_factory=Stopping)
+
+    def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
+        """Fit the problem's recordings.
+
+        Raises
+        ------
+        RecordingError
+            If the recordings cannot be fitted; it says what to record instead.
+        """
+        check_training(self.training)
+        if not self.horizons:
+            raise ConfigurationError(
+                "no horizon is given", where="method.horizons", remedy="for instance [0.5, 2.0]"
+            )
+        data = prepared_problem(self.regressors, problem)
+        structure = data.structure
+        network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
+        share = 1.0 / (1 + len(self.horizons))
+        first = Stopping(epochs=self.first_epochs, patience=0)
+        watcher = told(progress, 0.0, share, first, "one step")
+        found = one_step_training(
+            data, network, LevenbergMarquardt(), first, problem.seed, watcher, self.every
+        )
+        stages = [Stage("one step", found)]
+        for number, horizon in enumerate(self.horizons, start=1):
+            if interrupted(stages):
+                break
+            steps = max(1, round(horizon / structure.sample_time))
+            stride = max(1, round(steps * (1.0 - self.overlap)))
+            name = f"{horizon:g} s"
+            objective = data.simulation(network, steps, "fitted", stride, self.every)
+            checked = data.simulation(network, steps, "validation") if data.validation else None
+            found = train(
+                self.training,
+                objective,
+                stages[-1].training.theta,
+                self.stopping,
+                validation=checked,
+                watcher=told(progress, number * share, share, self.stopping, name),
+            )
+            stages.append(Stage(name, found))
+        return fit_result("nnoe", problem, data, network, stages)
+
+
+def check_training(training: object) -> None:
+    """Refuse what is no training algorithm.
+
+    Raises
+    ------
+    ConfigurationError
+        If it cannot minimise.
+    """
+    if not callable(getattr(training, "minimise", None)):
+        raise ConfigurationError(
+            f"{type(training).__name__} is no training algorithm",
+            where="method.training",
+            remedy="choose one of `trms list training`: training@method.training=lm",
+        )
+
+
+def _merit(training: Training) -> float:
+    """What starts are compared by: the kept validation error, else the loss."""
+    checked = training.history.validation[training.best_epoch]
+    return checked if np.isfinite(checked) else training.history.losses[training.best_epoch]
