@@ -301,10 +301,21 @@ def _from_file(override: Override, names: Sequence[str], groups: Groups) -> list
                 remedy="name a YAML that exists, or an option: " + ", ".join(groups.get(group, {})),
             )
     paths = ",".join(quoted(str(Path(name).expanduser())) for name in names)
-    return [
-        override._replace(value="from_file"),
-        Override("", f"{group}.path", "", paths),
-    ]
+    chosen = [override._replace(value="from_file"), Override("", f"{group}.path", "", paths)]
+    rigs = {_rig_of(Path(name).expanduser()) for name in names}
+    if group == "model" and len(rigs) == 1 and "" not in rigs:
+        # Before all that was typed, which thus may choose another.
+        chosen.insert(0, Override("", "model@model.rig", "", rigs.pop()))
+    return chosen
+
+
+def _rig_of(path: Path) -> str:
+    """The rig that a network file names, empty for none; see :mod:`trms_cli.models.narx_file`."""
+    try:
+        found = re.search(r"^rig:\s*(\w+)\s*(#.*)?$", path.read_text(encoding="utf-8"), re.M)
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return found[1] if found else ""
 
 
 def _value(override: Override, keys: DeclaredKeys, multirun: bool) -> Override:

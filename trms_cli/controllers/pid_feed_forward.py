@@ -123,8 +123,9 @@ def _all_that_steady_states_follow_from(model: Model) -> list[object]:
     x, u, p, w = model.symbols()
     memory = ca.SX.sym("memory", len(model.memory(_MEMORY_STEP)))
     arriving, after = model.input_path(memory, u, p, (0.0, 1.0), _MEMORY_STEP)
+    motion = model.dynamics if model.sample_time is None else model.transition
     equations = ca.Function(
-        "equations", [x, u, p, w, memory], [model.dynamics(x, u, p, w), arriving, after]
+        "equations", [x, u, p, w, memory], [motion(x, u, p, w), arriving, after]
     )
     return [
         equations.serialize(),

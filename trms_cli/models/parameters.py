@@ -17,6 +17,10 @@ from trms_cli.core.resources import config_folder
 #: Draws from a prior stay within this many standard deviations, so that a mass or a resistance
 #: keeps its sign.
 DRAW_LIMIT_SD = 2.5
+_NONE_TO_SET = (
+    "this model has none (the weights of a network are constants): choose one with equations, as "
+    "newtonian, for model or model@plant.model"
+)
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,7 @@ class ParameterSet:
                 raise ConfigurationError(
                     f"unknown parameter {name!r} (given: {value!r})",
                     where=key,
-                    remedy=nearest(name, changed),
+                    remedy=nearest(name, changed) if changed else _NONE_TO_SET,
                 )
             old = changed[name]
             if isinstance(value, bool) or not isinstance(value, (int, float)):
