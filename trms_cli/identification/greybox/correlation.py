@@ -6,9 +6,9 @@ parameters (the windows' starts eliminated) the score ``Σ B̃ᵀ r`` then has t
 
     M = Σ_c Σ_{s,t} B̃_c(s)ᵀ γ_c(t − s) B̃_c(t)
 
-with γ_c the autocovariance of channel c, estimated from the residuals, tapered by Parzen's window so
-that M stays positive (Newey & West 1987, Econometrica 55, with the autocovariance pooled over all
-windows instead of that of the products: 15 parameters cannot be told from a dozen windows).
+with γ_c the autocovariance of channel c, estimated from the residuals, tapered by Parzen's window
+so that M stays positive (Newey & West 1987, Econometrica 55, with the autocovariance pooled over
+all windows instead of that of the products: 15 parameters cannot be told from a dozen windows).
 """
 
 from __future__ import annotations

@@ -22,6 +22,9 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
+#: Entries of a matrix that is factorised in one piece.
+_ENTRIES_AT_ONCE = 8000
+
 
 class Joint(NamedTuple):
     """Rows that join the end of each window to the start of the next, scaled and weighted.
@@ -116,8 +119,18 @@ def triangles(a_b: FloatArray, r: FloatArray) -> FloatArray:
     a_b : (m, rows, n + n_f) array
     r : (m, rows) array
     """
-    whole = np.concatenate([a_b, r[..., None]], axis=2)
-    factors: FloatArray = np.linalg.qr(whole, mode="r")
+    rows = np.concatenate([a_b, r[..., None]], axis=2)
+    m, _, columns = rows.shape
+    block = max(2 * columns, _ENTRIES_AT_ONCE // columns)
+    # A tall matrix in blocks, their triangles stacked, in blocks again (TSQR, Demmel et al. 2012,
+    # SIAM J. Sci. Comput. 34): it stays in the cache, and below the size from which a BLAS starts
+    # threads, which on a busy machine wait for each other twenty times as long as they work.
+    while rows.shape[1] > block:
+        missing = -rows.shape[1] % block
+        rows = np.concatenate([rows, np.zeros((m, missing, columns))], axis=1)
+        small = np.linalg.qr(rows.reshape(-1, block, columns), mode="r")
+        rows = small.reshape(m, -1, columns)
+    factors: FloatArray = np.linalg.qr(rows, mode="r")
     return factors
 
 
@@ -189,7 +202,7 @@ def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> Reduced:
 def _compact(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The same parabola in few rows: slopes and constants."""
     if len(rows) > rows.shape[1]:
-        rows = np.linalg.qr(rows, mode="r")
+        rows = triangles(rows[None, :, :-1], rows[None, :, -1])[0]
     return rows[:, :-1], rows[:, -1]
 
 

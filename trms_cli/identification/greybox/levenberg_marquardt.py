@@ -133,7 +133,7 @@ def bounded_least_squares(
 ) -> FloatArray:
     """``min |rows·x − wanted|²`` with ``low ≤ x ≤ high``; held where the two are equal."""
     x = np.zeros(rows.shape[1])
-    held = high - low <= 1e-12 * np.maximum(1.0, np.abs(low))
+    held = low == high
     x[held] = low[held]
     free = ~held
     if not free.any():

@@ -21,8 +21,6 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-_MAD_TO_SD = 1.4826
-
 
 @dataclass(frozen=True)
 class Weights:
@@ -81,7 +79,10 @@ class Weights:
 
 
 def sizes(r: FloatArray, measured: BoolArray, declared: FloatArray) -> FloatArray:
-    """Size of each output's residuals over their declared deviation, robust, shape (n_y,).
+    """Root mean square of each output's residuals over their declared deviation, shape (n_y,).
+
+    The largest hundredth counts as its smallest member, so that outliers do not make all else
+    cheap.
 
     Parameters
     ----------
@@ -93,11 +94,5 @@ def sizes(r: FloatArray, measured: BoolArray, declared: FloatArray) -> FloatArra
     for i in range(r.shape[2]):
         here = z[..., i][measured[..., i]]
         if len(here):
-            # The median misses rare large errors on purpose, and is zero for an encoder at rest.
-            found[i] = max(_MAD_TO_SD * float(np.median(here)), _clipped_rms(here))
+            found[i] = np.sqrt(np.mean(np.minimum(here, np.quantile(here, 0.99)) ** 2))
     return found
-
-
-def _clipped_rms(z: FloatArray) -> float:
-    """Root mean square without the largest hundredth."""
-    return float(np.sqrt(np.mean(np.minimum(z, np.quantile(z, 0.99)) ** 2)))
