@@ -28,6 +28,7 @@ PICTURE = """\
 #: (a test holds the two equal; the copy spares importing every module for one line of it).
 COMMANDS: dict[str, str] = {
     "run": "close the loop: simulate or replay, log, score, draw",
+    "identify": "fit a model's parameters, or a network, to recordings",
     "score": "metrics of logs, and comparison with a baseline",
     "import": "turn a recording (CSV, MAT) into an MCAP log",
     "export": "turn an MCAP log into CSV, Parquet or MAT",

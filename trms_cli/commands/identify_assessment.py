@@ -1,0 +1,114 @@
+"""What is to be said of a fit: uncertainty of the parameters, errors of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.commands.identify_request import Identification
+from trms_cli.identification.judgement import Judged, judged, with_values
+from trms_cli.identification.method import FitResult
+from trms_cli.models.model import Model
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Share of a parameter's scale within which it counts as lying on its bound.
+_AT_BOUND = 1e-3
+
+
+@dataclass
+class Assessment:
+    """A fit with all that is told of it.
+
+    Attributes
+    ----------
+    result : FitResult
+    statistics : dict
+        Of the parameters, as JSON has it; empty for a network.
+    before, after : dict of str to list of Judged
+        Free runs of the model as it was and as fitted, over ``fit`` and ``held_out``.
+    """
+
+    result: FitResult
+    statistics: dict[str, Any] = field(default_factory=dict)
+    before: dict[str, list[Judged]] = field(default_factory=dict)
+    after: dict[str, list[Judged]] = field(default_factory=dict)
+
+    @property
+    def deviations(self) -> dict[str, float | None]:
+        """Standard deviations of the fitted parameters, absolute; None where there is none."""
+        covariance = self.result.covariance
+        if covariance is None:
+            return dict.fromkeys(self.result.values)
+        roots = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+        return {
+            name: float(sd) if np.isfinite(sd) and sd > 0 else None
+            for name, sd in zip(self.result.values, roots, strict=True)
+        }
+
+    @property
+    def correlation(self) -> FloatArray | None:
+        """Correlation of the estimates, (n_f, n_f)."""
+        covariance = self.result.covariance
+        if covariance is None:
+            return None
+        roots = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            correlation: FloatArray = covariance / np.outer(roots, roots)
+        return correlation
+
+
+def assess(asked: Identification, result: FitResult) -> Assessment:
+    """What the data say of the fitted parameters; nothing yet of errors."""
+    if not result.values or not np.isfinite(result.cost):
+        return Assessment(result)
+    if result.covariance is None:
+        result = replace(result, covariance=_covariance(asked, result))
+    return Assessment(result)
+
+
+def _covariance(asked: Identification, result: FitResult) -> FloatArray | None:
+    """At the fitted point, for a method that knows no slopes."""
+    from trms_cli.identification.greybox.map_fit import MapSettings, fit_from
+    from trms_cli.identification.greybox.windows import Windows
+
+    every = np.ones(len(result.values), dtype=bool)
+    fit = fit_from(Windows(asked.problem), result.theta, MapSettings(), held=every)
+    if fit.information is None:
+        return None
+    on_bound = np.array([name in at_bounds(asked, result.values) for name in result.values])
+    return fit.information.covariance(on_bound)
+
+
+def judge(asked: Identification, assessment: Assessment, fitted: Model | None = None) -> None:
+    """Simulate what was fitted and what was held out, with the old model and the new.
+
+    Parameters
+    ----------
+    fitted : Model or None
+        The model that a network was trained to; None: the problem's with the fitted values.
+    """
+    problem = asked.problem
+    after = fitted or with_values(problem.model, assessment.result.values)
+    parts = {"fit": problem.datasets, "held_out": problem.validation}
+    for part, datasets in parts.items():
+        length = problem.window_length
+        assessment.after[part] = judged(after, datasets, length, jobs=problem.jobs)
+        if fitted is None:
+            assessment.before[part] = judged(problem.model, datasets, length, jobs=problem.jobs)
+
+
+def at_bounds(asked: Identification, values: Mapping[str, float]) -> dict[str, str]:
+    """Which fitted values lie on a bound: ``lower`` or ``upper`` by name."""
+    found = {}
+    for parameter in asked.problem.free:
+        value, margin = values[parameter.name], _AT_BOUND * parameter.scale
+        if value <= parameter.lower + margin:
+            found[parameter.name] = "lower"
+        elif value >= parameter.upper - margin:
+            found[parameter.name] = "upper"
+    return found

@@ -1,0 +1,159 @@
+"""What a fit leaves on the disk besides figures: its configuration and the fitted model."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from trms_cli.commands.catalogue import config_folder, read_yaml
+from trms_cli.commands.composition import Composition
+from trms_cli.commands.identify_request import Identification
+from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.plugins import TARGET
+from trms_cli.identification.method import FitResult
+from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import ParameterFile, parameter_file
+
+#: What was typed, for `resume`.
+REQUEST_NAME, CONFIG_NAME = "request.json", "config.yaml"
+#: Keys of a model's node that a model file has a place for.
+_OF_THE_FILE = {TARGET, "parameter_set", "parameters"}
+
+
+def write_config(composition: Composition, folder: Path) -> None:
+    """The resolved configuration for a person, and what was typed for `resume`."""
+    request = {
+        "overrides": [word for word in composition.overrides if not _is_own(word)],
+        "config_dirs": [str(folder) for folder in composition.config_dirs],
+        "working_folder": str(Path.cwd()),
+    }
+    try:
+        (folder / CONFIG_NAME).write_text(composition.yaml, encoding="utf-8")
+        text = json.dumps(request, indent=2, ensure_ascii=False) + "\n"
+        (folder / REQUEST_NAME).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be written: {error.strerror or error}",
+            where=str(folder),
+            remedy="name a folder that you can write to: out=FOLDER",
+        ) from error
+
+
+def origin_of(composition: Composition) -> ModelOrigin | None:
+    """What the fitted model's file says besides values; None where the method writes its own.
+
+    Raises
+    ------
+    ConfigurationError
+        If a model file has no place for something that the model was given.
+    """
+    node = composition.config["model"]
+    effects = {name: dict(n) for name, n in (composition.config.get("effect") or {}).items()}
+    own = {name: _effect_arguments(name, n) for name, n in effects.items()}
+    if "path" in node:  # model=FILE
+        content = parameter_file(str(node["path"]))
+        return ModelOrigin(
+            option=content.model, limits=content.limits, effects=dict(content.effects) | own
+        )
+    option = str(composition.choices["model"])
+    _check_places(option, node)
+    limits = _limits(node)
+    return ModelOrigin(option=option, limits=limits, effects=own)
+
+
+def write_fitted_model(
+    asked: Identification,
+    result: FitResult,
+    deviations: Mapping[str, float | None],
+    origin: ModelOrigin | None,
+    path: Path,
+) -> Path:
+    """Write the fitted model."""
+    source = source_words(asked)
+    if result.model_document is not None:
+        document = dict(result.model_document)
+        document.setdefault("source", source)
+    else:
+        assert origin is not None
+        document = model_document(
+            Path(asked.recordings[0].source).stem,
+            asked.model,
+            origin,
+            values=result.values,
+            deviations=deviations,
+            free=asked.problem.free,
+            source=source,
+        )
+    heading = (
+        f"{shlex.join(['trms', *sys.argv[1:]])}\n"
+        f"{result.outcome.value}; sd: standard deviation of a fitted value, "
+        "prior_sd: of what was known before, relative"
+    )
+    write_model(document, path, heading)
+    return path
+
+
+def network_of(result: FitResult, file: Path) -> Model | None:
+    """The model that a network was trained to, as its file says; None for parameters."""
+    if result.model_document is None:
+        return None
+    from trms_cli.effects.model_file import load_model
+
+    return load_model(str(file))
+
+
+def source_words(asked: Identification) -> str:
+    """What was fitted to what."""
+    files = {d.source: d.sha256 for d in asked.problem.datasets}
+    words = ", ".join(f"{Path(f).name} (sha256 {digest[:16]})" for f, digest in files.items())
+    driven = f", driven by the measured {', '.join(asked.driven)}" if asked.driven else ""
+    return f"fitted to {words}{driven}"
+
+
+def _effect_arguments(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
+    """An effect's arguments; without its class if the library has it under this name."""
+    library = config_folder() / "effect" / f"{name}.yaml"
+    arguments = dict(node)
+    if library.is_file():
+        known = read_yaml(library).get(name, {})
+        if known.get(TARGET) == arguments.get(TARGET):
+            del arguments[TARGET]
+            arguments = {key: v for key, v in arguments.items() if known.get(key) != v}
+    return arguments
+
+
+def _check_places(option: str, node: Mapping[str, Any]) -> None:
+    """Refuse what a model file could not say: `load_model` builds the option as it is."""
+    file = config_folder() / "model" / f"{option}.yaml"
+    if not file.is_file():
+        raise ConfigurationError(
+            f"a model file names a model of the library, and {option!r} is none",
+            where="model",
+            remedy="fit a model of the library with effects, or use the method from Python",
+        )
+    known = read_yaml(file)
+    for key, value in node.items():
+        if key not in _OF_THE_FILE and known.get(key) != value:
+            raise ConfigurationError(
+                f"{key} is {value!r} here and {known.get(key)!r} in the option {option!r}, by "
+                "which a model file is read",
+                where=f"model.{key}",
+                remedy="choose an option of `trms list model` that has it",
+            )
+
+
+def _limits(node: Mapping[str, Any]) -> dict[str, float]:
+    name = node.get("parameter_set")
+    if not isinstance(name, str):
+        return {}
+    content: ParameterFile = parameter_file(name)
+    return dict(content.limits)
+
+
+def _is_own(word: str) -> bool:
+    return word.lstrip("+").partition("=")[0] == "out"

@@ -1,0 +1,204 @@
+"""What a person sees of a fit: what is fitted to what, then parameters, errors and files."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from trms_cli.commands.composition import Composition
+from trms_cli.commands.identify_request import Identification
+from trms_cli.commands.invocation import program
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.method import FitResult
+
+#: Parts of the recordings in the document, as a person reads them.
+_PARTS = {"fit": "on what was fitted", "held_out": "on what was held out"}
+#: Correlations of estimates that are worth a line.
+_STRONG = 0.95
+
+
+class IdentifyScreen:
+    """Words on standard output; in a sweep one line a job.
+
+    Parameters
+    ----------
+    composition : Composition
+    asked : Identification
+    folder : Path
+    """
+
+    def __init__(self, composition: Composition, asked: Identification, folder: Path) -> None:
+        self._composition, self._asked, self._folder = composition, asked, folder
+        self._quiet = composition.job is not None
+
+    def say_begin(self) -> None:
+        """What is fitted to what, and what was found in the recordings."""
+        if self._quiet:
+            return
+        problem = self._asked.problem
+        choices = self._composition.choices
+        words = [str(choices.get("method")), f"model {choices.get('model')}"]
+        if choices.get("effect"):
+            words.append(f"effect {', '.join(choices['effect'])}")
+        if self._asked.driven:
+            words.append(f"driven by {', '.join(self._asked.driven)}")
+        if problem.free:
+            words.append(f"{len(problem.free)} parameters free")
+        _print_headed(f"identify   {' · '.join(words)}")
+        print(f"fitted     {'; '.join(map(_part, problem.datasets))}")
+        if problem.validation:
+            print(f"held out   {'; '.join(map(_part, problem.validation))}")
+        else:
+            print("held out   nothing: how good the model is on other data stays unknown")
+        remarks: dict[str, None] = {}
+        for dataset in (*problem.datasets, *problem.validation):
+            remarks |= dict.fromkeys(dataset.remarks)
+        for remark in remarks:
+            print(f"note       {remark}")
+        if self._asked.idle:
+            print(
+                f"note       no part in the equations, so not fitted: {', '.join(self._asked.idle)}"
+            )
+        sys.stdout.flush()
+
+    def say_fitted(self, result: FitResult) -> None:
+        """How the fit ended."""
+        if not self._quiet:
+            print(
+                f"fit        {result.outcome.value}\n"
+                f"           {result.evaluations} simulations in {result.seconds:.1f} s, "
+                f"cost {result.cost:.6g}"
+            )
+            sys.stdout.flush()
+
+    def say_finished(
+        self, document: Mapping[str, Any], model: Path, page: Path | None, whole: float
+    ) -> None:
+        """Parameters, errors, files, and what to do next."""
+        if self._quiet:
+            print(self._job_line(document))
+            return
+        for lines in (
+            _parameter_lines(document["parameters"]),
+            _doubt_lines(document),
+            _error_lines(document["errors"]),
+        ):
+            print()
+            for line in lines:
+                _print_headed(line)
+        print(f"\ntime       {whole:.1f} s in all")
+        print(f"model      {model}")
+        print(f"figures    {model.with_name('identification.json')}")
+        if page is not None:
+            print(f"page       {page}")
+        print()
+        real = shlex.quote(self._asked.recordings[0].source)
+        where, trms = shlex.quote(str(model)), program()
+        print(f"next       {trms} validate model={where} real={real}")
+        print(f"           {trms} run model={where}")
+        if document["outcome"] in ("interrupted", "budget_spent") and self._resumable:
+            print(f"           {trms} identify resume={shlex.quote(str(self._folder))}", end="")
+            more = _more(self._composition.config["method"])
+            print(f" {more}" if more and document["outcome"] == "budget_spent" else "")
+
+    @property
+    def _resumable(self) -> bool:
+        from trms_cli.commands.identify_progress import STATE_NAME
+
+        return (self._folder / STATE_NAME).is_file()
+
+    def _job_line(self, document: Mapping[str, Any]) -> str:
+        part = "held_out" if document["errors"]["held_out"]["after"] else "fit"
+        errors = document["errors"][part]["after"] or {}
+        figures = ", ".join(f"{n} {_number(e['rmse'])} {e['unit']}" for n, e in errors.items())
+        what = " ".join(self._composition.overrides)
+        return (
+            f"{self._composition.job:>4}  {what}  {document['seconds']['fit']:.1f} s, cost "
+            f"{document['cost']:.6g}, {_PARTS[part].removeprefix('on ')}: RMSE {figures}"
+        )
+
+
+def _part(dataset: Dataset) -> str:
+    return (
+        f"{dataset.name} {dataset.time[0]:g} to {dataset.time[-1] + dataset.sample_time:g} s "
+        f"at {1 / dataset.sample_time:g} Hz"
+    )
+
+
+def _more(method: Mapping[str, Any]) -> str:
+    for key in ("generations", "evaluations"):
+        if isinstance(method.get(key), int):
+            return f"method.{key}={2 * method[key]}"
+    return ""
+
+
+def _parameter_lines(parameters: Mapping[str, Any]) -> Iterator[str]:
+    if not parameters:
+        return
+    width = max(12, *(len(name) for name in parameters)) + 2
+    yield f"{'parameters':{width}}{'fitted':>11}{'±':>10}{'before':>12}{'±':>10}  unit"
+    for name, p in parameters.items():
+        sd = _number(p["sd"])
+        prior = "free" if p["prior_sd"] is None else _number(p["prior_sd"])
+        bound = f"  at its {p['at_bound']} bound" if p["at_bound"] else ""
+        yield (
+            f"  {name:{width - 2}}{_value(p['value']):>11}{sd:>10}"
+            f"{_value(p['prior_mean']):>12}{prior:>10}  {p['unit'] or '1'}{bound}"
+        )
+
+
+def _doubt_lines(document: Mapping[str, Any]) -> Iterator[str]:
+    """What cannot be told apart, and what is at a bound."""
+    table = document["correlation"]
+    if table is not None:
+        matrix, names = table["matrix"], table["names"]
+        pairs = [
+            (abs(matrix[i][k] or 0.0), f"{names[i]} and {names[k]} ({matrix[i][k]:+.3f})")
+            for i in range(len(names))
+            for k in range(i)
+            if abs(matrix[i][k] or 0.0) > _STRONG
+        ]
+        for _, words in sorted(pairs, reverse=True)[:5]:
+            yield f"correlated {words}: the data tell a combination of them"
+    bound = [n for n, p in document["parameters"].items() if p["at_bound"]]
+    if bound:
+        yield f"at bounds  {', '.join(bound)}: widen bounds.NAME, or ask what the model lacks"
+
+
+def _error_lines(errors: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{'free runs, RMSE':34}{'before':>10}{'fitted':>10}{'fit %':>9}  unit"
+    for part, words in _PARTS.items():
+        after, before = errors[part]["after"], errors[part]["before"] or {}
+        for name, figures in (after or {}).items():
+            was = before.get(name, {}).get("rmse")
+            percent = figures["fit_percent"]
+            yield (
+                f"  {name:9} {words:22}{_number(was):>10}{_number(figures['rmse']):>10}"
+                f"{'–' if percent is None else f'{percent:.1f}':>9}  {figures['unit']}"
+            )
+
+
+def _value(value: float | None) -> str:
+    return "–" if value is None else f"{value:.5g}"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
+def _print_headed(line: str) -> None:
+    """The first word bold on a terminal."""
+    head = line[:10].rstrip()
+    if head and not head.startswith(" ") and _has_colour():
+        line = f"\033[1m{head}\033[0m{line[len(head) :]}"
+    print(line)
+
+
+def _has_colour() -> bool:
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return False
+    return sys.stdout.isatty()
