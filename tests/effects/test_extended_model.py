@@ -162,7 +162,7 @@ def test_every_effect_works_on_its_own_axis_alone(rig, effect_name):
     part = NEEDS.get(effect_name, effect_name.split("_")[0])
     freedom = "vertical" if part in ("pitch", "main") else "horizontal"
     if effect_name in OF_BOTH_AXES:
-        with pytest.raises(ModelError, match="has no (yaw|pitch) axis"):
+        with pytest.raises(ModelError, match=r"has no (yaw|pitch) axis"):
             rig.extended(rig.newtonian(freedom=freedom), {effect_name: rig.effect(effect_name)})
         return
     base = rig.newtonian(freedom=freedom)

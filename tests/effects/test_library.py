@@ -23,7 +23,6 @@ def test_each_option_describes_itself(rig, effect_name):
     assert re.match(r"# \w.{20,80}$", first)
     assert head == f"{effect_name}:"
     part = effect_name.split("_")[0]
-    assert (part in ("pitch", "yaw", "main", "tail")) == ("axis" in text or "rotor:" in text)
     for line in lines[1:]:
         key, value = re.match(r"  (\w+): +(\S+)", line).groups()
         if key in ("axis", "rotor"):
@@ -38,6 +37,18 @@ def test_each_size_has_a_unit_and_a_meaning(rig, effect_name):
         assert parameter.unit and parameter.description
         assert getattr(effect, parameter.name) == parameter.value
         assert parameter.lower <= parameter.value <= parameter.upper
+
+
+def test_each_size_has_a_typical_range_and_the_option_tells_it(rig, effect_name):
+    text = (config_folder() / "effect" / f"{effect_name}.yaml").read_text(encoding="utf-8")
+    for parameter in rig.effect(effect_name).parameters():
+        low, high = parameter.typical
+        assert parameter.lower <= low < high <= parameter.upper
+        told = re.search(
+            rf"^  {parameter.name}: .*typical (\S+) to (\S+?)(?:[;:,].*)?$", text, re.M
+        )
+        assert told, f"{parameter.name} has no typical range"
+        assert (float(told[1]), float(told[2])) == (low, high)
 
 
 def test_a_size_out_of_range_is_refused_by_its_key(rig, effect_name):

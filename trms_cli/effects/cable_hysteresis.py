@@ -51,8 +51,22 @@ class CableHysteresis(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("torque", self.torque, "N*m", lower=0.0, description="half height T"),
-            Parameter("width", self.width, "rad", lower=_NARROWEST, description="turning travel"),
+            Parameter(
+                "torque",
+                self.torque,
+                "N*m",
+                lower=0.0,
+                typical=(0.002, 0.01),
+                description="half height T",
+            ),
+            Parameter(
+                "width",
+                self.width,
+                "rad",
+                lower=_NARROWEST,
+                typical=(0.05, 0.3),
+                description="turning travel",
+            ),
         )
 
     def check(self, model: Model) -> None:

@@ -39,10 +39,25 @@ class CableStiffness(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("stiffness", self.stiffness, "N*m/rad", lower=0.0, description="k"),
-            Parameter("cubic", self.cubic, "N*m/rad^3", lower=0.0, description="k₃"),
             Parameter(
-                "neutral", self.neutral, "rad", lower=-3.2, upper=3.2, description="free angle α₀"
+                "stiffness",
+                self.stiffness,
+                "N*m/rad",
+                lower=0.0,
+                typical=(0.002, 0.02),
+                description="k",
+            ),
+            Parameter(
+                "cubic", self.cubic, "N*m/rad^3", lower=0.0, typical=(0.0, 0.01), description="k₃"
+            ),
+            Parameter(
+                "neutral",
+                self.neutral,
+                "rad",
+                lower=-3.2,
+                upper=3.2,
+                typical=(-0.3, 0.3),
+                description="free angle α₀",
             ),
         )
 

@@ -32,7 +32,14 @@ class CoulombFriction(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("torque", self.torque, "N*m", lower=0.0, description="Coulomb torque F_c"),
+            Parameter(
+                "torque",
+                self.torque,
+                "N*m",
+                lower=0.0,
+                typical=(0.002, 0.02),
+                description="Coulomb torque F_c",
+            ),
         )
 
     def check(self, model: Model) -> None:

@@ -32,7 +32,16 @@ class DeadZone(Effect):
     width: Annotated[float, Meta(ge=0)]
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("width", self.width, "V", lower=0.0, description="half width d"),)
+        return (
+            Parameter(
+                "width",
+                self.width,
+                "V",
+                lower=0.0,
+                typical=(0.025, 0.15),
+                description="half width d",
+            ),
+        )
 
     def check(self, model: Model) -> None:
         rotor_input(model, self.rotor)

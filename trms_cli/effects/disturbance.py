@@ -43,8 +43,22 @@ class Disturbance(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("torque", self.torque, "N*m", lower=0.0, description="standard deviation σ"),
-            Parameter("time", self.time, "s", lower=_SHORTEST, description="correlation time τ"),
+            Parameter(
+                "torque",
+                self.torque,
+                "N*m",
+                lower=0.0,
+                typical=(0.002, 0.02),
+                description="standard deviation σ",
+            ),
+            Parameter(
+                "time",
+                self.time,
+                "s",
+                lower=_SHORTEST,
+                typical=(0.3, 3.0),
+                description="correlation time τ",
+            ),
         )
 
     def check(self, model: Model) -> None:

@@ -264,7 +264,7 @@ def resisting_impulse(
     torque: ca.SX | Callable[[ca.SX], ca.SX] | None,
     duration: float,
 ) -> ca.SX:
-    """States after dry friction has acted on an axis or rotor; see :mod:`trms_cli.models.dry_friction`.
+    """States after dry friction on an axis or rotor; see :mod:`trms_cli.models.dry_friction`.
 
     Parameters
     ----------

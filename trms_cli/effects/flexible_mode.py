@@ -49,12 +49,31 @@ class FlexibleMode(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("share", self.share, "1", lower=0.0, upper=10.0, description="share c seen"),
             Parameter(
-                "frequency", self.frequency, "Hz", lower=_SLOWEST, description="frequency ω₀/2π"
+                "share",
+                self.share,
+                "1",
+                lower=0.0,
+                upper=10.0,
+                typical=(0.2, 2.0),
+                description="share c seen",
             ),
             Parameter(
-                "damping", self.damping, "1", lower=0.0, upper=0.9, description="damping ratio ζ"
+                "frequency",
+                self.frequency,
+                "Hz",
+                lower=_SLOWEST,
+                typical=(2.0, 12.0),
+                description="frequency ω₀/2π",
+            ),
+            Parameter(
+                "damping",
+                self.damping,
+                "1",
+                lower=0.0,
+                upper=0.9,
+                typical=(0.01, 0.05),
+                description="damping ratio ζ",
             ),
         )
 

@@ -41,9 +41,16 @@ class GroundEffect(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("gain", self.gain, "1", lower=0.0, description="g, at the table"),
             Parameter(
-                "scale", self.scale, "m", lower=_THINNEST, description="height h₀ of the cushion"
+                "gain", self.gain, "1", lower=0.0, typical=(0.1, 0.6), description="g, at the table"
+            ),
+            Parameter(
+                "scale",
+                self.scale,
+                "m",
+                lower=_THINNEST,
+                typical=(0.03, 0.2),
+                description="height h₀ of the cushion",
             ),
         )
 

@@ -48,6 +48,7 @@ class GyroscopicCoupling(Effect):
                 "kg*m^2",
                 lower=-1e-2,
                 upper=1e-2,
+                typical=(1e-05, 6e-05),
                 description="inertia J of the rotor, beyond the model's",
             ),
         )

@@ -42,7 +42,14 @@ class Inflow(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("coefficient", self.coefficient, "rad/m", lower=0.0, description="inflow k"),
+            Parameter(
+                "coefficient",
+                self.coefficient,
+                "rad/m",
+                lower=0.0,
+                typical=(5.0, 60.0),
+                description="inflow k",
+            ),
         )
 
     def check(self, model: Model) -> None:

@@ -44,6 +44,7 @@ class InputDelay(Effect):
                 "s",
                 lower=0.0,
                 upper=self._reach,
+                typical=(0.005, 0.1),
                 description="transport delay d",
             ),
         )

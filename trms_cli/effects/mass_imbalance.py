@@ -48,12 +48,31 @@ class MassImbalance(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("mass", self.mass, "kg", lower=0.0, description="added mass m"),
             Parameter(
-                "arm", self.arm, "m", lower=-1, upper=1, description="l, positive towards the tail"
+                "mass",
+                self.mass,
+                "kg",
+                lower=0.0,
+                typical=(0.002, 0.02),
+                description="added mass m",
             ),
             Parameter(
-                "height", self.height, "m", lower=-1, upper=1, description="h, above the beam"
+                "arm",
+                self.arm,
+                "m",
+                lower=-1,
+                upper=1,
+                typical=(-0.28, 0.28),
+                description="l, positive towards the tail",
+            ),
+            Parameter(
+                "height",
+                self.height,
+                "m",
+                lower=-1,
+                upper=1,
+                typical=(-0.28, 0.05),
+                description="h, above the beam",
             ),
         )
 

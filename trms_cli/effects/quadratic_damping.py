@@ -34,6 +34,7 @@ class QuadraticDamping(Effect):
                 self.coefficient,
                 "N*m*s^2/rad^2",
                 lower=0.0,
+                typical=(0.002, 0.02),
                 description="damping coefficient c",
             ),
         )

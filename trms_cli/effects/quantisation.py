@@ -37,7 +37,16 @@ class Quantisation(Effect):
     quantum: Annotated[float, Meta(ge=0)]
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("quantum", self.quantum, "rad", lower=0.0, description="quantum q"),)
+        return (
+            Parameter(
+                "quantum",
+                self.quantum,
+                "rad",
+                lower=0.0,
+                typical=(0.001, 0.007),
+                description="quantum q",
+            ),
+        )
 
     def check(self, model: Model) -> None:
         output_row(model, axis_of(model, self.axis).angle)

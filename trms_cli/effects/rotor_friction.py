@@ -39,7 +39,14 @@ class RotorFriction(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("torque", self.torque, "N*m", lower=0.0, description="Coulomb torque F_c"),
+            Parameter(
+                "torque",
+                self.torque,
+                "N*m",
+                lower=0.0,
+                typical=(0.0005, 0.002),
+                description="Coulomb torque F_c",
+            ),
         )
 
     def check(self, model: Model) -> None:

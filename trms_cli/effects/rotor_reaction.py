@@ -24,6 +24,9 @@ from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
 
 _OTHER_AXIS = {"main": "yaw", "tail": "pitch"}
+#: 1 to 10 % of the torque of the rotor's thrust; the inertia of the rotor itself.
+_TYPICAL_DRAG = {"main": (4e-8, 5e-7), "tail": (5e-9, 1e-7)}
+_TYPICAL_INERTIA = {"main": (-2e-4, 2e-4), "tail": (-3e-5, 3e-5)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +54,7 @@ class RotorReaction(Effect):
                 "N*m*s^2/rad^2",
                 lower=-1e-4,
                 upper=1e-4,
+                typical=_TYPICAL_DRAG[self.rotor],
                 description="drag coefficient c",
             ),
             Parameter(
@@ -59,6 +63,7 @@ class RotorReaction(Effect):
                 "kg*m^2",
                 lower=-1e-2,
                 upper=1e-2,
+                typical=_TYPICAL_INERTIA[self.rotor],
                 description="inertia J that the acceleration of the rotor meets",
             ),
         )

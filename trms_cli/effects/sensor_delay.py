@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import casadi as ca
@@ -44,6 +45,7 @@ class SensorDelay(Effect):
                 "s",
                 lower=0.0,
                 upper=self._reach,
+                typical=(0.02, 0.1),
                 description="transport delay d",
             ),
         )
@@ -89,8 +91,8 @@ def _at_age(age: ca.SX, ages: list[float], values: list[ca.SX]) -> ca.SX:
     Written as the first value and what each stretch adds, which is zero bit for bit where the
     stretch has not begun.
     """
-    widths = [b - a for a, b in zip(ages[:-1], ages[1:], strict=True)]
-    rises = [b - a for a, b in zip(values[:-1], values[1:], strict=True)]
+    widths = [b - a for a, b in pairwise(ages)]
+    rises = [b - a for a, b in pairwise(values)]
     slopes = _slopes(widths, rises)
     result = values[0]
     for k, (width, rise) in enumerate(zip(widths, rises, strict=True)):

@@ -47,13 +47,23 @@ class StribeckFriction(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("torque", self.torque, "N*m", lower=0.0, description="Coulomb torque F_c"),
-            Parameter("excess", self.excess, "1", lower=0.0, description="F_s/F_c − 1"),
+            Parameter(
+                "torque",
+                self.torque,
+                "N*m",
+                lower=0.0,
+                typical=(0.002, 0.02),
+                description="Coulomb torque F_c",
+            ),
+            Parameter(
+                "excess", self.excess, "1", lower=0.0, typical=(0.1, 1.0), description="F_s/F_c − 1"
+            ),
             Parameter(
                 "velocity",
                 self.velocity,
                 "rad/s",
                 lower=_SLOWEST,
+                typical=(0.01, 0.1),
                 description="Stribeck velocity v_s",
             ),
         )

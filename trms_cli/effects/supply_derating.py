@@ -43,10 +43,21 @@ class SupplyDerating(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             Parameter(
-                "depth", self.depth, "1", lower=0.0, upper=1.0, description="gain lost at full load"
+                "depth",
+                self.depth,
+                "1",
+                lower=0.0,
+                upper=1.0,
+                typical=(0.0, 0.1),
+                description="gain lost at full load",
             ),
             Parameter(
-                "time_constant", self.time_constant, "s", lower=0.0, description="time constant τ"
+                "time_constant",
+                self.time_constant,
+                "s",
+                lower=0.0,
+                typical=(10.0, 300.0),
+                description="time constant τ",
             ),
         )
 

@@ -35,7 +35,12 @@ class TachoLag(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             Parameter(
-                "time_constant", self.time_constant, "s", lower=0.0, description="time constant τ"
+                "time_constant",
+                self.time_constant,
+                "s",
+                lower=0.0,
+                typical=(0.005, 0.1),
+                description="time constant τ",
             ),
         )
 

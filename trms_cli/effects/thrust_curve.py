@@ -53,6 +53,7 @@ class ThrustCurve(Effect):
                 "1",
                 lower=-1.0,
                 upper=1.0,
+                typical=(-0.3, 0.3),
                 description="e, beyond the model's exponent",
             ),
             Parameter(
@@ -61,6 +62,7 @@ class ThrustCurve(Effect):
                 "1",
                 lower=-1.0,
                 upper=1.0,
+                typical=(-0.3, 0.3),
                 description="r, share of the thrust in reverse",
             ),
         )

@@ -36,6 +36,9 @@ class Parameter:
         Standard deviation of the prior relative to the value; None for a constant that is known.
     lower, upper : float
         Hard bounds, in the same unit.
+    typical : (float, float) or None
+        Range that rigs of this kind span, in the same unit, where the value itself says nothing
+        of a prior: an effect may be absent, with a size of zero.
     """
 
     name: str
@@ -46,6 +49,7 @@ class Parameter:
     upper: float = np.inf
     source: str = ""
     description: str = ""
+    typical: tuple[float, float] | None = None
 
 
 class ParameterSet:
