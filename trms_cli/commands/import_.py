@@ -12,18 +12,28 @@ from trms_cli.commands.plain_options import PlainOptions
 SUMMARY = "turn a recording (CSV, MAT) into an MCAP log"
 
 HELP = """\
-usage: trms import FILE [--out LOG.mcap] [--force] [--json]
+usage: trms import FILE [--out LOG.mcap] [--force] [--json] [PREPARATION]…
 
 Checks a recording and writes it as an MCAP log, which `trms score`, `trms run plant=replay`,
-Foxglove and every other MCAP reader open. Prints what is in it: channels with units, span,
-rate, gaps, missing samples and quanta. The first fault found is told with its line and what
-to do about it; nothing is repaired in silence.
+`trms identify`, Foxglove and every other MCAP reader open. Prints what is in it: channels with
+units, span, rate, gaps, missing samples, quanta, outliers, delays between channels, and whether
+the loop was open or closed; of inputs the share of time at the limit, of angles that at rest,
+and how often an angle or a rotor turns round. The first fault found is told with its line and
+what to do about it; nothing is repaired in silence.
 
   FILE           a recording, .csv or .mat
   --out LOG      where to write the log (default: FILE's name, ending in .mcap, in the
                  working directory: a folder of recordings is often shared)
   --force        replace LOG if it exists
   --json         print the same figures as JSON
+
+preparation: done only when asked for, in this order, and noted in the log
+  --outliers mark        make outliers missing samples (default: keep)
+  --delay NAME=SECONDS   the channel is recorded so much late: move it earlier (may be repeated;
+                         negative: a command that is written down before it acts)
+  --gaps split|SECONDS   a log of each part between gaps of t, or fill what is missing for at
+                         most SECONDS (default: keep)
+  --resample SECONDS     another sample time: commands averaged, measurements low-passed
 
 A CSV is a header of name[unit] and numbers below; lines with # above are key: value metadata:
 
@@ -41,6 +51,7 @@ examples
   trms import recording.csv
   trms import recording.csv --out logs/monday.mcap
   trms import recording.csv --json
+  trms import recording.csv --outliers mark --delay alpha_v=0.02 --resample 0.02
 """
 
 
@@ -51,9 +62,14 @@ def main(argv: list[str]) -> int:
     options.add_argument("--out", type=Path)
     options.add_argument("--force", action="store_true")
     options.add_argument("--json", action="store_true")
+    options.add_argument("--outliers", choices=("keep", "mark"), default="keep")
+    options.add_argument("--delay", action="append", default=[], metavar="NAME=SECONDS")
+    options.add_argument("--gaps", default="keep")
+    options.add_argument("--resample", type=float)
     given = options.parse_args(argv)
 
     from trms_cli.core.errors import RecordingError
+    from trms_cli.recordings.findings import look_at
     from trms_cli.recordings.mcap_recording import sha256_of, write_mcap
     from trms_cli.recordings.recording import read_recording
 
@@ -61,18 +77,33 @@ def main(argv: list[str]) -> int:
         raise RecordingError(
             "this is a log already", where=str(given.file), remedy="trms export turns it into CSV"
         )
+    preparation = _preparation(given)
     recording = read_recording(given.file)
     log_path = given.out or Path(given.file.with_suffix(".mcap").name)
     sha256 = sha256_of(given.file)
-    run_metadata = {
-        "command": "trms import",
-        "imported": "true",
-        "file": str(given.file),
-        "file_sha256": sha256,
-    }
-    write_mcap(recording, log_path, run_metadata, force=given.force)
+    findings = look_at(recording)
+    prepared = preparation is not None
+    parts = _prepared(preparation, recording)
+    logs = [_numbered(log_path, k, len(parts)) for k in range(1, len(parts) + 1)]
+    known = {*recording.remarks, *findings.sentences}
+    done = [[remark for remark in part.remarks if remark not in known] for part in parts]
+    for part, path, remarks in zip(parts, logs, done, strict=True):
+        run_metadata = {
+            "command": "trms import",
+            "imported": "true",
+            "file": str(given.file),
+            "file_sha256": sha256,
+        }
+        if prepared:
+            run_metadata["preparation"] = "; ".join(remarks)
+        write_mcap(part, path, run_metadata, force=given.force)
 
-    document = _document(recording, given.file, log_path, sha256)
+    document = _document(recording, findings, given.file, logs, sha256)
+    document["preparation"] = [
+        {"log": str(path), "samples": len(part), "sample_time_s": part.sample_time, "done": remarks}
+        for part, path, remarks in zip(parts, logs, done, strict=True)
+        if prepared
+    ]
     if given.json:
         json.dump(document, sys.stdout, indent=2, ensure_ascii=False)
         sys.stdout.write("\n")
@@ -81,27 +112,79 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _document(recording: Any, file: Path, log: Path, sha256: str) -> dict[str, Any]:
+def _preparation(given: Any) -> Any:
+    """The :class:`Preparation` asked for, or None."""
+    from trms_cli.core.errors import ConfigurationError
+    from trms_cli.core.plugins import build
+
+    delays = {}
+    for text in given.delay:
+        name, _, seconds = text.partition("=")
+        try:
+            delays[name] = float(seconds)
+        except ValueError:
+            raise ConfigurationError(
+                f"{text!r} given", where="--delay", remedy="NAME=SECONDS, as alpha_v=0.02"
+            ) from None
+    gaps: str | float = given.gaps
+    if gaps not in ("keep", "split"):
+        try:
+            gaps = float(gaps)
+        except ValueError:
+            raise ConfigurationError(
+                f"{given.gaps!r} given", where="--gaps", remedy="keep, split, or a time in s"
+            ) from None
+    if given.outliers == "keep" and gaps == "keep" and given.resample is None and not delays:
+        return None
+    node = {
+        "_target_": "trms_cli.recordings.preparation.Preparation",
+        "outliers": given.outliers,
+        "gaps": gaps,
+        "resample": given.resample,
+        "delays": delays,
+    }
+    try:
+        return build(node)
+    except ConfigurationError as error:
+        error.where = f"--{error.where}".replace("--delays", "--delay")
+        raise
+
+
+def _numbered(path: Path, number: int, of: int) -> Path:
+    """``LOG.mcap``, or ``LOG-2.mcap`` of several."""
+    return path if of == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def _prepared(preparation: Any, recording: Any) -> list[Any]:
+    """The parts, with errors that name the options of this command."""
+    from trms_cli.core.errors import RecordingError
+
+    if preparation is None:
+        return [recording]
+    try:
+        return list(preparation.apply(recording))
+    except RecordingError as error:
+        if error.where.split(".")[0] in ("delays", "gaps", "resample"):
+            error.where = f"--{error.where}".replace("--delays.", "--delay ")
+        raise
+
+
+def _document(
+    recording: Any, findings: Any, file: Path, logs: list[Path], sha256: str
+) -> dict[str, Any]:
     """Return the JSON twin of what is printed, in SI units."""
-    import numpy as np
-
-    from trms_cli.recordings.recording import quantum
-
+    found = findings.as_data()
     channels = {}
-    for name, values in recording.channels.items():
-        there = values[np.isfinite(values)]
-        channels[name] = {
-            "unit": recording.units[name],
-            "min": float(there.min()) if len(there) else None,
-            "max": float(there.max()) if len(there) else None,
-            "quantum": quantum(values),
-            "missing": recording.missing.get(name, 0),
-        }
+    for name, figures in found["channels"].items():
+        figures = dict(figures)
+        ends = {"min": figures.pop("minimum"), "max": figures.pop("maximum")}
+        channels[name] = {"unit": recording.units[name], **ends, **figures}
     return {
         "schema": "trms.import/1",
         "file": str(file),
         "sha256": sha256,
-        "log": str(log),
+        "log": str(logs[0]),
+        "logs": [str(path) for path in logs],
         "metadata": recording.metadata,
         "samples": len(recording),
         "start_s": float(recording.time[0]),
@@ -111,7 +194,9 @@ def _document(recording: Any, file: Path, log: Path, sha256: str) -> dict[str, A
         "rate_hz": 1 / recording.sample_time,
         "gaps": [{"start_s": start, "end_s": end} for start, end in recording.gaps],
         "channels": channels,
-        "notes": recording.notes(),
+        "delays": found["delays"],
+        "loop": found["loop"],
+        "notes": [*recording.notes(), *findings.sentences],
     }
 
 
@@ -127,19 +212,33 @@ def _print(document: dict[str, Any]) -> None:
         f"{document['rate_hz']:.6g} Hz, {len(document['gaps']) or 'no'} gap"
         f"{'' if len(document['gaps']) == 1 else 's'}"
     )
-    table = Table(box=None, pad_edge=False, header_style="bold")
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 1, 0, 0))
     table.add_column("channel")
     table.add_column("unit")
-    for heading in ("min", "max", "quantum", "missing"):
+    headings = ("min", "max", "quantum", "missing", "outliers", "limit %", "rest %", "turns")
+    for heading in headings:
         table.add_column(heading, justify="right")
     for name, row in document["channels"].items():
         figures = (_figure(row[key]) for key in ("min", "max", "quantum"))
-        table.add_row(name, row["unit"], *figures, str(row["missing"]))
+        counts = (str(row[key]) for key in ("missing", "outliers"))
+        shares = (_percent(row[key]) for key in ("extreme_share", "rest_share"))
+        turns = "–" if row["turns"] is None else str(row["turns"])
+        table.add_row(name, row["unit"], *figures, *counts, *shares, turns)
     console.print(table)
     for note in document["notes"]:
         console.print(f"note: {escape(note)}")
-    console.print(f"log: {escape(document['log'])}")
+    for part in document["preparation"]:
+        for done in part["done"]:
+            console.print(f"done: {escape(done)}")
+        if len(document["logs"]) > 1:
+            console.print(f"log: {escape(part['log'])} ({part['samples']} samples)")
+    if len(document["logs"]) == 1:
+        console.print(f"log: {escape(document['log'])}")
 
 
 def _figure(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4g}"
+    return "–" if value is None else f"{value:.3g}"
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.2g}"

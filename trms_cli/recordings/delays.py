@@ -110,7 +110,9 @@ def _delay(
 
     def smooth(values: np.ndarray, derivative: int = 0) -> np.ndarray:
         order = 2 if of_rotor else 3
-        return np.asarray(savgol_filter(values, window, order, deriv=derivative, delta=step))
+        return np.asarray(
+            savgol_filter(values, window, order, deriv=derivative, delta=step, mode="constant")
+        )
 
     driver, driven = channels[cause], channels[effect]
     if of_rotor:

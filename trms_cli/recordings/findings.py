@@ -20,7 +20,7 @@ _SATURATED_SHARE = 0.02
 #: s for which an angle must keep still to be at rest.
 _REST_TIME = 0.5
 #: Share of the largest size beyond which a change of sign counts.
-_CROSSING_SHARE = 0.02
+_CROSSING_SHARE = 0.05
 _SMOOTHING_TIME = 0.2
 
 

@@ -84,7 +84,8 @@ def on_grid(recording: Recording, tolerance: float) -> GriddedRecording:
             f"multiples of the median step {step * 1e3:.4g} ms; at t = "
             f"{recording.time[worst]:.6g} s one takes {steps[worst] * step * 1e3:.4g} ms",
             where=str(recording.source),
-            remedy="resample it to a fixed rate before; a clock that only jitters passes with a "
+            remedy="resample it to a fixed rate before (trms import --resample SECONDS, or "
+            "data.resample=SECONDS); a clock that only jitters passes with a "
             f"larger plant.jitter (share of the sample time, now {tolerance:g}, below 0.5)",
         )
     index = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)

@@ -97,6 +97,8 @@ def _answered(recording: Recording, jitter: float) -> dict[str, float]:
         target = of_inputs[:, i]
         changed = np.append(False, np.diff(u[:, i]) != 0)
         rows = np.isfinite(target) & np.isfinite(answers).all(axis=1)
+        if not rows.any():
+            return {}
         if np.mean(changed[rows]) < _HELD_SHARE:
             # A signal of levels: it answers, if at all, when it changes.
             rows &= changed

@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from trms_cli.recordings.grid import runs
 from trms_cli.recordings.recording import Recording, quantum
 
 #: Half width of the running median, samples; more than half of it wrong is no outlier.
@@ -51,23 +50,42 @@ def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
     width = min(_SCALE_WIDTH, len(y))
     usual = percentile_filter(off, _USUAL_PERCENT, width, mode="reflect")
     floor = max(
-        (quantum(y) or 0.0) / _QUANTILE_TO_SD,
+        # Of the samples that are surely none: an outlier need not lie on the sensor's grid.
+        (quantum(y[off <= np.percentile(off, 95)]) or 0.0) / _QUANTILE_TO_SD,
         float(np.percentile(off, _USUAL_PERCENT)),
         1e-9 * float(np.ptp(y)),
     )
     limit = threshold * _QUANTILE_TO_SD * np.maximum(usual, floor)
-    for first, count in runs(off > limit):
-        if count > _HALF_WIDTH:
+    work = y.copy()
+    candidates = set(np.flatnonzero(off > limit).tolist())
+    # The farthest first: the median beside a spike is off as well, until the spike is mended.
+    for k in sorted(candidates, key=lambda k: -off[k]):
+        around = work[max(k - _HALF_WIDTH, 0) : k + _HALF_WIDTH + 1]
+        if abs(work[k] - float(np.median(around))) <= limit[k]:
             continue
-        side = [
-            _beyond(y, first, count, -1),
-            _beyond(y, first, count, +1),
-        ]
-        for k in range(first, first + count):
-            distances = [abs(y[k] - line(k)) for line in side if line is not None]
-            if distances and min(distances) > limit[k]:
-                found[there[k]] = True
+        run = _run_around(work, k, candidates, limit[k])
+        if run is not None:
+            found[there[run.start : run.stop]] = True
+            sides = [i for i in (run.start - 1, run.stop) if 0 <= i < len(y)]
+            work[run.start : run.stop] = np.interp(run, sides, work[sides])
     return found
+
+
+def _run_around(y: np.ndarray, k: int, candidates: set[int], limit: float) -> range | None:
+    """The shortest run of candidates around one that stands apart from both sides."""
+    for count in range(1, _HALF_WIDTH + 1):
+        for first in range(k - count + 1, k + 1):
+            run = range(first, first + count)
+            if candidates.issuperset(run) and _stands_apart(y, run, limit):
+                return run
+    return None
+
+
+def _stands_apart(y: np.ndarray, run: range, limit: float) -> bool:
+    """Whether every sample of a run is off the straight lines of both sides."""
+    lines = [_beyond(y, run.start, len(run), side) for side in (-1, 1)]
+    known = [line for line in lines if line is not None]
+    return bool(known) and all(abs(y[k] - line(k)) > limit for k in run for line in known)
 
 
 def _beyond(y: np.ndarray, first: int, count: int, direction: int) -> Callable[[int], float] | None:

@@ -1,8 +1,8 @@
-"""A recording made ready, by request only: shifted, freed of outliers, split, filled, resampled.
+"""A recording made ready, by request only: freed of outliers, shifted, split, filled, resampled.
 
-The order is fixed: channels are moved to the time at which they were true, outliers are made
-missing before anything is averaged over them, gaps are split or filled, and the new rate comes
-last. What was done stands in the recording's remarks; what was found and left is said as well.
+The order is fixed: outliers are made missing before anything is averaged over them, channels are
+moved to the time at which they were true, gaps are split or filled, and the new rate comes last.
+What was done stands in the recording's remarks; what was found and left is said as well.
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ class Preparation:
         """
         found = remarks_on(recording, {} if self.outliers == "mark" else None)
         recording = replace(recording, remarks=(*recording.remarks, *found))
+        if self.outliers == "mark":
+            recording = _without_outliers(recording)
         delays = {name: delay for name, delay in self.delays.items() if delay != 0}
         if delays:
             recording = shift_channels(recording, delays)
-        if self.outliers == "mark":
-            recording = _without_outliers(recording)
         parts = split_at_gaps(recording) if self.gaps == "split" else [recording]
-        if isinstance(self.gaps, float):
+        if not isinstance(self.gaps, str):
             # Uneven rows have no grid to fill; a new rate bridges what is short by itself.
             parts = [fill_gaps(part, self.gaps, self.jitter) for part in parts]
         if self.resample is not None:
