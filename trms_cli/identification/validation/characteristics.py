@@ -66,7 +66,9 @@ class Characteristics:
     autocorrelation: FloatArray
 
 
-def characteristics(name: str, unit: str, values: FloatArray, sample_time: float) -> Characteristics:
+def characteristics(
+    name: str, unit: str, values: FloatArray, sample_time: float
+) -> Characteristics:
     """Characterise one signal.
 
     Parameters

@@ -88,7 +88,9 @@ def ratio_interval(one: BlockSums, other: BlockSums, seed: int) -> Interval:
 
 
 def mean_log_ratio(
-    one: Mapping[tuple[str, float], BlockSums], other: Mapping[tuple[str, float], BlockSums], seed: int
+    one: Mapping[tuple[str, float], BlockSums],
+    other: Mapping[tuple[str, float], BlockSums],
+    seed: int,
 ) -> Interval:
     """Geometric mean over channels and horizons of the ratios of RMS, paired by blocks.
 
@@ -134,6 +136,4 @@ def _draws(blocks: int, seed: int) -> np.ndarray:
 
 def _rms_of_draws(sums: BlockSums, draws: np.ndarray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return np.asarray(
-            np.sqrt(sums.squares[draws].sum(axis=1) / sums.counts[draws].sum(axis=1))
-        )
+        return np.asarray(np.sqrt(sums.squares[draws].sum(axis=1) / sums.counts[draws].sum(axis=1)))

@@ -75,7 +75,9 @@ class FreeRuns:
     whole: FreeRun
 
 
-def common_windows(dataset: Dataset, options: ValidationOptions, lead: int) -> dict[float, IntArray]:
+def common_windows(
+    dataset: Dataset, options: ValidationOptions, lead: int
+) -> dict[float, IntArray]:
     """First samples of the windows of every horizon that fits.
 
     Parameters
@@ -107,9 +109,7 @@ def common_windows(dataset: Dataset, options: ValidationOptions, lead: int) -> d
     return found
 
 
-def lead_samples(
-    models: Sequence[Model], dataset: Dataset, options: ValidationOptions
-) -> int:
+def lead_samples(models: Sequence[Model], dataset: Dataset, options: ValidationOptions) -> int:
     """Samples before the first window that every model has its start from."""
     lead = max(2, round(options.windows.history / dataset.sample_time))
     for model in models:
@@ -158,9 +158,7 @@ def free_runs(
         windows[horizon] = _errors(model, dataset, rollout, first, samples, begin)
     origin = int(every[0])
     with np.errstate(all="ignore"):
-        y = rollout.outputs(
-            dataset.commands, [origin], [len(dataset) - origin], starts[:1]
-        ).y
+        y = rollout.outputs(dataset.commands, [origin], [len(dataset) - origin], starts[:1]).y
     return FreeRuns(windows, FreeRun(origin, y[:, _columns(model, dataset)]))
 
 

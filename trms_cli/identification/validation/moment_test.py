@@ -105,9 +105,9 @@ def moment_test(
     if not varying.any():
         return MomentTest(all_lags, nothing, nothing, np.nan, 0, np.nan)
     scaled = mean[varying] / spread[varying]
-    values, vectors = np.linalg.eigh(second[np.ix_(varying, varying)] / np.outer(
-        spread[varying], spread[varying]
-    ))
+    values, vectors = np.linalg.eigh(
+        second[np.ix_(varying, varying)] / np.outer(spread[varying], spread[varying])
+    )
     kept = values > _LEAST_SHARE
     along = vectors[:, kept].T @ scaled
     statistic = float(n * np.sum(along**2 / values[kept]))

@@ -23,11 +23,12 @@ from trms_cli.identification.validation.lagged_state import measured_states
 from trms_cli.identification.validation.options import PredictorOptions
 from trms_cli.models.model import Model, index_of, names
 from trms_cli.observers.observer import ObserverSetup
-from trms_cli.observers.ukf import InitialSd, ProcessNoise, Ukf
+from trms_cli.observers.state_kinds import kinds_of_states
+from trms_cli.observers.ukf import Ukf
 from trms_cli.simulation.rollout import Rollout
 
-#: Kinds of states whose process noise is scaled together.
-_BEAM, _DRIVE = ("angle", "momentum"), ("rotor", "current", "other")
+#: Kinds of states whose process noise is scaled together; the others are the drive's.
+_BEAM = ("angle", "momentum")
 #: log10 of the factors that are tried; the filter breaks down where it trusts its model entirely.
 _RANGE = (-4.0, 2.0)
 
@@ -79,12 +80,12 @@ def predict_one_step(
     remembered = measured_states(model, dataset)
     if remembered is not None:
         return _from_measured(model, dataset, rollout, remembered)
+    filter_ = _Filter(model, dataset, options)
+    settled = round(options.settle / dataset.sample_time)
     factors = dict(noise_factors or {"beam": 1.0, "drive": 1.0})
     if noise_factors is None and options.process_noise == "fitted":
-        factors = _fitted_factors(model, dataset, options)
-    filtered = _filtered(model, dataset, options, factors)
-    errors, sd, states = filtered
-    settled = round(options.settle / dataset.sample_time)
+        factors = _fitted_factors(filter_, settled)
+    errors, sd, states = filter_.run(factors)
     errors[:settled] = np.nan
     words = "unscented Kalman filter, " + (
         f"torques estimated on {', '.join(options.torques)}"
@@ -99,9 +100,7 @@ def predict_one_step(
     return OneStep(names(dataset.outputs), errors, sd, states, factors, words)
 
 
-def _from_measured(
-    model: Model, dataset: Dataset, rollout: Rollout, states: FloatArray
-) -> OneStep:
+def _from_measured(model: Model, dataset: Dataset, rollout: Rollout, states: FloatArray) -> OneStep:
     """One step of the model from measured states."""
     n = len(dataset)
     first = np.flatnonzero(~np.isnan(states[: n - 1]).any(axis=1))
@@ -122,51 +121,62 @@ def _from_measured(
     )
 
 
-def _filtered(
-    model: Model, dataset: Dataset, options: PredictorOptions, factors: Mapping[str, float]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Innovations, their deviations, and filtered states."""
-    nominal = ProcessNoise()
-    scaled = {kind: factors["beam"] * getattr(nominal, kind) for kind in _BEAM}
-    scaled |= {kind: factors["drive"] * getattr(nominal, kind) for kind in _DRIVE}
-    observer = Ukf(
-        disturbances=options.torques,
-        process_noise=ProcessNoise(**scaled),
-        initial_sd=InitialSd(),
-    )
-    n, n_y = dataset.measurements.shape
-    state = observer.init(
-        ObserverSetup(
-            model,
-            dataset.sample_time,
-            names(dataset.outputs),
-            dict(zip(names(dataset.outputs), dataset.noise_sd.tolist(), strict=True)),
-            dataset.measurements[0],
-            dataset.commands[0],
+class _Filter:
+    """A filter over one recording, run again and again with other process noise."""
+
+    def __init__(self, model: Model, dataset: Dataset, options: PredictorOptions) -> None:
+        self._dataset, self._n_x = dataset, model.n_x
+        self._observer = Ukf(disturbances=options.torques)
+        self._state = self._observer.init(
+            ObserverSetup(
+                model,
+                dataset.sample_time,
+                names(dataset.outputs),
+                dict(zip(names(dataset.outputs), dataset.noise_sd.tolist(), strict=True)),
+                dataset.measurements[0],
+                dataset.commands[0],
+            )
         )
-    )
-    innovations, sd, states = np.empty((n, n_y)), np.empty((n, n_y)), np.empty((n, model.n_x))
-    command = dataset.commands[0]
-    with np.errstate(all="ignore"):
-        for k in range(n):
-            estimate = observer.step(state, command, dataset.measurements[k], None)
-            innovations[k], sd[k] = estimate.innovation, estimate.innovation_sd
-            states[k] = estimate.x
-            command = dataset.commands[k]
-    return innovations, sd, states
+        function = self._state.function
+        self._inputs = function.inputs
+        self._initial = [values.copy() for values in function.inputs]
+        self._variances = dict(zip(function.function.name_in(), function.inputs, strict=True))["q"]
+        self._nominal = self._variances.copy()
+        kinds = kinds_of_states(model)
+        self._group = np.array(
+            ["beam" if kind in _BEAM else "drive" for kind in kinds]
+            + [""] * (len(self._nominal) - len(kinds))
+        )
+
+    def run(self, factors: Mapping[str, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Innovations, their deviations, and filtered states, from the beginning."""
+        dataset, state, observer = self._dataset, self._state, self._observer
+        for values, initial in zip(self._inputs, self._initial, strict=True):
+            values[...] = initial
+        state.started = False
+        for name, factor in factors.items():
+            chosen = self._group == name
+            self._variances[chosen] = factor**2 * self._nominal[chosen]
+        n, n_y = dataset.measurements.shape
+        innovations, sd = np.empty((n, n_y)), np.empty((n, n_y))
+        states = np.empty((n, self._n_x))
+        command = dataset.commands[0]
+        with np.errstate(all="ignore"):
+            for k in range(n):
+                estimate = observer.step(state, command, dataset.measurements[k], None)
+                innovations[k], sd[k] = estimate.innovation, estimate.innovation_sd
+                states[k] = estimate.x
+                command = dataset.commands[k]
+        return innovations, sd, states
 
 
-def _fitted_factors(
-    model: Model, dataset: Dataset, options: PredictorOptions
-) -> dict[str, float]:
+def _fitted_factors(filter_: _Filter, skipped: int) -> dict[str, float]:
     """Factors of the process noise that make the innovations most likely, one after the other."""
     factors = {"drive": 1.0, "beam": 1.0}
-    skipped = round(options.settle / dataset.sample_time)
 
     def cost(name: str) -> Callable[[float], float]:
         def of(exponent: float) -> float:
-            trial = factors | {name: 10.0**exponent}
-            innovations, sd, _ = _filtered(model, dataset, options, trial)
+            innovations, sd, _ = filter_.run(factors | {name: 10.0**exponent})
             share = (innovations / sd)[skipped:]
             value = np.nansum(np.where(np.isnan(share), 0.0, share**2 + 2 * np.log(sd[skipped:])))
             return float(value) if np.isfinite(value) else 1e300

@@ -57,7 +57,9 @@ class RegionTable:
         starts = range(len(self.rms) - width + 1)
         i = max(
             starts,
-            key=lambda k: self.error_share[k : k + width].sum() / self.time_share[k : k + width].sum(),
+            key=lambda k: (
+                self.error_share[k : k + width].sum() / self.time_share[k : k + width].sum()
+            ),
         )
         return (
             float(self.edges[i]),

@@ -81,9 +81,7 @@ def fitted_starts(
         normal += np.diag(prior_sd**-2.0)
         right += (prior - x[:, :n]) / prior_sd**2
         diagonal = np.einsum("jii->ji", normal)
-        damped = normal + damping[:, None, None] * np.einsum(
-            "ji,ik->jik", diagonal, np.eye(n)
-        )
+        damped = normal + damping[:, None, None] * np.einsum("ji,ik->jik", diagonal, np.eye(n))
         trial = x.copy()
         trial[:, :n] += np.linalg.solve(damped, right[:, :, None])[:, :, 0]
         after = rollout.sensitivities(dataset.commands, first, count, trial)
@@ -92,7 +90,11 @@ def fitted_starts(
         better = cost_after < cost
         gained = np.where(better, (cost - cost_after) / np.maximum(cost, 1e-300), 0.0)
         rows = better[window]
-        x[better], ends[better], cost[better] = trial[better], after.ends[better], cost_after[better]
+        x[better], ends[better], cost[better] = (
+            trial[better],
+            after.ends[better],
+            cost_after[better],
+        )
         r[rows] = r_after[rows]
         now.dy[rows] = after.dy[rows]
         damping = np.where(better, damping / 10, damping * 10)

@@ -1,0 +1,263 @@
+"""One self-contained HTML page: text, tables and figures in one file, nothing fetched.
+
+::
+
+    page = Page("Validation", lead="newtonian foretells pitch to 12 mrad over 2 s.")
+    page.section("Errors", "RMS over the windows of each horizon.")
+    page.table(["channel", "RMS [rad]"], [["pitch", 0.012]], caption="Free run, 2 s.")
+    page.figure(figure, "Measured and simulated.")
+    page.write(folder / "validation.html")
+
+It reads well on a telephone, in a dark room (the browser's own setting) and on paper. Text is
+escaped; ``**bold**`` and ```code``` are understood in it, and nothing else.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import os
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: A drawing with more bytes than this is embedded as pixels instead of curves.
+_MOST_SVG_BYTES = 250_000
+_PIXELS_PER_INCH = 144
+
+#: What a cell or a verdict is: coloured, and told by its text too.
+Mark = Literal["good", "bad", "doubtful", ""]
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True)
+class Marked:
+    """A cell with a judgement on it."""
+
+    value: Cell  #: what is shown
+    mark: Mark = ""  #: how it is coloured
+
+
+@dataclass
+class _Block:
+    kind: str
+    content: dict[str, Any]
+
+
+@dataclass
+class _Section:
+    heading: str
+    text: str
+    anchor: str
+    blocks: list[_Block] = field(default_factory=list)
+
+
+class Page:
+    """A page under construction: sections in the order in which they are added.
+
+    Parameters
+    ----------
+    title : str
+    lead : str or sequence of str
+        What a colleague would say of it, in a sentence or a few; stands on top. Several are
+        paragraphs.
+    facts : mapping of str to str
+        Short facts under the lead (model, recording, date), a name and a value each.
+    """
+
+    def __init__(
+        self, title: str, lead: str | Sequence[str] = "", facts: Mapping[str, str] | None = None
+    ) -> None:
+        self.title = title
+        self.lead = [lead] if isinstance(lead, str) else list(lead)
+        self.facts = dict(facts or {})
+        self._sections: list[_Section] = []
+
+    def section(self, heading: str, text: str | Sequence[str] = "") -> None:
+        """Begin a section; tables and figures that follow stand in it.
+
+        Parameters
+        ----------
+        text : str or sequence of str
+            Paragraphs.
+        """
+        anchor = re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-")
+        taken = [section.anchor for section in self._sections]
+        if anchor in taken:
+            anchor = f"{anchor}-{len(taken) + 1}"
+        self._sections.append(_Section(heading, "", anchor))
+        self.text(text)
+
+    def text(self, text: str | Sequence[str]) -> None:
+        """Paragraphs in the present section."""
+        for paragraph in [text] if isinstance(text, str) else text:
+            if paragraph:
+                self._add("text", {"text": paragraph})
+
+    def points(self, items: Sequence[str | Marked]) -> None:
+        """A list of sentences, each with a judgement where it is a :class:`Marked`."""
+        marked = [item if isinstance(item, Marked) else Marked(item) for item in items]
+        self._add("points", {"items": [(str(item.value), item.mark) for item in marked]})
+
+    def table(
+        self,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[Cell | Marked]],
+        caption: str = "",
+        *,
+        heads: int = 1,
+    ) -> None:
+        """A table; figures are shown with four digits, None as a dash.
+
+        Parameters
+        ----------
+        columns : sequence of str
+            Heads with units: ``RMS [rad]``.
+        rows : sequence of sequences
+            Text, numbers, None, or :class:`Marked`.
+        heads : int
+            Columns on the left that name the row.
+        """
+        shown = []
+        for row in rows:
+            cells = [cell if isinstance(cell, Marked) else Marked(cell) for cell in row]
+            shown.append(
+                [
+                    {
+                        "text": shown_cell(cell.value),
+                        "mark": cell.mark,
+                        "number": isinstance(cell.value, (int, float)) or cell.value is None,
+                    }
+                    for cell in cells
+                ]
+            )
+        numeric = [
+            all(row[i]["number"] for row in shown) if shown else False for i in range(len(columns))
+        ]
+        self._add(
+            "table",
+            {
+                "columns": list(zip(columns, numeric, strict=True)),
+                "rows": shown,
+                "caption": caption,
+                "heads": heads,
+            },
+        )
+
+    def figure(self, figure: Figure, caption: str = "", *, alternative: str = "") -> None:
+        """A drawing, as curves where they are few, else as pixels.
+
+        Parameters
+        ----------
+        alternative : str
+            What it shows, for who cannot see it; default the caption.
+        """
+        kind, content = embedded(figure)
+        width = float(figure.get_size_inches()[0])
+        self._add(
+            "figure",
+            {
+                "source": f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}",
+                "caption": caption,
+                "alternative": alternative or caption,
+                "width": round(width * 96),
+            },
+        )
+
+    def html(self) -> str:
+        """The page as text."""
+        text: str = _template().render(
+            title=self.title,
+            lead=[paragraph for paragraph in self.lead if paragraph],
+            facts=self.facts,
+            sections=self._sections,
+        )
+        return text
+
+    def write(self, path: Path) -> None:
+        """Write the page, whole or not at all.
+
+        Raises
+        ------
+        OSError
+            If the disk does not take it.
+        """
+        text = self.html()
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(name, 0o666 & ~umask)
+            os.replace(name, path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+
+    def _add(self, kind: str, content: dict[str, Any]) -> None:
+        if not self._sections:
+            self._sections.append(_Section("", "", "top"))
+        self._sections[-1].blocks.append(_Block(kind, content))
+
+
+def shown_cell(value: Cell) -> str:
+    """A cell as text: four digits, a dash for what does not exist."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, float):
+        if math.isinf(value):
+            return "∞" if value > 0 else "−∞"
+        if value != 0 and not 1e-3 <= abs(value) < 1e5:
+            return f"{value:.2e}".replace("-", "−").replace("e+", "e")
+        return f"{value:.4g}".replace("-", "−")
+    return str(value)
+
+
+def embedded(figure: Figure) -> tuple[str, bytes]:
+    """Media type and bytes of a drawing; equal figures give equal bytes."""
+    from matplotlib import rc_context
+
+    drawn = io.BytesIO()
+    with rc_context({"svg.hashsalt": "trms", "svg.fonttype": "path"}):
+        figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
+    if drawn.tell() <= _MOST_SVG_BYTES:
+        return "image/svg+xml", drawn.getvalue()
+    from PIL import Image
+
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=_PIXELS_PER_INCH, metadata={"Software": None})
+    content = io.BytesIO()
+    Image.open(drawn).convert("RGB").quantize(128).save(content, format="png", optimize=True)
+    return "image/png", content.getvalue()
+
+
+def _inline(text: str) -> Any:
+    """Escaped text with ``**bold**`` and ```code```."""
+    from markupsafe import Markup, escape
+
+    safe = str(escape(text))
+    safe = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", safe)
+    return Markup(re.sub(r"`(.+?)`", r"<code>\1</code>", safe))  # noqa: S704  (escaped above)
+
+
+@cache
+def _template() -> Any:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["inline"] = _inline
+    return environment.get_template("page.html")
