@@ -96,7 +96,16 @@ class Energies:
     @property
     def inertia(self) -> ca.SX:
         """M = ∂²T/∂q̇², (2, 2)."""
-        return ca.hessian(self.kinetic, self.rates)[0]
+        # The second derivative of a quadratic form by its first, at rates of one: a constant rate
+        # folds into the expression, which a general second derivative leaves twice as long.
+        n = self.rates.numel()
+        momenta = ca.jacobian(self.kinetic, self.rates).T
+        return ca.horzcat(
+            *(
+                ca.substitute(momenta, self.rates, ca.SX(ca.densify(ca.DM.eye(n)[:, j])))
+                for j in range(n)
+            )
+        )
 
     @property
     def gravity(self) -> ca.SX:
@@ -123,9 +132,11 @@ class Energies:
 def energies(rig: Sequence[Body], g: Any) -> Energies:
     """T and V of bodies fixed to the beam.
 
-    With the position ``r = R(q) b`` of a particle, ``T = ½ Σ m ṙ·ṙ = ½ tr(Ṙ S Ṙᵀ)``, where
-    ``S = Σ m b bᵀ`` is the same at all angles; ``V = g e_z·R Σ m b``. Neither changes when the
-    whole rig turns about the vertical: both are written at yaw 0.
+    With the position ``r = R(q) b`` of a particle, its velocity in the beam's own frame is
+    ``Rᵀ Ṙ b = W b``, and ``T = ½ Σ m |W b|² = ½ tr(W S Wᵀ)`` with ``S = Σ m b bᵀ``, the same at all
+    angles; ``V = g e_z·R Σ m b``. Neither changes when the whole rig turns about the vertical, so
+    that both are written at yaw 0. The part of W that pitching gives does not change with the pitch
+    either, since the beam pitches about an axis that is fixed in it.
 
     Parameters
     ----------
@@ -141,9 +152,15 @@ def energies(rig: Sequence[Body], g: Any) -> Energies:
         spread = ca.sparsify(ca.diag(ca.vertcat(*body.spread)))
         first += body.mass * centre
         second += body.mass * (centre @ centre.T + spread)
-    moving = ca.reshape(ca.jtimes(ca.vec(frame), q, rates), 3, 3)
-    frame, moving = (ca.sparsify(ca.substitute(part, q[0], 0)) for part in (frame, moving))
-    kinetic = 0.5 * ca.trace(moving @ second @ moving.T)
+    yawing, pitching = (
+        frame.T @ ca.reshape(ca.jacobian(ca.vec(frame), angle), 3, 3) for angle in (q[0], q[1])
+    )
+    pitching = ca.substitute(pitching, q, ca.SX.zeros(2))
+    frame, yawing = (ca.substitute(part, q[0], 0) for part in (frame, yawing))
+    moving = ca.sparsify(yawing * rates[0] + pitching * rates[1])
+    kinetic = 0.5 * sum(
+        second[i, j] * ca.dot(moving[:, i], moving[:, j]) for i in range(3) for j in range(3)
+    )
     potential = g * (frame[2, :] @ first)
     return Energies(q, rates, kinetic, potential)
 
