@@ -246,7 +246,8 @@ def _free(
     model: Model, options: IdentifyOptions, method: Method
 ) -> tuple[tuple[FreeParameter, ...], tuple[str, ...]]:
     """The free parameters, none for a method that trains a network of its own; and idle ones."""
-    if not getattr(method, "fits_parameters", True):
+    # A network has weights of its own, which an algorithm trains.
+    if not getattr(method, "fits_parameters", not hasattr(method, "training")):
         return (), ()
     priors = {
         name: None if node is None else _prior(name, node)

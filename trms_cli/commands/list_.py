@@ -15,6 +15,7 @@ from trms_cli.commands.catalogue import (
     take_config_dirs,
 )
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
+from trms_cli.core.resources import config_folder
 
 SUMMARY = "the plugins there are, with one line each"
 
@@ -33,12 +34,16 @@ examples
   trms list controller pid     the keys of one
 """
 
-#: Groups that the primary configuration does not have: they are chosen inside others.
+#: Primary configurations; what an earlier one says of a group counts.
+_PRIMARIES = ("run", "identify", "validate", "excite")
+
+#: Groups that the primary configurations do not have: they are chosen inside others.
 _INSIDE_OTHERS = {
     "disturbance": "torques on the rig: disturbance@plant.disturbances=NAME",
     "parameters": "values of a model: model.parameter_set=NAME",
     "qp_solver": "of newton_mpc: qp_solver@controller.qp=NAME",
     "shaping": "smooths a reference: shaping@ref.shaping=NAME",
+    "training": "of a network: training@method.training=NAME",
     "signal": "what one axis follows: signal@ref.alpha_v=NAME",
 }
 
@@ -100,8 +105,12 @@ def _find_option(groups: Groups, group: str, name: str) -> Option:
 
 
 def _about(config_dirs: Sequence[Path]) -> dict[str, str]:
-    """What each group is for, as the primary configuration's defaults tell it."""
-    return _INSIDE_OTHERS | read_primary("run", config_dirs).about
+    """What each group is for, as the primary configurations' defaults tell it."""
+    about = dict(_INSIDE_OTHERS)
+    for primary in reversed(_PRIMARIES):
+        if (config_folder() / f"{primary}.yaml").is_file():
+            about |= read_primary(primary, config_dirs).about
+    return about
 
 
 def _table(groups: Groups, about: dict[str, str], config_dirs: Sequence[Path]) -> str:

@@ -22,7 +22,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 
 #: Keys whose value is a path: quoted for Hydra's grammar, which forbids ``=``, ``(`` and others.
-PATH_KEYS = ("out", "file", "path")
+PATH_KEYS = ("out", "file", "path", "real", "resume")
 
 #: All options of the composing command; ``--from`` is taken off before.
 _OPTIONS = ("--cfg", "--config-dir", "--from", "--multirun", "--help", "--debug")
@@ -322,7 +322,7 @@ def _value(override: Override, keys: DeclaredKeys, multirun: bool) -> Override:
     """A value's override, with open mappings opened and paths quoted."""
     parts = override.key.split(".")
     if override.prefix != "~" and len(parts) > 1:
-        places = (override.key, ".".join(parts[:-1]))
+        places = (".".join(parts[:n]) for n in range(len(parts), 0, -1))
         if any(keys.value(place) == {} for place in places):
             override = override._replace(prefix="++")
     value = override.value
