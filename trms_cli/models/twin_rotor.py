@@ -229,16 +229,19 @@ class TwinRotor(Model):
         thrust = {axis: motor[axis].thrust(omega[axis], c) for axis in "hv"}
         beam = self.beam(
             BeamPoint(
-                c,
-                "alpha_h" in state,
-                "alpha_v" in state,
-                *(state.get(name, zero) for name in ("S_h", "alpha_h", "S_v", "alpha_v")),
-                omega["h"],
-                omega["v"],
-                thrust["h"],
-                thrust["v"],
-                torque.get("yaw_moment", zero),
-                torque.get("pitch_moment", zero),
+                c=c,
+                moves_h="alpha_h" in state,
+                moves_v="alpha_v" in state,
+                S_h=state.get("S_h", zero),
+                alpha_h=state.get("alpha_h", zero),
+                S_v=state.get("S_v", zero),
+                alpha_v=state.get("alpha_v", zero),
+                omega_h=omega["h"],
+                omega_v=omega["v"],
+                thrust_h=thrust["h"],
+                thrust_v=thrust["v"],
+                yaw_moment=torque.get("yaw_moment", zero),
+                pitch_moment=torque.get("pitch_moment", zero),
             )
         )
         rows = {
