@@ -17,6 +17,12 @@ from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
 
+#: Multiples of it modulo 1 stay far from one another.
+_GOLDEN = 0.6180339887498949
+
+#: rad; nearer to a stop than this the beam is on it.
+_NEAR = 0.01
+
 
 def recording(
     model: str,
@@ -34,8 +40,8 @@ def recording(
     model : str
         Option of ``configs/model``.
     excitation : dict of str to list of dict
-        By input: signals (``_target_`` and their figures) of which the sum is the command; a
-        signal with a ``seed`` has ``seed`` added to its own. The sum is kept within the limits.
+        By input: signals (``_target_`` and their figures) of which the sum is the command; the
+        recording's seed moves each signal's own ``seed`` or ``phase``. The sum is kept within the limits.
     duration, sample_time : float
         s.
     seed : int
@@ -72,6 +78,24 @@ def recording(
     )
 
 
+def cut_at_stops(dataset: Dataset, stops: Mapping[str, float], shortest: float) -> list[Dataset]:
+    """The pieces of a recording between the hits on the frame, those of ``shortest`` s or more.
+
+    A hit is no part of the dynamics that a network is to learn, and what follows it in a window
+    would be blamed on the weights.
+    """
+    free = np.ones(len(dataset), dtype=bool)
+    for name, stop in stops.items():
+        if name in names(dataset.outputs):
+            free &= np.abs(dataset.output(name)) < stop - _NEAR
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], free.astype(int), [0]))))
+    pieces = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        if (last - first) * dataset.sample_time >= shortest:
+            pieces.append(dataset.part(int(first), int(last)))
+    return pieces
+
+
 @cache
 def bench_sensors() -> Sensors:
     """The sensors of the simulated rig's own configuration."""
@@ -95,7 +119,10 @@ def _option(group: str, name: str) -> dict[str, Any]:
 
 
 def _seeded(part: Mapping[str, Any], seed: int, number: int) -> dict[str, Any]:
-    """A signal with its seed moved: another recording, another input, another draw."""
-    if "seed" not in part:
-        return dict(part)
-    return {**part, "seed": int(part["seed"]) + 1000 * seed + 100 * number}
+    """A signal with its draws or its phase moved: another recording or input, another signal."""
+    moved = dict(part)
+    if "seed" in part:
+        moved["seed"] = int(part["seed"]) + 1000 * seed + 100 * number
+    if "phase" in part:
+        moved["phase"] = float(part["phase"]) + _GOLDEN * (2 * seed + number) % 1.0
+    return moved
