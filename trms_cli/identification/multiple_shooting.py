@@ -1,0 +1,259 @@
+"""Multiple shooting: least squares with exact sensitivities over windows with starts of their own.
+
+The recordings are cut into windows, each simulated from a start that is fitted along with the
+parameters (Bock 1983; Ljung's output-error fit is the case of one window). Short memory keeps the
+cost close to a parabola where one long simulation would not be, and lets a model with an error of
+its own be fitted without that error growing over minutes. See ``docs/grey-box.md``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.identification.greybox.identifiability import correlations, identifiability
+from trms_cli.identification.greybox.levenberg_marquardt import Point
+from trms_cli.identification.greybox.map_fit import MapFit, MapSettings, fit_from
+from trms_cli.identification.greybox.profile import profile
+from trms_cli.identification.greybox.windows import Windows
+from trms_cli.identification.method import FitResult, HistoryPoint, Outcome, Progress
+from trms_cli.identification.problem import FitProblem
+from trms_cli.models.model import names
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Gaps between windows as a share of the starts' spread: a few mrad and 10 mrad/s when joined
+#: softly; when joined hard the gaps are below what any sensor sees.
+_JOINED = {"free": None, "penalty": 0.03, "equality": 1e-4}
+#: Share of a parameter's scale within which it counts as lying on its bound.
+_ON_BOUND = 1e-6
+#: Costs of two starts that agree differ by less than this, nats.
+_AGREEMENT = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultipleShooting:
+    """Levenberg–Marquardt from several starts.
+
+    Attributes
+    ----------
+    continuity : {"free", "penalty", "equality"}
+        Whether the end of a window has to meet the start of the next: not at all, nearly, or
+        exactly (one simulation from end to end).
+    starts : int
+        Points to search from: first the model's values, then the optimum of the model without
+        its effects (or the priors' centre where it has none), then draws from the priors.
+    iterations : int
+        Least-squares steps from each start at most.
+    tolerance : float
+        Reduction of the cost, nats, that ends a search.
+    profiles : list of str
+        Parameters whose profile likelihood is wanted; ``all`` for every one.
+    """
+
+    continuity: Literal["free", "penalty", "equality"] = "free"
+    starts: Annotated[int, Meta(ge=1)] = 2
+    iterations: Annotated[int, Meta(ge=1)] = 100
+    tolerance: Annotated[float, Meta(gt=0)] = 1e-3
+    profiles: tuple[str, ...] = ()
+
+    def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
+        """Fit the problem; see :class:`trms_cli.identification.method.Method`."""
+        begun = time.perf_counter()
+        wanted = _profiled(self.profiles, problem)
+        windows = Windows(problem)
+        settings = MapSettings(
+            iterations=self.iterations, tolerance=self.tolerance, joined=_JOINED[self.continuity]
+        )
+        watcher = _Watcher(progress, self.starts, self.iterations, begun)
+        fits: list[MapFit] = []
+        for k, theta in enumerate(_starting_points(problem, windows, settings, self.starts)):
+            watcher.begin(k)
+            fits.append(fit_from(windows, theta, settings, watch=watcher))
+            watcher.evaluations += fits[-1].objective.evaluations
+            if watcher.stopped:
+                break
+        best = _best(fits)
+        details = _details(problem, fits, best)
+        if best.information is not None and not watcher.stopped:
+            details["profiles"] = _profiles(best, wanted, watcher)
+        return FitResult(
+            method="multiple_shooting",
+            outcome=Outcome.INTERRUPTED if watcher.stopped else best.outcome,
+            cost=best.point.cost,
+            values=dict(zip(problem.names, best.point.theta.tolist(), strict=True)),
+            covariance=_covariance(best, problem),
+            history=watcher.history,
+            evaluations=watcher.evaluations,
+            seconds=time.perf_counter() - begun,
+            details=details,
+        )
+
+
+class _Watcher:
+    """Passes the search's steps on to the progress, and keeps the history."""
+
+    def __init__(self, progress: Progress, starts: int, iterations: int, begun: float) -> None:
+        self._progress, self._starts, self._iterations = progress, starts, iterations
+        self._begun, self._start = begun, 0
+        self.history: list[HistoryPoint] = []
+        self.stopped = False
+        self.evaluations = 0
+
+    def begin(self, start: int) -> None:
+        self._start = start
+
+    def __call__(self, iteration: int, point: Point) -> bool:
+        # A search seldom takes more than a third of the steps that it may.
+        share = 1 - 0.1 ** (3 * iteration / self._iterations)
+        fraction = (self._start + share) / self._starts
+        message = f"start {self._start + 1} of {self._starts}, step {iteration}"
+        self.history.append(
+            HistoryPoint(
+                self.evaluations + iteration, time.perf_counter() - self._begun, point.cost
+            )
+        )
+        self.stopped = self.stopped or not self._progress.update(fraction, point.cost, message)
+        return not self.stopped
+
+
+def _starting_points(
+    problem: FitProblem, windows: Windows, settings: MapSettings, count: int
+) -> Iterator[FloatArray]:
+    """Where searches begin: the model as it is, two standard places, draws from the priors."""
+    first = problem.starts
+    yield first
+    if count < 2:
+        return
+    effects = np.array(["." in name for name in problem.names])
+    if effects.any() and not effects.all():
+        # With the effects' sizes held, the model's own parameters are fitted first: where the
+        # search for both at once loses its way, this one may not, and the other way round.
+        nominal = fit_from(windows, first, settings, held=effects)
+        yield nominal.point.theta
+    elif not np.array_equal(problem.prior_means, first):
+        yield problem.prior_means
+    else:
+        count += 1
+    generator = np.random.default_rng(np.random.SeedSequence([problem.seed, 0x57A7]))
+    low, high = problem.bounds
+    for _ in range(count - 2):
+        drawn = problem.prior_means + problem.scales * generator.standard_normal(len(first))
+        yield np.clip(drawn, low, high)
+
+
+def _best(fits: list[MapFit]) -> MapFit:
+    """The fit with the smallest cost, all measured with the weights of the best.
+
+    Each fit weighs residuals by its own; a worse one allows itself larger ones.
+    """
+    able = [fit for fit in fits if fit.information is not None]
+    if not able:
+        return fits[0]
+    deviations = [
+        float(np.sum(np.log(f.objective.weights.sd[0] ** 2 * f.objective.weights.samples)))
+        for f in able
+    ]
+    judge = able[int(np.argmin(deviations))].objective
+    costs = [judge.cost(f.point.theta, f.point.starts) for f in able]
+    return able[int(np.argmin(costs))]
+
+
+def _on_bounds(fit: MapFit, problem: FitProblem) -> npt.NDArray[np.bool_]:
+    low, high = problem.bounds
+    near = _ON_BOUND * problem.scales
+    at: npt.NDArray[np.bool_] = (fit.point.theta <= low + near) | (fit.point.theta >= high - near)
+    return at
+
+
+def _covariance(fit: MapFit, problem: FitProblem) -> FloatArray | None:
+    if fit.information is None:
+        return None
+    return fit.information.covariance(_on_bounds(fit, problem))
+
+
+def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str, Any]:
+    """What the result says beside its values, as JSON has it."""
+    judge = best.objective
+    costs = [judge.cost(fit.point.theta, fit.point.starts) for fit in fits]
+    details: dict[str, Any] = {
+        "starts": [
+            {
+                "outcome": fit.outcome.value,
+                "cost": cost if np.isfinite(cost) else None,
+                "iterations": fit.iterations,
+                "values": dict(zip(problem.names, fit.point.theta.tolist(), strict=True)),
+            }
+            for fit, cost in zip(fits, costs, strict=True)
+        ],
+        "starts_agree": bool(max(costs) - min(costs) < _AGREEMENT),
+    }
+    if best.information is None:
+        return details
+    covariance = _covariance(best, problem)
+    assert covariance is not None
+    judged = identifiability(best.information, problem.names, covariance)
+    at = _on_bounds(best, problem)
+    weights, declared = judge.weights, judge.windows.declared
+    return details | {
+        "on_bounds": [name for name, on in zip(problem.names, at, strict=True) if on],
+        "correlation": correlations(covariance).tolist(),
+        "identifiability": asdict(judged),
+        "outputs": {
+            name: {
+                "declared_sd": float(declared[0, i]),
+                "used_sd": float(weights.sd[0, i]),
+                "samples_per_independent_one": float(weights.samples[i]),
+                "whitened_rms": float(best.information.size[i]),
+            }
+            for i, name in enumerate(names(problem.model.outputs))
+        },
+    }
+
+
+def _profiled(asked: tuple[str, ...], problem: FitProblem) -> tuple[str, ...]:
+    if "all" in asked:
+        return problem.names
+    for name in asked:
+        if name not in problem.names:
+            raise ConfigurationError(
+                f"{name!r} is not free",
+                where="method.profiles",
+                remedy=nearest(name, (*problem.names, "all")),
+            )
+    return asked
+
+
+def _profiles(best: MapFit, wanted: tuple[str, ...], watcher: _Watcher) -> Mapping[str, Any]:
+    assert best.information is not None
+    problem = best.objective.windows.problem
+    held = _on_bounds(best, problem)
+    covariance = best.information.covariance(held)
+    curvature = np.linalg.pinv(
+        best.information.of_data + np.diag(best.information.prior), rcond=1e-13, hermitian=True
+    )
+    found = {}
+    for name in wanted:
+        i = problem.names.index(name)
+        plain = float(np.sqrt(max(curvature[i, i], 0.0)) * problem.scales[i])
+        sd = float(np.sqrt(covariance[i, i])) or plain
+        # The cost's own curvature takes residuals as white; the covariance does not.
+        along = profile(
+            best.objective, best.point, name, sd, factor=(plain / sd) ** 2, watch=watcher
+        )
+        found[name] = {
+            "values": along.values.tolist(),
+            "rise": along.rise.tolist(),
+            "interval_95": [v if np.isfinite(v) else None for v in along.interval],
+        }
+        if watcher.stopped:
+            break
+    return found
