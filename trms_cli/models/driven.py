@@ -55,13 +55,16 @@ class DrivenModel(Model):
         self.controlled = tuple(name for name in base.controlled if name not in driven)
         self.input_limits = dict(base.input_limits) | dict.fromkeys(driven, np.inf)
         self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
-        self.stiff = base.stiff
+        self.stiff, self.sample_time = base.stiff, base.sample_time
 
     def rest(self) -> FloatArray:
         return self.base.rest()[self._kept]
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         return self.base.dynamics(self._whole(x, u), u[: self.base.n_u, 0], p, w)[self._kept]
+
+    def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        return self.base.transition(self._whole(x, u), u[: self.base.n_u, 0], p, w)[self._kept]
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         y = self.base.measurement(self._whole(x, u), u[: self.base.n_u, 0], p)

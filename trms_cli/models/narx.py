@@ -91,9 +91,7 @@ class Narx(SteppedModel):
         angles = tuple(y.name for y in self.outputs if y.unit == _ANGLE)
         self.controlled = angles or structure.outputs
         bounds = _checked_limits(limits or {}, structure)
-        self.input_limits = {
-            u.name: bounds.get(u.name, _LIMITS.get(u.unit, np.inf)) for u in self.inputs
-        }
+        self.input_limits = {u.name: _limit(u, bounds) for u in self.inputs}
         self.stops = {angle: bounds.get(angle, np.inf) for angle in angles}
         self.axes = {_AXES.get(angle, angle): Axis(angle, f"{angle}_push") for angle in angles}
         self.rotors = {_ROTORS[u]: u for u in structure.inputs if u in _ROTORS}
@@ -163,6 +161,16 @@ def _checked_limits(limits: Mapping[str, float], structure: NarxStructure) -> Ma
                 f"{limit!r} given", where=f"limits.{name}", remedy="give a positive number"
             )
     return limits
+
+
+def _limit(command: Signal, bounds: Mapping[str, float]) -> float:
+    if command.name not in bounds and command.unit not in _LIMITS:
+        raise ModelError(
+            f"no limit for {command.name!r} in {command.unit}",
+            where=f"limits.{command.name}",
+            remedy="give the largest command",
+        )
+    return bounds.get(command.name, _LIMITS.get(command.unit, np.inf))
 
 
 def _remembered(signals: tuple[Signal, ...], count: int) -> list[Signal]:

@@ -1,0 +1,213 @@
+"""A NARX model computes what its network says, from the samples it says, and nothing else."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.models.narx import Narx
+from trms_cli.models.network import NarxStructure, Network
+
+sys.path.insert(0, str(Path(__file__).parent))
+from network_case import LIMITS, rig_like, structure
+
+STRUCTURES = [
+    {},
+    {"output_lags": (1, 2, 3), "input_lags": (1, 2)},
+    {"output_lags": (1, 4), "input_lags": (2, 5)},
+    {"output_lags": (1, 3), "input_lags": (1, 2), "incremental": False},
+    {"output_lags": (1, 2), "input_lags": (1,), "differences": False},
+]
+
+
+def step_of(model):
+    at = model.symbols()
+    return ca.Function("step", list(at), [model.transition(*at)])
+
+
+def network_run(model: Narx, outputs: np.ndarray, commands: np.ndarray, n: int) -> np.ndarray:
+    """The outputs after a history, with the network's own NumPy evaluation on plain lists.
+
+    ``outputs`` and ``commands`` end with the present sample; ``commands`` goes on for n samples.
+    """
+    made = model.structure
+    y, now = list(outputs), len(outputs) - 1
+    for k in range(now, now + n):
+        lagged = [y[k + 1 - lag] for lag in made.output_lags]
+        lagged += [commands[k + 1 - lag] for lag in made.input_lags]
+        phi = made.arrangement() @ np.concatenate(lagged)
+        out = model.network.evaluate(phi[None, :])[0]
+        y.append(y[k] + out if made.incremental else out)
+    return np.array(y[now + 1 :])
+
+
+@pytest.mark.parametrize("kinds", STRUCTURES, ids=str)
+def test_runs_as_the_network_evaluated_on_the_history(kinds):
+    rng = np.random.default_rng(0)
+    made = structure(**kinds)
+    n_phi = made.n_regressors
+    network = Network(
+        "mlp",
+        {
+            "W1": rng.normal(0, 0.5, (6, n_phi)),
+            "b1": rng.normal(0, 0.5, 6),
+            "W2": rng.normal(0, 0.5, (4, 6)),
+            "b2": rng.normal(0, 0.1, 4),
+        },
+        rng.normal(0, 1, n_phi),
+        np.exp(rng.normal(0, 0.5, n_phi)),
+        rng.normal(0, 0.1, 4),
+        np.exp(rng.normal(-2, 0.3, 4)),
+    )
+    model = Narx(made, network, limits=LIMITS)
+    past = made.longest_lag
+    y, u = rng.normal(size=(past, 4)), rng.normal(size=(past + 30, 2))
+    now = past - 1
+    x = np.concatenate(
+        [
+            *(y[now - lag] for lag in range(made.output_lags[-1])),
+            *(u[now - lag] for lag in range(1, made.input_lags[-1])),
+        ]
+    )
+    step = step_of(model)
+    found = []
+    for k in range(30):
+        x = np.array(step(x, u[now + k], [], np.zeros(4)))[:, 0]
+        found.append(x[:4])
+    np.testing.assert_allclose(found, network_run(model, y, u, 30), rtol=1e-9, atol=1e-12)
+
+
+class TestStates:
+    def test_begin_with_the_outputs_under_their_own_names(self):
+        model = rig_like((1, 3), (1, 2))
+        assert model.state_names == (
+            *("alpha_v", "alpha_h", "omega_v", "omega_h"),
+            *("alpha_v_lag1", "alpha_h_lag1", "omega_v_lag1", "omega_h_lag1"),
+            *("alpha_v_lag2", "alpha_h_lag2", "omega_v_lag2", "omega_h_lag2"),
+            *("u_v_lag1", "u_h_lag1"),
+        )
+        assert model.controlled == ("alpha_v", "alpha_h")
+        assert model.states[-1].unit == "V"
+
+    def test_are_measured_as_they_are(self):
+        model = rig_like((1, 3))
+        x, u, p, _ = model.symbols()
+        measured = ca.Function("y", [x, u, p], [model.measurement(x, u, p)])
+        values = np.arange(model.n_x) * 1.0
+        assert np.array(measured(values, np.zeros(2), []))[:, 0].tolist() == [0, 1, 2, 3]
+
+    def test_of_one_axis_are_those_of_the_axis(self):
+        made = NarxStructure(("alpha_h",), ("u_h",), ("rad",), ("V",), (1, 2), (1,), 0.02)
+        network = Network(
+            "mlp",
+            {"W1": np.full((1, 3), 0.01), "b1": np.zeros(1)},
+            np.zeros(3),
+            np.ones(3),
+            np.zeros(1),
+            np.ones(1),
+        )
+        model = Narx(made, network, limits=LIMITS)
+        assert (list(model.axes), model.rotors, model.controlled) == (
+            ["yaw"],
+            {"tail": "u_h"},
+            ("alpha_h",),
+        )
+        assert model.stops == {"alpha_h": 2.8}
+
+
+class TestPushes:
+    def test_are_accelerations(self):
+        """A push moves a speed by T w and an angle by T² w in a sample."""
+        model = rig_like()
+        x, u = model.rest() + 0.1, np.array([1.0, 0.2])
+        step = step_of(model)
+        w = np.array([0.3, -0.2, 50.0, -7.0])
+        moved = np.array(step(x, u, [], w) - step(x, u, [], np.zeros(4)))[:, 0]
+        T = 0.02
+        expected = [T**2 * 0.3, -(T**2) * 0.2, T * 50.0, -T * 7.0, *([0.0] * 4)]
+        np.testing.assert_allclose(moved, expected, rtol=1e-9, atol=1e-13)
+        assert [signal.unit for signal in model.disturbances] == ["rad/s^2"] * 4
+
+    def test_each_axis_names_its_own(self):
+        axes = rig_like().axes
+        assert (axes["pitch"].moment, axes["yaw"].moment) == ("alpha_v_push", "alpha_h_push")
+
+
+class TestRest:
+    @pytest.mark.parametrize("kinds", STRUCTURES[:2], ids=str)
+    def test_is_a_fixed_point(self, kinds):
+        model = rig_like(**kinds, bend=0.5)
+        x = model.rest()
+        after = np.array(step_of(model)(x, np.zeros(2), [], np.zeros(4)))[:, 0]
+        np.testing.assert_allclose(after, x, rtol=0, atol=1e-9)
+        assert np.abs(x).max() > 1e-3  # it is not simply zero
+
+    def test_of_a_network_that_runs_away_is_still_finite(self):
+        model = rig_like()
+        wild = replace(
+            model.network, weights={**model.network.weights, "A": 1e3 * np.ones((4, 10))}
+        )
+        assert np.isfinite(Narx(model.structure, wild, limits=LIMITS).rest()).all()
+
+    def test_is_a_copy(self):
+        model = rig_like()
+        model.rest()[:] = 7.0
+        assert np.abs(model.rest()).max() < 7.0
+
+
+def test_derivatives_are_exact():
+    model = rig_like((1, 3), (1, 2), bend=0.5)
+    at = model.symbols()
+    after = model.transition(*at)
+    slopes = ca.Function("slopes", list(at), [ca.jacobian(after, v) for v in (at[0], at[1])])
+    step = step_of(model)
+    rng = np.random.default_rng(4)
+    x, u, w = model.rest() + 0.1, np.array([0.4, -0.3]), np.zeros(4)
+    in_x, in_u = (np.array(slope) for slope in slopes(x, u, [], w))
+    for _ in range(5):
+        dx, du = rng.normal(size=model.n_x), rng.normal(size=2)
+        h = 1e-5
+        ahead, behind = (step(x + s * h * dx, u + s * h * du, [], w) for s in (1, -1))
+        difference = np.array(ahead - behind)[:, 0] / (2 * h)
+        np.testing.assert_allclose(in_x @ dx + in_u @ du, difference, rtol=1e-6, atol=1e-9)
+
+
+def test_weights_are_no_parameters():
+    model = rig_like()
+    assert len(model.parameters) == 0
+    with pytest.raises(ConfigurationError, match="weights of a network are constants"):
+        model.parameters.replaced({"k_fvp": 1.0})
+
+
+class TestRefusals:
+    def test_a_structure_of_another_network(self):
+        with pytest.raises(ModelError) as error:
+            Narx(structure((1, 2, 3)), rig_like((1, 2)).network, limits=LIMITS)
+        assert error.value.where == "network.regressor_mean"
+
+    @pytest.mark.parametrize(
+        ("limits", "where"),
+        [
+            ({"alpha_w": 1.0}, "limits.alpha_w"),
+            ({"u_v": 0.0}, "limits.u_v"),
+            ({"u_h": float("nan")}, "limits.u_h"),
+        ],
+    )
+    def test_limits(self, limits, where):
+        model = rig_like()
+        with pytest.raises(ModelError) as error:
+            Narx(model.structure, model.network, limits=limits)
+        assert error.value.where == where
+
+    def test_a_command_of_unknown_size(self):
+        model = rig_like()
+        other = replace(model.structure, input_units=("V", "A"))
+        with pytest.raises(ModelError) as error:
+            Narx(other, model.network)
+        assert error.value.where == "limits.u_h"
