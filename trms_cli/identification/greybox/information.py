@@ -15,6 +15,8 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Share of a window up to which residuals are taken to hang together, and the same in s.
 _LONGEST_SHARE, _LONGEST_LAG = 0.3, 3.0
+#: Directions of a channel's information below this share of its largest say nothing.
+_HEARD = 1e-12
 
 
 @dataclass(frozen=True)
@@ -116,12 +118,33 @@ def information(objective: Objective, theta: FloatArray, starts: FloatArray) -> 
     lags = min(_LONGEST_LAG / windows.sample_time, _LONGEST_SHARE * z.shape[1])
     gamma = autocovariance(score, windows.measured, max(1, int(lags)))
     count = np.maximum(windows.measured.sum(axis=(0, 1)), 1)
-    curved = projected * inside[..., None]
+    white = np.einsum("mtyf,mtyg->yfg", projected * inside[..., None], projected)
     return Information(
-        curvature=np.einsum("mtyf,mtyg->yfg", curved, projected),
-        score=score_covariances(projected, gamma),
+        curvature=white,
+        score=np.array(
+            [
+                _at_least(white, found)
+                for white, found in zip(white, score_covariances(projected, gamma), strict=True)
+            ]
+        ),
         trust=weights.trust,
         prior=objective.precisions * objective.scales**2,
         scales=objective.scales,
         size=np.sqrt((z**2).sum(axis=(0, 1)) / count),
     )
+
+
+def _at_least(white: FloatArray, found: FloatArray) -> FloatArray:
+    """A score's covariance, no smaller in any direction than that of white residuals.
+
+    Fitted starts and parameters take the slow part out of the residuals, so that their estimated
+    autocorrelation errs to the small side; an interval must not profit from that.
+    """
+    values, vectors = np.linalg.eigh(white)
+    heard = values > _HEARD * max(float(values.max(initial=0.0)), 1e-300)
+    root = vectors[:, heard] * np.sqrt(values[heard])
+    inverse = vectors[:, heard] / np.sqrt(values[heard])
+    ratio, directions = np.linalg.eigh(inverse.T @ found @ inverse)
+    scaled = root @ directions
+    floored: FloatArray = (scaled * np.maximum(ratio, 1.0)) @ scaled.T
+    return floored
