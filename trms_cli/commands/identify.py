@@ -36,7 +36,8 @@ examples
   trms identify -m real=rig.csv method=genetic,cma_es,multiple_shooting
   trms identify resume=outputs/…-identify                    a stopped search goes on
   trms identify resume=outputs/…-identify method.generations=400
-  trms identify real=rig.csv model=fit.yaml profile=[k_ov]   from a fitted model on
+  trms identify real=rig.csv model=fit.yaml                from a fitted model on
+  trms identify real=rig.csv method.profiles=[k_ov]          with the profile likelihood of one
 
 options
   -m, --multirun     one fit for each combination of the values that commas part
@@ -71,12 +72,15 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     origin = files.origin_of(composition) if asked.problem.free else None
     again = folder is not None
     folder = folder or composition.folder("identify")
-    files.write_config(composition, folder)
+    if not again:
+        files.write_config(composition, folder)
     screen = IdentifyScreen(composition, asked, folder)
     screen.say_begin()
     progress = FitProgress(folder / STATE_NAME, resume=again, quiet=composition.job is not None)
     with progress:
         result = asked.method.fit(asked.problem, progress)
+    if again:  # now that it is known to be the same search
+        files.write_config(composition, folder)
     screen.say_fitted(result)
     fitted = assessment.assess(asked, result)
     model = files.write_fitted_model(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,8 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Share of a parameter's scale within which it counts as lying on its bound.
 _AT_BOUND = 1e-3
+#: What a method's details say of the parameters, and what the document says elsewhere.
+_TOLD, _ELSEWHERE = ("identifiability", "outputs", "profiles"), ("correlation", "on_bounds")
 
 
 @dataclass
@@ -64,24 +66,30 @@ class Assessment:
 
 def assess(asked: Identification, result: FitResult) -> Assessment:
     """What the data say of the fitted parameters; nothing yet of errors."""
-    if not result.values or not np.isfinite(result.cost):
-        return Assessment(result)
-    if result.covariance is None:
-        result = replace(result, covariance=_covariance(asked, result))
-    return Assessment(result)
+    told = {key: result.details[key] for key in _TOLD if key in result.details}
+    details = {key: value for key, value in result.details.items() if key not in told}
+    result = replace(result, details={k: v for k, v in details.items() if k not in _ELSEWHERE})
+    if not result.values or not np.isfinite(result.cost) or result.covariance is not None:
+        return Assessment(result, told)
+    return _at_point(asked, result, told)
 
 
-def _covariance(asked: Identification, result: FitResult) -> FloatArray | None:
-    """At the fitted point, for a method that knows no slopes."""
+def _at_point(asked: Identification, result: FitResult, told: dict[str, Any]) -> Assessment:
+    """Covariance and identifiability, for a method that knows no slopes."""
+    from trms_cli.identification.greybox.identifiability import identifiability
     from trms_cli.identification.greybox.map_fit import MapSettings, fit_from
     from trms_cli.identification.greybox.windows import Windows
 
     every = np.ones(len(result.values), dtype=bool)
     fit = fit_from(Windows(asked.problem), result.theta, MapSettings(), held=every)
     if fit.information is None:
-        return None
+        return Assessment(result, told)
     on_bound = np.array([name in at_bounds(asked, result.values) for name in result.values])
-    return fit.information.covariance(on_bound)
+    covariance = fit.information.covariance(on_bound)
+    judged_so = identifiability(fit.information, asked.problem.names, covariance)
+    return Assessment(
+        replace(result, covariance=covariance), told | {"identifiability": asdict(judged_so)}
+    )
 
 
 def judge(asked: Identification, assessment: Assessment, fitted: Model | None = None) -> None:

@@ -77,7 +77,6 @@ class IdentifyOptions:
     robust : float or None
     discrepancy : {"estimate", "none"}
     substeps : int or None
-    profile : str or tuple of str
     seed, jobs : int
     out : str or None
     picture : bool
@@ -93,7 +92,6 @@ class IdentifyOptions:
     robust: _Positive | None = 3.0
     discrepancy: Literal["estimate", "none"] = "estimate"
     substeps: Annotated[int, Meta(ge=1)] | None = None
-    profile: str | tuple[str, ...] = ()
     seed: Annotated[int, Meta(ge=0)] = 0
     jobs: Annotated[int, Meta(ge=1)] = 2
     out: str | None = None
@@ -151,7 +149,7 @@ def identification_of(composition: Composition) -> Identification:
     model = _model(config)
     data = build(config["data"], "data")
     driven = several(options.driven)
-    simulated = DrivenModel(model, driven) if driven else model
+    simulated = _driven_model(model, driven)
     recordings = _loaded(options.real, model, data, driven)
     fitted, held_out = _parts(recordings, options, model, data, driven)
     free, idle = _free(simulated, options, method)
@@ -195,6 +193,16 @@ def _model(config: Mapping[str, Any]) -> Model:
         name: build(node, f"effect.{name}") for name, node in (config.get("effect") or {}).items()
     }
     return extended(model, effects)
+
+
+def _driven_model(model: Model, driven: Sequence[str]) -> Model:
+    if not driven:
+        return model
+    try:
+        return DrivenModel(model, driven)
+    except TrmsError as error:
+        error.where = "driven"
+        raise
 
 
 def _loaded(
@@ -289,7 +297,9 @@ def _prior(name: str, node: Any) -> Prior:
     where = f"priors.{name}"
     if not isinstance(node, Mapping):
         raise ConfigurationError(
-            f"{node!r} given", where=where, remedy="{mean: …, sd: …}, {relative_sd: …}, or null"
+            f"{node!r} given",
+            where=where,
+            remedy=f"in quotes: '{where}={{mean: …, sd: …}}', or {{relative_sd: …}}, or null",
         )
     prior = build({TARGET: "trms_cli.identification.problem.Prior", **node}, where)
     assert isinstance(prior, Prior)

@@ -17,8 +17,10 @@ from trms_cli.identification.method import FitResult
 
 #: Parts of the recordings in the document, as a person reads them.
 _PARTS = {"fit": "on what was fitted", "held_out": "on what was held out"}
-#: Correlations of estimates that are worth a line.
-_STRONG = 0.95
+#: Sets of parameters that imitate each other that are printed.
+_MOST_SETS = 4
+#: Share of a prior's deviation that is left where the data said next to nothing.
+_UNINFORMED = 0.9
 
 
 class IdentifyScreen:
@@ -87,8 +89,10 @@ class IdentifyScreen:
             _doubt_lines(document),
             _error_lines(document["errors"]),
         ):
-            print()
-            for line in lines:
+            section = list(lines)
+            if section:
+                print()
+            for line in section:
                 _print_headed(line)
         print(f"\ntime       {whole:.1f} s in all")
         print(f"model      {model}")
@@ -152,21 +156,25 @@ def _parameter_lines(parameters: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _doubt_lines(document: Mapping[str, Any]) -> Iterator[str]:
-    """What cannot be told apart, and what is at a bound."""
-    table = document["correlation"]
-    if table is not None:
-        matrix, names = table["matrix"], table["names"]
-        pairs = [
-            (abs(matrix[i][k] or 0.0), f"{names[i]} and {names[k]} ({matrix[i][k]:+.3f})")
-            for i in range(len(names))
-            for k in range(i)
-            if abs(matrix[i][k] or 0.0) > _STRONG
-        ]
-        for _, words in sorted(pairs, reverse=True)[:5]:
-            yield f"correlated {words}: the data tell a combination of them"
+    """What cannot be told apart, what the data are silent on, and what is at a bound."""
+    known = document.get("identifiability") or {}
+    sets = known.get("confounded", [])
+    for found in sets[:_MOST_SETS]:
+        yield (
+            f"confounded {', '.join(found['names'])}: these data tell only a combination of them"
+        )
+    if len(sets) > _MOST_SETS:
+        yield f"           and {len(sets) - _MOST_SETS} more sets: see the document"
+    remaining = known.get("prior_remaining", {})
+    vague = [name for name, share in remaining.items() if share > _UNINFORMED]
+    vague += [name for name in known.get("silent", []) if name not in vague]
+    if vague:
+        yield f"unknown    {', '.join(vague)}: the data say next to nothing; the prior decided"
     bound = [n for n, p in document["parameters"].items() if p["at_bound"]]
     if bound:
         yield f"at bounds  {', '.join(bound)}: widen bounds.NAME, or ask what the model lacks"
+    if document["details"].get("starts_agree") is False:
+        yield "starts     did not agree: there is more than one optimum; the best is kept"
 
 
 def _error_lines(errors: Mapping[str, Any]) -> Iterator[str]:

@@ -156,13 +156,13 @@ def _about(
     """What a journal must agree on to be the beginning of this search."""
     return {
         "method": method,
-        "settings": dict(settings),
+        **{f"method.{key}": value for key, value in settings.items()},
         "seed": problem.seed,
         "free": list(problem.names),
-        "lower": box.lower.tolist(),
-        "upper": box.upper.tolist(),
+        "search box": [box.lower.tolist(), box.upper.tolist()],
         "recordings": [[d.sha256, len(d), d.sample_time] for d in problem.datasets],
-        "windows": [problem.window_length, problem.window_stride],
+        "windows (length, stride)": [problem.window_length, problem.window_stride],
         "robust": problem.robust,
-        "values": problem.model.parameters.values.tolist(),
+        "discrepancy": problem.discrepancy,
+        "parameters": problem.model.parameters.values.tolist(),
     }
