@@ -17,9 +17,8 @@ from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
 
-#: The finest grid on which an angle of up to some turns is a double: rounding to it changes no
-#: digit that matters (1e-15 rad), but has a derivative of zero.
-_FINEST = 2.0**-50
+#: A grid finer than doubles are: rounding to it changes no bit, but has a derivative of zero.
+_FINEST = 2.0**-100
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,172 @@
+"""Reaction and gyroscopic coupling: the published check values, energy, momentum."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.effects.gyroscopic_coupling import GyroscopicCoupling
+from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.models.model import Axis, Model, Signal
+from trms_cli.models.parameters import Parameter, ParameterSet
+from trms_cli.models.tras import Tras
+
+
+def reaction(rotor="main", drag=0.0, inertia=0.0):
+    return {"reaction": RotorReaction(rotor=rotor, drag=drag, inertia=inertia)}
+
+
+def drag_of_the_main_rotor(model):
+    return model.parameters["k_tvp"].value
+
+
+def test_hover_needs_the_tail_command_of_the_check_value(rig):
+    base = rig.newtonian()
+    model = rig.extended(base, reaction(drag=drag_of_the_main_rotor(base)))
+    target = SteadyState(model).solve(np.zeros(2), np.zeros(model.n_w), None)
+    assert not target.projected
+    u = dict(zip(("u_v", "u_h"), target.u, strict=True))
+    assert u["u_h"] == pytest.approx(-0.776, abs=0.002)
+    assert u["u_v"] == pytest.approx(1.413, abs=0.002)
+
+
+def test_yaw_drifts_to_the_check_value_without_a_tail_command(rig):
+    base = rig.newtonian()
+    model = rig.extended(base, reaction(drag=drag_of_the_main_rotor(base)))
+    start = base.rest()
+    start[base.state_index("alpha_v")] = 0.0
+    start[base.state_index("omega_v")] = 196.3
+    x = rig.simulate(model, np.tile([1.413, 0.0], (4000, 1)), start=start)
+    assert x[-1, base.state_index("alpha_h")] == pytest.approx(1.23, abs=0.01)
+
+
+def accelerations(model):
+    x, u, p, w = model.symbols()
+    f = model.dynamics(x, u, p, w)
+    rates = f[[model.state_index("alpha_v"), model.state_index("alpha_h")]]
+    function = ca.Function(
+        "a",
+        [x, u],
+        [
+            ca.substitute(
+                ca.jtimes(rates, x, f),
+                ca.vertcat(p, w),
+                ca.vertcat(ca.DM(model.parameters.values), ca.DM.zeros(model.n_w)),
+            )
+        ],
+    )
+    return lambda x, u: np.asarray(function(x, u)).ravel()
+
+
+@given(seed=st.integers(0, 1000), inertia=st.floats(-1e-4, 1e-4))
+@settings(max_examples=8, deadline=None)
+def test_its_inertia_is_that_of_the_model_s_own_coupling(rig, seed, inertia):
+    """Adding J is adding to k_m (main) or k_t (tail), where the beam does not turn the rotor."""
+    base = rig.newtonian()
+    generator = np.random.default_rng(seed)
+    x = generator.normal(size=6) * [100, 0.3, 0.3, 100, 0.3, 0.3]
+    u = generator.normal(size=2)
+    # Without a pitch rate: S_v = −k_t ω_h / J_v; then k_m meets ω̇ cos α alone.
+    rates = rig.right_hand_side(base)
+    x[base.state_index("S_v")] -= rates(x, u, np.zeros(4))[base.state_index("alpha_v")]
+    k_m = base.parameters["k_m"].value
+    changed = rig.newtonian(parameters={"k_m": k_m + inertia})
+    with_effect = rig.extended(base, reaction("main", inertia=inertia))
+    # the same rates, of which k_m ω is a part of the yaw's
+    y = x.copy()
+    f = rig.right_hand_side(changed)(x, u, np.zeros(4))
+    row = base.state_index("alpha_h")
+    y[base.state_index("S_h")] -= f[row] - rates(x, u, np.zeros(4))[row]
+    np.testing.assert_allclose(
+        accelerations(with_effect)(x, u)[1], accelerations(changed)(y, u)[1], rtol=1e-9, atol=1e-9
+    )
+
+
+def test_the_tail_turns_the_pitch_on_any_rig_with_both_axes(rig):
+    for base in (rig.newtonian(), Tras()):
+        model = rig.extended(base, reaction("tail", drag=1e-7))
+        start = base.rest()
+        start[base.state_index("omega_h")] = 200.0
+        both = [rig.right_hand_side(m)(start, np.zeros(2), np.zeros(4)) for m in (base, model)]
+        change = both[1] - both[0]
+        assert change[base.state_index("S_v")] > 0
+        assert np.flatnonzero(change).tolist() == [base.state_index("S_v")]
+
+
+class Spinner(Model):
+    """Two free axes and a rotor that keeps its speed: ``J α̈ = w`` for pitch and yaw."""
+
+    def __init__(self) -> None:
+        self.name = "spinner"
+        self.states = tuple(
+            Signal(name, unit)
+            for name, unit in (
+                ("alpha_v", "rad"),
+                ("rate_v", "rad/s"),
+                ("alpha_h", "rad"),
+                ("rate_h", "rad/s"),
+                ("omega_v", "rad/s"),
+            )
+        )
+        self.inputs = (Signal("u_v", "N*m"),)
+        self.outputs = (self.states[0], self.states[2])
+        self.disturbances = (Signal("pitch_moment", "N*m"), Signal("yaw_moment", "N*m"))
+        self.parameters = ParameterSet([Parameter("J", 0.05, "kg*m^2")])
+        self.controlled = ("alpha_v", "alpha_h")
+        self.input_limits, self.stops = {"u_v": 1.0}, {}
+        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.rotors = {"main": "u_v"}
+
+    def dynamics(self, x, u, p, w):
+        return ca.vertcat(x[1], w[0] / p[0], x[3], w[1] / p[0], 0)
+
+    def measurement(self, x, u, p):
+        return ca.vertcat(x[0], x[2])
+
+
+@given(
+    lean=st.floats(-1.5, 1.5),
+    inertia=st.floats(-1e-4, 1e-4),
+    rates=st.tuples(st.floats(-2, 2), st.floats(-2, 2)),
+)
+@settings(max_examples=10, deadline=None)
+def test_gyroscopic_torques_do_no_work_and_keep_the_angular_momentum(rig, lean, inertia, rates):
+    model = rig.extended(Spinner(), {"g": GyroscopicCoupling(inertia=inertia, lean=lean)})
+    start = [0.2, rates[0], 0.0, rates[1], 200.0]
+    x = rig.simulate(model, np.zeros((100, 1)), start=start, substeps=8)
+    energy = x[:, 1] ** 2 + x[:, 3] ** 2
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-7, atol=1e-12)
+    # About the yaw axis: J Ω_yaw less what the rotor holds of it.
+    momentum = 0.05 * x[:, 3] - inertia * 200.0 * np.cos(x[:, 0] + lean)
+    np.testing.assert_allclose(momentum, momentum[0], atol=1e-7)
+
+
+def test_with_the_reaction_it_is_the_model_s_own_coupling(rig):
+    """k_m ω cos α of the Newtonian model is such a momentum, less what its J_h(α) adds to it."""
+    k_m = rig.newtonian().parameters["k_m"].value
+    base, without = rig.newtonian(), rig.newtonian(parameters={"k_m": 0.0})
+    with_effect = rig.extended(
+        without, {"g": GyroscopicCoupling(inertia=k_m, lean=0.0)} | reaction(inertia=k_m)
+    )
+    u, speed, alpha, step = np.array([1.5, 0.0]), 200.0, 0.4, 1e-6
+    x = base.rest()
+    for name, value in (("omega_v", speed), ("alpha_v", alpha), ("S_v", 1.0), ("S_h", 0.3)):
+        x[base.state_index(name)] = value
+    inertia = inertia_of_yaw(base)
+    same_rates = x.copy()
+    same_rates[base.state_index("S_h")] -= k_m * speed * np.cos(alpha) / inertia(x)
+    sides = [x.copy(), x.copy()]
+    for side, sign in zip(sides, (1, -1), strict=True):
+        side[base.state_index("alpha_v")] += sign * step
+    turning = (1 / inertia(sides[0]) - 1 / inertia(sides[1])) / (2 * step)
+    own = accelerations(base)(same_rates, u)[1] - k_m * speed * np.cos(alpha) * turning
+    assert accelerations(with_effect)(x, u)[1] == pytest.approx(own, rel=1e-6)
+    assert accelerations(without)(x, u)[1] != pytest.approx(own, rel=1e-2)
+
+
+def inertia_of_yaw(model):
+    x, u, p, _ = model.symbols()
+    function = ca.Function("J", [x, u, p], [model.quantities(x, u, p)["inertia_yaw"]])
+    return lambda at: float(function(at, np.zeros(2), model.parameters.values))
