@@ -1,0 +1,103 @@
+"""The maker's model: its published eigenvalues, its dry friction, its steady states."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.core.errors import ModelError
+from trms_cli.models.feedback_manual import FeedbackManual
+
+from .simulate import simulate
+
+#: As published, for rest.
+EIGENVALUES = [-5.0, -1.0, -0.909, -0.5, -0.044 + 2.169j, -0.044 - 2.169j, 0.0]
+
+
+def slopes_and_rates(model: FeedbackManual, x, u=(0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+    at = model.symbols()
+    f = model.dynamics(*at)
+    both = ca.Function("both", list(at), [ca.jacobian(f, at[0]), f])
+    a, b = both(x, list(u), model.parameters.values, np.zeros(2))
+    return np.array(a), np.array(b).ravel()
+
+
+def test_eigenvalues_at_rest_are_the_published_ones() -> None:
+    model = FeedbackManual()
+    found = np.linalg.eigvals(slopes_and_rates(model, model.rest())[0]).tolist()
+    for value in EIGENVALUES:
+        nearest = min(found, key=lambda other: abs(other - value))
+        assert nearest == pytest.approx(value, abs=6e-4)
+        found.remove(nearest)
+    assert not found
+
+
+def test_rests_hanging_with_the_pitch_below_level() -> None:
+    model = FeedbackManual()
+    x = model.rest()
+    assert dict(zip(model.state_names, x, strict=True))["alpha_v"] == pytest.approx(-0.6194)
+    assert slopes_and_rates(model, x)[1] == pytest.approx(np.zeros(7), abs=1e-15)
+
+
+def test_a_command_raises_the_beam_to_where_its_moment_holds_it() -> None:
+    # Without dry friction, which would let it stop a little short.
+    p = {q.name: q.value for q in FeedbackManual().parameters}
+    states = simulate(FeedbackManual(dry_friction=False), lambda t: [0.6, 0.0], 200.0, 0.02)
+    tau = p["k_1"] * 0.6
+    moment = p["a_1"] * tau**2 + p["b_1"] * tau
+    rest = np.arcsin(moment / p["M_g"]) - p["psi_0"]
+    # Yaw turns under the main rotor's reaction, which the gyroscopic term gives back to pitch.
+    yaw_rate = -(p["k_c"] * tau) / p["B_1phi"]
+    psi = states["alpha_v"][-1] + p["psi_0"]
+    balance = moment - p["M_g"] * np.sin(psi) - p["K_gy"] * moment * yaw_rate * np.cos(psi)
+    assert balance == pytest.approx(0.0, abs=1e-5)
+    assert states["S_h"][-1] == pytest.approx(yaw_rate, rel=1e-5)
+    assert abs(states["alpha_v"][-1] - rest) < 0.1
+
+
+def test_the_reaction_leads_and_settles_as_its_transfer_function_says() -> None:
+    # M_R/τ_1 = k_c (T_0 s + 1)/(T_p s + 1): k_c T_0/T_p at once, k_c in the end.
+    model = FeedbackManual(dry_friction=False)
+    p = {q.name: q.value for q in model.parameters}
+    x = model.rest()
+    x[3] = 1.0  # τ_1
+    at_once = -slopes_and_rates(model, x)[1][1] * p["I_2"]
+    x[6] = 1.0  # the lagged part has followed
+    in_the_end = -slopes_and_rates(model, x)[1][1] * p["I_2"]
+    assert at_once == pytest.approx(p["k_c"] * p["T_0"] / p["T_p"])
+    assert in_the_end == pytest.approx(p["k_c"])
+
+
+def test_dry_friction_holds_yaw_against_less_than_its_torque() -> None:
+    p = {q.name: q.value for q in FeedbackManual().parameters}
+    stuck = 0.9 * p["B_2phi"] / p["b_2"] / p["k_2"]  # moment a little below B_2φ
+    held = simulate(FeedbackManual(), lambda t: [0.0, stuck], 10.0, 0.02)
+    # The impulse is exact to the third order of the step: it creeps by 2 µrad/s.
+    assert np.abs(held["alpha_h"]).max() < 1e-4
+    free = simulate(FeedbackManual(dry_friction=False), lambda t: [0.0, stuck], 10.0, 0.02)
+    assert free["alpha_h"][-1] > 0.3
+    moving = simulate(FeedbackManual(), lambda t: [0.0, 3 * stuck], 60.0, 0.02)
+    tau = p["k_2"] * 3 * stuck
+    driven = p["a_2"] * tau**2 + p["b_2"] * tau - p["B_2phi"]
+    assert moving["S_h"][-1] == pytest.approx(driven / p["B_1phi"], rel=1e-6)
+
+
+def test_dry_friction_ends_a_free_swing_in_finite_time() -> None:
+    states = simulate(FeedbackManual(), lambda t: [0.0, 0.0], 120.0, 0.02, start={"alpha_v": -0.5})
+    assert np.all(states["S_v"][-50:] == states["S_v"][-1])
+    assert abs(states["S_v"][-1]) < 1e-12
+
+
+def test_the_tail_rotor_cannot_hold_yaw_above_a_pitch() -> None:
+    # k_c τ_1 outgrows the tail rotor's moment at 2.5 V: no steady state with the beam level.
+    steady = SteadyState(FeedbackManual())
+    assert steady.solve(np.array([0.0, 0.0])).projected
+    lower = steady.solve(np.array([-0.3, 0.0]))
+    assert lower.converged and not lower.projected
+
+
+def test_a_set_of_another_model_is_told() -> None:
+    with pytest.raises(ModelError, match="belongs to model 'newtonian'"):
+        FeedbackManual(parameter_set="bench")

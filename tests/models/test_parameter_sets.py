@@ -1,0 +1,72 @@
+"""The built-in sets: what their sources publish, and what they take from set bench."""
+
+from __future__ import annotations
+
+import pytest
+
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import parameter_file
+
+TASTEMIROV = {
+    "l_t": 0.275,
+    "l_m": 0.254,
+    "k_fvp": 1.497e-5,
+    "k_fvn": 0.900e-5,
+    "k_fhp": 3.776e-6,
+    "k_fhn": 2.305e-6,
+    "k_chp": 0.00987,
+    "k_chn": 0.00987,
+}
+
+
+def test_tastemirov_is_bench_but_for_what_is_published() -> None:
+    ours, bench = parameter_file("tastemirov"), parameter_file("bench")
+    assert set(ours.parameters) == set(bench.parameters)
+    for parameter in ours.parameter_set():
+        theirs = bench.parameters[parameter.name]
+        published = parameter.name in TASTEMIROV
+        assert parameter.source == ("Tastemirov et al. 2017" if published else "set bench")
+        assert parameter.value == TASTEMIROV.get(parameter.name, theirs.value)
+        assert (parameter.unit, parameter.prior_sd) == (theirs.unit, theirs.prior_sd)
+
+
+def test_tastemirovs_inertia_comes_out_too_large_as_the_file_says() -> None:
+    import casadi as ca
+
+    model = Lagrangian(parameter_set="tastemirov")
+    x, u, p, _ = model.symbols()
+    inertia = ca.Function("J", [x, u, p], [model.quantities(x, u, p)["inertia_pitch"]])
+    found = float(inertia(model.rest(), [0, 0], model.parameters.values))
+    assert found == pytest.approx(0.0654, abs=5e-5)
+    text = (config_folder() / "parameters" / "tastemirov.yaml").read_text(encoding="utf-8")
+    assert "give 0.0654" in text
+
+
+def test_rahideh_differs_from_bench_in_the_gyroscopic_gain_alone() -> None:
+    ours, bench = (
+        {p.name: p.value for p in parameter_file(name).parameter_set()}
+        for name in ("rahideh", "bench")
+    )
+    assert {name for name in bench if ours[name] != bench[name]} == {"k_g"}
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        *("lagrangian", "lagrangian_full", "lagrangian_vertical", "lagrangian_horizontal"),
+        *("tastemirov", "feedback_manual"),
+        *("motor_main", "motor_tail", "propeller_main", "propeller_tail"),
+    ],
+)
+def test_options_build_what_they_say(option: str) -> None:
+    import yaml
+
+    text = (config_folder() / "model" / f"{option}.yaml").read_text(encoding="utf-8")
+    model = build(yaml.safe_load(text), "model")
+    assert isinstance(model, Model)
+    assert model.dynamics(*model.symbols()).shape == (model.n_x, 1)
+    sizes = {"lagrangian": 6, "lagrangian_full": 8, "tastemirov": 6, "feedback_manual": 7}
+    assert model.n_x == sizes.get(option, 3 if "lagrangian" in option else 1)
