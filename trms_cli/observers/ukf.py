@@ -225,9 +225,11 @@ class Ukf:
         arguments["P"][...] = np.diag(sd**2)
         arguments["memory"][:] = settled[n_s:]
         arguments["p"][:] = model.parameters.values
-        arguments["q"][:] = intensity**2 * setup.sample_time
+        # A command that is remembered is known: its variance is the floor, or there is no root.
+        floor = (_FLOOR * sd) ** 2
+        arguments["q"][:] = np.maximum(intensity**2 * setup.sample_time, floor)
         arguments["r"][:] = noise_sd**2
-        arguments["floor"][:] = (_FLOOR * sd) ** 2
+        arguments["floor"][:] = floor
         results = dict(zip(function.function.name_out(), function.outputs, strict=True))
         estimate = Estimate(
             x=results["m_next"][: model.n_x],
