@@ -13,7 +13,7 @@ SUMMARY = "fit a model's parameters, or a network, to recordings"
 COMPOSES = "identify"
 
 #: Files of a fit in its folder.
-MODEL_NAME, DOCUMENT_NAME, PAGE_NAME = "model.yaml", "identification.json", "identification.html"
+MODEL_NAME, DOCUMENT_NAME = "model.yaml", "identification.json"
 
 HELP = """\
 usage: trms identify real=FILE [GROUP=OPTION]… [KEY=VALUE]… [-m] [--cfg job] [--config-dir DIR]…
@@ -62,7 +62,7 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     from trms_cli.commands import identify_assessment as assessment
     from trms_cli.commands import identify_files as files
     from trms_cli.commands.identify_document import document_of
-    from trms_cli.commands.identify_pictures import draw_figures
+    from trms_cli.commands.identify_pictures import draw_all
     from trms_cli.commands.identify_progress import STATE_NAME, FitProgress
     from trms_cli.commands.identify_request import identification_of
     from trms_cli.commands.identify_screen import IdentifyScreen
@@ -89,9 +89,8 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     assessment.judge(asked, fitted, files.network_of(result, model))
     document = document_of(composition, asked, fitted, perf_counter() - begin)
     write_document(document, folder / DOCUMENT_NAME)
-    if composition.config["picture"]:
-        draw_figures(fitted, document, folder)
-    screen.say_finished(document, model, None, perf_counter() - begin)
+    page = draw_all(fitted, document, folder) if composition.config["picture"] else None
+    screen.say_finished(document, model, page, perf_counter() - begin)
     if progress.exit_code is not None and composition.job is not None:
         raise KeyboardInterrupt  # the sweep ends too
     return Outcome(EXIT_OK if progress.exit_code is None else progress.exit_code, result.cost)

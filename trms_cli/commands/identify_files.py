@@ -81,7 +81,7 @@ def write_fitted_model(
     else:
         assert origin is not None
         document = model_document(
-            Path(asked.recordings[0].source).stem,
+            asked.recordings[0].name,
             asked.model,
             origin,
             values=result.values,

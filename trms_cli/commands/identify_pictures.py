@@ -14,45 +14,52 @@ from trms_cli.identification.judgement import Judged
 from trms_cli.models.model import names
 from trms_cli.reporting.identification_picture import FreeRunTrace
 
+PAGE_NAME = "identification.html"
 #: s of a recording that the figure of the free runs shows at most.
 _LONGEST = 120.0
 
 
-def draw_figures(fitted: Assessment, document: Mapping[str, Any], folder: Path) -> dict[str, Path]:
-    """Draw into the folder; a disk that is full costs the figures, not the fit.
+def draw_all(fitted: Assessment, document: Mapping[str, Any], folder: Path) -> Path | None:
+    """Figures as PNG and the page, into the folder; the page, or None where the disk is full."""
+    from trms_cli.reporting.identification_page import identification_page
+    from trms_cli.reporting.identification_picture import draw
 
-    Returns
-    -------
-    dict
-        Files by caption.
-    """
+    figures = _figures(fitted, document)
+    page = folder / PAGE_NAME
+    try:
+        for name, (figure, _) in figures.items():
+            draw(figure, folder / f"{name}.png")
+        identification_page(document, figures).write(page)
+    except OSError as error:  # the fit is safe in its files: this much may fail
+        sys.stderr.write(f"no figures: {error.strerror or error}\n")
+        return None
+    return page
+
+
+def _figures(fitted: Assessment, document: Mapping[str, Any]) -> dict[str, tuple[Any, str]]:
+    """Figures with their captions."""
     from trms_cli.reporting import identification_picture as picture
 
-    made: dict[str, Path] = {}
+    made: dict[str, tuple[Any, str]] = {}
     part = "held_out" if fitted.after.get("held_out") else "fit"
     words = {"held_out": "held out from the fit", "fit": "fitted"}[part]
-    try:
-        if fitted.after.get(part):
-            traces = _traces(fitted, part)
-            name = fitted.after[part][0].dataset.name
-            figure = picture.free_run_figure(traces, f"{name}: free runs over what was {words}")
-            path = folder / "free_runs.png"
-            picture.draw(figure, path)
-            made[f"Free runs over what was {words}; dotted lines: a window starts anew"] = path
-        if document["parameters"]:
-            figure = picture.parameter_figure(
-                document["parameters"], "parameters against what was known before"
-            )
-            path = folder / "parameters.png"
-            picture.draw(figure, path)
-            made["Fitted parameters against their priors; bands: one and two deviations"] = path
-        if len(document["history"]) > 1:
-            figure = picture.convergence_figure(document["history"], "the search")
-            path = folder / "convergence.png"
-            picture.draw(figure, path)
-            made["The least cost so far"] = path
-    except OSError as error:
-        sys.stderr.write(f"no figures: {error.strerror or error}\n")
+    if fitted.after.get(part):
+        name = fitted.after[part][0].dataset.name
+        title = f"{name}: free runs over what was {words}"
+        made["free_runs"] = (
+            picture.free_run_figure(_traces(fitted, part), title),
+            f"Free runs over what was {words}; at a dotted line a window starts anew.",
+        )
+    if document["parameters"]:
+        made["parameters"] = (
+            picture.parameter_figure(document["parameters"], "parameters against their priors"),
+            "Fitted values; the bands are one and two prior standard deviations.",
+        )
+    if len(document["history"]) > 1:
+        made["convergence"] = (
+            picture.convergence_figure(document["history"], "the search"),
+            "The least cost so far, above the least of all.",
+        )
     return made
 
 

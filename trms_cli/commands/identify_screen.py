@@ -170,11 +170,19 @@ def _doubt_lines(document: Mapping[str, Any]) -> Iterator[str]:
     vague += [name for name in known.get("silent", []) if name not in vague]
     if vague:
         yield f"unknown    {', '.join(vague)}: the data say next to nothing; the prior decided"
-    bound = [n for n, p in document["parameters"].items() if p["at_bound"]]
+    absent = [n for n, p in document["parameters"].items() if _absent(n, p)]
+    if absent:
+        yield f"absent     {', '.join(absent)}: of size zero, these data show none of it"
+    bound = [n for n, p in document["parameters"].items() if p["at_bound"] and n not in absent]
     if bound:
         yield f"at bounds  {', '.join(bound)}: widen bounds.NAME, or ask what the model lacks"
     if document["details"].get("starts_agree") is False:
         yield "starts     did not agree: there is more than one optimum; the best is kept"
+
+
+def _absent(name: str, parameter: Mapping[str, Any]) -> bool:
+    """Whether it is the size of an effect, and zero."""
+    return "." in name and parameter["at_bound"] == "lower" and parameter["lower"] == 0
 
 
 def _error_lines(errors: Mapping[str, Any]) -> Iterator[str]:
