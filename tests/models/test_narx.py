@@ -69,12 +69,7 @@ def test_runs_as_the_network_evaluated_on_the_history(kinds):
     past = made.longest_lag
     y, u = rng.normal(size=(past, 4)), rng.normal(size=(past + 30, 2))
     now = past - 1
-    x = np.concatenate(
-        [
-            *(y[now - lag] for lag in range(made.output_lags[-1])),
-            *(u[now - lag] for lag in range(1, made.input_lags[-1])),
-        ]
-    )
+    x = model.state_after(y, u[:past])
     step = step_of(model)
     found = []
     for k in range(30):
@@ -186,6 +181,10 @@ def test_weights_are_no_parameters():
 
 
 class TestRefusals:
+    def test_a_record_shorter_than_its_memory(self):
+        with pytest.raises(ModelError, match="remembers 3"):
+            rig_like((1, 3)).state_after(np.zeros((2, 4)), np.zeros((2, 2)))
+
     def test_a_structure_of_another_network(self):
         with pytest.raises(ModelError) as error:
             Narx(structure((1, 2, 3)), rig_like((1, 2)).network, limits=LIMITS)
