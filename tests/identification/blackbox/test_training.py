@@ -164,7 +164,7 @@ class TestAll:
     @pytest.mark.parametrize("name", ["lm", "bfgs", "cgf", "cgp", "cgb", "scg", "oss", "rp"])
     def test_ends_in_the_minimum_that_scipy_finds(self, name, taught):
         objective, start = taught
-        limits = Stopping(epochs=5000, gradient=1e-7, patience=0)
+        limits = Stopping(epochs=5000, gradient=1e-7, progress=0.0, patience=0)
         training = train(option(name), objective, start, limits)
         squares = least_squares(
             objective.residuals, start, jac=objective.jacobian, method="lm", xtol=1e-13, ftol=1e-13
@@ -381,6 +381,7 @@ class TestStopping:
         assert outcome(epochs=2) is Outcome.EPOCHS
         assert outcome(goal=0.05) is Outcome.GOAL
         assert outcome(gradient=0.05) is Outcome.GRADIENT
+        assert outcome(progress=0.9, gradient=0.0) is Outcome.SETTLED
 
     def test_an_interruption_keeps_what_there_is(self, sine, start):
         def impatient(epoch, loss, validation):

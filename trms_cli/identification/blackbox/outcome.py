@@ -23,6 +23,7 @@ _OUTCOMES = {
     Ending.GRADIENT: Outcome.CONVERGED,
     Ending.VALIDATION: Outcome.CONVERGED,
     Ending.GOAL: Outcome.CONVERGED,
+    Ending.SETTLED: Outcome.CONVERGED,
     Ending.EPOCHS: Outcome.BUDGET_SPENT,
     Ending.NO_PROGRESS: Outcome.STUCK,
     Ending.INTERRUPTED: Outcome.INTERRUPTED,

@@ -6,7 +6,7 @@ weights are trained together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -24,6 +24,7 @@ from trms_cli.identification.blackbox.radial_start import (
 )
 from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.training import (
+    Outcome,
     Stopping,
     TrainingAlgorithm,
     train,
@@ -90,6 +91,8 @@ class RadialFit:
             validation=data.one_step(network, "validation") if data.validation else None,
             watcher=told(progress, 0.0, 1.0, stopping, "one step"),
         )
+        if not self.tune:
+            training = replace(training, outcome=Outcome.GOAL)
         return fit_result(self.kind, problem, data, network, [Stage("one step", training)])
 
     def placed(self, data: Prepared, seed: int) -> tuple[Radial, FloatArray]:

@@ -28,8 +28,13 @@ class Outcome(enum.Enum):
     EPOCHS = "all epochs done (more: method.stopping.epochs)"
     VALIDATION = "the validation error rose; the weights of its minimum are kept"
     GOAL = "the loss reached its goal"
+    SETTLED = "the loss settled"
     NO_PROGRESS = "no step reduces the loss any more (try another seed, or another algorithm)"
     INTERRUPTED = "interrupted; the best weights so far are kept"
+
+
+#: Epochs over which a loss that does not change has settled.
+_WHILE = 20
 
 
 class TrainingStopped(Exception):
@@ -74,6 +79,8 @@ class Stopping:
         At the most.
     gradient : float
         Ends below this norm of the loss's gradient.
+    progress : float
+        Ends when the loss has changed by less than this share of itself over 20 epochs.
     goal : float
         Ends below this loss.
     patience : int
@@ -82,6 +89,7 @@ class Stopping:
 
     epochs: Annotated[int, Meta(ge=1)] = 300
     gradient: Annotated[float, Meta(ge=0)] = 1e-7
+    progress: Annotated[float, Meta(ge=0)] = 1e-7
     goal: Annotated[float, Meta(ge=0)] = 0.0
     patience: Annotated[int, Meta(ge=0)] = 20
 
@@ -167,11 +175,22 @@ class _Recorder:
         self._end_if_due(epoch, loss, slope)
         self._resumed = perf_counter()
 
+    def settled(self) -> bool:
+        """Whether the loss has hardly changed for a while."""
+        losses = self.history.losses
+        if len(losses) <= _WHILE:
+            return False
+        lately = losses[-_WHILE - 1 :]
+        if not np.isfinite(lately).all():
+            return False
+        return max(lately) - min(lately) <= self._stopping.progress * lately[-1]
+
     def _end_if_due(self, epoch: int, loss: float, slope: float) -> None:
         stopping = self._stopping
         reasons = {
             Outcome.GOAL: loss <= stopping.goal,
             Outcome.GRADIENT: slope <= stopping.gradient,
+            Outcome.SETTLED: self.settled(),
             Outcome.VALIDATION: self._early and epoch - self.best_epoch >= stopping.patience,
             Outcome.EPOCHS: epoch >= stopping.epochs,
         }
