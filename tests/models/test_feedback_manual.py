@@ -81,7 +81,7 @@ def test_dry_friction_holds_yaw_against_less_than_its_torque() -> None:
     moving = simulate(FeedbackManual(), lambda t: [0.0, 3 * stuck], 60.0, 0.02)
     tau = p["k_2"] * 3 * stuck
     driven = p["a_2"] * tau**2 + p["b_2"] * tau - p["B_2phi"]
-    assert moving["S_h"][-1] == pytest.approx(driven / p["B_1phi"], rel=1e-6)
+    assert moving["S_h"][-1] == pytest.approx(driven / p["B_1phi"], rel=1e-4)
 
 
 def test_dry_friction_ends_a_free_swing_in_finite_time() -> None:
