@@ -29,6 +29,7 @@ PICTURE = """\
 COMMANDS: dict[str, str] = {
     "run": "close the loop: simulate or replay, log, score, draw",
     "identify": "fit a model's parameters, or a network, to recordings",
+    "validate": "how well models foretell recordings: errors, residual tests, spectra",
     "score": "metrics of logs, and comparison with a baseline",
     "import": "turn a recording (CSV, MAT) into an MCAP log",
     "export": "turn an MCAP log into CSV, Parquet or MAT",

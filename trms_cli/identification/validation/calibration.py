@@ -2,8 +2,9 @@
 
 The model runs along the recorded commands, its outputs get the sensors' noise and quanta, and the
 same predictor and the same tests go over them (a parametric bootstrap). Each statistic's mean and
-variance over the simulations give a scaled χ² with the same two moments, and its tail the p-value. That keeps whatever the limit of long recordings leaves out: quantised angles, a short
-recording, the filter's own approximations.
+variance over the simulations give a scaled χ² with the same two moments, and its tail the p-value.
+That keeps whatever the limit of long recordings leaves out: quantised angles, a short recording,
+the filter's own approximations.
 """
 
 from __future__ import annotations

@@ -32,12 +32,13 @@ from trms_cli.identification.validation.whitening import whitened
 
 FloatArray = npt.NDArray[np.float64]
 
+_COLOURED = "the past error foretells the next: a missing lag or state, or the noise model"
 #: What it means when a test of a kind fails.
 MEANING: Mapping[str, str] = MappingProxyType(
     {
         "mean": "a constant error: an offset of a sensor, a wrong equilibrium",
-        "auto": "the past error foretells the next: a missing lag or state, or the noise model",
-        "ljung_box": "the past error foretells the next: a missing lag or state, or the noise model",
+        "auto": _COLOURED,
+        "ljung_box": _COLOURED,
         "other": "the errors of other channels foretell this one's: a missing coupling, or the "
         "noise model",
         "input": "the input foretells the error: wrong gain, delay or dynamics from it",

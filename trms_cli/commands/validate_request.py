@@ -1,0 +1,217 @@
+"""From composed configurations to models, recordings and options of a validation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trms_cli.commands.composition import Composition
+from trms_cli.commands.run_assembly import versions as versions
+from trms_cli.commands.validate_models import shown_names
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import TARGET, build
+from trms_cli.effects.extended_model import extended
+from trms_cli.identification.data import DataOptions, load_datasets
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.validation.options import ValidationOptions
+from trms_cli.models.driven import DrivenModel
+from trms_cli.models.model import Model, names
+
+if TYPE_CHECKING:
+    from trms_cli.identification.validation.validate import ModelValidation
+
+_OPTIONS = "trms_cli.identification.validation.options.ValidationOptions"
+#: Keys of the configuration that make up a :class:`ValidationOptions`.
+_OPTION_KEYS = ("horizons", "windows", "predictor", "tests", "block", "seed")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is validated.
+
+    Attributes
+    ----------
+    models : dict of str to Model
+        By the name that is shown.
+    datasets : dict of str to list of Dataset
+        The recordings as each model takes them.
+    options : ValidationOptions
+    data : DataOptions
+    driven : tuple of str
+    effects : tuple of str
+    page : bool
+    """
+
+    models: Mapping[str, Model]
+    datasets: Mapping[str, Sequence[Dataset]]
+    options: ValidationOptions
+    data: DataOptions
+    driven: tuple[str, ...]
+    effects: tuple[str, ...]
+    page: bool
+
+
+def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> Asked:
+    """Build everything that was asked for.
+
+    Raises
+    ------
+    TrmsError
+        For the first key or recording that is wrong.
+    """
+    config = compositions[0].config
+    options = build({TARGET: _OPTIONS, **{key: config[key] for key in _OPTION_KEYS}})
+    data = build(config["data"], "data")
+    real = _several(config["real"], "real")
+    driven = tuple(_several(config["driven"], "driven"))
+    if not isinstance(config["page"], bool):
+        raise ConfigurationError(f"{config['page']!r} given", where="page", remedy="true or false")
+    if config["out"] is not None and not (isinstance(config["out"], str) and config["out"]):
+        raise ConfigurationError(
+            f"{config['out']!r} given", where="out", remedy="name a folder, or null"
+        )
+    models: dict[str, Model] = {}
+    datasets: dict[str, Sequence[Dataset]] = {}
+    shown = shown_names(given) if given else [_name_of(compositions[0])]
+    for name, composition in zip(shown, compositions, strict=True):
+        model = _model(composition.config)
+        loaded = load_datasets(real, model, data)
+        if driven:
+            model = DrivenModel(model, driven)
+            loaded = [dataset.driven_by(driven) for dataset in loaded]
+        _check_noise(loaded)
+        models[name], datasets[name] = model, loaded
+    return Asked(
+        models, datasets, options, data, driven, tuple(config["effect"] or ()), config["page"]
+    )
+
+
+def _model(config: Mapping[str, Any]) -> Model:
+    model = build(config["model"], "model")
+    if not isinstance(model, Model):
+        raise ConfigurationError(
+            f"{config['model'].get(TARGET)!r} is not a model",
+            where="model",
+            remedy="choose one that `trms list model` shows",
+        )
+    effects = {
+        name: build(node, f"effect.{name}") for name, node in (config["effect"] or {}).items()
+    }
+    return extended(model, effects) if effects else model
+
+
+def _name_of(composition: Composition) -> str:
+    """What the one model is called: its option, or the stem of its file."""
+    node = composition.config["model"]
+    path = node.get("path") if isinstance(node, Mapping) else None
+    if composition.choices.get("model") == "from_file" and isinstance(path, str):
+        return Path(path).stem
+    return str(composition.choices.get("model"))
+
+
+def _several(value: Any, where: str) -> list[str]:
+    items = [value] if isinstance(value, str) else value
+    if not isinstance(items, list) or not all(isinstance(item, str) and item for item in items):
+        raise ConfigurationError(
+            f"{value!r} given", where=where, remedy=f"{where}=NAME, or '{where}=[NAME,NAME]'"
+        )
+    return items
+
+
+def _check_noise(datasets: Sequence[Dataset]) -> None:
+    """A channel without noise would weigh infinitely much, and no band would hold."""
+    for dataset in datasets:
+        for signal, sd in zip(dataset.outputs, dataset.noise_sd, strict=True):
+            if not sd > 0:
+                raise ConfigurationError(
+                    f"no noise of {signal.name} is declared",
+                    where="data.noise_sd",
+                    remedy=f"data.noise_sd.{signal.name}=… ({signal.unit}), or "
+                    "data.noise_sd=estimate",
+                )
+            values = dataset.output(signal.name)
+            if np.count_nonzero(~np.isnan(values)) < 2:
+                raise ConfigurationError(
+                    f"{dataset.source} has no value of {signal.name}",
+                    where="data.channels",
+                    remedy="leave the channel out: 'data.channels=[…]'",
+                )
+
+
+def calibrated_where_asked(
+    validations: Sequence[ModelValidation], asked: Asked, progress: Callable[[str], None]
+) -> tuple[list[ModelValidation], list[str]]:
+    """p-values from simulation, where they are asked for; and what to say of it."""
+    if asked.options.tests.calibration != "simulated":
+        return list(validations), []
+    from trms_cli.identification.validation.calibration import calibrated
+
+    done, notes = [], []
+    wanted = asked.options.tests.simulations
+    for validation in validations:
+
+        def tell(count: int, name: str = validation.name) -> None:
+            progress(f"{name}: simulation {count} of {wanted}")
+
+        tests = calibrated(validation, asked.data.quantum, tell)
+        if tests is None:
+            notes.append(
+                f"{validation.name}: left alone over the recording it leaves the range of what was "
+                "measured, so its p-values are not from simulations"
+            )
+        done.append(validation if tests is None else replace(validation, tests=tests))
+    return done, notes
+
+
+def notes_on(asked: Asked) -> list[str]:
+    """What a reader should know of how the figures came about."""
+    return list(dict.fromkeys(_notes(asked)))
+
+
+def _notes(asked: Asked) -> Iterator[str]:
+    if asked.driven:
+        yield f"driven by the measured {', '.join(asked.driven)}: its errors have no part here"
+    if asked.effects:
+        yield f"with {', '.join(asked.effects)} added to the model"
+    if asked.options.windows.start == "fitted":
+        yield (
+            "the starts of the windows were fitted to the windows themselves: the errors flatter, "
+            "most over short horizons"
+        )
+    several = len(asked.models) > 1
+    for model, datasets in asked.datasets.items():
+        for dataset in datasets:
+            prefix = f"{model}, {dataset.name}: " if several else f"{dataset.name}: "
+            for remark in dataset.remarks:
+                yield prefix + remark
+            for signal, column in zip(dataset.inputs, dataset.commands.T, strict=True):
+                if not np.ptp(column) > 0:
+                    yield (
+                        f"{prefix}{signal.name} never moves: nothing is said of how the rig "
+                        "answers to it"
+                    )
+            for signal, column in zip(dataset.outputs, dataset.measurements.T, strict=True):
+                if not np.nanmax(column) - np.nanmin(column) > 0:
+                    yield f"{prefix}{signal.name} never moves: any model that rests foretells it"
+
+
+def objective(document: Mapping[str, Any]) -> float | None:
+    """What a sweeper minimises: errors over those of no change, geometric mean."""
+    if "models" in document:
+        return None
+    ratios = [
+        row["rms"] / row["unchanged_rms"]
+        for rows in document["by_horizon"].values()
+        for row in rows.values()
+        if row["rms"] and row["unchanged_rms"]
+    ]
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
+
+
+def channel_names(validations: Sequence[ModelValidation]) -> list[str]:
+    """Channels of any of the models, in order."""
+    return list(dict.fromkeys(name for v in validations for name in names(v.channels)))

@@ -1,0 +1,199 @@
+"""What a person sees of a validation: progress, then the verdict, tables and files."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from time import perf_counter
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from trms_cli.identification.validation.verdict import (
+    Remark,
+    lead_of,
+    remarks_on,
+    remarks_on_comparison,
+    word,
+)
+
+if TYPE_CHECKING:
+    from trms_cli.commands.composition import Composition
+    from trms_cli.commands.validate_request import Asked
+
+_MARKS = {"good": ("✓", "green"), "bad": ("✗", "red"), "doubtful": ("?", "yellow"), "": ("·", "")}
+
+
+class ValidateScreen:
+    """Progress on standard error if that is a terminal; the figures on standard output.
+
+    Parameters
+    ----------
+    composition : Composition
+    asked : Asked
+    """
+
+    _PATIENCE = 0.5  # s, before progress is worth a line
+
+    def __init__(self, composition: Composition, asked: Asked) -> None:
+        self._composition, self._asked = composition, asked
+        self._begin = perf_counter()
+        self._line = ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._line:
+            sys.stderr.write("\r" + " " * len(self._line) + "\r")
+
+    def progress(self, doing: str) -> None:
+        """What is being done."""
+        if not sys.stderr.isatty() or perf_counter() - self._begin < self._PATIENCE:
+            return
+        sys.stderr.write("\r" + doing.ljust(len(self._line)))
+        sys.stderr.flush()
+        self._line = doing
+
+    def say_finished(
+        self, document: Mapping[str, Any], path: Path, page: Path | None, spent: float
+    ) -> None:
+        """The verdict, the figures in short, and the files; one line for a job of a sweep."""
+        if self._composition.job is not None:
+            what = " ".join(self._composition.overrides)
+            print(f"{self._composition.job:>4}  {what}  {_in_short(document)}")
+            return
+        console = _console()
+        recordings = document["recordings"]
+        models = list(document["models"]) if "models" in document else [document["model"]]
+        console.print(f"validate   {', '.join(models)}", highlight=False, markup=False)
+        for recording in recordings:
+            console.print(
+                f"on         {recording['file']}  {recording['duration_s']:g} s at "
+                f"{1 / recording['sample_time_s']:g} Hz",
+                highlight=False,
+                markup=False,
+                soft_wrap=True,
+            )
+        for note in document["notes"]:
+            console.print(f"note       {note}", highlight=False, markup=False, soft_wrap=True)
+        console.print()
+        for sentence in lead_of(document):
+            console.print(sentence, style="bold", highlight=False, markup=False)
+        console.print()
+        if "models" in document:
+            _print_ranking(console, document)
+            for remark in remarks_on_comparison(document):
+                _print_remark(console, remark)
+            console.print()
+        for name in models:
+            of = document["models"][name] if "models" in document else document
+            _print_errors(console, of)
+        if "models" not in document:
+            for remark in remarks_on(document):
+                _print_remark(console, remark)
+            console.print()
+        print(f"time       {spent:.1f} s")
+        print(f"figures    {path}")
+        if page is not None:
+            print(f"page       {page}")
+
+
+def _print_errors(console: Any, document: Mapping[str, Any]) -> None:
+    """A row a channel and one beneath of predicting no change; columns of horizons."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    channels = document["by_horizon"]
+    horizons = list(next(iter(channels.values())))
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
+    table.add_column(document["model"], header_style="bold cyan", no_wrap=True)
+    for head in ("1 step", *(f"{float(h):g} s" for h in horizons), "fit %", "VAF %", "tests"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for channel, rows in channels.items():
+        step, last = document["one_step"][channel], rows[horizons[-1]]
+        found = [t for t in document["residual_tests"]["tests"] if t["channel"] == channel]
+        failed = sum(test["failed"] for test in found)
+        table.add_row(
+            f"{channel} [dim]\\[{document['units'][channel]}][/dim]",
+            _number(step["rms"]),
+            *(_number(rows[h]["rms"]) for h in horizons),
+            _number(last["fit_percent"]),
+            _number(last["vaf_percent"]),
+            f"[red]{failed}/{len(found)}[/red]" if failed else f"0/{len(found)}",
+        )
+        naive = [step["unchanged_rms"], *(rows[h]["unchanged_rms"] for h in horizons)]
+        table.add_row("  no change", *map(_number, naive), style="dim")
+    console.print(table)
+    words = f"RMS; fit and VAF over {float(horizons[-1]):g} s; residual tests that fail"
+    console.print(f"  {words}", style="dim", highlight=False)
+    console.print()
+
+
+def _print_ranking(console: Any, document: Mapping[str, Any]) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    channels = document["compared_channels"]
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("rank", header_style="bold cyan", no_wrap=True)
+    for column in ("error over no change", "95 % interval"):
+        table.add_column(column, justify="right", no_wrap=True)
+    last = {}
+    for channel in channels:
+        any_model = next(iter(document["models"].values()))
+        last[channel] = list(any_model["by_horizon"][channel])[-1]
+        head = f"{word(channel)}, {float(last[channel]):g} s"
+        table.add_column(f"{head} [dim]\\[{any_model['units'][channel]}][/dim]", justify="right")
+    for rank, row in enumerate(document["ranking"], 1):
+        errors = document["models"][row["model"]]["error"]
+        interval = "–"
+        if row["ci95"][0] is not None:
+            interval = f"{_number(row['ci95'][0])} to {_number(row['ci95'][1])}"
+        table.add_row(
+            f"{rank} {row['model']}",
+            _number(row["relative_error"]),
+            interval,
+            *(_number(errors[channel][last[channel]]) for channel in channels),
+        )
+    console.print(table)
+
+
+def _print_remark(console: Any, remark: Remark) -> None:
+    from rich.markup import escape
+
+    sign, colour = _MARKS[remark.judgement]
+    head = f"[{colour}]{sign}[/{colour}]" if colour else sign
+    text = escape(remark.text)
+    while "**" in text:  # the page's bold, in the terminal's words
+        text = text.replace("**", "[bold]", 1).replace("**", "[/bold]", 1)
+    console.print(f"{head} {text}", highlight=False)
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "–"
+    if value != 0 and not 1e-3 <= abs(value) < 1e5:
+        return f"{value:.2e}"
+    return f"{value:.3g}"
+
+
+def _in_short(document: Mapping[str, Any]) -> str:
+    rows = document["by_horizon"]
+    last = list(next(iter(rows.values())))[-1]
+    parts = [
+        f"{channel} {_number(row[last]['rms'])} {document['units'][channel]}"
+        for channel, row in rows.items()
+    ]
+    return f"RMS over {float(last):g} s {', '.join(parts)}"
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    return Console()
