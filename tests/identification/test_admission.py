@@ -1,0 +1,250 @@
+"""Bad recordings are refused with what to do instead; good ones pass without a word."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.identification.admission import admit
+from trms_cli.identification.data import DataOptions, load_datasets
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.tras import Tras
+from trms_cli.plants.replay import RecordedRig
+from trms_cli.recordings.recording import Recording
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
+from played_rig import BENCH, SIGNALS, play
+
+MODEL = Newtonian()
+SHELF = Path("/work/shared/records")
+Change = Callable[[dict[str, np.ndarray]], object]
+
+
+def dataset(recording: Recording, change: Change = lambda channels: None, model=MODEL) -> Dataset:
+    """A recording, changed, as a dataset."""
+    channels = {name: values.copy() for name, values in recording.channels.items()}
+    change(channels)
+    spoilt = Recording(recording.time, channels, recording.units, {}, recording.source)
+    run = RecordedRig(file="played.csv", sensors=BENCH).take(spoilt, model)
+    noise = np.array([run.noise_sd[signal.name] for signal in run.outputs])
+    return Dataset(
+        "played", "played.csv", "", run.sample_time, run.time, run.inputs, run.outputs,
+        run.commands, run.measurements, noise,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recordings() -> dict[str, Recording]:
+    """A rig that differs from the model, under every kind of command."""
+    return {kind: play(kind, seed=3, prior_seed=3) for kind in (*SIGNALS, "closed")}
+
+
+def scaled(name: str, factor: float) -> Change:
+    return lambda channels: channels.update({name: factor * channels[name]})
+
+
+def swapped(a: str, b: str) -> Change:
+    return lambda channels: channels.update({a: channels[b], b: channels[a]})
+
+
+def without_speeds(change: Change) -> Change:
+    def both(channels):
+        change(channels)
+        del channels["omega_v"], channels["omega_h"]
+
+    return both
+
+
+KINDS = pytest.mark.parametrize("kind", [*SIGNALS, "closed"])
+
+
+class TestGoodRecordings:
+    @pytest.mark.parametrize("seed", range(4))
+    @KINDS
+    def test_rigs_drawn_from_the_priors_pass_without_a_word(self, kind, seed):
+        recording = play(kind, seed=seed, prior_seed=seed)
+        assert admit([dataset(recording)], MODEL, 15).issues == ()
+        bare = dataset(recording, without_speeds(lambda channels: None))
+        assert admit([bare], MODEL, 15).issues == ()
+
+    @pytest.mark.slow
+    @KINDS
+    def test_many_more_pass(self, kind):
+        for seed in range(4, 40):
+            recording = play(kind, seed=seed, prior_seed=seed)
+            assert admit([dataset(recording)], MODEL, 15).issues == (), seed
+
+    @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
+    def test_models_of_one_axis(self, freedom, recordings):
+        model = Newtonian(freedom=freedom)
+        rig = play("prbs", model=model) if freedom == "vertical" else None
+        if rig is not None:
+            assert admit([dataset(rig, model=model)], model).issues == ()
+        one = dataset(recordings["prbs"], model=model)
+        assert admit([one], model).errors == ()
+
+    def test_the_sister_rig(self):
+        model = Tras()
+        recording = play("closed", model=model, scale=(0.4, 0.4), step=0.01)
+        assert admit([dataset(recording, model=model)], model).errors == ()
+
+    @pytest.mark.skipif(not SHELF.is_dir(), reason="the shelf of recordings is not there")
+    def test_a_real_closed_loop_recording(self):
+        model = Tras()
+        datasets = load_datasets(str(SHELF / "tras/closed_loop.csv"), model, DataOptions())
+        assert admit(datasets, model, 15).issues == ()
+
+
+WRONG: dict[str, tuple[Change, str, str]] = {
+    "inputs swapped": (swapped("u_v", "u_h"), "swapped", "u_v"),
+    "angles swapped": (swapped("alpha_v", "alpha_h"), "swapped", "alpha_v"),
+    "inputs swapped, no speeds": (without_speeds(swapped("u_v", "u_h")), "swapped", "u_v"),
+    "angles swapped, no speeds": (
+        without_speeds(swapped("alpha_v", "alpha_h")), "swapped", "alpha_v",
+    ),
+    "pitch turned round": (scaled("alpha_v", -1), "sign", "alpha_v"),
+    "yaw turned round": (scaled("alpha_h", -1), "sign", "alpha_h"),
+    "yaw turned round, no speeds": (without_speeds(scaled("alpha_h", -1)), "sign", "alpha_h"),
+    "tail command turned round, no speeds": (
+        without_speeds(scaled("u_h", -1)), "sign", "alpha_h",
+    ),
+    "main speed turned round": (scaled("omega_v", -1), "sign", "omega_v"),
+    "tail speed turned round": (scaled("omega_h", -1), "sign", "omega_h"),
+    "pitch in degrees": (scaled("alpha_v", 180 / np.pi), "unit", "alpha_v"),
+    "yaw in degrees": (scaled("alpha_h", 180 / np.pi), "unit", "alpha_h"),
+    "main speed in rpm": (scaled("omega_v", 30 / np.pi), "unit", "omega_v"),
+    "tail speed in rpm": (scaled("omega_h", 30 / np.pi), "unit", "omega_h"),
+    "tail speed divided": (scaled("omega_h", np.pi / 30), "unit", "omega_h"),
+    "command in percent": (scaled("u_v", 40), "unit", "u_v"),
+}  # fmt: skip
+
+
+@KINDS
+@pytest.mark.parametrize("what", WRONG)
+def test_wrong_channels_are_named(what, kind, recordings):
+    change, check, channel = WRONG[what]
+    errors = admit([dataset(recordings[kind], change)], MODEL, 15).errors
+    assert [(e.check, e.channel) for e in errors] == [(check, channel)]
+    assert errors[0].remedy
+
+
+class TestDeadAndDull:
+    def test_a_constant_channel(self, recordings):
+        spoilt = dataset(recordings["prbs"], lambda c: c["alpha_h"].fill(0.2))
+        error = admit([spoilt], MODEL).errors[0]
+        assert (error.check, error.channel) == ("constant", "alpha_h")
+        assert "data.channels=[alpha_v, omega_v, omega_h]" in error.remedy
+
+    def test_a_channel_without_a_value(self, recordings):
+        spoilt = dataset(recordings["prbs"], lambda c: c["omega_v"].fill(np.nan))
+        assert admit([spoilt], MODEL).errors[0].check == "missing"
+
+    def test_half_missing_is_a_warning(self, recordings):
+        def lose(channels):
+            channels["omega_v"][np.arange(len(channels["omega_v"])) % 3 > 0] = np.nan
+
+        issues = admit([dataset(recordings["prbs"], lose)], MODEL).issues
+        assert [(i.severity, i.check) for i in issues] == [("warning", "missing")]
+
+    def test_inputs_that_never_move(self, recordings):
+        def still(channels):
+            channels["u_v"].fill(0.8)
+            channels["u_h"].fill(0.0)
+
+        error = admit([dataset(recordings["prbs"], still)], MODEL).errors[0]
+        assert error.check == "excitation" and "trms excite" in error.remedy
+
+    def test_a_free_oscillation_is_admitted_with_a_word(self, recordings):
+        def still(channels):
+            channels["u_v"].fill(0.0)
+            channels["u_h"].fill(0.0)
+            t = np.arange(len(channels["u_v"])) * 0.02
+            channels["alpha_v"][:] = -0.62 + 0.2 * np.exp(-0.05 * t) * np.cos(2 * t)
+
+        found = admit([dataset(recordings["prbs"], still)], MODEL)
+        assert not [e for e in found.errors if e.check == "excitation"]
+        assert any("only the free motion" in w.problem for w in found.warnings)
+
+    def test_one_input_at_rest_is_a_warning(self, recordings):
+        found = admit([dataset(recordings["prbs"], lambda c: c["u_h"].fill(0.0))], MODEL)
+        assert [w.channel for w in found.warnings if w.check == "excitation"] == ["u_h"]
+
+    def test_saturated_throughout(self, recordings):
+        def full(channels):
+            channels["u_v"].fill(2.5)
+            channels["u_h"].fill(-2.5)
+
+        error = admit([dataset(recordings["prbs"], full)], MODEL).errors[0]
+        assert error.check == "saturation"
+
+    def test_bang_bang_between_the_limits_is_no_saturation(self):
+        recording = play("prbs", scale=(1.0, 1.0))
+        recording.channels["u_h"] = 2.5 * np.sign(np.sin(recording.time))
+        assert not [i for i in admit([dataset(recording)], MODEL).issues if i.check == "saturation"]
+
+    def test_what_was_recorded_before_the_limits_is_a_warning(self, recordings):
+        def push(channels):
+            channels["u_h"][100:140] = 3.5
+
+        found = admit([dataset(recordings["prbs"], push)], MODEL)
+        assert [w.channel for w in found.warnings if w.check == "limit"] == ["u_h"]
+
+
+class TestLengthAndRate:
+    def test_too_few_samples_for_the_parameters(self, recordings):
+        short = dataset(recordings["prbs"]).part(0, 140)
+        assert admit([short], MODEL, 15).errors[0].check == "length"
+
+    def test_too_short_for_the_slowest_mode(self, recordings):
+        short = dataset(recordings["prbs"]).part(500, 650)  # 3 s
+        found = admit([short], MODEL)
+        assert [e.check for e in found.errors] == ["length"]
+        assert "at a stretch" in found.errors[0].remedy
+
+    def test_a_bit_short_is_a_warning(self, recordings):
+        short = dataset(recordings["prbs"]).part(500, 1300)
+        found = admit([short], MODEL)
+        assert not found.errors and [w.check for w in found.warnings] == ["length"]
+
+    def test_different_rates_are_told(self, recordings):
+        one = dataset(recordings["prbs"])
+        other = replace(one, sample_time=0.04, name="other")
+        found = admit([one, other], MODEL)
+        assert any("0.02, 0.04 s" in w.problem for w in found.warnings)
+
+    def test_a_model_of_another_step(self, recordings):
+        class Stepped(Newtonian):
+            sample_time = 0.05
+
+        error = admit([dataset(recordings["prbs"])], Stepped()).errors[0]
+        assert error.check == "sample time" and "data.resample=0.05" in error.remedy
+
+    def test_slow_sampling_is_told(self):
+        fine = play("prbs", duration=300.0)
+        rows = slice(None, None, 20)
+        channels = {name: values[rows] for name, values in fine.channels.items()}
+        coarse = Recording(fine.time[rows], channels, fine.units, {}, fine.source)
+        found = admit([dataset(coarse)], MODEL)
+        assert any(w.check == "sample time" for w in found.warnings)
+
+
+def test_all_errors_are_told_at_once(recordings):
+    spoilt = dataset(
+        recordings["prbs"],
+        lambda c: (c["alpha_h"].fill(0.0), c["omega_v"].fill(np.nan)),
+    )
+    with pytest.raises(RecordingError) as error:
+        admit([spoilt], MODEL).require()
+    assert "alpha_h is constant" in str(error.value) and "omega_v has not" in str(error.value)
+    assert error.value.exit_code == 2
+
+
+def test_nothing_is_raised_for_warnings(recordings):
+    admit([dataset(recordings["prbs"]).part(500, 1300)], MODEL).require()

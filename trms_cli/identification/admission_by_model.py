@@ -1,0 +1,282 @@
+"""Signs, units and places of channels, told by what a model makes of the recorded motion.
+
+A rotor's speed must follow its command, and an axis' acceleration its rotor's thrust, with the
+sign that the model gives. How much is left to chance: a channel is only called wrong where the
+measurement is explained well the other way round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.recorded_motion import Motion, Motions, smoothed
+from trms_cli.models.model import Model, names
+
+#: Correlation of a speed with what the command makes of it: clear, and none.
+_CLEAR, _NONE = 0.6, 0.4
+#: rpm in one rad/s, and what ratio counts as that.
+_RPM, _RPM_SPREAD = 60 / (2 * np.pi), 2.0
+_DEGREES, _DEGREES_SPREAD = 180 / np.pi, 2.5
+#: Ratios of a rotor's speed to the model's within which a model is roughly right.
+_ROUGHLY = 2.5
+#: Share of the acceleration's variance that a thrust explains: clear, and little.
+_EXPLAINS, _LITTLE = 0.3, 0.15
+#: By how much a swapped reading must explain more.
+_BETTER = 0.3
+#: rad/s of the model's speed below which a rotor is at rest.
+_TURNS = 5.0
+#: 1/s: faster modes are armature currents, slower ones integrate.
+_FASTEST_MODE, _SLOWEST_MODE = 100.0, 0.02
+_LEAST_SAMPLES = 100
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A channel that does not fit the model.
+
+    Attributes
+    ----------
+    check : str
+    channel : str
+    problem, remedy : str
+    certain : bool
+        Whether the recording explains itself well the other way round.
+    """
+
+    check: str
+    channel: str
+    problem: str
+    remedy: str
+    certain: bool
+
+
+@dataclass(frozen=True)
+class TimeScales:
+    """Periods of a model's slowest and fastest mode, s (2π over the pole's distance from 0)."""
+
+    slowest: float
+    fastest: float
+
+
+@dataclass(frozen=True)
+class _Thrust:
+    """How an axis answers to its rotor: ``α̈ = a·passive + b·thrust + c``."""
+
+    factor: float  #: b
+    share: float  #: of what the rest leaves, that the thrust explains
+    explained: float  #: of the acceleration's variance, by all
+
+
+def findings_by_model(dataset: Dataset, model: Model) -> list[Finding]:
+    """What does not fit; empty where the model has no accelerations or the data are too few."""
+    motions = Motions.possible(model)
+    if motions is None or len(dataset) < _LEAST_SAMPLES:
+        return []
+    motion = motions.of(dataset)
+    thrusts = _thrusts(dataset, motion)
+    swapped = list(_swapped(dataset, motions, motion, thrusts))
+    if swapped:
+        return swapped
+    speeds = list(_speeds(dataset, motion))
+    told = {finding.channel[-2:] for finding in speeds}
+    return [*speeds, *_angles(dataset, motions, thrusts, told)]
+
+
+def time_scales(dataset: Dataset, model: Model) -> TimeScales | None:
+    """From the model's poles where the recording is on average; None for a black box."""
+    if model.sample_time is not None:
+        return None
+    x, u, p, w = model.symbols()
+    slope = ca.Function("slope", [x, u, p, w], [ca.jacobian(model.dynamics(x, u, p, w), x)])
+    point = model.rest().copy()
+    for i, signal in enumerate(dataset.outputs):
+        values = dataset.measurements[:, i]
+        if signal.name in model.state_names and np.isfinite(values).any():
+            size = values if signal.unit == "rad" else np.abs(values)
+            point[model.state_index(signal.name)] = float(np.nanmean(size))
+    command = dataset.commands.mean(axis=0)
+    a = np.asarray(slope(point, command, model.parameters.values, np.zeros(model.n_w)))
+    if not np.isfinite(a).all():
+        return None
+    sizes = np.abs(np.linalg.eigvals(a))
+    sizes = sizes[(sizes > _SLOWEST_MODE) & (sizes < _FASTEST_MODE)]
+    if not len(sizes):
+        return None
+    return TimeScales(2 * np.pi / float(sizes.min()), 2 * np.pi / float(sizes.max()))
+
+
+def _speeds(dataset: Dataset, motion: Motion) -> Iterator[Finding]:
+    for name, (correlation, ratio) in _followed(dataset, motion).items():
+        command = f"u{name[-2:]}"
+        if abs(correlation) < _NONE:
+            yield Finding(
+                "speed", name, f"{name} does not follow {command} (correlation {correlation:.2f})",
+                "look at which channel is which, and at the tacho", False,
+            )  # fmt: skip
+        elif correlation < -_CLEAR:
+            yield Finding(
+                "sign", name, f"{name} turns the other way than {command} makes it turn",
+                f"one of the two has the wrong sign: turn round {name} or {command} in the file",
+                True,
+            )  # fmt: skip
+        elif correlation > _CLEAR and _near(ratio, _RPM, _RPM_SPREAD):
+            yield Finding(
+                "unit", name,
+                f"{name} is {ratio:.3g} times what {command} makes of it: rpm read as rad/s",
+                f"write the unit into the header: {name}[rpm]", True,
+            )  # fmt: skip
+        elif correlation > _CLEAR and _near(ratio, 1 / _RPM, _RPM_SPREAD):
+            yield Finding(
+                "unit", name,
+                f"{name} is {ratio:.2g} times what {command} makes of it: rad/s read as rpm",
+                f"write the unit into the header: {name}[rad/s]", True,
+            )  # fmt: skip
+        elif correlation > _CLEAR and not 1 / _ROUGHLY < ratio < _ROUGHLY:
+            yield Finding(
+                "unit", name, f"{name} is {ratio:.2g} times what the model makes of {command}",
+                f"is the model that of this rig? Are the units of {name} and {command} right?",
+                False,
+            )  # fmt: skip
+
+
+def _angles(
+    dataset: Dataset, motions: Motions, thrusts: dict[str, _Thrust], told: set[str]
+) -> Iterator[Finding]:
+    for name, thrust in thrusts.items():
+        if name[-2:] in told:
+            continue
+        command = f"u{name[-2:]}"
+        if thrust.factor < 0 and (
+            thrust.share > _EXPLAINS or _turned_round(dataset, motions, name, thrust)
+        ):
+            yield Finding(
+                "sign", name, f"{name} moves the other way than {command} drives it in the model",
+                f"turn round the sign of {name} (pitch is positive upwards) or of {command} in "
+                "the file", True,
+            )  # fmt: skip
+        elif thrust.share < _EXPLAINS:
+            continue
+        elif _near(thrust.factor, _DEGREES, _DEGREES_SPREAD):
+            yield Finding(
+                "unit", name, f"{name} moves {thrust.factor:.3g} times as far as it should: "
+                "degrees read as rad", f"write the unit into the header: {name}[deg]", True,
+            )  # fmt: skip
+
+
+def _turned_round(dataset: Dataset, motions: Motions, name: str, thrust: _Thrust) -> bool:
+    """Whether an angle is explained well with its sign turned round, and poorly as it is."""
+    measurements = dataset.measurements.copy()
+    measurements[:, names(dataset.outputs).index(name)] *= -1
+    other = replace(dataset, measurements=measurements)
+    again = _thrusts(other, motions.of(other)).get(name)
+    if again is None or again.factor < 0 or again.share < _EXPLAINS:
+        return False
+    return again.explained - thrust.explained > _BETTER
+
+
+def _swapped(
+    dataset: Dataset, motions: Motions, motion: Motion, thrusts: dict[str, _Thrust]
+) -> Iterator[Finding]:
+    """Whether two inputs, or the two angles, are in each other's place."""
+    inputs = names(dataset.inputs)
+    poor = [t for t in thrusts.values() if t.share < _LITTLE or t.factor < 0]
+    followed = _followed(dataset, motion)
+    lost = [c for c, _ in followed.values() if c < _CLEAR]
+    if "u_v" in inputs and "u_h" in inputs and (lost or (not followed and poor)):
+        i, j = inputs.index("u_v"), inputs.index("u_h")
+        order = list(range(len(inputs)))
+        order[i], order[j] = j, i
+        other = replace(dataset, commands=np.ascontiguousarray(dataset.commands[:, order]))
+        moved = motions.of(other)
+        again = _followed(other, moved)
+        if followed:
+            gain = min(c for c, _ in again.values()) - min(c for c, _ in followed.values())
+            better = len(again) == len(followed) and min(c for c, _ in again.values()) > _CLEAR
+        else:
+            gain = _told(_thrusts(other, moved)) - _told(thrusts)
+            better = all(t.factor > 0 and t.share > _EXPLAINS
+                         for t in _thrusts(other, moved).values())  # fmt: skip
+        if better and gain > _BETTER:
+            yield Finding(
+                "swapped", "u_v", "u_v and u_h are in each other's place: the motion follows them "
+                "the other way round",
+                "swap the two columns' names (u_v is the main rotor); if the speeds are "
+                "recorded, theirs may be swapped instead", True,
+            )  # fmt: skip
+            return
+    if len(poor) == 2 and "alpha_v" in thrusts and "alpha_h" in thrusts:
+        order = list(range(len(dataset.outputs)))
+        i, j = (names(dataset.outputs).index(name) for name in ("alpha_v", "alpha_h"))
+        order[i], order[j] = j, i
+        other = replace(dataset, measurements=np.ascontiguousarray(dataset.measurements[:, order]))
+        again_thrusts = _thrusts(other, motions.of(other))
+        right = all(t.factor > 0 and t.share > _EXPLAINS for t in again_thrusts.values())
+        if right and _told(again_thrusts) - _told(thrusts) > _BETTER:
+            yield Finding(
+                "swapped", "alpha_v", "alpha_v and alpha_h are in each other's place: each moves "
+                "as the other should",
+                "swap the two columns' names (alpha_v is pitch)", True,
+            )  # fmt: skip
+
+
+def _followed(dataset: Dataset, motion: Motion) -> dict[str, tuple[float, float]]:
+    """Correlation and ratio of each measured speed to the model's, where the rotor turns."""
+    found = {}
+    for name, modelled in motion.speeds.items():
+        if name not in names(dataset.outputs):
+            continue
+        measured = dataset.output(name)
+        rows = np.isfinite(measured)
+        y, x = measured[rows], modelled[rows]
+        if len(y) < _LEAST_SAMPLES or np.std(x) < _TURNS or np.std(y) == 0:
+            continue
+        found[name] = (float(np.corrcoef(y, x)[0, 1]), float(y @ x / (x @ x)))
+    return found
+
+
+def _thrusts(dataset: Dataset, motion: Motion) -> dict[str, _Thrust]:
+    found = {}
+    for name, acceleration in motion.accelerations.items():
+        rows = np.isfinite(acceleration)
+        step = dataset.sample_time
+        if np.count_nonzero(rows) < _LEAST_SAMPLES:
+            continue
+        passive, thrust = (
+            smoothed(values[name], step)[rows] for values in (motion.passive, motion.thrust)
+        )
+        if not (np.isfinite(passive).all() and np.isfinite(thrust).all()) or np.std(thrust) == 0:
+            continue
+        y = acceleration[rows]
+        others = np.column_stack([passive, np.ones(len(y))])
+        left = _left(y, others)
+        rest, error = left, _left(y, np.column_stack([others, thrust]))
+        beside = _left(thrust, others)
+        factor = float(beside @ left / max(float(beside @ beside), 1e-300))
+        spread = max(float(np.sum((y - y.mean()) ** 2)), 1e-300)
+        found[name] = _Thrust(
+            factor,
+            1 - float(error @ error) / max(float(rest @ rest), 1e-300),
+            1 - float(error @ error) / spread,
+        )
+    return found
+
+
+def _told(thrusts: dict[str, _Thrust]) -> float:
+    """Mean share that is explained with the right sign; 0 for none."""
+    if not thrusts:
+        return 0.0
+    return float(np.mean([t.explained if t.factor > 0 else 0.0 for t in thrusts.values()]))
+
+
+def _left(y: FloatArray, regressors: FloatArray) -> FloatArray:
+    scale = np.maximum(np.abs(regressors).max(axis=0), 1e-300)
+    return y - regressors / scale @ np.linalg.lstsq(regressors / scale, y, rcond=1e-9)[0]
+
+
+def _near(ratio: float, value: float, spread: float) -> bool:
+    return value / spread < ratio < value * spread
