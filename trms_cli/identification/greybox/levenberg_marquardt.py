@@ -91,8 +91,8 @@ def minimise(
         if promised < tolerance and damping <= _FIRST_DAMPING:
             return Search(best, Outcome.CONVERGED, k)
         theta = np.clip(best.theta + dtheta * objective.scales, *bounds)
-        starts = best.starts + dx * objective.windows.spread
-        cost = objective.cost(theta, starts)
+        moved = best.starts + dx * objective.windows.spread
+        cost, starts = objective.better_starts(theta, moved, best.starts)
         gained = best.cost - cost
         if gained > 0:
             small = small + 1 if gained < tolerance else 0

@@ -47,6 +47,35 @@ class Objective:
         residuals = self._simulated(theta, starts, slopes=False)
         return self._cost(theta, starts, residuals)
 
+    def better_starts(
+        self, theta: FloatArray, one: FloatArray, other: FloatArray
+    ) -> tuple[float, FloatArray]:
+        """The cost with the better of two starts in every window, and those starts.
+
+        Given the parameters, windows have nothing to do with each other. Dry friction puts a kink
+        into the cost wherever a beam just moves or just rests; a step that is good for most
+        windows need not fail because one start fell on the wrong side. Joined windows are taken
+        together: one or the other for all.
+        """
+        if self.joined is not None:
+            costs = [self.cost(theta, starts) for starts in (one, other)]
+            best = int(np.argmin(costs))
+            return costs[best], (one, other)[best]
+        parts = np.array([self._of_windows(theta, starts) for starts in (one, other)])
+        chosen = np.argmin(parts, axis=0)
+        total = float(parts.min(axis=0).sum()) + self._of_priors(theta)
+        return total, np.where((chosen == 0)[:, None], one, other)
+
+    def _of_windows(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
+        """Each window's part of the cost with its start's prior, shape (m,)."""
+        r = self._simulated(theta, starts, slopes=False).r
+        parts = self.weights.costs(r)
+        parts += 0.5 * np.sum(((starts - self.centres) / self.windows.spread) ** 2, axis=1)
+        return np.where(np.isfinite(parts), parts, np.inf)
+
+    def _of_priors(self, theta: FloatArray) -> float:
+        return 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
+
     def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
         """Its value, and the parabola in scaled changes.
 
@@ -82,7 +111,7 @@ class Objective:
             return np.inf
         cost = self.weights.cost(residuals.r)
         cost += 0.5 * float(np.sum(((starts - self.centres) / self.windows.spread) ** 2))
-        cost += 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
+        cost += self._of_priors(theta)
         if self.joined is not None:
             gaps = self._gaps(starts, residuals)[self.windows.follows]
             cost += 0.5 * float(np.sum(gaps**2))

@@ -56,13 +56,18 @@ class Weights:
 
     def cost(self, r: FloatArray) -> float:
         """The data's part of the cost, from residuals (m, c, n_y) that are not whitened."""
+        return float(self.costs(r).sum())
+
+    def costs(self, r: FloatArray) -> FloatArray:
+        """The same by window, shape (m,)."""
         z = self.whitened(r)
         loss = z**2
         if self.robust is not None:
             size = np.abs(z)
             far = size > self.robust
             loss = np.where(far, 2 * self.robust * size - self.robust**2, loss)
-        return 0.5 * float(loss.sum(axis=(0, 1)) @ self.trust)
+        costs: FloatArray = 0.5 * (loss.sum(axis=1) @ self.trust)
+        return costs
 
     def roots(self, r: FloatArray) -> FloatArray:
         """Factors (m, c, n_y) of residuals and slopes whose squares make the cost's parabola.
