@@ -1,0 +1,131 @@
+"""What the study consists of: read from YAML, its signals built from the program's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
+from trms_cli.references.signal import Signal
+
+FloatArray = npt.NDArray[np.float64]
+HERE = Path(__file__).parent
+STUDY = HERE / "study.yaml"
+
+
+class Commands(msgspec.Struct, forbid_unknown_fields=True):
+    """Evenly spaced commands, V."""
+
+    points: int
+    to: float
+    start: float = msgspec.field(name="from")
+
+    @property
+    def values(self) -> FloatArray:
+        return np.linspace(self.start, self.to, self.points)
+
+
+class Sines(msgspec.Struct, forbid_unknown_fields=True):
+    """Sines of one size at several frequencies."""
+
+    amplitude: float  #: V
+    offset: float  #: V
+    frequencies: list[float]  #: Hz
+
+
+class Rotors(msgspec.Struct, forbid_unknown_fields=True):
+    """What the rotors alone are asked."""
+
+    commands: Commands
+    steps: list[float]  #: V
+    step_duration: float  #: s
+    sines: Sines
+
+
+class Pair(msgspec.Struct, forbid_unknown_fields=True):
+    """Commands of both rotors."""
+
+    why: str
+    duration: float  #: s
+    u_v: dict[str, Any]
+    u_h: dict[str, Any]
+
+
+class BenchTests(msgspec.Struct, forbid_unknown_fields=True):
+    """Instruments and sizes of the bench tests; units in the YAML."""
+
+    repetitions: int
+    speed_noise: float
+    current_noise: float
+    force_noise: float
+    angle_quantum: float
+    static_points: int
+    run_down_speed: float
+    run_down_speed_tail: float
+    run_down_duration: float
+    swing_start: float
+    swing_duration: float
+    yaw_commands: list[float]
+
+
+class Study(msgspec.Struct, forbid_unknown_fields=True):
+    """The whole study."""
+
+    sample_time: float  #: s
+    substeps: int
+    rotors: Rotors
+    one_axis: dict[str, dict[str, list[tuple[float, float]]]]
+    two_axes: dict[str, Pair]
+    bench_tests: BenchTests
+
+
+def read_study(path: Path = STUDY) -> Study:
+    """The study of a YAML.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is not one.
+    """
+    try:
+        return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), Study)
+    except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
+        raise ConfigurationError(
+            f"this is no study: {str(error).splitlines()[0]}",
+            where=str(path),
+            remedy="compare it with experiments/chapter2/study.yaml",
+        ) from error
+
+
+def signal(given: Mapping[str, Any], where: str) -> Signal:
+    """A signal of the library with other values for some of its keys.
+
+    Raises
+    ------
+    ConfigurationError
+        For an option that there is not, or a key that it does not have.
+    """
+    values = dict(given)
+    name = values.pop("signal", "")
+    file = config_folder() / "signal" / f"{name}.yaml"
+    if not file.is_file():
+        raise ConfigurationError(
+            f"there is no signal {name!r}", where=f"{where}.signal", remedy="see trms list signal"
+        )
+    node = yaml.safe_load(file.read_text(encoding="utf-8")) | values
+    built = build(node, where)
+    assert isinstance(built, Signal)
+    return built
+
+
+def times(duration: float, sample_time: float) -> FloatArray:
+    """Samples of a record, s, shape (n,)."""
+    return np.arange(round(duration / sample_time), dtype=np.float64) * sample_time
