@@ -41,7 +41,8 @@ def recording(
         Option of ``configs/model``.
     excitation : dict of str to list of dict
         By input: signals (``_target_`` and their figures) of which the sum is the command; the
-        recording's seed moves each signal's own ``seed`` or ``phase``. The sum is kept within the limits.
+        recording's seed moves each signal's own ``seed`` or ``phase``. The sum is kept within
+        the limits.
     duration, sample_time : float
         s.
     seed : int

@@ -120,6 +120,9 @@ class NnoeFit:
         s, lengths of the windows, one training each; each begins with the weights of the last.
     overlap : float
         Share of a window that the next one covers again.
+    windows : int
+        Windows at the most, spread over the recordings: short horizons need no more to give
+        good weights to the next.
     every : int
         Only each such sample of a window counts.
     first_epochs : int
@@ -134,6 +137,7 @@ class NnoeFit:
     direct: bool = True
     horizons: tuple[Annotated[float, Meta(gt=0)], ...] = (0.5, 2.0)
     overlap: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    windows: Annotated[int, Meta(ge=1)] = 500
     every: Annotated[int, Meta(ge=1)] = 1
     first_epochs: Annotated[int, Meta(ge=1)] = 20
     stopping: Stopping = field(default_factory=Stopping)
@@ -165,7 +169,8 @@ class NnoeFit:
             if interrupted(stages):
                 break
             steps = max(1, round(horizon / structure.sample_time))
-            stride = max(1, round(steps * (1.0 - self.overlap)))
+            samples = sum(len(recording) for recording in data.fitted)
+            stride = max(1, round(steps * (1.0 - self.overlap)), samples // self.windows)
             name = f"{horizon:g} s"
             objective = data.simulation(network, steps, "fitted", stride, self.every)
             checked = data.simulation(network, steps, "validation") if data.validation else None

@@ -1,0 +1,161 @@
+"""All trainings of the study, on as many processes as are allowed."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+
+from experiments.chapter3.methods import method
+from experiments.chapter3.trainings import (
+    Job,
+    Trained,
+    model_of,
+    recorded,
+    run_job,
+    settings,
+)
+from trms_cli.identification.blackbox.structure_selection import Assessed, Candidate
+from trms_cli.identification.blackbox.structure_selection import assess as assess_candidate
+from trms_cli.identification.method import Unwatched
+from trms_cli.identification.problem import FitProblem
+
+#: One thread of linear algebra a process: the matrices are small, and two pools would fight.
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Study:
+    """What came out of a study.
+
+    Attributes
+    ----------
+    tables : dict of str to list of Trained
+        The trainings of each system.
+    members : dict of str to list of Trained
+        The members of each 1 DOF system.
+    excitations : list of Trained
+        The same network fitted to two kinds of commands.
+    structures : list of Assessed
+    seconds : dict of str to float
+        Wall time of each part.
+    """
+
+    tables: dict[str, list[Trained]]
+    members: dict[str, list[Trained]]
+    excitations: list[Trained]
+    structures: list[Assessed]
+    seconds: dict[str, float]
+
+
+def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None) -> Study:
+    """Run everything; ``short`` is the share of the recordings' durations.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes.
+    seeds : sequence of int or None
+        In place of the settings'.
+    """
+    seconds: dict[str, float] = {}
+    with _pool(jobs) as run:
+
+        def timed(name: str, work: Sequence[Job]) -> list[Trained]:
+            begin = perf_counter()
+            done = list(_told(name, run(partial(run_job, short=short), work), len(work)))
+            seconds[name] = perf_counter() - begin
+            return done
+
+        tables = {
+            name: timed(name, _table_jobs(name, seeds or settings()["seeds"]))
+            for name in settings()["systems"]
+        }
+        members = {
+            name: timed(f"{name} members", _member_jobs(name, seeds or settings()["seeds"]))
+            for name in ("horizontal", "vertical")
+        }
+        excitations = timed("excitations", _excitation_jobs(seeds))
+        begin, own = perf_counter(), settings()["structure"]
+        candidates = [Candidate(lags, hidden) for lags in own["lags"] for hidden in own["hidden"]]
+        chosen = list(seeds or own["seeds"])
+        structures = list(
+            _told(
+                "structure",
+                run(partial(_assess, seeds=chosen, short=short), candidates),
+                len(candidates),
+            )
+        )
+        seconds["structure"] = perf_counter() - begin
+    return Study(tables, members, excitations, structures, seconds)
+
+
+def _table_jobs(system: str, seeds: Sequence[int]) -> list[Job]:
+    trainings = settings()["systems"][system]["trainings"]
+    return [
+        Job(system, training, "narx", training, seed) for training in trainings for seed in seeds
+    ]
+
+
+def _member_jobs(system: str, seeds: Sequence[int]) -> list[Job]:
+    return [
+        Job(system, name, member["method"], "lm", seed, member["changes"])
+        for name, member in settings()["members"].items()
+        for seed in seeds
+    ]
+
+
+def _excitation_jobs(seeds: Sequence[int] | None) -> list[Job]:
+    own = settings()["excitations"]
+    return [
+        Job(own["system"], label, "narx", "lm", seed, {}, own[label] if label == "prbs" else None)
+        for label in ("prbs", "multilevel")
+        for seed in seeds or own["seeds"]
+    ]
+
+
+def _assess(candidate: Candidate, seeds: Sequence[int], short: float) -> Assessed:
+    system = settings()["structure"]["system"]
+    problem = FitProblem(
+        model=model_of(system),
+        datasets=(recorded(system, "fitted", short),),
+        validation=(recorded(system, "validation", short),),
+    )
+    return assess_candidate(
+        candidate, method("narx", "lm", settings()["method"]), problem, seeds, Unwatched()
+    )
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[Callable[..., Iterator]]:
+    """``map`` over processes, or in this one where one job is asked for."""
+    if jobs <= 1:
+        yield map
+        return
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+            yield pool.map
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _told(name: str, results: Iterator, count: int) -> Iterator:
+    """Results as they come, with a line on the screen that counts them."""
+    for done, result in enumerate(results, start=1):
+        if sys.stderr.isatty():
+            sys.stderr.write(f"\r{name}: {done} of {count}  ")
+            if done == count:
+                sys.stderr.write("\n")
+        yield result

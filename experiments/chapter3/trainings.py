@@ -1,0 +1,192 @@
+"""One training of the study: a recording, a method, a seed; its errors in physical units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from experiments.chapter3.methods import method, option
+from experiments.chapter3.recordings import recording
+from trms_cli.core.plugins import build
+from trms_cli.identification.blackbox.playback import predicted, rms, simulated
+from trms_cli.identification.blackbox.regressors import Samples, sampled
+from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.method import FitResult, Unwatched
+from trms_cli.identification.problem import FitProblem
+from trms_cli.models.model import Model
+from trms_cli.models.network import NarxStructure, Network
+
+SETTINGS = Path(__file__).with_name("study.yaml")
+PARTS = ("fitted", "validation", "test")
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is trained.
+
+    Attributes
+    ----------
+    system : str
+        Key of ``systems`` in the settings.
+    label : str
+        Of the training in tables.
+    method, training : str
+        Options of ``configs/method`` and ``configs/training``.
+    seed : int
+        Of the first weights.
+    changes : dict
+        Keys of the method.
+    excitation : dict or None
+        Another one for the fitted recording.
+    """
+
+    system: str
+    label: str
+    method: str
+    training: str
+    seed: int
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    excitation: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What came out.
+
+    Attributes
+    ----------
+    job : Job
+    epochs, kept_epoch, weights : int
+    seconds : float
+    outcome : str
+    one_step, free_run : dict of str to dict of str to float
+        By part and output: RMS error in the output's unit; infinite after a divergence.
+    losses, times : list of float
+        Normalised loss after each epoch, and the time until then, s.
+    structure, network : dict
+        Plain data of the trained network.
+    """
+
+    job: Job
+    epochs: int
+    kept_epoch: int
+    weights: int
+    seconds: float
+    outcome: str
+    one_step: dict[str, dict[str, float]]
+    free_run: dict[str, dict[str, float]]
+    losses: list[float]
+    times: list[float]
+    structure: dict[str, Any]
+    network: dict[str, Any]
+
+
+@cache
+def settings() -> dict[str, Any]:
+    """The study's settings."""
+    return dict(yaml.safe_load(SETTINGS.read_text(encoding="utf-8")))
+
+
+@cache
+def model_of(system: str) -> Model:
+    """The rig's equations."""
+    built = build(option("model", settings()["systems"][system]["model"]), "model")
+    assert isinstance(built, Model)
+    return built
+
+
+@cache
+def recorded(system: str, part: str, short: float = 1.0) -> Dataset:
+    """A recording of a system; ``short`` is the share of its duration."""
+    own, number = settings()["systems"][system], PARTS.index(part)
+    return recording(
+        own["model"],
+        own["excitation"],
+        duration=short * settings()["durations"][part],
+        sample_time=settings()["sample_time"],
+        seed=10 * number,
+        name=f"{system} {part}",
+    )
+
+
+def run_job(job: Job, short: float = 1.0) -> Trained:
+    """Train and judge."""
+    changes = _merged(settings()["method"], settings()["systems"][job.system]["method"])
+    if job.method in ("rbf", "wavelet"):
+        changes.pop("hidden", None)
+    changes = _merged(changes, job.changes)
+    fitted = recorded(job.system, "fitted", short)
+    if job.excitation is not None:
+        fitted = recording(
+            settings()["systems"][job.system]["model"],
+            job.excitation,
+            duration=fitted.duration,
+            sample_time=fitted.sample_time,
+            seed=0,
+            name=f"{job.system} {job.label}",
+        )
+    parts = {
+        "fitted": fitted,
+        "validation": recorded(job.system, "validation", short),
+        "test": recorded(job.system, "test", short),
+    }
+    problem = FitProblem(
+        model=model_of(job.system),
+        datasets=(fitted,),
+        validation=(parts["validation"],),
+        seed=job.seed,
+    )
+    result = method(job.method, job.training, changes).fit(problem, Unwatched())
+    return _judged(job, result, parts)
+
+
+def _judged(job: Job, result: FitResult, parts: Mapping[str, Dataset]) -> Trained:
+    document = result.model_document
+    assert document is not None
+    structure = NarxStructure.from_data(document["structure"])
+    network = Network.from_data(document["network"])
+    stages = result.details["stages"]
+    one_step, free_run = {}, {}
+    for part, dataset in parts.items():
+        samples = sampled(dataset, structure)
+        one_step[part] = _errors(structure, samples, predicted(structure, network, samples))
+        free_run[part] = _errors(structure, samples, simulated(structure, network, samples))
+    return Trained(
+        job,
+        sum(stage["epochs"] for stage in stages),
+        stages[-1]["kept_epoch"],
+        result.details["weights"],
+        result.seconds,
+        stages[-1]["outcome"],
+        one_step,
+        free_run,
+        [point.cost for point in result.history],
+        [point.seconds for point in result.history],
+        dict(document["structure"]),
+        dict(document["network"]),
+    )
+
+
+def _errors(structure: NarxStructure, samples: Samples, played: FloatArray) -> dict[str, float]:
+    first = structure.longest_lag
+    errors = rms(played[first:] - samples.outputs[first:])
+    return {
+        name: float(error) if np.isfinite(error) else float("inf")
+        for name, error in zip(structure.outputs, errors, strict=True)
+    }
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Mappings merged key by key, all else replaced."""
+    result = dict(base)
+    for key, value in changes.items():
+        if isinstance(value, Mapping) and isinstance(result.get(key), Mapping):
+            value = _merged(result[key], value)
+        result[key] = value
+    return result

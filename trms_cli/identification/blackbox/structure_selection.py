@@ -1,0 +1,107 @@
+"""Which lags and how many hidden units: by the error on data that are not fitted.
+
+Each candidate is trained from several random starts. The error that counts is that of the free
+run over the held-out recordings: one step ahead nearly every structure looks good. Of the
+candidates whose median is as low as the best one's upper quartile the one with the fewest
+weights is taken: what more weights gain is then within the spread of the starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trms_cli.identification.blackbox.narx import NarxFit
+from trms_cli.identification.method import FitResult, Progress
+from trms_cli.identification.problem import FitProblem
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A structure.
+
+    Attributes
+    ----------
+    lags : int
+        The outputs and inputs of 1 … lags samples ago.
+    hidden : int
+        Units of the one hidden layer.
+    """
+
+    lags: int
+    hidden: int
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """A structure with the errors of its trainings, one entry a start.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    weights : int
+    one_step, free_run : tuple of float
+        Normalised RMS errors over the held-out recordings; infinite after a divergence.
+    """
+
+    candidate: Candidate
+    weights: int
+    one_step: tuple[float, ...]
+    free_run: tuple[float, ...]
+
+    @property
+    def median(self) -> float:
+        """Of the free-run errors."""
+        return float(np.median(self.free_run))
+
+    @property
+    def upper(self) -> float:
+        """Upper quartile of the free-run errors."""
+        return float(np.quantile(self.free_run, 0.75, method="higher"))
+
+
+def candidate_method(method: NarxFit, candidate: Candidate) -> NarxFit:
+    """A method with a candidate's lags and hidden units."""
+    lags = tuple(range(1, candidate.lags + 1))
+    regressors = replace(method.regressors, output_lags=lags, input_lags=lags)
+    return replace(method, hidden=(candidate.hidden,), regressors=regressors)
+
+
+def assess(
+    candidate: Candidate,
+    method: NarxFit,
+    problem: FitProblem,
+    seeds: Sequence[int],
+    progress: Progress,
+) -> Assessed:
+    """Train a candidate from several starts.
+
+    Raises
+    ------
+    RecordingError
+        If the recordings cannot be fitted, or nothing is held out.
+    """
+    chosen = candidate_method(method, candidate)
+    results = [chosen.fit(replace(problem, seed=seed), progress) for seed in seeds]
+    return Assessed(
+        candidate,
+        int(results[0].details["weights"]),
+        tuple(_error(result, "validation_one_step") for result in results),
+        tuple(_error(result, "validation_free_run") for result in results),
+    )
+
+
+def selected(assessed: Sequence[Assessed]) -> Assessed:
+    """The candidate with the fewest weights that is as good as the best one within its spread."""
+    best = min(assessed, key=lambda one: one.median)
+    return min(
+        (one for one in assessed if one.median <= best.upper),
+        key=lambda one: (one.weights, one.median),
+    )
+
+
+def _error(result: FitResult, key: str) -> float:
+    value = result.details["normalised_rms"][key]
+    return np.inf if value is None else float(value)
