@@ -1,0 +1,149 @@
+"""Recordings and fits of the study, exactly as ``trms run`` and ``trms identify`` make them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from experiments.chapter4.cases import Case
+from trms_cli.identification.judgement import figures, judged, with_values
+from trms_cli.identification.method import FitResult, Unwatched
+
+
+@dataclass
+class Fitted:
+    """One fit.
+
+    Attributes
+    ----------
+    method : str
+    errors : dict
+        By output: ``rmse``, … on the recording that was held out.
+    cost : float
+        The common cost of all methods at the fitted values, nats; see
+        :class:`trms_cli.identification.population.simulation_cost.SimulationCost`.
+    seconds : float
+        Processor time of the fit, one thread.
+    simulations : int
+    history : list of (simulations, s, cost)
+        Of methods that minimise the common cost.
+    values : dict of str to float
+    trace : dict of str to (n,) array
+        Simulated over the held-out recording.
+    """
+
+    method: str
+    errors: Mapping[str, Any]
+    cost: float
+    seconds: float
+    simulations: int
+    history: list[tuple[int, float, float]] = field(default_factory=list)
+    values: Mapping[str, float] = field(default_factory=dict)
+    trace: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class CaseOutcome:
+    """What came out of a case.
+
+    Attributes
+    ----------
+    case : Case
+    free : int
+        Number of free parameters.
+    white : dict
+        Errors of the model with its own values, by output.
+    fits : list of Fitted
+    measured : dict of str to (n,) array
+        The held-out recording, and ``time`` (s).
+    white_trace : dict of str to (n,) array
+    """
+
+    case: Case
+    free: int = 0
+    white: Mapping[str, Any] = field(default_factory=dict)
+    fits: list[Fitted] = field(default_factory=list)
+    measured: dict[str, Any] = field(default_factory=dict)
+    white_trace: dict[str, Any] = field(default_factory=dict)
+
+
+def run_case(
+    case: Case, methods: Mapping[str, Sequence[str]], seeds: Sequence[int] = (0,)
+) -> CaseOutcome:
+    """Make the recordings of a case, fit it by every method and seed, judge on what is held out."""
+    outcome = CaseOutcome(case)
+    with tempfile.TemporaryDirectory(prefix="trms-chapter4-") as scratch:
+        fit = recorded(case.fit, Path(scratch, "fit"))
+        held_out = recorded(case.held_out, Path(scratch, "held_out"))
+        for method, words in methods.items():
+            for seed in seeds:
+                _fit(outcome, method, [*words, f"seed={seed}"], fit, held_out)
+    return outcome
+
+
+def recorded(words: Sequence[str], folder: Path) -> Path:
+    """The folder of a run."""
+    from trms_cli.commands import run
+    from trms_cli.commands.composition import compose
+
+    with _silence():
+        run.perform(compose([*words, "picture=false", f"out='{folder}'"]))
+    return folder
+
+
+def _fit(
+    outcome: CaseOutcome, method: str, words: Sequence[str], fit: Path, held_out: Path
+) -> None:
+    from trms_cli.commands.composition import compose
+    from trms_cli.commands.identify_request import identification_of
+    from trms_cli.identification.population.simulation_cost import SimulationCost
+
+    overrides = [f"real='{fit}'", f"validation.real='{held_out}'", "jobs=1"]
+    asked = identification_of(compose([*overrides, *outcome.case.identify, *words], "identify"))
+    problem = asked.problem
+    length = problem.window_length
+    if not outcome.white:
+        outcome.free = len(problem.free)
+        white = judged(problem.model, problem.validation, length)
+        outcome.white = figures(white)
+        dataset = problem.validation[0]
+        outcome.measured = {"time": dataset.time} | {
+            s.name: dataset.measurements[:, i] for i, s in enumerate(dataset.outputs)
+        }
+        outcome.white_trace = _trace(white)
+    begin = process_time()
+    result: FitResult = asked.method.fit(problem, Unwatched())
+    seconds = process_time() - begin
+    runs = judged(with_values(problem.model, result.values), problem.validation, length)
+    outcome.fits.append(
+        Fitted(
+            method,
+            figures(runs),
+            SimulationCost(problem)(result.theta),
+            seconds,
+            result.evaluations,
+            [(at.evaluations, at.seconds, at.cost) for at in result.history],
+            dict(result.values),
+            _trace(runs),
+        )
+    )
+
+
+def _trace(runs: Sequence[Any]) -> dict[str, Any]:
+    simulated = np.where(np.isfinite(runs[0].simulated), runs[0].simulated, np.nan)
+    return {s.name: simulated[:, i] for i, s in enumerate(runs[0].dataset.outputs)}
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """What the runs say is said by the tables."""
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        yield

@@ -1,0 +1,312 @@
+"""Tables and figures of the study: printed, as JSON, in ``docs/chapter4.md``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.chapter4.fitting import CaseOutcome, Fitted
+from trms_cli.commands.identify_document import as_json
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE, FIGURES = ROOT / "docs" / "chapter4.md", ROOT / "docs" / "figures" / "chapter4"
+SCHEMA = "trms.chapter4/1"
+_METHODS = {
+    "genetic": "genetic algorithm",
+    "cma_es": "CMA-ES",
+    "multiple_shooting": "multiple shooting",
+}
+_ANGLES = {"alpha_v": "pitch", "alpha_h": "yaw"}
+
+
+@dataclass
+class Findings:
+    """All that came out.
+
+    Attributes
+    ----------
+    cases : list of CaseOutcome
+        White against grey.
+    compared : list of CaseOutcome
+        Every method with every seed.
+    seconds : float
+        Of the whole study, s.
+    """
+
+    cases: list[CaseOutcome]
+    compared: list[CaseOutcome]
+    seconds: float
+
+
+def tables(found: Findings) -> dict[str, list[list[str]]]:
+    """Tables by name, each with its head in the first row."""
+    return {"white-against-grey": _white_grey(found), "comparison": _comparison(found)}
+
+
+def print_tables(found: Findings) -> None:
+    """For a person."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
+    for name, rows in tables(found).items():
+        if len(rows) < 2:
+            continue
+        table = Table(title=name, title_justify="left", box=SIMPLE_HEAD)
+        for i, head in enumerate(rows[0]):
+            table.add_column(head, justify="left" if i < 2 else "right")
+        for row in rows[1:]:
+            table.add_row(*row)
+        console.print(table)
+
+
+def write_out(found: Findings, folder: Path) -> None:
+    """Tables as JSON and figures into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    content = as_json(document(found))
+    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "chapter4.json").write_text(text + "\n", encoding="utf-8")
+    draw(found, folder)
+
+
+def publish(found: Findings, page: Path = PAGE, figures: Path = FIGURES) -> None:
+    """Rewrite the page between its marks, and its figures.
+
+    Raises
+    ------
+    ValueError
+        If the page has no marks for a table.
+    """
+    text = page.read_text(encoding="utf-8")
+    blocks = {name: _markdown(rows) for name, rows in tables(found).items()}
+    blocks["time"] = f"The whole study took {found.seconds:.0f} s, two processes side by side."
+    for name, block in blocks.items():
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, mark, rest = text.partition(begin)
+        _, close, after = rest.partition(end)
+        if not (mark and close):
+            raise ValueError(f"{page} has no {begin} … {end}")
+        text = f"{before}{begin}\n{block}\n{end}{after}"
+    page.write_text(text, encoding="utf-8")
+    figures.mkdir(parents=True, exist_ok=True)
+    draw(found, figures)
+
+
+def document(found: Findings) -> dict[str, Any]:
+    """``trms.chapter4/1``."""
+
+    def fit(f: Fitted) -> dict[str, Any]:
+        return {
+            "method": f.method,
+            "errors": f.errors,
+            "cost": f.cost,
+            "seconds": f.seconds,
+            "simulations": f.simulations,
+            "values": f.values,
+        }
+
+    def case(o: CaseOutcome) -> dict[str, Any]:
+        return {
+            "number": o.case.number,
+            "name": o.case.name,
+            "fit": list(o.case.fit),
+            "held_out": list(o.case.held_out),
+            "identify": list(o.case.identify),
+            "free": o.free,
+            "white": o.white,
+            "grey": [fit(f) for f in o.fits],
+        }
+
+    return {
+        "schema": SCHEMA,
+        "seconds": found.seconds,
+        "cases": [case(o) for o in found.cases],
+        "comparison": [case(o) for o in found.compared],
+    }
+
+
+def draw(found: Findings, folder: Path) -> None:
+    """All figures, as PNG."""
+    from trms_cli.reporting.style import house_style, save_png
+
+    with house_style():
+        if found.cases:
+            save_png(_bars(found.cases), folder / "white_against_grey.png")
+            for outcome in found.cases:
+                if outcome.case.number in (1, 9, 11):
+                    path = folder / f"case_{outcome.case.number}.png"
+                    save_png(_traces(outcome), path)
+        if found.compared:
+            save_png(_searches(found.compared), folder / "comparison.png")
+
+
+def _white_grey(found: Findings) -> list[list[str]]:
+    methods = list(dict.fromkeys(f.method for o in found.cases for f in o.fits))
+    head = ["", "case", "free", "output", "white"]
+    head += [_METHODS[m] for m in methods] + [f"{_METHODS[m]} [s]" for m in methods]
+    rows = [head]
+    for outcome in found.cases:
+        first = True
+        for name, label in _ANGLES.items():
+            if name not in outcome.white:
+                continue
+            grey = [f.errors[name]["rmse"] for f in outcome.fits]
+            rows.append(
+                [
+                    str(outcome.case.number) if first else "",
+                    outcome.case.name if first else "",
+                    str(outcome.free) if first else "",
+                    label,
+                    _milli(outcome.white[name]["rmse"]),
+                    *map(_milli, grey),
+                    *((f"{f.seconds:.1f}" if first else "") for f in outcome.fits),
+                ]
+            )
+            first = False
+    return rows
+
+
+def _comparison(found: Findings) -> list[list[str]]:
+    rows = [
+        [
+            "case",
+            "method",
+            "simulations",
+            "time [s]",
+            "cost above the least [nats]",
+            "pitch [mrad]",
+            "yaw [mrad]",
+        ]
+    ]
+    for outcome in found.compared:
+        least = min(f.cost for f in outcome.fits)
+        for i, method in enumerate(dict.fromkeys(f.method for f in outcome.fits)):
+            fits = [f for f in outcome.fits if f.method == method]
+            angles = [
+                _spread([1e3 * (f.errors[a]["rmse"] or math.inf) for f in fits])
+                if a in outcome.white
+                else ""
+                for a in _ANGLES
+            ]
+            rows.append(
+                [
+                    outcome.case.name if i == 0 else "",
+                    _METHODS[method],
+                    _spread([f.simulations for f in fits]),
+                    _spread([f.seconds for f in fits]),
+                    _spread([f.cost - least for f in fits]),
+                    *angles,
+                ]
+            )
+    return rows
+
+
+def _spread(values: Sequence[float]) -> str:
+    """Median, and smallest to largest where they differ."""
+    low, middle, high = (_short(v) for v in (min(values), float(np.median(values)), max(values)))
+    return middle if low == high else f"{middle} ({low} to {high})"
+
+
+def _short(value: float) -> str:
+    if not math.isfinite(value):
+        return "–"
+    if abs(value) >= 1000 or value == round(value):
+        return f"{value:.0f}"
+    return f"{value:.3g}"
+
+
+def _milli(value: float | None) -> str:
+    return "–" if value is None else f"{1e3 * value:.3g}"
+
+
+def _markdown(rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(rows[0]) + " |", "|" + "---|" * len(rows[0])]
+    lines += ["| " + " | ".join(row) + " |" for row in rows[1:]]
+    return "\n".join(lines)
+
+
+def _bars(outcomes: Sequence[CaseOutcome]) -> Any:
+    """RMSE of the angles on what was held out, white and grey, on a logarithmic axis."""
+    from trms_cli.reporting.style import COLOURS, GREY, legend_above, new_figure
+
+    figure = new_figure(9.5, 5.2)
+    panels = figure.subplots(2, 1, sharex=True)
+    methods = list(dict.fromkeys(f.method for o in outcomes for f in o.fits))
+    for panel, (name, label) in zip(panels, _ANGLES.items(), strict=True):
+        for o in outcomes:
+            if name not in o.white:
+                continue
+            series: list[Mapping[str, Any]] = [o.white, *(f.errors for f in o.fits)]
+            for i, errors in enumerate(series):
+                at = o.case.number + 0.25 * (i - len(methods) / 2)
+                colour = GREY if i == 0 else COLOURS[i - 1]
+                value = errors[name]["rmse"]
+                if value is not None:
+                    panel.bar(at, 1e3 * value, 0.23, color=colour)
+        panel.set_yscale("log")
+        panel.set_ylabel(f"{label} RMSE [mrad]")
+        panel.bar(0, 0, color=GREY, label="white")
+        for i, method in enumerate(methods):
+            panel.bar(0, 0, color=COLOURS[i], label=f"grey, {_METHODS[method]}")
+    legend_above(panels[0])
+    panels[-1].set_xticks([o.case.number for o in outcomes])
+    panels[-1].set_xlim(0.4, max(o.case.number for o in outcomes) + 0.6)
+    panels[-1].set_xlabel("case")
+    return figure
+
+
+def _traces(outcome: CaseOutcome) -> Any:
+    """Angles of the held-out recording, measured and simulated."""
+    from trms_cli.reporting.style import COLOURS, GREY, legend_above, new_figure
+
+    angles = [name for name in _ANGLES if name in outcome.white]
+    figure = new_figure(9.5, 0.6 + 2.0 * len(angles))
+    panels = figure.subplots(len(angles), 1, sharex=True, squeeze=False)[:, 0]
+    time = outcome.measured["time"]
+    for panel, name in zip(panels, angles, strict=True):
+        panel.plot(time, outcome.measured[name], color="#aaaaaa", lw=2.4, label="measured")
+        panel.plot(time, outcome.white_trace[name], color=GREY, lw=0.9, ls="--", label="white")
+        for i, fit in enumerate(outcome.fits):
+            label = f"grey, {_METHODS[fit.method]}"
+            panel.plot(time, fit.trace[name], color=COLOURS[i], lw=0.9, label=label)
+        panel.set_ylabel(f"{_ANGLES[name]} [rad]")
+    legend_above(panels[0])
+    panels[-1].set_xlabel("time [s]")
+    figure.suptitle(f"{outcome.case.number}: {outcome.case.name}", x=0.01, ha="left", fontsize=10)
+    return figure
+
+
+def _searches(outcomes: Sequence[CaseOutcome]) -> Any:
+    """The common cost over processor time, a line a seed; multiple shooting as a point."""
+    from trms_cli.reporting.style import COLOURS, legend_above, new_figure
+
+    figure = new_figure(9.5, 3.2)
+    panels = figure.subplots(1, len(outcomes), squeeze=False)[0]
+    for panel, outcome in zip(panels, outcomes, strict=True):
+        least = min(f.cost for f in outcome.fits)
+        methods = list(dict.fromkeys(f.method for f in outcome.fits))
+        for fit in outcome.fits:
+            colour = COLOURS[methods.index(fit.method)]
+            if fit.method == "multiple_shooting":
+                panel.plot([fit.seconds], [max(fit.cost - least, 0.5)], "o", color=colour, ms=5)
+                continue
+            history = np.array(fit.history)
+            panel.plot(history[:, 1], history[:, 2] - least, color=colour, lw=0.9)
+        for i, method in enumerate(methods):
+            panel.plot([], [], color=COLOURS[i], marker="o" * (i == 2), label=_METHODS[method])
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_xlabel("time [s]")
+        panel.set_title(f"{outcome.case.name}, {outcome.free} parameters", fontsize=9)
+    panels[0].set_ylabel("cost above the least [nats]")
+    legend_above(panels[0], 3)
+    return figure
