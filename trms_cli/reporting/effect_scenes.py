@@ -22,8 +22,14 @@ FloatArray = npt.NDArray[np.float64]
 
 STEP = 0.02  # s
 SUBSTEPS = 4
-#: Momentum state and inertia of an axis, by its angle.
-_OF_AXIS = {"alpha_v": ("S_v", "inertia_pitch"), "alpha_h": ("S_h", "inertia_yaw")}
+#: Momentum state and disturbance of an axis by its angle, of a rotor by its speed.
+_OF_PART = {
+    "alpha_v": ("S_v", "pitch_moment"),
+    "alpha_h": ("S_h", "yaw_moment"),
+    "omega_v": ("omega_v", "main_motor"),
+    "omega_h": ("omega_h", "tail_motor"),
+}
+_SEED = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +42,12 @@ class Run:
         s; V, held over each step; V, mean of each substep.
     states : dict of str to FloatArray
     torque : dict of str to FloatArray
-        Torque that the effect added, by the axis' angle, mean of each substep, N m.
+        Torque that the effect added, by the axis' angle or the rotor's speed, mean of each
+        substep, N m.
+    readings : dict of str to FloatArray
+        What the sensors showed at each time, by output.
+    quantities : dict of str to FloatArray
+        Physical quantities of the nominal model at each time.
     """
 
     time: FloatArray
@@ -44,6 +55,8 @@ class Run:
     arriving: FloatArray
     states: dict[str, FloatArray]
     torque: dict[str, FloatArray]
+    readings: dict[str, FloatArray]
+    quantities: dict[str, FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,31 +103,69 @@ def simulate(scene: Scene, effects: dict[str, Effect]) -> Run:
     small = STEP / SUBSTEPS
     forward = BufferedFunction(discretise(_WithoutPath(model), small).step)
     beneath = BufferedFunction(discretise(base, small).step)
-    inertia = _inertias(base)
+    mobility = _mobility(base)
+    noise = _noise(model, len(command))
     x = model.rest()
     for name, value in scene.start.items():
         x[model.state_index(name)] = value
     p, w = model.parameters.values, np.zeros(model.n_w)
     states, arriving = [x.copy()], []
-    torque: dict[str, list[float]] = {angle: [] for angle in _OF_AXIS}
-    for u in command:
+    start = x.copy()
+    torque: dict[str, list[float]] = {part: [] for part in _OF_PART}
+    for u, pushed in zip(command, noise, strict=True):
         for path in paths:
             reached, memory = (np.array(v) for v in path.evaluate(memory, u, p))
             free = beneath.evaluate(x[: base.n_x], reached, p[: len(base.parameters)], w)[0].copy()
             x = forward.evaluate(x, reached, p, w)[0].copy()
             arriving.append(reached)
-            inertias = np.asarray(inertia(x[: base.n_x], p[: len(base.parameters)])).ravel()
-            for value, (angle, (momentum, _)) in zip(inertias, _OF_AXIS.items(), strict=True):
+            moved = np.asarray(mobility(x[: base.n_x], p[: len(base.parameters)])).ravel()
+            for value, (part, (momentum, _)) in zip(moved, _OF_PART.items(), strict=True):
                 row = base.state_index(momentum)
-                torque[angle].append(float(value * (x[row] - free[row]) / small))
+                torque[part].append(float((x[row] - free[row]) / small / value))
+        x = x + pushed
         states.append(x.copy())
     return Run(
         time=time,
         command=command,
         arriving=np.array(arriving),
         states=dict(zip(model.state_names, np.array(states).T, strict=True)),
-        torque={angle: np.array(values) for angle, values in torque.items()},
+        torque={part: np.array(values) for part, values in torque.items()},
+        readings=_readings(model, start, command, noise),
+        quantities=_quantities(base, np.array(states)[:, : base.n_x]),
     )
+
+
+def _noise(model: Model, samples: int) -> FloatArray:
+    """What noise adds to the states in each step, (samples, n_x)."""
+    p = ca.SX.sym("p", len(model.parameters))
+    added = ca.Function("added", [p], [ca.densify(model.noise_sd(p, STEP))])
+    sd = np.asarray(added(model.parameters.values)).ravel()
+    return sd * np.random.default_rng(_SEED).standard_normal((samples, model.n_x))
+
+
+def _readings(
+    model: Model, start: FloatArray, command: FloatArray, noise: FloatArray
+) -> dict[str, FloatArray]:
+    """The same run once more, in whole steps, with what the sensors remember."""
+    discrete = discretise(model, STEP, SUBSTEPS, sensors=True)
+    step, sense = BufferedFunction(discrete.step), BufferedFunction(discrete.measurement)
+    x = discrete.initial(start, command[0])
+    p, w = model.parameters.values, np.zeros(model.n_w)
+    shown = [sense.evaluate(x, command[0], p)[0].copy()]
+    for u, pushed in zip(command, noise, strict=True):
+        x = step.evaluate(x, u, p, w)[0].copy()
+        x[: model.n_x] += pushed
+        shown.append(sense.evaluate(x, u, p)[0].copy())
+    return dict(zip((s.name for s in model.outputs), np.array(shown).T, strict=True))
+
+
+def _quantities(model: Model, states: FloatArray) -> dict[str, FloatArray]:
+    x, u, p, _ = model.symbols()
+    known = model.quantities(x, u, p)
+    wanted = {name: known[name] for name in ("thrust_main", "thrust_tail", "arm_main", "arm_tail")}
+    function = ca.Function("quantities", [x, u, p], [ca.vertcat(*wanted.values())])
+    values = function(states.T, np.zeros((model.n_u, len(states))), model.parameters.values)
+    return dict(zip(wanted, np.asarray(values), strict=True))
 
 
 class _WithoutPath(Model):
@@ -150,8 +201,16 @@ def _input_paths(model: Model) -> tuple[list[BufferedFunction], FloatArray]:
     return functions, np.zeros(len(model.memory(STEP)))
 
 
-def _inertias(model: Model) -> ca.Function:
-    x, u, p, _ = model.symbols()
-    known = model.quantities(x, u, p)
-    values = ca.vertcat(*(known[inertia] for _, inertia in _OF_AXIS.values()))
-    return ca.Function("inertias", [x, p], [ca.substitute(values, u, ca.SX.zeros(model.n_u))])
+def _mobility(model: Model) -> ca.Function:
+    """Acceleration of the momentum of each part by one N m on it."""
+    x, u, p, w = model.symbols()
+    slope = ca.jacobian(model.dynamics(x, u, p, w), w)
+    columns = [signal.name for signal in model.disturbances]
+    values = ca.vertcat(
+        *(
+            slope[model.state_index(momentum), columns.index(disturbance)]
+            for momentum, disturbance in _OF_PART.values()
+        )
+    )
+    zero = ca.SX.zeros(model.n_u + model.n_w)
+    return ca.Function("mobility", [x, p], [ca.substitute(values, ca.vertcat(u, w), zero)])
