@@ -124,6 +124,4 @@ def _largest(first: Response, second: Response) -> float:
 
 
 def _rms(first: Response, second: Response) -> dict[str, float]:
-    return {
-        a: float(np.sqrt(np.mean((first.outputs[a] - second.outputs[a]) ** 2))) for a in ANGLES
-    }
+    return {a: float(np.sqrt(np.mean((first.outputs[a] - second.outputs[a]) ** 2))) for a in ANGLES}

@@ -112,8 +112,7 @@ class _Clean:
     static: dict[str, tuple[FloatArray, FloatArray, FloatArray]]  # ω, i, F
     run_down: dict[str, tuple[FloatArray, FloatArray]]  # time, ω
     cable: tuple[FloatArray, FloatArray]  # ω_h, α_h
-    swing: FloatArray
-    swing_model: Rollout
+    swing: Rollout
 
     @classmethod
     def simulated(cls, study: Study) -> _Clean:
@@ -140,13 +139,8 @@ class _Clean:
         held = np.ones((len(times(_YAW_SETTLED, T)), 1))
         ends = [yaw.respond(value * held).outputs for value in asked.yaw_commands]
         cable = tuple(np.array([y[name][-1] for y in ends]) for name in ("omega_h", "alpha_h"))
-        pitch = Lagrangian(freedom="vertical")
-        swing_model = Rollout(pitch, T, free=("k_ov", "l_cb"), substeps=1)
-        start = pitch.rest()
-        start[2] += asked.swing_start
-        still = np.zeros((len(times(asked.swing_duration, T)), 1))
-        swing = swing_model.outputs(still, [0], [len(still)], start[None, :]).y[:, 0]
-        return cls(static, run_down, (cable[0], cable[1]), swing, swing_model)
+        swing = Rollout(Lagrangian(freedom="vertical"), T, free=("k_ov", "l_cb"), substeps=1)
+        return cls(static, run_down, (cable[0], cable[1]), swing)
 
 
 def _once(
@@ -188,10 +182,14 @@ def _once(
     for name, side in (("k_chp", yaw > 0), ("k_chn", yaw < 0)):
         found[name] = float(yaw[side] @ moment[side] / (yaw[side] @ yaw[side]))
 
-    measured = encoder(clean.swing)
-    swing, fitted = _swing(clean.swing_model, measured, c, generator)
-    found |= swing
+    # Released by hand: never from the same angle twice.
     time = times(asked.swing_duration, study.sample_time)
+    start = clean.swing.model.rest()
+    start[2] += asked.swing_start * (1 + 0.2 * generator.uniform(-1, 1))
+    still = np.zeros((len(time), 1))
+    measured = encoder(clean.swing.outputs(still, [0], [len(still)], start[None, :]).y[:, 0])
+    swing, fitted = _swing(clean.swing, measured, c, generator)
+    found |= swing
     return found, BenchRecords(static, run_down, (yaw, moment), (time, measured, fitted))
 
 

@@ -105,9 +105,7 @@ def _shape(omega: FloatArray, half: int, sample_time: float) -> tuple[float, flo
     """Rise time, settling time and time to fall of a pulse's response, s."""
     up, down = omega[:half], omega[half:]
     final = up[-1]
-    rise = np.interp(0.9 * final, up, np.arange(half)) - np.interp(
-        0.1 * final, up, np.arange(half)
-    )
+    rise = np.interp(0.9 * final, up, np.arange(half)) - np.interp(0.1 * final, up, np.arange(half))
     outside = np.flatnonzero(np.abs(up - final) > 0.02 * abs(final))
     fall = np.interp(-0.1 * final, -down, np.arange(len(down)))
     return (

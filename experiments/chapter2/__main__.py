@@ -1,0 +1,136 @@
+"""``python -m experiments.chapter2``: simulate, draw, write the tables, check the figures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from experiments.chapter2.agreement import study_agreement
+from experiments.chapter2.axes import ANGLES, Comparison, one_axis, two_axes
+from experiments.chapter2.bench_tests import study_bench_tests
+from experiments.chapter2.rotors import ROTORS, study_rotor
+from experiments.chapter2.study import HERE, STUDY, read_study
+from trms_cli.cli import describe_error
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+
+DOCS = HERE.parents[1] / "docs"
+PAGE, FIGURES, EXPECTED = (
+    DOCS / "chapter2.md",
+    DOCS / "figures" / "chapter2",
+    HERE / "expected.json",
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.chapter2", description=__doc__)
+    parser.add_argument("--study", type=Path, default=STUDY, help="another study.yaml")
+    parser.add_argument(
+        "--out", type=Path, help="put tables, figures and JSON there and leave docs/ as it is"
+    )
+    given = parser.parse_args(argv)
+    try:
+        return _run(given)
+    except TrmsError as error:
+        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
+        return error.exit_code
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+def _run(given: argparse.Namespace) -> int:
+    from experiments.chapter2 import figures, page
+
+    study = read_study(given.study)
+    folder = given.out or FIGURES
+    folder.mkdir(parents=True, exist_ok=True)
+    begin = perf_counter()
+
+    def said(what: str) -> None:
+        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {what}\n")
+        sys.stdout.flush()
+
+    rotors = [study_rotor(study, rotor) for rotor in ROTORS]
+    figures.draw_rotors(rotors, folder / "rotors.png")
+    tables = page.rotor_tables(rotors)
+    said("rotors alone: static curves, steps, sines")
+
+    single = {freedom: one_axis(study, freedom) for freedom in study.one_axis}
+    for freedom, cases in single.items():
+        angle = "alpha_v" if freedom == "vertical" else "alpha_h"
+        figures.draw_responses(cases, angle, folder / f"{freedom}.png")
+        tables[freedom] = page.one_axis_table(cases)
+    said(f"one axis: {sum(map(len, single.values()))} cases")
+
+    cases = two_axes(study)
+    for angle, axis in zip(ANGLES, ("pitch", "yaw"), strict=True):
+        figures.draw_responses(cases, angle, folder / f"two_axes_{axis}.png")
+        figures.draw_spectra(cases, angle, folder / f"two_axes_{axis}_spectra.png")
+    tables |= page.two_axes_tables(cases)
+    said(f"two axes: {len(cases)} cases")
+
+    agreements, terms = study_agreement(study)
+    tables |= page.agreement_tables(agreements, terms)
+    said("where the models agree, and what parts them")
+
+    found, records = study_bench_tests(study)
+    figures.draw_bench_tests(records, folder / "bench_tests.png")
+    tables["bench tests"] = page.bench_table(found)
+    said(f"bench tests: {study.bench_tests.repetitions} repetitions")
+
+    document = {
+        "schema": "trms.chapter2/1",
+        "rotors": {
+            r.axis: {"rise_s": r.rises, "gain": r.gains, "current_effect_rad_s": r.current_effect}
+            for r in rotors
+        },
+        "one_axis": {freedom: _figures(cases) for freedom, cases in single.items()},
+        "two_axes": _figures(cases),
+        "agreement_rad": {a.what: a.largest for a in agreements},
+        "terms_rms_rad": {
+            t.name: {"all": t.newtonian, **t.left_wrong, "arm": t.arm} for t in terms
+        },
+        "bench_tests": {
+            f.name: {"true": f.true, "mean": f.mean, "sd": f.sd, "unit": f.unit} for f in found
+        },
+    }
+    text = json.dumps(_rounded(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    if given.out is None:
+        EXPECTED.write_text(text, encoding="utf-8")
+        page.write_tables(PAGE, tables)
+        said(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
+    else:
+        (folder / "chapter2.json").write_text(text, encoding="utf-8")
+        words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
+        (folder / "tables.md").write_text(words + "\n", encoding="utf-8")
+        said(f"written: {folder}")
+    return EXIT_OK
+
+
+def _figures(cases: Sequence[Comparison]) -> dict[str, Any]:
+    return {
+        case.name: {
+            angle: {"rms_rad": d.rms, "max_rad": d.largest, "fit_percent": d.fit}
+            for angle, d in case.differences.items()
+            if angle in ANGLES
+        }
+        for case in cases
+    }
+
+
+def _rounded(node: Any) -> Any:
+    """Six digits: what comes after them depends on the machine's compiler."""
+    if isinstance(node, dict):
+        return {str(key): _rounded(value) for key, value in node.items()}
+    if isinstance(node, list):
+        return [_rounded(value) for value in node]
+    return float(f"{node:.6g}") if isinstance(node, float) else node
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,173 @@
+"""The figures of the study, in the look of the house."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from experiments.chapter2.axes import Comparison
+from experiments.chapter2.bench_tests import BenchRecords
+from experiments.chapter2.rotors import RotorStudy
+from experiments.chapter2.simulation import FloatArray
+from trms_cli.reporting.style import (
+    COLOURS,
+    GREY,
+    INK,
+    PALETTE,
+    house_style,
+    legend_above,
+    new_figure,
+    save_png,
+)
+
+_LAGRANGIAN, _NEWTONIAN = PALETTE["sky"], PALETTE["vermilion"]
+_LABELS = {"alpha_v": "pitch [rad]", "alpha_h": "yaw [rad]"}
+_ROTOR_OF_AXIS = {"v": "main rotor", "h": "tail rotor"}
+#: Hz, of the spectra: the rig hardly moves beyond.
+_BAND = (0.02, 2.0)
+
+
+def draw_rotors(rotors: Sequence[RotorStudy], path: Path) -> None:
+    """Static curves, steps and sines of each rotor, a row each."""
+    with house_style():
+        page = new_figure(10.0, 5.2)
+        grid = page.subplots(len(rotors), 4, squeeze=False, width_ratios=[1, 1, 1.7, 1.5])
+        for row, rotor in zip(grid, rotors, strict=True):
+            name = _ROTOR_OF_AXIS[rotor.axis]
+            speed, thrust, steps, sines = row
+            speed.plot(rotor.commands, rotor.speeds, color=COLOURS[0])
+            speed.set(xlabel="command [V]", ylabel=f"{name} [rad/s]", title="speed held")
+            thrust.plot(rotor.speeds, rotor.thrusts, color=COLOURS[0])
+            thrust.set(xlabel="speed [rad/s]", ylabel="thrust [N]", title="thrust")
+            for panel in (speed, thrust):
+                panel.axhline(0.0, color=GREY, lw=0.6)
+                panel.axvline(0.0, color=GREY, lw=0.6)
+            for k, (size, response) in enumerate(rotor.steps.items()):
+                omega = response.outputs[f"omega_{rotor.axis}"]
+                colour = COLOURS[k % len(COLOURS)]
+                steps.plot(response.time, omega, color=colour, label=f"{size:g} V")
+            steps.set(xlabel="time [s]", ylabel="[rad/s]", title="steps")
+            steps.legend(loc="upper right")
+            for k, (frequency, response) in enumerate(rotor.sines.items()):
+                omega = response.outputs[f"omega_{rotor.axis}"]
+                periods = response.time * frequency
+                shown = periods >= 4.0
+                sines.plot(
+                    periods[shown] - 4.0, omega[shown], color=COLOURS[k], label=f"{frequency:g} Hz"
+                )
+            sines.set(xlabel="periods", ylabel="[rad/s]", title="sines")
+            sines.legend(loc="lower right")
+        page.align_ylabels()
+        save_png(page, path)
+
+
+def draw_responses(cases: Sequence[Comparison], angle: str, path: Path) -> None:
+    """An angle over time by both models in each case, their difference beneath."""
+    rows = -(-len(cases) // 3)
+    with house_style():
+        page = new_figure(10.0, 2.55 * rows)
+        parts = page.subfigures(rows, 3, squeeze=False).ravel()
+        for k, (case, part) in enumerate(zip(cases, parts, strict=False)):
+            upper, lower = part.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
+            time = case.lagrangian.time
+            measure = case.lagrangian.outputs[angle]
+            found = case.newtonian.outputs[angle]
+            upper.plot(time, measure, color=_LAGRANGIAN, lw=2.4, label="Lagrangian")
+            upper.plot(time, found, color=_NEWTONIAN, lw=0.9, label="Newtonian")
+            lower.plot(time, 1e3 * (found - measure), color=INK, lw=0.8)
+            lower.axhline(0.0, color=GREY, lw=0.6)
+            touched = case.lagrangian.stopped or case.newtonian.stopped
+            title = case.name.replace("_", " ") + (" (stop)" if touched else "")
+            upper.set_title(title, fontsize=9, pad=3)
+            lower.set_xlim(0.0, time[-1])
+            if k % 3 == 0:
+                upper.set_ylabel(_LABELS[angle])
+                lower.set_ylabel("[mrad]")
+            if k >= len(cases) - 3:
+                lower.set_xlabel("time [s]")
+            part.align_ylabels([upper, lower])
+        _legend(page, upper)
+        save_png(page, path)
+
+
+def draw_spectra(cases: Sequence[Comparison], angle: str, path: Path) -> None:
+    """Power spectral density of an angle by both models, and of their difference."""
+    rows = -(-len(cases) // 3)
+    with house_style():
+        page = new_figure(10.0, 2.1 * rows)
+        grid = page.subplots(rows, 3, sharex=True, squeeze=False)
+        for k, (case, panel) in enumerate(zip(cases, grid.ravel(), strict=False)):
+            rate = 1 / (case.lagrangian.time[1] - case.lagrangian.time[0])
+            measure, found = (r.outputs[angle] for r in (case.lagrangian, case.newtonian))
+            for values, colour, width, label in (
+                (measure, _LAGRANGIAN, 2.4, "Lagrangian"),
+                (found, _NEWTONIAN, 0.9, "Newtonian"),
+                (found - measure, INK, 0.7, "their difference"),
+            ):
+                frequency, density = spectrum(values, rate)
+                panel.loglog(frequency, density, color=colour, lw=width, label=label)
+            panel.set_xlim(*_BAND)
+            panel.set_title(case.name.replace("_", " "), fontsize=9, pad=3)
+            if k % 3 == 0:
+                panel.set_ylabel("[rad²/Hz]")
+            if k >= len(cases) - 3:
+                panel.set_xlabel("frequency [Hz]")
+        _legend(page, panel)
+        save_png(page, path)
+
+
+def spectrum(values: FloatArray, rate: float) -> tuple[FloatArray, FloatArray]:
+    """Welch's estimate over halves of the record, mean removed: Hz, unit²/Hz in the band shown."""
+    from scipy.signal import welch
+
+    length = len(values) // 2
+    frequency, density = welch(values, rate, nperseg=length, detrend="constant")
+    shown = (frequency >= _BAND[0]) & (frequency <= _BAND[1])
+    return frequency[shown], np.maximum(density[shown], 1e-16)
+
+
+def draw_bench_tests(records: BenchRecords, path: Path) -> None:
+    """One repetition of each test with what was fitted to it."""
+    with house_style():
+        page = new_figure(10.0, 4.6)
+        grid = page.subplots(2, 3)
+        for colour, (rotor, (omega, torque, force)) in zip(
+            COLOURS, records.static.items(), strict=False
+        ):
+            grid[0, 0].plot(omega, 1e3 * torque, "o", color=colour, ms=3, label=rotor)
+            grid[0, 1].plot(omega, force, "o", color=colour, ms=3, label=rotor)
+        grid[0, 0].set(xlabel="speed [rad/s]", ylabel="motor torque [mN m]")
+        grid[0, 1].set(xlabel="speed [rad/s]", ylabel="thrust [N]")
+        for panel, (rotor, (time, omega, fitted)) in zip(
+            (grid[0, 2], grid[1, 0]), records.run_down.items(), strict=True
+        ):
+            _fit(panel, time, omega, fitted)
+            panel.set(xlabel="time [s]", ylabel=f"{rotor} rotor [rad/s]")
+        yaw, moment = records.cable
+        grid[1, 1].plot(yaw, 1e3 * moment, "o", color=COLOURS[0], ms=3, label="held by the cable")
+        for side in (yaw > 0, yaw < 0):
+            slope = float(yaw[side] @ moment[side] / (yaw[side] @ yaw[side]))
+            reach = np.array([0.0, yaw[side][np.argmax(np.abs(yaw[side]))]])
+            grid[1, 1].plot(reach, 1e3 * slope * reach, color=_NEWTONIAN, lw=1.0)
+        grid[1, 1].set(xlabel="yaw [rad]", ylabel="moment [mN m]")
+        _fit(grid[1, 2], *records.swing)
+        grid[1, 2].set(xlabel="time [s]", ylabel="pitch [rad]")
+        for panel in grid.ravel():
+            legend_above(panel)
+        save_png(page, path)
+
+
+def _fit(panel: Axes, time: FloatArray, measured: FloatArray, fitted: FloatArray) -> None:
+    panel.plot(time, measured, color=_LAGRANGIAN, lw=2.2, label="measured")
+    panel.plot(time, fitted, color=_NEWTONIAN, lw=0.9, label="fitted")
+
+
+def _legend(page: object, panel: Axes) -> None:
+    """One legend above all panels."""
+    handles, labels = panel.get_legend_handles_labels()
+    page.legend(  # type: ignore[attr-defined]
+        handles, labels, loc="outside upper left", ncols=len(labels), fontsize=9, frameon=False
+    )
