@@ -1,0 +1,111 @@
+"""Parts of a blind rig that remember: delays, bristles, slipping springs, oscillators.
+
+All are vectorised over rigs: a size that is zero for a rig makes the part disappear there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+#: rad. Bristles slide once they are bent this far: a seventh of an encoder's step.
+_BENT = 2e-4
+#: Where the springs of a cable begin to slip, as shares of the width.
+_SLIPS = (0.4, 0.8, 1.2, 1.6)
+
+
+class DelayLine:
+    """Values of the last moments, read a delay ago."""
+
+    def __init__(self, delay: FloatArray, longest: float, step: float) -> None:
+        self._steps = delay / step
+        if delay.max(initial=0.0) > longest:
+            raise ValueError(f"a delay of {delay.max()} s exceeds {longest} s")
+        self._kept = np.zeros((int(longest / step) + 2, len(delay)))
+        self._newest = 0
+        self._rigs = np.arange(len(delay))
+
+    def push(self, value: FloatArray) -> None:
+        """Add the newest value of each rig."""
+        self._newest = (self._newest + 1) % len(self._kept)
+        self._kept[self._newest] = value
+
+    def settle(self, value: FloatArray) -> None:
+        """As if it had been the same for long."""
+        self._kept[:] = value
+
+    def read(self, undelayed: FloatArray) -> FloatArray:
+        """The values a delay ago; where there is no delay, those given."""
+        whole = np.floor(self._steps).astype(int)
+        share = self._steps - whole
+        near = self._kept[(self._newest - whole) % len(self._kept), self._rigs]
+        far = self._kept[(self._newest - whole - 1) % len(self._kept), self._rigs]
+        return np.where(self._steps > 0, (1 - share) * near + share * far, undelayed)
+
+
+class Bristles:
+    """LuGre friction: F = σ₀ z + σ₁ ż,  ż = Ω − σ₀|Ω| z/g(Ω),  g = F_c (1 + e exp(−(Ω/v_s)²))."""
+
+    def __init__(
+        self, torque: FloatArray, excess: FloatArray, velocity: FloatArray, inertia: FloatArray
+    ) -> None:
+        self._torque, self._excess, self._velocity = torque, excess, velocity
+        self._stiffness = torque / _BENT
+        self._damping = np.sqrt(self._stiffness * inertia)
+        self._bend = np.zeros_like(torque)
+
+    def torque(self, rate: FloatArray, step: float) -> FloatArray:
+        """The friction torque against the rate, N m, after the bristles have bent for a step."""
+        if not self._torque.any():
+            return np.zeros_like(rate)
+        sliding = self._torque * (1 + self._excess * np.exp(-((rate / self._velocity) ** 2)))
+        there = np.maximum(self._stiffness, 1e-12)
+        end = np.sign(rate) * sliding / there
+        speed = np.abs(rate) * there / np.maximum(sliding, 1e-12)
+        bend = end + (self._bend - end) * np.exp(-speed * step)
+        turning = (bend - self._bend) / step
+        self._bend = bend
+        return self._stiffness * bend + self._damping * turning
+
+
+class Slips:
+    """Springs in parallel, each of which slips at its own torque."""
+
+    def __init__(self, torque: FloatArray, width: FloatArray) -> None:
+        self._yield = torque / len(_SLIPS)
+        self._stiffness = [self._yield / np.maximum(s * width, 1e-3) for s in _SLIPS]
+        self._held = np.zeros((len(_SLIPS), len(torque)))
+        self._angle: FloatArray | None = None
+
+    def torque(self, angle: FloatArray) -> FloatArray:
+        """The torque against the travel, N m."""
+        moved = 0.0 if self._angle is None else angle - self._angle
+        self._angle = angle
+        for i, stiffness in enumerate(self._stiffness):
+            self._held[i] = np.clip(self._held[i] + stiffness * moved, -self._yield, self._yield)
+        total: FloatArray = self._held.sum(axis=0)
+        return total
+
+
+class Oscillator:
+    """A lightly damped mass on the moving beam: δ̈ + 2ζω₀δ̇ + ω₀²δ = −α̈, of which a share is seen."""
+
+    def __init__(self, share: FloatArray, frequency: FloatArray, damping: FloatArray) -> None:
+        self._share = share
+        self._pulsation = 2 * np.pi * np.maximum(frequency, 0.1)
+        self._damping = damping
+        self._deflection, self._speed = np.zeros_like(share), np.zeros_like(share)
+
+    @property
+    def seen(self) -> FloatArray:
+        """What it adds to the angle, rad."""
+        return self._share * self._deflection
+
+    def advance(self, acceleration: FloatArray, step: float) -> None:
+        """Semi-implicit, which keeps the energy of an undamped one."""
+        w = self._pulsation
+        restoring = -2 * self._damping * w * self._speed - w**2 * self._deflection
+        self._speed = self._speed + step * (restoring - acceleration)
+        self._deflection = self._deflection + step * self._speed
