@@ -1,0 +1,156 @@
+"""The study's figures, from its results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from experiments.chapter3.study import Study
+from experiments.chapter3.tables import MEMBERS, angles, grouped
+from experiments.chapter3.trainings import Trained, recorded
+from trms_cli.identification.blackbox.playback import predicted, simulated
+from trms_cli.identification.blackbox.regressors import sampled
+from trms_cli.identification.blackbox.structure_selection import selected
+from trms_cli.identification.validation.residual_tests import residual_tests
+from trms_cli.models.network import NarxStructure, Network
+from trms_cli.reporting.training_picture import (
+    Correlation,
+    LearningCurve,
+    Spread,
+    draw_correlations,
+    draw_free_runs,
+    draw_learning,
+    draw_spread,
+    draw_structure,
+)
+
+_TITLES = {
+    "horizontal": "1 DOF horizontal",
+    "vertical": "1 DOF vertical",
+    "both": "2 DOF",
+}
+_NAMES = {"alpha_v": "pitch", "alpha_h": "yaw"}
+
+
+def draw_all(study: Study, folder: Path, short: float) -> None:
+    """Draw every figure into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, results in study.tables.items():
+        title = _TITLES[name]
+        first = [one for one in results if one.job.seed == results[0].job.seed]
+        draw_learning(
+            [LearningCurve(o.job.label, np.array(o.losses), np.array(o.times)) for o in first],
+            folder / f"learning_{name}.png",
+            title=f"{title}: learning from one start",
+        )
+        for angle in angles(results):
+            suffix = f"_{_NAMES[angle]}" if len(angles(results)) > 1 else ""
+            draw_spread(
+                [
+                    Spread(
+                        label,
+                        np.array([1e3 * one.free_run["test"][angle] for one in group]),
+                        np.array([one.seconds for one in group]),
+                    )
+                    for label, group in grouped(results).items()
+                ],
+                folder / f"spread_{name}{suffix}.png",
+                unit="mrad",
+                what=f"{_NAMES[angle]}, RMS error of the free run over the test recording",
+                title=f"{title}: a dot a start",
+            )
+    for name, results in study.members.items():
+        _draw_runs(name, _best_of(results, ("nnarx", "nnoe")), folder / f"runs_{name}.png", short)
+    best = min(grouped(study.tables["both"])["lm"], key=_test_error)
+    _draw_runs("both", {"NNARX, LM": best}, folder / "runs_both.png", short)
+    draw_structures(study, folder / "structure.png")
+    for label in ("nnarx", "nnoe"):
+        chosen = min(grouped(study.members["vertical"])[label], key=_test_error)
+        _draw_tests(chosen, folder / f"correlations_{label}.png", short)
+
+
+def draw_structures(study: Study, path: Path) -> None:
+    """The error map of the structure selection."""
+    lags = sorted({one.candidate.lags for one in study.structures})
+    hidden = sorted({one.candidate.hidden for one in study.structures})
+    errors = np.empty((len(lags), len(hidden), len(study.structures[0].free_run)))
+    for one in study.structures:
+        row, column = lags.index(one.candidate.lags), hidden.index(one.candidate.hidden)
+        errors[row, column] = one.free_run
+    chosen = selected(study.structures).candidate
+    draw_structure(
+        lags,
+        hidden,
+        100 * errors,
+        (chosen.lags, chosen.hidden),
+        path,
+        title="Free run over held-out data, % of the spread: median, range over starts",
+    )
+
+
+def _test_error(one: Trained) -> float:
+    return sum(one.free_run["test"][angle] for angle in angles([one]))
+
+
+def _best_of(results: Sequence[Trained], labels: Sequence[str]) -> dict[str, Trained]:
+    """The median start of each label, so that no lucky one is shown."""
+    chosen = {}
+    for label in labels:
+        ordered = sorted(grouped(results)[label], key=_test_error)
+        chosen[MEMBERS[label].split(",")[0]] = ordered[len(ordered) // 2]
+    return chosen
+
+
+def _draw_runs(system: str, networks: dict[str, Trained], path: Path, short: float) -> None:
+    dataset = recorded(system, "test", short)
+    runs = {}
+    for label, one in networks.items():
+        structure = NarxStructure.from_data(one.structure)
+        samples = sampled(dataset, structure)
+        run = simulated(structure, Network.from_data(one.network), samples)
+        runs[label] = dict(zip(structure.outputs, run.T, strict=True))
+    time = np.arange(len(samples)) * structure.sample_time
+    units = dict(zip(structure.outputs, structure.output_units, strict=True))
+    draw_free_runs(
+        time,
+        dict(zip(structure.outputs, samples.outputs.T, strict=True)),
+        runs,
+        dict(zip(structure.inputs, samples.inputs.T, strict=True)),
+        units,
+        path,
+        title=f"{_TITLES[system]}: free run over the test recording",
+    )
+
+
+def _draw_tests(one: Trained, path: Path, short: float) -> None:
+    """Correlation tests of the one-step residuals over the test recording."""
+    structure = NarxStructure.from_data(one.structure)
+    samples = sampled(recorded(one.job.system, "test", short), structure)
+    residual = samples.outputs - predicted(structure, Network.from_data(one.network), samples)
+    first = structure.longest_lag
+    tests = residual_tests(
+        dict(zip(structure.outputs, residual[first:].T, strict=True)),
+        dict(zip(structure.inputs, samples.inputs[first:].T, strict=True)),
+        dict(zip(structure.outputs, samples.outputs[first:].T, strict=True)),
+        lags=20,
+    )
+    angle = angles([one])[0]
+    shown = [
+        Correlation(
+            test.formula,
+            test.result.lags,
+            test.result.correlations,
+            test.result.band(),
+            test.failed(),
+        )
+        for test in tests.of(angle)
+        if test.kind not in ("mean", "ljung_box") and len(test.result.lags)
+    ]
+    name = MEMBERS[one.job.label].split(",")[0]
+    draw_correlations(
+        shown,
+        path,
+        title=f"{name}, {_NAMES[angle]}: residuals one step ahead, 95 % bands over all lags",
+    )
