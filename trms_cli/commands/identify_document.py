@@ -47,6 +47,7 @@ def document_of(
             *(_recording(d, "fit") for d in problem.datasets),
             *(_recording(d, "held_out") for d in problem.validation),
         ],
+        "admission": asked.admission.as_data(),
         "outcome": result.outcome.name.lower(),
         "sentence": result.outcome.value,
         "settled": result.outcome.settled,

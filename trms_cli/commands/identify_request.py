@@ -13,6 +13,7 @@ from trms_cli.commands.composition import Composition
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.effects.extended_model import extended
+from trms_cli.identification.admission import Admission, admit
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.judgement import acting_parameters
@@ -113,6 +114,8 @@ class Identification:
         Whole, as they were loaded, driven as the problem's.
     idle : tuple of str
         Parameters that were asked for and have no part in the equations.
+    admission : Admission
+        What was found in the recordings.
     """
 
     options: IdentifyOptions
@@ -121,6 +124,7 @@ class Identification:
     method: Method
     recordings: tuple[Dataset, ...]
     idle: tuple[str, ...] = ()
+    admission: Admission = field(default_factory=lambda: Admission(()))
 
     @property
     def driven(self) -> tuple[str, ...]:
@@ -150,9 +154,12 @@ def identification_of(composition: Composition) -> Identification:
     data = build(config["data"], "data")
     driven = several(options.driven)
     simulated = _driven_model(model, driven)
-    recordings = _loaded(options.real, model, data, driven)
-    fitted, held_out = _parts(recordings, options, model, data, driven)
     free, idle = _free(simulated, options, method)
+    loaded = load_datasets(several(options.real), model, data)
+    admission = admit(loaded, model, len(free))
+    admission.require()
+    recordings = _driven_recordings(loaded, driven)
+    fitted, held_out = _parts(recordings, options, model, data, driven)
     problem = FitProblem(
         model=simulated,
         datasets=fitted,
@@ -166,7 +173,7 @@ def identification_of(composition: Composition) -> Identification:
         seed=options.seed,
         jobs=options.jobs,
     )
-    return Identification(options, model, problem, method, recordings, idle)
+    return Identification(options, model, problem, method, recordings, idle, admission)
 
 
 def several(names: str | Sequence[str]) -> tuple[str, ...]:
@@ -205,11 +212,8 @@ def _driven_model(model: Model, driven: Sequence[str]) -> Model:
         raise
 
 
-def _loaded(
-    real: str | Sequence[str], model: Model, data: DataOptions, driven: Sequence[str]
-) -> tuple[Dataset, ...]:
-    found = load_datasets(several(real), model, data)
-    return tuple(dataset.driven_by(driven) if driven else dataset for dataset in found)
+def _driven_recordings(recordings: Sequence[Dataset], driven: Sequence[str]) -> tuple[Dataset, ...]:
+    return tuple(dataset.driven_by(driven) if driven else dataset for dataset in recordings)
 
 
 def _parts(
@@ -223,11 +227,12 @@ def _parts(
     keep = options.validation
     if keep.real is not None:
         try:
-            held_out = _loaded(keep.real, model, data, driven)
+            loaded = load_datasets(several(keep.real), model, data)
         except TrmsError as error:
             if error.where == "real":
                 error.where = "validation.real"
             raise
+        held_out = _driven_recordings(loaded, driven)
         twice = {d.sha256 for d in recordings} & {d.sha256 for d in held_out}
         if twice:
             source = next(d.source for d in held_out if d.sha256 in twice)

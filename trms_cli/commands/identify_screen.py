@@ -61,6 +61,8 @@ class IdentifyScreen:
             remarks |= dict.fromkeys(dataset.remarks)
         for remark in remarks:
             print(f"note       {remark}")
+        for issue in self._asked.admission.warnings:
+            print(f"warning    {issue}")
         if self._asked.idle:
             print(
                 f"note       no part in the equations, so not fitted: {', '.join(self._asked.idle)}"
@@ -102,12 +104,14 @@ class IdentifyScreen:
         print()
         real = shlex.quote(self._asked.recordings[0].source)
         where, trms = shlex.quote(str(model)), program()
-        print(f"next       {trms} validate model={where} real={real}")
+        driven = self._asked.driven
+        more = f" driven=[{','.join(driven)}]" if driven else ""
+        print(f"next       {trms} validate model={where} real={real}{more}")
         print(f"           {trms} run model={where}")
         if document["outcome"] in ("interrupted", "budget_spent") and self._resumable:
             print(f"           {trms} identify resume={shlex.quote(str(self._folder))}", end="")
-            more = _more(self._composition.config["method"])
-            print(f" {more}" if more and document["outcome"] == "budget_spent" else "")
+            longer = _more(self._composition.config["method"])
+            print(f" {longer}" if longer and document["outcome"] == "budget_spent" else "")
 
     @property
     def _resumable(self) -> bool:

@@ -62,8 +62,13 @@ def identification_page(
         ],
     )
     remarks = dict.fromkeys(remark for r in document["recordings"] for remark in r["remarks"])
-    if remarks:
-        page.points([*remarks])
+    points: list[str | Marked] = [*remarks]
+    points += [
+        Marked(f"{issue['problem']} ({issue['remedy']})", "doubtful")
+        for issue in document["admission"]
+    ]
+    if points:
+        page.points(points)
     return page
 
 
