@@ -48,8 +48,16 @@ def model_list(argv: Sequence[str]) -> tuple[str, ...] | None:
 
 
 def one_of(argv: Sequence[str], name: str) -> list[str]:
-    """The command line with one model in the list's place."""
+    """The command line with one model in the list's place.
+
+    A parameter set that is no model (``tras_record``) stands for its file, which names its model.
+    """
+    from trms_cli.commands.catalogue import read_groups, take_config_dirs
+
     rest = [word for word in argv if not word.lstrip("+").startswith(_KEY)]
+    groups = read_groups(take_config_dirs(argv)[0])
+    if name not in groups["model"] and name in groups.get("parameters", {}):
+        name = str(groups["parameters"][name].file)
     return [f"{_KEY}{name}", *rest]
 
 

@@ -24,7 +24,7 @@ from trms_cli.identification.validation.verdict import (
     word,
 )
 from trms_cli.reporting import validation_figures, validation_spectra
-from trms_cli.reporting.page import Marked, Page
+from trms_cli.reporting.page import Marked, Page, shown_cell
 
 _START_WORDS = {
     "estimated": "estimated by the filter from all samples before the window",
@@ -130,7 +130,7 @@ def _errors(
             unit = of["units"][channel]
             step = of["one_step"][channel]
             rows.append(
-                [f"{word(channel)} [{unit}]", "one step", step["rms"], None, None, step["rms"],
+                [f"{word(channel)} [{unit}]", "one step", step["rms"], None, step["rms"],
                  step["max"], step["unchanged_rms"], step["fit_percent"], step["vaf_percent"]]
             )  # fmt: skip
             for horizon, figures in horizons.items():
@@ -139,16 +139,16 @@ def _errors(
                 )
                 rows.append(
                     ["", f"{float(horizon):g} s", Marked(figures["rms"], "" if better else "bad"),
-                     *figures["ci95"], figures["at_end"], figures["max"],
+                     _between(figures["ci95"]), figures["at_end"], figures["max"],
                      figures["unchanged_rms"], figures["fit_percent"], figures["vaf_percent"]]
                 )  # fmt: skip
             whole = of["free_run"][channel]
             rows.append(
-                ["", "to the end", whole["rms"], None, None, None, whole["max"], None,
+                ["", "to the end", whole["rms"], None, None, whole["max"], None,
                  whole["fit_percent"], whole["vaf_percent"]]
             )  # fmt: skip
         page.table(
-            ["channel", "free for", "RMS", "from", "to", "at its end", "largest", "no change",
+            ["channel", "free for", "RMS", "95 % interval", "at its end", "largest", "no change",
              "fit [%]", "VAF [%]"],
             rows,
             f"{name}. Red: no better than predicting no change.",
@@ -315,6 +315,11 @@ def _method(
             ),
         ]
     )
+
+
+def _between(ends: Sequence[float | None]) -> str | None:
+    low, high = ends
+    return None if low is None or high is None else f"{shown_cell(low)} … {shown_cell(high)}"
 
 
 def _marked(remark: Remark) -> Marked:

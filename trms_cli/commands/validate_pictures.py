@@ -18,7 +18,7 @@ from trms_cli.identification.validation.spectra import (
     spectrum,
 )
 from trms_cli.identification.validation.validate import ModelValidation, joined
-from trms_cli.identification.validation.verdict import p_words, word
+from trms_cli.identification.validation.verdict import p_words
 from trms_cli.models.model import names
 from trms_cli.reporting.validation_figures import ChannelRun, ErrorGrowth
 from trms_cli.reporting.validation_spectra import ChannelSpectra, CorrelationPanel
@@ -122,13 +122,13 @@ def _panel(test: ResidualTest, validation: ModelValidation) -> CorrelationPanel:
     titles = {
         "auto": "past errors",
         "input": "{}",
-        "square": "{} squared",
-        "product": "{} × {}",
-        "bilinear": "past error × {}",
+        "square": "{}²",
+        "product": "{} · {}",
+        "bilinear": "past error · {}",
     }
     failed = test.failed(validation.tests.level)
     return CorrelationPanel(
-        titles[test.kind].format(*(word(name) for name in test.inputs)),
+        titles[test.kind].format(*test.inputs),
         test.result.lags * validation.sample_time,
         test.result.correlations,
         test.result.band(),

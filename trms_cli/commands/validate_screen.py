@@ -14,7 +14,6 @@ from trms_cli.identification.validation.verdict import (
     lead_of,
     remarks_on,
     remarks_on_comparison,
-    word,
 )
 
 if TYPE_CHECKING:
@@ -113,24 +112,28 @@ def _print_errors(console: Any, document: Mapping[str, Any]) -> None:
     horizons = list(next(iter(channels.values())))
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
     table.add_column(document["model"], header_style="bold cyan", no_wrap=True)
-    for head in ("1 step", *(f"{float(h):g} s" for h in horizons), "fit %", "VAF %", "tests"):
+    for head in ("1 step", *(f"{float(h):g} s" for h in horizons), "fit %", "tests"):
         table.add_column(head, justify="right", no_wrap=True)
     for channel, rows in channels.items():
         step, last = document["one_step"][channel], rows[horizons[-1]]
         found = [t for t in document["residual_tests"]["tests"] if t["channel"] == channel]
         failed = sum(test["failed"] for test in found)
+        unit, scale = document["units"][channel], 1.0
+        if unit == "rad":
+            unit, scale = "mrad", 1e3
         table.add_row(
-            f"{channel} [dim]\\[{document['units'][channel]}][/dim]",
-            _number(step["rms"]),
-            *(_number(rows[h]["rms"]) for h in horizons),
-            _number(last["fit_percent"]),
-            _number(last["vaf_percent"]),
+            f"{channel} [dim]\\[{unit}][/dim]",
+            *(
+                _number(value, scale)
+                for value in (step["rms"], *(rows[h]["rms"] for h in horizons))
+            ),
+            "–" if last["fit_percent"] is None else f"{last['fit_percent']:.0f}",
             f"[red]{failed}/{len(found)}[/red]" if failed else f"0/{len(found)}",
         )
         naive = [step["unchanged_rms"], *(rows[h]["unchanged_rms"] for h in horizons)]
-        table.add_row("  no change", *map(_number, naive), style="dim")
+        table.add_row("  no change", *(_number(value, scale) for value in naive), style="dim")
     console.print(table)
-    words = f"RMS; fit and VAF over {float(horizons[-1]):g} s; residual tests that fail"
+    words = f"RMS; fit over {float(horizons[-1]):g} s; residual tests that fail"
     console.print(f"  {words}", style="dim", highlight=False)
     console.print()
 
@@ -139,28 +142,15 @@ def _print_ranking(console: Any, document: Mapping[str, Any]) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    channels = document["compared_channels"]
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("rank", header_style="bold cyan", no_wrap=True)
     for column in ("error over no change", "95 % interval"):
         table.add_column(column, justify="right", no_wrap=True)
-    last = {}
-    for channel in channels:
-        any_model = next(iter(document["models"].values()))
-        last[channel] = list(any_model["by_horizon"][channel])[-1]
-        head = f"{word(channel)}, {float(last[channel]):g} s"
-        table.add_column(f"{head} [dim]\\[{any_model['units'][channel]}][/dim]", justify="right")
     for rank, row in enumerate(document["ranking"], 1):
-        errors = document["models"][row["model"]]["error"]
         interval = "–"
         if row["ci95"][0] is not None:
             interval = f"{_number(row['ci95'][0])} to {_number(row['ci95'][1])}"
-        table.add_row(
-            f"{rank} {row['model']}",
-            _number(row["relative_error"]),
-            interval,
-            *(_number(errors[channel][last[channel]]) for channel in channels),
-        )
+        table.add_row(f"{rank} {row['model']}", _number(row["relative_error"]), interval)
     console.print(table)
 
 
@@ -175,12 +165,13 @@ def _print_remark(console: Any, remark: Remark) -> None:
     console.print(f"{head} {text}", highlight=False)
 
 
-def _number(value: float | None) -> str:
+def _number(value: float | None, scale: float = 1.0) -> str:
     if value is None:
         return "–"
+    value *= scale
     if value != 0 and not 1e-3 <= abs(value) < 1e5:
-        return f"{value:.2e}"
-    return f"{value:.3g}"
+        return f"{value:.1e}"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def _in_short(document: Mapping[str, Any]) -> str:

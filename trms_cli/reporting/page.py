@@ -29,9 +29,12 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: A drawing with more bytes than this is embedded as pixels instead of curves.
-_MOST_SVG_BYTES = 250_000
+#: A drawing with more points in its curves than this is embedded as pixels instead.
+_MOST_POINTS = 4_000
 _PIXELS_PER_INCH = 144
+
+#: Letters up to which a cell stays on one line.
+_SHORT = 16
 
 #: What a cell or a verdict is: coloured, and told by its text too.
 Mark = Literal["good", "bad", "doubtful", ""]
@@ -115,7 +118,7 @@ class Page:
         *,
         heads: int = 1,
     ) -> None:
-        """A table; figures are shown with four digits, None as a dash.
+        """A table; figures are shown with three digits, None as a dash.
 
         Parameters
         ----------
@@ -135,6 +138,7 @@ class Page:
                         "text": shown_cell(cell.value),
                         "mark": cell.mark,
                         "number": isinstance(cell.value, (int, float)) or cell.value is None,
+                        "short": len(shown_cell(cell.value)) <= _SHORT,
                     }
                     for cell in cells
                 ]
@@ -210,15 +214,16 @@ class Page:
 
 
 def shown_cell(value: Cell) -> str:
-    """A cell as text: four digits, a dash for what does not exist."""
+    """A cell as text: three digits, a dash for what does not exist."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "–"
     if isinstance(value, float):
         if math.isinf(value):
             return "∞" if value > 0 else "−∞"
         if value != 0 and not 1e-3 <= abs(value) < 1e5:
-            return f"{value:.2e}".replace("-", "−").replace("e+", "e")
-        return f"{value:.4g}".replace("-", "−")
+            return f"{value:.1e}".replace("-", "−").replace("e+", "e")
+        text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+        return text.replace("-", "−")
     return str(value)
 
 
@@ -227,16 +232,15 @@ def embedded(figure: Figure) -> tuple[str, bytes]:
     from matplotlib import rc_context
 
     drawn = io.BytesIO()
-    with rc_context({"svg.hashsalt": "trms", "svg.fonttype": "path"}):
-        figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
-    if drawn.tell() <= _MOST_SVG_BYTES:
+    if sum(len(line.get_xdata()) for axes in figure.axes for line in axes.lines) <= _MOST_POINTS:
+        with rc_context({"svg.hashsalt": "trms", "svg.fonttype": "path"}):
+            figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
         return "image/svg+xml", drawn.getvalue()
     from PIL import Image
 
-    drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=_PIXELS_PER_INCH, metadata={"Software": None})
     content = io.BytesIO()
-    Image.open(drawn).convert("RGB").quantize(128).save(content, format="png", optimize=True)
+    Image.open(drawn).convert("RGB").quantize(128).save(content, format="png")
     return "image/png", content.getvalue()
 
 

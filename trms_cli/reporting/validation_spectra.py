@@ -85,8 +85,23 @@ def correlation_figure(rows: Mapping[str, Sequence[CorrelationPanel]]) -> Figure
     """A row a channel, a panel a test."""
     columns = max(len(panels) for panels in rows.values())
     with house_style():
-        figure = new_figure(max(_WIDTH, 1.75 * columns), 0.4 + 1.6 * len(rows))
-        grid = figure.subplots(len(rows), columns, squeeze=False)
+        width, height = max(_WIDTH, 1.5 * columns), 0.5 + 1.5 * len(rows)
+        figure = new_figure(width, height)
+        # Dozens of panels: to arrange themselves takes longer than to draw them.
+        figure.set_layout_engine("none")
+        grid = figure.subplots(
+            len(rows),
+            columns,
+            squeeze=False,
+            gridspec_kw={
+                "left": 0.75 / width,
+                "right": 1 - 0.1 / width,
+                "bottom": 0.45 / height,
+                "top": 1 - 0.25 / height,
+                "wspace": 0.42,
+                "hspace": 0.4,
+            },
+        )
         for row, (channel, panels) in zip(grid, rows.items(), strict=True):
             for axes in row[len(panels) :]:
                 axes.set_visible(False)
@@ -104,6 +119,7 @@ def correlation_figure(rows: Mapping[str, Sequence[CorrelationPanel]]) -> Figure
                     color=colour,
                 )  # fmt: skip
                 axes.tick_params(labelsize=7)
+                axes.locator_params(nbins=4)
             row[0].set_ylabel(label(channel))
         for axes in grid[-1]:
             axes.set_xlabel("lag [s]", fontsize=8)
@@ -139,11 +155,14 @@ def spectra_figure(channels: Sequence[ChannelSpectra]) -> Figure:
                     label=f"error of {model}",
                     zorder=3,
                 )
-            left.set_ylabel(f"{label(spectra.channel)}\n[({spectra.unit})²/Hz]")
+            unit = f"({spectra.unit})" if "/" in spectra.unit else spectra.unit
+            left.set_ylabel(f"{label(spectra.channel)}\n[{unit}²/Hz]")
+            # what a model without noise lacks at high frequencies shall not flatten the rest
+            left.set_ylim(bottom=0.03 * float(np.nanmin(spectra.measured)))
             left.grid(which="minor", visible=False)
             legend_above(left, 3)
             for colour, (name, values) in zip(COLOURS, spectra.coherence.items(), strict=False):
-                right.semilogx(f, values, color=colour, lw=0.9, label=f"{name}")
+                right.semilogx(f, values, color=colour, lw=0.8, label=name)
             right.axhline(spectra.by_chance, color=ALARM, lw=0.8, ls="--", label="by chance")
             right.set_ylim(0.0, 1.02)
             right.set_ylabel("coherence\nof the error")

@@ -31,6 +31,8 @@ from trms_cli.simulation.rollout import Rollout
 _BEAM = ("angle", "momentum")
 #: log10 of the factors that are tried; the filter breaks down where it trusts its model entirely.
 _RANGE = (-4.0, 2.0)
+#: Samples that the factors are fitted to; more of them tell no more of two figures.
+_SAMPLES_TO_FIT = 6000
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,9 @@ def predict_one_step(
     settled = round(options.settle / dataset.sample_time)
     factors = dict(noise_factors or {"beam": 1.0, "drive": 1.0})
     if noise_factors is None and options.process_noise == "fitted":
-        factors = _fitted_factors(filter_, settled)
+        part = dataset.part(0, min(len(dataset), _SAMPLES_TO_FIT))
+        short = filter_ if len(part) == len(dataset) else _Filter(model, part, options)
+        factors = _fitted_factors(short, settled)
     errors, sd, states = filter_.run(factors)
     errors[:settled] = np.nan
     words = "unscented Kalman filter, " + (

@@ -109,8 +109,8 @@ def segments_of(values: FloatArray, sample_time: float, length: int) -> Segments
     return Segments(frequencies[1:], transforms[:, 1:])
 
 
-def default_length(samples: int, sample_time: float, longest: float = 20.0) -> int:
-    """Samples of a segment: at least eight segments, at most `longest` s each."""
+def default_length(samples: int, sample_time: float, longest: float = 12.0) -> int:
+    """Samples of a segment: at most `longest` s, and a fourth of all."""
     return max(16, min(samples // 4, round(longest / sample_time)))
 
 

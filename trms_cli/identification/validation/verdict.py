@@ -57,8 +57,7 @@ def said(value: float | None, unit: str) -> str:
 
 def _digits(value: float) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e4:
-        text = f"{value:.3g}"
-        return text if "e" not in text else f"{value:.0f}"
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
     return f"{value:.1e}"
 
 
