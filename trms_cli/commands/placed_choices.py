@@ -7,18 +7,13 @@ is chosen). Where a different one is chosen at that place, those keys mean nothi
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from trms_cli.commands.catalogue import Primary, read_yaml, roots
 from trms_cli.commands.declared_keys import included
 from trms_cli.commands.overrides import parse
-
-#: A place that an interpolation refers to: ``${model}``, ``${oc.select:model.rig,…}``.
-_REFERENCE = re.compile(r"\$\{(?:oc\.select:)?([\w.]+)")
 
 
 def drop_foreign_keys(
@@ -30,50 +25,36 @@ def drop_foreign_keys(
 ) -> None:
     """Take off a ``DictConfig`` what an option set for another choice than the one made inside it.
 
-    Only keys go that the chosen one's YAML does not have, with the value that the including
-    option's YAML gives them; what somebody typed stays, to be refused if it is wrong.
+    Only keys go that the chosen one's YAML does not have: those with the value that the including
+    option's YAML gives them, or all where it refers to another place. What somebody typed stays, to
+    be refused if it is wrong.
     """
     from omegaconf import DictConfig, OmegaConf, open_dict
 
     keys = {parse(text, {}).key for text in typed}
-    for place, foreign in _foreign(declared, choices, config_dirs):
+    for place, own, setting in _replaced(declared, choices, config_dirs):
         node = OmegaConf.select(composed, place, throw_on_missing=False)
         if not isinstance(node, DictConfig) or place in keys:
             continue
-        present = OmegaConf.to_container(node, resolve=True)
+        # A plain view: an interpolation that does not resolve is not this function's to judge.
+        present = OmegaConf.to_container(node)
         assert isinstance(present, dict)
-        if isinstance(foreign, _Referred):
-            foreign = _referred(composed, foreign)
-        for key, value in foreign.items():
-            if f"{place}.{key}" not in keys and present.get(key) == value:
+        for key, value in present.items():
+            foreign = isinstance(setting, str) or (key in setting and setting[key] == value)
+            typed_here = any(k == f"{place}.{key}" or k.startswith(f"{place}.{key}.") for k in keys)
+            if key not in own and foreign and not typed_here:
                 with open_dict(node):
                     del node[key]
 
 
-@dataclass(frozen=True)
-class _Referred:
-    """The keys of another place: those of the first of ``places`` that there is, less ``own``."""
-
-    places: tuple[str, ...]
-    own: frozenset[str]
-
-
-def _referred(composed: Any, foreign: _Referred) -> dict[str, Any]:
-    from omegaconf import DictConfig, OmegaConf
-
-    for place in foreign.places:
-        node = OmegaConf.select(composed, place, throw_on_missing=False)
-        if isinstance(node, DictConfig):
-            content = OmegaConf.to_container(node, resolve=True)
-            assert isinstance(content, dict)
-            return {str(k): v for k, v in content.items() if k not in foreign.own}
-    return {}
-
-
-def _foreign(
+def _replaced(
     declared: Primary, choices: Mapping[Any, Any], config_dirs: Sequence[Path]
-) -> Iterator[tuple[str, dict[str, Any] | _Referred]]:
-    """Places with a choice that is not the including option's own, and the keys set for that."""
+) -> Iterator[tuple[str, set[str], Mapping[str, Any] | str]]:
+    """Places with a choice that is not the including option's own.
+
+    With the keys of that choice, and what the including option sets there: a mapping, or the text
+    of an interpolation.
+    """
     for group in declared.defaults:
         content = _content(group, choices.get(group), config_dirs)
         for inner, place, default in included(content):
@@ -84,20 +65,24 @@ def _foreign(
             for name in place.split("."):
                 body = body.get(name) if isinstance(body, Mapping) else None
             own = _content(inner, chosen, config_dirs)
-            if isinstance(body, Mapping):
-                yield f"{group}.{place}", {k: v for k, v in body.items() if k not in own}
-            elif isinstance(body, str) and _REFERENCE.search(body):
-                kept = {*own, *(key.split(".")[0] for _, key, _ in included(own))}
-                yield (
-                    f"{group}.{place}",
-                    _Referred(tuple(_REFERENCE.findall(body)), frozenset(kept)),
-                )
+            kept = {*own, *(key.split(".")[0] for _, key, _ in included(own))}
+            if isinstance(body, Mapping) or (isinstance(body, str) and "${" in body):
+                yield f"{group}.{place}", kept, body
 
 
 def _content(group: str, option: Any, config_dirs: Sequence[Path]) -> dict[str, Any]:
+    """An option's YAML, with the options of its group that it builds on (``plant=ideal``)."""
     for root in roots(config_dirs) if isinstance(option, str) else ():
         file = root / group / f"{option}.yaml"
-        if file.is_file():
-            content = read_yaml(file)
-            return content if isinstance(content, dict) else {}
+        content = read_yaml(file) if file.is_file() else None
+        if isinstance(content, dict):
+            merged: dict[str, Any] = {"defaults": []}
+            entries = content.get("defaults") or []
+            for base in (entry for entry in entries if isinstance(entry, str)):
+                beneath = (
+                    _content(group, base, config_dirs) if base not in ("_self_", option) else {}
+                )
+                entries = [*beneath.get("defaults", []), *entries]
+                merged |= beneath
+            return {**merged, **content, "defaults": entries}
     return {}

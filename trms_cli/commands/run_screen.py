@@ -124,6 +124,9 @@ class RunScreen:
         if getattr(e.controller, "follows_reference", True):
             parts.append(f"ref {choices.get('ref')}")
         parts += [f"{group} {choices.get(group)}" for group in ("observer", "plant")]
+        rig = getattr(getattr(e.plant, "model", None), "name", None)
+        if rig and (rig != e.model.name or e.model.sample_time is not None):
+            parts.append(f"model {e.model.name}, rig {rig}")
         effects = choices.get("effect")
         if effects:
             parts.append(f"effect {', '.join(effects)}")

@@ -1,0 +1,125 @@
+"""Networks on the command line: as the model of a run, with the rig they were trained on."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from trms_cli.models.narx_file import NarxFile, write_narx_file
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "models"))
+from network_case import LIMITS, rig_like
+
+
+@pytest.fixture
+def network(tmp_path) -> Path:
+    """A network file that names no rig."""
+    model = rig_like()
+    path = tmp_path / "net.yaml"
+    write_narx_file(
+        path,
+        NarxFile(name="net", structure=model.structure, network=model.network, limits=LIMITS),
+    )
+    return path
+
+
+def with_rig(network: Path, rig: str) -> str:
+    path = network.with_name("with_rig.yaml")
+    path.write_text(network.read_text() + f"rig: {rig}  # it was trained on\n")
+    return path.name
+
+
+def composed(trms, *argv: str) -> dict:
+    shown = trms("run", *argv, "--cfg", "job")
+    assert shown.returncode == 0, shown.stderr
+    return yaml.safe_load(shown.stdout)
+
+
+class TestRun:
+    def test_with_a_network_tracks(self, trms, network, tmp_path):
+        done = trms(
+            "run",
+            "model=net.yaml",
+            "sim.duration=24",
+            "out=run",
+            "picture=false",
+            "ref.alpha_v.frequency=0.05",
+        )
+        assert done.returncode == 0, done.stderr
+        assert "model narx, rig narx" in done.stdout
+        score = json.loads((tmp_path / "run" / "score.json").read_text())
+        assert score["channels"]["alpha_v"]["steady_state_error"] < 0.005
+
+    def test_is_repeated_from_its_log(self, trms, network, tmp_path):
+        first = trms("run", "model=net.yaml", "sim.duration=2", "out=a", "picture=false")
+        again = trms("run", "--from", "a/run.mcap", "out=b", "picture=false")
+        assert (first.returncode, again.returncode) == (0, 0), again.stderr
+        scores = [json.loads((tmp_path / f / "score.json").read_text()) for f in "ab"]
+        assert scores[0]["channels"] == scores[1]["channels"]
+
+
+class TestRig:
+    def test_of_a_file_that_names_none_is_the_network(self, trms, network):
+        assert composed(trms, "model=net.yaml")["plant"]["model"]["path"] == "net.yaml"
+
+    def test_is_the_one_that_the_file_names(self, trms, network):
+        config = composed(trms, f"model={with_rig(network, 'newtonian_full')}")
+        assert config["plant"]["model"]["currents"] == "dynamic"
+        assert config["model"]["path"] == "with_rig.yaml"
+
+    def test_may_be_another(self, trms, network):
+        config = composed(
+            trms, f"model={with_rig(network, 'newtonian_full')}", "model@model.rig=newtonian"
+        )
+        assert config["plant"]["model"]["currents"] == "quasi_static"
+
+    @pytest.mark.parametrize("model", ["newtonian", "net.yaml"])
+    def test_chosen_outright_keeps_no_key_of_the_model(self, trms, network, model):
+        rig = composed(trms, f"model={model}", "model@plant.model=tras")["plant"]["model"]
+        assert set(rig) == set(composed(trms, "model=tras")["model"])
+
+    def test_chosen_outright_stays_what_it_is_on_a_plant_that_builds_on_another(self, trms):
+        config = composed(
+            trms, "model=newtonian", "model.freedom=both", "plant=ideal", "model@plant.model=tras"
+        )
+        assert "freedom" not in config["plant"]["model"]
+
+    def test_that_there_is_not(self, trms, network):
+        done = trms("run", f"model={with_rig(network, 'newtonain')}")
+        assert done.returncode == 2
+        assert "newtonian" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (("sim.sample_time=0.05",), ("0.02 s", "controller.sample_time")),
+        (("plant.parameters.k_g=0.1",), ("constants", "model@plant.model")),
+        (("plant.prior_seed=1",), ("plant.prior_seed", "model@plant.model=newtonian")),
+        (("model.parameters.W1=1",), ("constants",)),
+        (("effect=[yaw_coulomb_friction]",), ("only steps", "model@plant.model=newtonian")),
+        (("observer=full_state", "sim.sample_time=0.1"), ("sim.sample_time=0.02",)),
+        (("plant.initial.alpha_v=2",), ("mechanical stops",)),
+    ],
+    ids=" ".join,
+)
+def test_what_a_network_cannot_do_is_said_in_a_sentence(trms, network, overrides, words):
+    done = trms("run", "model=net.yaml", "out=run", "picture=false", *overrides)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    said = " ".join(done.stderr.split())
+    for word in words:
+        assert word in said
+
+
+def test_a_mistake_in_the_file_is_named_by_its_key(trms, network):
+    data = yaml.safe_load(network.read_text())
+    data["network"]["weights"]["b1"] = [1.0]
+    network.write_text(yaml.safe_dump(data))
+    done = trms("run", "model=net.yaml")
+    assert done.returncode == 2
+    assert "net.yaml: network.weights.b1" in " ".join(done.stderr.split())
