@@ -15,8 +15,10 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 def test_each_kind_of_effect_has_a_figure():
     options = (config_folder() / "effect").glob("*.yaml")
-    assert {path.stem.split("_", 1)[1] for path in options} == set(FIGURES)
-    assert all(figure.scene.effect.endswith(kind) for kind, figure in FIGURES.items())
+    shown = {figure.scene.effect: kind for kind, figure in FIGURES.items()}
+    classes = {name: type(library_effect(name)) for name in shown}
+    assert len(set(classes.values())) == len(FIGURES)
+    assert {type(library_effect(path.stem)) for path in options} == set(classes.values())
 
 
 def test_a_figure_is_small_and_the_same_each_time(tmp_path):
