@@ -1,0 +1,32 @@
+"""What the page of the model says of the maker's model and of the sets."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.models.feedback_manual import FeedbackManual
+
+PAGE = Path(__file__).parents[2] / "docs" / "model.md"
+
+
+def test_the_reach_of_the_makers_model() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    (limit,) = re.findall(r"while the pitch stays below −([\d.]+) rad", text)
+    steady = SteadyState(FeedbackManual())
+    for pitch, reached in ((-float(limit) - 0.01, True), (-float(limit) + 0.01, False)):
+        target = steady.solve(np.array([pitch, 0.0]))
+        assert target.converged and target.projected is not reached
+    # The tail rotor is what gives out.
+    beyond = steady.solve(np.array([0.0, 0.0]))
+    assert abs(beyond.u[1]) == pytest.approx(2.5, abs=1e-6) and beyond.u[0] < 2.0
+
+
+def test_the_smoothed_sign_that_is_not_taken() -> None:
+    c = {p.name: p.value for p in FeedbackManual().parameters}
+    (pole,) = re.findall(r"\(−(\d+) 1/s for ε = 0.02 rad/s\)", PAGE.read_text(encoding="utf-8"))
+    assert c["B_2phi"] / (c["I_2"] * 0.02) == pytest.approx(float(pole))
