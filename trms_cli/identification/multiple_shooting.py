@@ -23,6 +23,7 @@ from trms_cli.identification.greybox.identifiability import correlations, identi
 from trms_cli.identification.greybox.levenberg_marquardt import Point
 from trms_cli.identification.greybox.map_fit import MapFit, MapSettings, fit_from
 from trms_cli.identification.greybox.profile import profile
+from trms_cli.identification.greybox.weights import sizes
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.method import FitResult, HistoryPoint, Outcome, Progress
 from trms_cli.identification.problem import FitProblem
@@ -35,7 +36,7 @@ FloatArray = npt.NDArray[np.float64]
 _JOINED = {"free": None, "penalty": 0.03, "equality": 1e-4}
 #: Share of a parameter's scale within which it counts as lying on its bound.
 _ON_BOUND = 1e-6
-#: Costs of two starts that agree differ by less than this, nats.
+#: Fits that agree differ in the logarithm of their posterior by less than this, nats.
 _AGREEMENT = 0.5
 
 
@@ -151,20 +152,33 @@ def _starting_points(
 
 
 def _best(fits: list[MapFit]) -> MapFit:
-    """The fit with the smallest cost, all measured with the weights of the best.
+    """The most probable of the fits that could be simulated, else the first."""
+    standings = _standings(fits)
+    return fits[int(np.argmin(standings))]
 
-    Each fit weighs residuals by its own; a worse one allows itself larger ones.
+
+def _standings(fits: list[MapFit]) -> FloatArray:
+    """Minus the logarithm of each fit's posterior, nats, up to a constant; infinite for failures.
+
+    Each fit weighs residuals by their own size, and a worse one allows itself larger ones. Here
+    the size is part of the likelihood: ``n/φ log σ`` for n samples of an output, of which φ say
+    as much as one (the median over the fits, so that all are measured alike).
     """
-    able = [fit for fit in fits if fit.information is not None]
+    standings = np.full(len(fits), np.inf)
+    able = [k for k, fit in enumerate(fits) if fit.information is not None]
     if not able:
-        return fits[0]
-    deviations = [
-        float(np.sum(np.log(f.objective.weights.sd[0] ** 2 * f.objective.weights.samples)))
-        for f in able
-    ]
-    judge = able[int(np.argmin(deviations))].objective
-    costs = [judge.cost(f.point.theta, f.point.starts) for f in able]
-    return able[int(np.argmin(costs))]
+        return standings
+    samples = np.median([fits[k].objective.weights.samples for k in able], axis=0)
+    for k in able:
+        objective, point = fits[k].objective, fits[k].point
+        windows = objective.windows
+        r = windows.residuals(windows.problem.all_values(point.theta), point.starts).r
+        size = sizes(r, windows.measured, windows.declared)
+        floored = np.maximum(1.0, size) if windows.problem.discrepancy == "estimate" else 1.0
+        count = windows.measured.sum(axis=(0, 1)) * windows.share / samples
+        standings[k] = np.sum(count * (np.log(floored) + 0.5 * (size / floored) ** 2))
+        standings[k] += objective.of_priors(point.theta, point.starts)
+    return standings
 
 
 def _on_bounds(fit: MapFit, problem: FitProblem) -> npt.NDArray[np.bool_]:
@@ -182,19 +196,19 @@ def _covariance(fit: MapFit, problem: FitProblem) -> FloatArray | None:
 
 def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str, Any]:
     """What the result says beside its values, as JSON has it."""
-    judge = best.objective
-    costs = [judge.cost(fit.point.theta, fit.point.starts) for fit in fits]
+    judge, standings = best.objective, _standings(fits)
+    behind = [float(s) if np.isfinite(s) else None for s in standings - standings.min()]
     details: dict[str, Any] = {
         "starts": [
             {
                 "outcome": fit.outcome.value,
-                "cost": cost if np.isfinite(cost) else None,
+                "behind_best": nats,
                 "iterations": fit.iterations,
                 "values": dict(zip(problem.names, fit.point.theta.tolist(), strict=True)),
             }
-            for fit, cost in zip(fits, costs, strict=True)
+            for fit, nats in zip(fits, behind, strict=True)
         ],
-        "starts_agree": bool(max(costs) - min(costs) < _AGREEMENT),
+        "starts_agree": all(s is not None and s < _AGREEMENT for s in behind),
     }
     if best.information is None:
         return details

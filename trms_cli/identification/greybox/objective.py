@@ -63,7 +63,7 @@ class Objective:
             return costs[best], (one, other)[best]
         parts = np.array([self._of_windows(theta, starts) for starts in (one, other)])
         chosen = np.argmin(parts, axis=0)
-        total = float(parts.min(axis=0).sum()) + self._of_priors(theta)
+        total = float(parts.min(axis=0).sum()) + self._of_parameters(theta)
         return total, np.where((chosen == 0)[:, None], one, other)
 
     def _of_windows(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
@@ -73,7 +73,12 @@ class Objective:
         parts += 0.5 * np.sum(((starts - self.centres) / self.windows.spread) ** 2, axis=1)
         return np.where(np.isfinite(parts), parts, np.inf)
 
-    def _of_priors(self, theta: FloatArray) -> float:
+    def of_priors(self, theta: FloatArray, starts: FloatArray) -> float:
+        """What the priors of parameters and starts add to the cost, nats."""
+        gaps = (starts - self.centres) / self.windows.spread
+        return self._of_parameters(theta) + 0.5 * float(np.sum(gaps**2))
+
+    def _of_parameters(self, theta: FloatArray) -> float:
         return 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
 
     def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
@@ -110,8 +115,7 @@ class Objective:
         if not residuals.finite:
             return np.inf
         cost = self.weights.cost(residuals.r)
-        cost += 0.5 * float(np.sum(((starts - self.centres) / self.windows.spread) ** 2))
-        cost += self._of_priors(theta)
+        cost += self.of_priors(theta, starts)
         if self.joined is not None:
             gaps = self._gaps(starts, residuals)[self.windows.follows]
             cost += 0.5 * float(np.sum(gaps**2))
