@@ -66,7 +66,7 @@ KINDS = pytest.mark.parametrize("kind", [*SIGNALS, "closed"])
 
 
 class TestGoodRecordings:
-    @pytest.mark.parametrize("seed", range(4))
+    @pytest.mark.parametrize("seed", range(2))
     @KINDS
     def test_rigs_drawn_from_the_priors_pass_without_a_word(self, kind, seed):
         recording = play(kind, seed=seed, prior_seed=seed)
@@ -77,7 +77,7 @@ class TestGoodRecordings:
     @pytest.mark.slow
     @KINDS
     def test_many_more_pass(self, kind):
-        for seed in range(4, 40):
+        for seed in range(2, 40):
             recording = play(kind, seed=seed, prior_seed=seed)
             assert admit([dataset(recording)], MODEL, 15).issues == (), seed
 
@@ -126,7 +126,7 @@ WRONG: dict[str, tuple[Change, str, str]] = {
 }  # fmt: skip
 
 
-@KINDS
+@pytest.mark.parametrize("kind", ["multilevel", "closed"])
 @pytest.mark.parametrize("what", WRONG)
 def test_wrong_channels_are_named(what, kind, recordings):
     change, check, channel = WRONG[what]
@@ -227,8 +227,8 @@ class TestLengthAndRate:
         assert error.check == "sample time" and "data.resample=0.05" in error.remedy
 
     def test_slow_sampling_is_told(self):
-        fine = play("prbs", duration=300.0)
-        rows = slice(None, None, 20)
+        fine = play("prbs", duration=600.0)
+        rows = slice(None, None, 40)
         channels = {name: values[rows] for name, values in fine.channels.items()}
         coarse = Recording(fine.time[rows], channels, fine.units, {}, fine.source)
         found = admit([dataset(coarse)], MODEL)

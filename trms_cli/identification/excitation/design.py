@@ -1,0 +1,282 @@
+"""An excitation for a rig: its operating point, band and amplitudes from the model of it.
+
+The amplitudes are the largest with which the simulated rig stays within its bounds. They are
+found by simulation, first for each input alone, then for all together: in open loop pitch may
+run away beyond some amplitude, and no linear estimate tells where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.identification.dataset import FloatArray
+from trms_cli.identification.excitation.amplitude import LEAST_SHARE, Trial, largest_amplitudes
+from trms_cli.identification.excitation.band import Linearised, band_of, linearised, pole_range
+from trms_cli.identification.excitation.excitation import Excitation, Plan, Shape, crest_factor
+from trms_cli.identification.excitation.request import Request
+from trms_cli.models.model import Model, names
+
+#: rad, for an axis without a stop.
+_WITHOUT_STOP = 1.5
+#: Share of the lead-in over which the command rises to that of the operating point.
+_RISE = 0.5
+
+
+@dataclass(frozen=True)
+class Design:
+    """An excitation and what it is expected to do.
+
+    Attributes
+    ----------
+    model : Model
+    time : (n,) array
+        s, lead-in included.
+    commands : (n, n_u) array
+    first : int
+        Sample at which the excitation begins.
+    plan : Plan
+    shape : Shape
+    centre : (n_u,) array
+        Command of the operating point.
+    amplitude : (n_u,) array
+    crest_factor : (n_u,) array
+        Of each input about its centre, during the excitation.
+    bounds : dict of str to float
+        Of the angles, rad.
+    states : (n, n_x) array
+        Of the simulated rig, without noise.
+    outputs : (n, n_y) array
+        Likewise.
+    ranges : dict of str to (float, float)
+        Smallest and largest value of each output during the excitation.
+    drawn_ranges : dict of str to (float, float)
+        The same over the rigs drawn from the priors that stayed within the stops.
+    drawn, lost : int
+        Rigs drawn, and those of them that went beyond a stop.
+    system : Linearised
+        At the operating point, the rotors at their root mean square speed.
+    poles : (float, float)
+        Slowest and fastest, rad/s.
+    """
+
+    model: Model
+    time: FloatArray
+    commands: FloatArray
+    first: int
+    plan: Plan
+    shape: Shape
+    centre: FloatArray
+    amplitude: FloatArray
+    crest_factor: FloatArray
+    bounds: dict[str, float]
+    states: FloatArray
+    outputs: FloatArray
+    ranges: dict[str, tuple[float, float]]
+    drawn_ranges: dict[str, tuple[float, float]]
+    drawn: int
+    lost: int
+    system: Linearised
+    poles: tuple[float, float]
+
+
+def design(
+    model: Model,
+    excitation: Excitation,
+    request: Request,
+    progress: Callable[[str], None] = lambda words: None,
+) -> Design:
+    """Design an excitation.
+
+    Parameters
+    ----------
+    model : Model
+        With equations; of the rig that is to be excited, roughly right.
+    excitation : Excitation
+    request : Request
+    progress : callable
+        Told in words what is being done.
+
+    Raises
+    ------
+    ConfigurationError
+        If nothing fits: it tells which bound is in the way, and what to change.
+    """
+    bounds = _bounds(model, request)
+    upper = model.input_bounds()[1]
+    centre, point = _operating_point(model, request, bounds)
+    rough = linearised(model, point, centre)
+    lowest, highest = band_of(
+        rough, request.sample_time, request.duration, request.lowest, request.highest
+    )
+    samples = round(request.duration / request.sample_time)
+    plan = Plan(samples, request.sample_time, lowest, highest, model.n_u, request.seed)
+    progress("signals")
+    shape = excitation.shape(plan)
+    trial = Trial(model, request, bounds)
+    head = _lead_in(centre, request)
+    room = request.share * upper - np.abs(centre)
+    if np.any(room < LEAST_SHARE * upper):
+        worst = int(np.argmin(room / upper))
+        raise ConfigurationError(
+            f"the operating point takes {centre[worst]:.3g} {model.inputs[worst].unit} of "
+            f"{names(model.inputs)[worst]}, and {request.share:.0%} of its limit are "
+            f"{request.share * upper[worst]:.3g}",
+            where="operating_point",
+            remedy="an operating point nearer to rest, or a larger share",
+        )
+
+    def commands(amplitude: FloatArray) -> FloatArray:
+        return np.vstack([head, centre + amplitude * shape.values])
+
+    if trial.play(commands(np.zeros(model.n_u))) is None:
+        raise ConfigurationError(
+            "the rig passes a bound on its way to the operating point, before it is excited",
+            where="operating_point",
+            remedy="an operating point nearer to rest, a longer lead_in, or wider bounds: "
+            + ", ".join(f"{name} ±{limit:.3g} rad" for name, limit in bounds.items()),
+        )
+    amplitude = largest_amplitudes(model, request, trial, commands, room, progress)
+    whole = commands(amplitude)
+    played = trial.play(whole)
+    assert played is not None  # the search ended with it
+    states, outputs = played
+    first = len(head)
+    progress("rigs drawn from the priors")
+    drawn, lost = _drawn(model, request, trial, whole, first)
+    return Design(
+        model,
+        np.arange(len(whole)) * request.sample_time,
+        whole,
+        first,
+        plan,
+        shape,
+        centre,
+        amplitude,
+        np.array([crest_factor(column) for column in shape.values.T]),
+        bounds,
+        states,
+        outputs,
+        _ranges(model, [outputs[first:]]),
+        drawn,
+        request.rigs,
+        lost,
+        linearised(model, _at_working_speed(model, point, states[first:]), centre),
+        pole_range(rough),
+    )
+
+
+def _bounds(model: Model, request: Request) -> dict[str, float]:
+    for name in request.bounds:
+        if name not in model.controlled:
+            raise ConfigurationError(
+                f"{name!r} is no angle of model {model.name!r}",
+                where=f"bounds.{name}",
+                remedy=nearest(name, model.controlled),
+            )
+    bounds = {}
+    for name in model.controlled:
+        stop = float(model.stops.get(name, np.inf))
+        own = request.share * stop if np.isfinite(stop) else _WITHOUT_STOP
+        bounds[name] = float(request.bounds.get(name, own))
+        if not bounds[name] > 0:
+            raise ConfigurationError(
+                f"{bounds[name]!r} given", where=f"bounds.{name}", remedy="an angle above 0 rad"
+            )
+    return bounds
+
+
+def _operating_point(
+    model: Model, request: Request, bounds: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Command and state about which the excitation is."""
+    rest = model.rest()
+    if request.reversals:
+        if request.operating_point is not None:
+            raise ConfigurationError(
+                "reversals and an operating point",
+                where="operating_point",
+                remedy="rotors that reverse have commands about zero: leave out one of the two",
+            )
+        return np.zeros(model.n_u), rest
+    asked = {name: 0.5 * float(rest[model.state_index(name)]) for name in model.controlled}
+    for name, value in (request.operating_point or {}).items():
+        if name not in model.controlled:
+            raise ConfigurationError(
+                f"{name!r} is no angle of model {model.name!r}",
+                where=f"operating_point.{name}",
+                remedy=nearest(name, model.controlled),
+            )
+        if not abs(value) < bounds[name]:
+            raise ConfigurationError(
+                f"{value!r} given",
+                where=f"operating_point.{name}",
+                remedy=f"within the bound of ±{bounds[name]:.3g} rad",
+            )
+        asked[name] = float(value)
+    target = SteadyState(model).solve(np.array([asked[name] for name in model.controlled]))
+    if not target.converged or target.projected:
+        raise ConfigurationError(
+            f"model {model.name!r} cannot rest at "
+            + ", ".join(f"{name} {value:.3g} rad" for name, value in asked.items()),
+            where="operating_point",
+            remedy="the nearest point at which it rests: "
+            + ", ".join(
+                f"{name} {value:.3g} rad"
+                for name, value in zip(model.controlled, target.reference_reached, strict=True)
+            ),
+        )
+    return np.array(target.u), np.array(target.x)
+
+
+def _lead_in(centre: FloatArray, request: Request) -> FloatArray:
+    """From rest to the operating point, smoothly, and some time there."""
+    count = round(request.lead_in / request.sample_time)
+    share = np.clip(np.arange(count) / max(_RISE * count, 1.0), 0.0, 1.0)
+    return np.outer((1 - np.cos(np.pi * share)) / 2, centre)
+
+
+def _drawn(
+    model: Model, request: Request, trial: Trial, commands: FloatArray, first: int
+) -> tuple[dict[str, tuple[float, float]], int]:
+    """Ranges over rigs drawn from the priors, and how many of them pass a stop."""
+    stops = {name: float(model.stops.get(name, np.inf)) for name in model.controlled}
+    free = Trial(model, request, {n: s if np.isfinite(s) else 4 * np.pi for n, s in stops.items()})
+    kept, lost = [], 0
+    for number in range(request.rigs):
+        played = free.play(commands, prior_seed=request.seed * 1000 + number)
+        if played is None:
+            lost += 1
+        else:
+            kept.append(played[1][first:])
+    return (_ranges(model, kept) if kept else {}), lost
+
+
+def _ranges(model: Model, outputs: list[FloatArray]) -> dict[str, tuple[float, float]]:
+    return {
+        name: (
+            float(min(table[:, i].min() for table in outputs)),
+            float(max(table[:, i].max() for table in outputs)),
+        )
+        for i, name in enumerate(names(model.outputs))
+    }
+
+
+def _at_working_speed(model: Model, point: FloatArray, states: FloatArray) -> FloatArray:
+    """The operating point with each rotor at its root mean square speed.
+
+    A thrust goes as the square of the speed: at rest it has no slope, and a response there would
+    tell nothing of what an excitation does.
+    """
+    x = point.copy()
+    for signal in model.states:
+        if signal.name.startswith("omega_"):
+            i = model.state_index(signal.name)
+            size = float(np.sqrt(np.mean(states[:, i] ** 2)))
+            x[i] = size if point[i] >= 0 else -size
+    return x

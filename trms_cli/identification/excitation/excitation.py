@@ -1,0 +1,119 @@
+"""What an excitation is: unit signals for all inputs in a band, unlike one another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.identification.dataset import FloatArray
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an excitation is asked for.
+
+    Attributes
+    ----------
+    samples : int
+    sample_time : float
+        s.
+    lowest, highest : float
+        Band, Hz.
+    inputs : int
+        How many signals.
+    seed : int
+        Of everything that is drawn.
+    """
+
+    samples: int
+    sample_time: float
+    lowest: float
+    highest: float
+    inputs: int
+    seed: int = 0
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        return self.samples * self.sample_time
+
+    @property
+    def time(self) -> FloatArray:
+        """s from the begin, (samples,)."""
+        return np.arange(self.samples, dtype=float) * self.sample_time
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Signals of unit peak.
+
+    Attributes
+    ----------
+    values : (samples, inputs) array
+        Within ±1, the largest size of each column 1.
+    about : dict
+        What was chosen: figures for the report, plain data.
+    """
+
+    values: FloatArray
+    about: dict[str, Any]
+
+
+class Excitation(Protocol):
+    """A kind of excitation: immutable configuration."""
+
+    def shape(self, plan: Plan) -> Shape:
+        """The signals.
+
+        Raises
+        ------
+        ConfigurationError
+            If the band does not fit into the duration or below the Nyquist frequency.
+        """
+        ...
+
+
+def crest_factor(values: FloatArray) -> float:
+    """Largest size over the root of the mean square, both about the mean; 1 at best."""
+    centred = values - values.mean()
+    power = float(np.sqrt(np.mean(centred**2)))
+    return float(np.abs(centred).max()) / power if power > 0 else float("inf")
+
+
+def of_unit_peak(values: FloatArray) -> FloatArray:
+    """Each column divided by its largest size."""
+    peak = np.abs(values).max(axis=0)
+    return values / np.where(peak > 0, peak, 1.0)
+
+
+def check_band(plan: Plan) -> None:
+    """Refuse a band that cannot be played.
+
+    Raises
+    ------
+    ConfigurationError
+        It names the key and what is possible.
+    """
+    nyquist = 0.5 / plan.sample_time
+    if not 0 < plan.lowest < plan.highest:
+        raise ConfigurationError(
+            f"a band from {plan.lowest:.4g} to {plan.highest:.4g} Hz",
+            where="band.highest",
+            remedy="give band.lowest < band.highest",
+        )
+    if plan.highest > 0.8 * nyquist:
+        raise ConfigurationError(
+            f"{plan.highest:.4g} Hz cannot be sampled every {plan.sample_time:g} s",
+            where="band.highest",
+            remedy=f"at most {0.8 * nyquist:.4g} Hz, or a smaller sim.sample_time",
+        )
+    if plan.lowest * plan.duration < 1 - 1e-9:
+        raise ConfigurationError(
+            f"{plan.lowest:.4g} Hz has a period of {1 / plan.lowest:.4g} s, longer than the "
+            f"excitation's {plan.duration:g} s",
+            where="duration",
+            remedy=f"at least {1 / plan.lowest:.4g} s, or a higher band.lowest",
+        )

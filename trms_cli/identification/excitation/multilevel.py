@@ -1,0 +1,80 @@
+"""Multilevel random signals: amplitudes are drawn too, which two levels cannot show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.identification.dataset import FloatArray
+from trms_cli.identification.excitation.excitation import (
+    Plan,
+    Shape,
+    check_band,
+    crest_factor,
+    of_unit_peak,
+)
+from trms_cli.identification.excitation.prbs import FLAT
+from trms_cli.references.multilevel import Multilevel
+
+#: Levels that a signal should have at least on average.
+_LEAST_HOLDS = 20
+#: Signals drawn, of which those that are least alike are taken: a few dozen levels of two draws
+#: easily correlate by 0.3.
+_DRAWS = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultilevelExcitation:
+    """Random levels; the shortest holding time from the band's upper end.
+
+    Attributes
+    ----------
+    levels : int or None
+        Number of equally distant levels; None: any value.
+    longest : float or None
+        s; None: a quarter of a period of the band's lower end, if twenty fit the duration.
+    """
+
+    levels: Annotated[int, Meta(ge=2)] | None = None
+    longest: Annotated[float, Meta(gt=0)] | None = None
+
+    def shape(self, plan: Plan) -> Shape:
+        """The signals; see :class:`Excitation`."""
+        check_band(plan)
+        shortest = FLAT / plan.highest
+        longest = self.longest
+        if longest is None:
+            longest = min(0.25 / plan.lowest, 2 * plan.duration / _LEAST_HOLDS)
+        longest = max(longest, shortest)
+        drawn = [
+            Multilevel(
+                amplitude=1.0,
+                levels=self.levels,
+                shortest=shortest,
+                longest=longest,
+                seed=plan.seed * _DRAWS + i,
+            ).sample(plan.time)
+            for i in range(_DRAWS if plan.inputs > 1 else 1)
+        ]
+        values = np.column_stack(_least_alike(drawn, plan.inputs))
+        about = {
+            "shortest_s": shortest,
+            "longest_s": longest,
+            "levels": self.levels,
+            "crest_factor": [crest_factor(column) for column in values.T],
+        }
+        return Shape(of_unit_peak(values), about)
+
+
+def _least_alike(drawn: list[FloatArray], count: int) -> list[FloatArray]:
+    """The first signal, and others with little correlation to those before and a small mean."""
+    chosen = drawn[:1]
+    while len(chosen) < count:
+        left = [d for d in drawn if not any(d is c for c in chosen)]
+        chosen.append(
+            min(left, key=lambda d: max(abs(float(np.corrcoef(d, c)[0, 1])) for c in chosen))
+        )
+    return chosen
