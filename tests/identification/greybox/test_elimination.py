@@ -1,0 +1,98 @@
+"""Eliminating the starts gives what one large least-squares problem would."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trms_cli.identification.greybox.elimination import Joint, Quadratic, reduced, triangles
+
+M, N, F, ROWS = 5, 3, 4, 40
+
+
+def drawn(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(seed)
+    return generator.standard_normal((M, ROWS, N + F)), generator.standard_normal((M, ROWS))
+
+
+def quadratic(seed: int, joined: bool) -> tuple[Quadratic, np.ndarray, np.ndarray]:
+    a_b, r = drawn(seed)
+    generator = np.random.default_rng(seed + 1)
+    joint = None
+    if joined:
+        follows = np.array([False, True, True, False, True])
+        joint = Joint(
+            follows,
+            generator.standard_normal((M, N, N + F)),
+            generator.uniform(1.0, 30.0, N),
+            generator.standard_normal((M, N)),
+        )
+    made = Quadratic(
+        triangles(a_b, r),
+        generator.standard_normal((M, N)),
+        generator.uniform(0.0, 2.0, F),
+        generator.standard_normal(F),
+        joint,
+    )
+    return made, a_b, r
+
+
+def dense(made: Quadratic, a_b: np.ndarray, r: np.ndarray, damping: float) -> np.ndarray:
+    """All rows of the problem in columns of all starts, then the parameters."""
+    rows, wanted = [], []
+    for j in range(M):
+        own = np.zeros((ROWS, M * N + F))
+        own[:, j * N : (j + 1) * N], own[:, M * N :] = a_b[j][:, :N], a_b[j][:, N:]
+        rows.append(own)
+        wanted.append(-r[j])
+    start = np.eye(M * N, M * N + F)
+    theta = np.eye(M * N + F)[M * N :]
+    rows += [start, np.sqrt(damping) * np.eye(M * N + F), made.prior_root[:, None] * theta]
+    wanted += [-made.start_gap.ravel(), np.zeros(M * N + F), -made.prior_gap]
+    if made.joint is not None:
+        for j in np.flatnonzero(made.joint.follows):
+            row = np.zeros((N, M * N + F))
+            row[:, (j - 1) * N : j * N] = made.joint.from_before[j][:, :N]
+            row[:, j * N : (j + 1) * N] = -np.diag(made.joint.weight)
+            row[:, M * N :] = made.joint.from_before[j][:, N:]
+            rows.append(row)
+            wanted.append(-made.joint.gap[j])
+    return np.linalg.lstsq(np.vstack(rows), np.concatenate(wanted), rcond=None)[0]
+
+
+@pytest.mark.parametrize("joined", [False, True])
+@pytest.mark.parametrize("damping", [0.0, 3.0])
+def test_equals_the_whole_problem(joined: bool, damping: float) -> None:
+    made, a_b, r = quadratic(3, joined)
+    left = reduced(made, damping)
+    rows = np.vstack([left.factor, np.diag(made.prior_root), np.sqrt(damping) * np.eye(F)])
+    wanted = -np.concatenate([left.residual, made.prior_gap, np.zeros(F)])
+    theta = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    found = np.concatenate([left.starts(theta).ravel(), theta])
+    np.testing.assert_allclose(found, dense(made, a_b, r, damping), atol=1e-10)
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_the_minimum_is_lower_than_its_surroundings(joined: bool) -> None:
+    made, _, _ = quadratic(5, joined)
+    left = reduced(made, 0.0)
+    rows = np.vstack([left.factor, np.diag(made.prior_root)])
+    theta = np.linalg.lstsq(rows, -np.concatenate([left.residual, made.prior_gap]), rcond=None)[0]
+    best = made.cost(left.starts(theta), theta)
+    generator = np.random.default_rng(0)
+    for _ in range(20):
+        other = theta + 0.1 * generator.standard_normal(F)
+        starts = left.starts(theta) + 0.1 * generator.standard_normal((M, N))
+        assert made.cost(starts, other) > best
+
+
+@pytest.mark.parametrize("rows", [4, 40, 3000])
+def test_triangles_keep_the_normal_matrix(rows: int) -> None:
+    generator = np.random.default_rng(1)
+    a_b, r = generator.standard_normal((2, rows, 11)), generator.standard_normal((2, rows))
+    whole = np.concatenate([a_b, r[..., None]], axis=2)
+    found = triangles(a_b, r)
+    assert found.shape[1] <= max(rows, 8000)
+    np.testing.assert_allclose(
+        found.swapaxes(1, 2) @ found, whole.swapaxes(1, 2) @ whole, rtol=1e-10, atol=1e-9
+    )
