@@ -18,7 +18,7 @@ SUMMARY = "design an excitation: band and amplitude from the model"
 COMPOSES = "excite"
 
 TABLE_NAME, DOCUMENT_NAME, PICTURE_NAME = "excitation.csv", "excitation.json", "excitation.png"
-_GROUPS = ("model", "excitation")
+_MOST_SAMPLES = 1_000_000
 
 HELP = """\
 usage: trms excite [excitation=KIND] [model=NAME] [KEY=VALUE]… [--cfg job] [--config-dir DIR]…
@@ -138,9 +138,6 @@ def _request(config: Mapping[str, Any]) -> Any:
     return build(node)
 
 
-_MOST_SAMPLES = 1_000_000
-
-
 def _noise(config: Mapping[str, Any]) -> dict[str, float]:
     """Standard deviation of each output's noise, the quantum's share included."""
     from trms_cli.core.plugins import build
@@ -232,7 +229,7 @@ def _lines(
     yield f"{'inputs':<12}{'centre':>10}{'amplitude':>11}{'limit':>8}{'crest factor':>14}"
     for name, figures in document["inputs"].items():
         yield (
-            f"  {name:<5}[{figures['unit']}]{figures['centre']:>11.3g}"
+            f"  {name:<5}[{figures['unit']}]{_centre(figures):>11}"
             f"{figures['amplitude']:>11.3g}{figures['limit']:>8.3g}{figures['crest_factor']:>14.3f}"
         )
     if document["correlation_of_inputs"] is not None:
@@ -259,6 +256,12 @@ def _lines(
     if composition.config["picture"]:
         yield f"picture     {folder / PICTURE_NAME}"
     yield f"next        {_play(document, folder, composition)}"
+
+
+def _centre(figures: Mapping[str, Any]) -> str:
+    """What rounding of the steady state leaves is no command."""
+    small = abs(figures["centre"]) < 1e-4 * figures["limit"]
+    return "0" if small else f"{figures['centre']:.3g}"
 
 
 def _range(ends: Sequence[float] | None) -> str:

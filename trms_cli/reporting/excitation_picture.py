@@ -171,6 +171,7 @@ def _draw_outputs(panel: Axes, f: ExcitationFigures, chosen: list[str]) -> None:
 
 def _dress_spectrum(panel: Axes, f: ExcitationFigures, label: str) -> None:
     panel.set_xscale("log")
+    panel.set_xlim(0.9 * float(f.frequencies[0]), 1.1 * float(f.frequencies[-1]))
     panel.set_yscale("log")
     panel.axvspan(*f.band, color=PALE, alpha=0.45, lw=0, zorder=0)
     for pole in f.poles:

@@ -99,12 +99,12 @@ def summary(design: Design, spectra: Spectra) -> dict[str, Any]:
     predicted = {}
     for i, signal in enumerate(model.outputs):
         ratio = spectra.ratio[inside, i]
-        seen = spectra.frequencies[inside][ratio > _SEEN]
+        seen = spectra.frequencies[inside][ratio > _SEEN] * 2 ** (0.5 / _BANDS_AN_OCTAVE)
         predicted[signal.name] = {
             "unit": signal.unit,
             "range": list(design.ranges[signal.name]),
             "range_of_drawn_rigs": list(design.drawn_ranges.get(signal.name, ())) or None,
-            "seen_up_to_hz": float(seen.max()) if len(seen) else None,
+            "seen_up_to_hz": min(plan.highest, float(seen.max())) if len(seen) else None,
             "signal_to_noise_db": (10 * np.log10(np.maximum(ratio, 1e-30))).tolist(),
         }
     return {
