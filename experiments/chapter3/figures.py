@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.chapter3.study import Study
-from experiments.chapter3.tables import MEMBERS, angles, grouped
+from experiments.chapter3.tables import MEMBERS, TITLES, angles, grouped
 from experiments.chapter3.trainings import Trained, recorded
 from trms_cli.identification.blackbox.playback import predicted, simulated
 from trms_cli.identification.blackbox.regressors import sampled
@@ -26,11 +26,6 @@ from trms_cli.reporting.training_picture import (
     draw_structure,
 )
 
-_TITLES = {
-    "horizontal": "1 DOF horizontal",
-    "vertical": "1 DOF vertical",
-    "both": "2 DOF",
-}
 _NAMES = {"alpha_v": "pitch", "alpha_h": "yaw"}
 
 
@@ -38,7 +33,7 @@ def draw_all(study: Study, folder: Path, short: float) -> None:
     """Draw every figure into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, results in study.tables.items():
-        title = _TITLES[name]
+        title = TITLES[name]
         first = [one for one in results if one.job.seed == results[0].job.seed]
         draw_learning(
             [LearningCurve(o.job.label, np.array(o.losses), np.array(o.times)) for o in first],
@@ -63,8 +58,6 @@ def draw_all(study: Study, folder: Path, short: float) -> None:
             )
     for name, results in study.members.items():
         _draw_runs(name, _best_of(results, ("nnarx", "nnoe")), folder / f"runs_{name}.png", short)
-    best = min(grouped(study.tables["both"])["lm"], key=_test_error)
-    _draw_runs("both", {"NNARX, LM": best}, folder / "runs_both.png", short)
     draw_structures(study, folder / "structure.png")
     for label in ("nnarx", "nnoe"):
         chosen = min(grouped(study.members["vertical"])[label], key=_test_error)
@@ -120,7 +113,7 @@ def _draw_runs(system: str, networks: dict[str, Trained], path: Path, short: flo
         dict(zip(structure.inputs, samples.inputs.T, strict=True)),
         units,
         path,
-        title=f"{_TITLES[system]}: free run over the test recording",
+        title=f"{TITLES[system]}: free run over the test recording",
     )
 
 

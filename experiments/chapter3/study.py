@@ -26,6 +26,8 @@ from trms_cli.identification.blackbox.structure_selection import assess as asses
 from trms_cli.identification.method import Unwatched
 from trms_cli.identification.problem import FitProblem
 
+#: Where all members are trained; ``systems`` of a member says others.
+ONE_AXIS = ("horizontal", "vertical")
 #: One thread of linear algebra a process: the matrices are small, and two pools would fight.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -39,7 +41,7 @@ class Study:
     tables : dict of str to list of Trained
         The trainings of each system.
     members : dict of str to list of Trained
-        The members of each 1 DOF system.
+        The members of each system.
     excitations : list of Trained
         The same network fitted to two kinds of commands.
     structures : list of Assessed
@@ -74,12 +76,12 @@ def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None)
             return done
 
         tables = {
-            name: timed(name, _table_jobs(name, seeds or settings()["seeds"]))
-            for name in settings()["systems"]
+            name: timed(name, _table_jobs(name, seeds or own.get("seeds", settings()["seeds"])))
+            for name, own in settings()["systems"].items()
         }
         members = {
-            name: timed(f"{name} members", _member_jobs(name, seeds or settings()["seeds"]))
-            for name in ("horizontal", "vertical")
+            name: timed(f"{name} members", _member_jobs(name, seeds or settings()["member_seeds"]))
+            for name in settings()["systems"]
         }
         excitations = timed("excitations", _excitation_jobs(seeds))
         begin, own = perf_counter(), settings()["structure"]
@@ -107,6 +109,7 @@ def _member_jobs(system: str, seeds: Sequence[int]) -> list[Job]:
     return [
         Job(system, name, member["method"], "lm", seed, member["changes"])
         for name, member in settings()["members"].items()
+        if system in member.get("systems", ONE_AXIS)
         for seed in seeds
     ]
 

@@ -14,6 +14,7 @@ from trms_cli.identification.blackbox.structure_selection import selected
 #: Factor and unit of an output in the tables.
 _SHOWN = {"alpha_v": (1e3, "mrad"), "alpha_h": (1e3, "mrad")}
 _NAMES = {"alpha_v": "pitch", "alpha_h": "yaw"}
+TITLES = {"horizontal": "1 DOF horizontal", "vertical": "1 DOF vertical", "both": "2 DOF"}
 #: What the members of the study are called.
 MEMBERS = {
     "nnarx": "NNARX, perceptron on one-step errors",
@@ -30,7 +31,7 @@ def markdown(study: Study) -> dict[str, str]:
     """Tables by the name of their place in the page."""
     tables = {name: _trainings(results) for name, results in study.tables.items()}
     tables["members"] = "\n\n".join(
-        f"1 DOF {name}:\n\n{_members(results)}" for name, results in study.members.items()
+        f"{TITLES[name]}:\n\n{_members(results)}" for name, results in study.members.items()
     )
     tables["excitations"] = _members(study.excitations)
     tables["structure"] = _structure(study)
@@ -74,7 +75,7 @@ def angles(results: Sequence[Trained]) -> list[str]:
 
 def _trainings(results: Sequence[Trained]) -> str:
     shown = angles(results)
-    heads = ["training", "epochs", "time [s]"]
+    heads = ["training", "epochs", "processor time [s]"]
     for name in shown:
         heads += [f"{_NAMES[name]}, one step, fitted [mrad]", "test"]
         heads += [f"{_NAMES[name]}, free run, fitted [mrad]", "test"]
@@ -94,7 +95,7 @@ def _trainings(results: Sequence[Trained]) -> str:
 
 def _members(results: Sequence[Trained]) -> str:
     shown = angles(results)
-    heads = ["network", "weights", "time [s]"]
+    heads = ["network", "weights", "processor time [s]"]
     for name in shown:
         heads += [f"{_NAMES[name]}, one step, test [mrad]", "free run, fitted", "free run, test"]
     rows = []
@@ -146,7 +147,7 @@ def _times(study: Study) -> str:
     others = {name: s for name, s in study.seconds.items() if name not in study.tables}
     rows += [[name, "", "", f"{seconds:.0f}"] for name, seconds in others.items()]
     return _table(
-        ["part", "trainings", "each algorithm once, one after another [s]", "all starts, wall [s]"],
+        ["part", "trainings", "each algorithm once, processor time [s]", "all starts, wall [s]"],
         rows,
     )
 

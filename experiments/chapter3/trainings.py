@@ -117,6 +117,9 @@ def recorded(system: str, part: str, short: float = 1.0) -> Dataset:
 
 def run_job(job: Job, short: float = 1.0) -> Trained:
     """Train and judge."""
+    # Loaded before any time is taken.
+    from scipy import cluster, linalg, optimize  # noqa: F401
+
     changes = _merged(settings()["method"], settings()["systems"][job.system]["method"])
     if job.method in ("rbf", "wavelet"):
         changes.pop("hidden", None)

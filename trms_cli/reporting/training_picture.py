@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.colors import LogNorm
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, NullLocator
 
@@ -30,6 +32,8 @@ FloatArray = npt.NDArray[np.float64]
 
 _WIDTH, _ROW_HEIGHT = 11.0, 1.9
 _MEASURED = "#aaaaaa"
+#: s, where the axis of time begins.
+_SHORTEST = 2e-3
 _ORDER = ("blue", "vermilion", "green", "purple", "orange", "sky")
 _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1.2)))
 
@@ -102,11 +106,15 @@ def draw_learning(curves: Sequence[LearningCurve], path: Path, *, title: str = "
             error = np.sqrt(curve.losses)
             panels[0].plot(np.arange(len(error)), error, label=curve.label, **style)
             panels[1].plot(curve.seconds, error, **style)
-        for panel, words in zip(panels, ("epoch", "time [s]"), strict=True):
-            panel.set_xscale("symlog", linthresh=10 if words == "epoch" else 0.05)
-            panel.set_yscale("log")
-            panel.set_xlim(left=0)
-            panel.set_xlabel(words)
+        panels[0].set_xscale("symlog", linthresh=10)
+        panels[0].set_xlim(left=0)
+        panels[0].set_xlabel("epoch")
+        panels[1].set_xscale("log")
+        panels[1].set_xlim(left=_SHORTEST)
+        panels[1].set_xlabel("processor time [s]")
+        panels[0].set_yscale("log")
+        errors = [np.sqrt(loss) for curve in curves for loss in curve.losses]
+        _few_ticks(panels[0].yaxis, errors)
         panels[0].set_ylabel("RMS error of the fitted data,\none step [spread of a step]")
         figure.legend(
             *panels[0].get_legend_handles_labels(), loc="outside right center", frameon=False
@@ -135,13 +143,18 @@ def draw_spread(
                 )  # fmt: skip
         left.set_yticks(range(len(rows)), [row.label for row in rows])
         left.invert_yaxis()
-        for panel, words in ((left, f"{what} [{unit}]"), (right, "time of a training [s]")):
+        for panel, words in (
+            (left, f"{what} [{unit}]"),
+            (right, "processor time of a training [s]"),
+        ):
             panel.set_xscale("log")
             panel.set_xlabel(words)
             panel.grid(axis="y", visible=False)
         if finite:
             left.set_xlim(0.8 * min(finite), 1.25 * max(finite))
-            _few_ticks(left, finite)
+            _few_ticks(left.xaxis, finite)
+        right.xaxis.set_minor_locator(NullLocator())
+        right.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
         save_png(figure, path)
 
@@ -205,9 +218,11 @@ def draw_structure(
         figure = new_figure(1.9 + 1.35 * len(hidden), 1.5 + 0.75 * len(lags))
         panel = figure.subplots()
         median = np.median(errors, axis=2)
-        shown = np.where(np.isfinite(median), np.log10(median), np.nan)
-        picture = panel.imshow(shown, cmap="viridis_r", aspect="auto")
-        bright = np.nanmean([np.nanmin(shown), np.nanmax(shown)])
+        shown = np.where(np.isfinite(median), median, np.nan)
+        least, most = float(np.nanmin(shown)), float(np.nanmax(shown))
+        norm = LogNorm(least, max(most, 1.01 * least))
+        picture = panel.imshow(shown, cmap="viridis_r", aspect="auto", norm=norm)
+        bright = np.sqrt(least * most)
         for i, j in np.ndindex(median.shape):
             low, high = errors[i, j].min(), errors[i, j].max()
             words = f"{_short(median[i, j])}\n{_short(low)}–{_short(high)}"
@@ -223,7 +238,8 @@ def draw_structure(
         for side in ("left", "bottom"):
             panel.spines[side].set_visible(False)
         bar = figure.colorbar(picture, ax=panel, shrink=0.9)
-        bar.set_label("log₁₀ of the median")
+        bar.set_label("median")
+        _few_ticks(bar.ax.yaxis, [least, most])
         panel.set_title(title, fontsize=10, fontweight="bold", color=INK)
         save_png(figure, path)
 
@@ -241,7 +257,8 @@ def draw_correlations(tests: Sequence[Correlation], path: Path, *, title: str = 
             panel.vlines(test.lags, 0, test.values, color=colour, lw=1.2)
             panel.plot(test.lags, test.values, "o", ms=2.6, color=colour)
             panel.axhline(0, color=GREY, lw=0.6)
-            reach = 1.25 * max(np.abs(test.values).max(), test.band.max())
+            sizes = np.abs(np.concatenate([test.values, test.band]))
+            reach = 1.25 * float(np.max(sizes[np.isfinite(sizes)], initial=0.1))
             panel.set_ylim(-reach, reach)
             panel.set_title(test.title, fontsize=9, color=colour if test.failed else INK)
         for panel in list(panels.flat)[len(tests) :]:
@@ -260,15 +277,15 @@ def _dots(panel: Axes, row: int, values: FloatArray, colour: str) -> None:
     panel.plot([middle, middle], [row - 0.32, row + 0.32], color=INK, lw=1.6)
 
 
-def _few_ticks(panel: Axes, values: Sequence[float]) -> None:
+def _few_ticks(axis: Axis, values: Sequence[float]) -> None:
     """Round ticks over a range that may be less than a decade."""
     low, high = min(values), max(values)
     steps = (1.0, 2.0, 5.0) if high / low < 60 else (1.0,)
     decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     ticks = [step * 10.0**decade for decade in decades for step in steps]
-    panel.xaxis.set_major_locator(FixedLocator(ticks))
-    panel.xaxis.set_minor_locator(NullLocator())
-    panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
 def _stay_near(panel: Axes, measured: FloatArray) -> None:

@@ -39,10 +39,18 @@ class Stage:
     name : str
         Short, for the record: ``one step``, ``2 s``.
     training : Training
+    prepared : float
+        Processor time before the first epoch, for placing units, s.
     """
 
     name: str
     training: Training
+    prepared: float = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Processor time of the stage, s."""
+        return self.prepared + float(self.training.history.seconds[-1])
 
 
 def told(progress: Progress, begin: float, share: float, stopping: Stopping, name: str) -> Watcher:
@@ -78,15 +86,14 @@ def fit_result(
     last = stages[-1].training
     stored = data.stored(network, last.theta)
     model = problem.model
-    seconds = float(sum(stage.training.history.seconds[-1] for stage in stages))
     history, before, evaluations = [], 0.0, 0
     for stage in stages:
         for second, loss in zip(
             stage.training.history.seconds, stage.training.history.losses, strict=True
         ):
             evaluations += 1
-            history.append(HistoryPoint(evaluations, before + second, loss))
-        before += stage.training.history.seconds[-1]
+            history.append(HistoryPoint(evaluations, before + stage.prepared + second, loss))
+        before += stage.seconds
     record = {
         "method": method,
         "seed": problem.seed,
@@ -112,7 +119,7 @@ def fit_result(
         cost=float(last.history.losses[last.best_epoch]),
         history=history,
         evaluations=evaluations,
-        seconds=seconds,
+        seconds=before,
         model_document=document.to_data(),
         details=record,
     )
@@ -154,7 +161,7 @@ def _told_of(stage: Stage) -> dict[str, Any]:
         "outcome": training.outcome.value,
         "epochs": training.history.epochs,
         "kept_epoch": training.best_epoch,
-        "seconds": round(float(training.history.seconds[-1]), 3),
+        "seconds": round(stage.seconds, 3),
         "loss": float(training.history.losses[training.best_epoch]),
         "validation_loss": float(checked) if np.isfinite(checked) else None,
     }

@@ -7,6 +7,7 @@ weights are trained together.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from time import process_time
 from typing import Annotated, Literal
 
 import numpy as np
@@ -80,7 +81,9 @@ class RadialFit:
         """
         check_training(self.training)
         data = prepared_problem(self.regressors, problem)
+        begin = process_time()
         network, theta = self.placed(data, problem.seed)
+        placing = process_time() - begin
         stopping = self.stopping if self.tune else Stopping(epochs=1)
         algorithm: TrainingAlgorithm = self.training if self.tune else _AsPlaced()
         training = train(
@@ -93,7 +96,7 @@ class RadialFit:
         )
         if not self.tune:
             training = replace(training, outcome=Outcome.GOAL)
-        return fit_result(self.kind, problem, data, network, [Stage("one step", training)])
+        return fit_result(self.kind, problem, data, network, [Stage("one step", training, placing)])
 
     def placed(self, data: Prepared, seed: int) -> tuple[Radial, FloatArray]:
         """The network with its units placed and its linear weights solved for."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from time import perf_counter
+from time import process_time
 from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
@@ -101,7 +101,7 @@ class History:
     Attributes
     ----------
     seconds, losses, validation, slopes, effective : lists of float
-        Time since the start (without the time that validation takes), mean squared residuals of
+        Processor time since the start (without what validation takes), mean squared residuals of
         the fitted data and of the validation data (NaN where there are none), norm of the
         gradient, effective number of parameters (NaN where not known).
     """
@@ -152,7 +152,7 @@ class _Recorder:
         self.kept, self.best, self.best_epoch = start.copy(), np.inf, 0
         self._stopping, self._validation, self._early = stopping, validation, early
         self._watcher: Watcher | None = None
-        self._spent, self._resumed = 0.0, perf_counter()
+        self._spent, self._resumed = 0.0, process_time()
 
     def watched_by(self, watcher: Watcher | None) -> None:
         self._watcher = watcher
@@ -160,7 +160,7 @@ class _Recorder:
     def __call__(
         self, theta: FloatArray, loss: float, slope: float, effective: float | None = None
     ) -> None:
-        self._spent += perf_counter() - self._resumed
+        self._spent += process_time() - self._resumed
         history, epoch = self.history, len(self.history.losses)
         checked = self._validation.loss(theta) if self._validation is not None else np.nan
         history.seconds.append(self._spent)
@@ -173,7 +173,7 @@ class _Recorder:
         if self._watcher is not None:
             self._watcher(epoch, loss, checked)
         self._end_if_due(epoch, loss, slope)
-        self._resumed = perf_counter()
+        self._resumed = process_time()
 
     def settled(self) -> bool:
         """Whether the loss has hardly changed for a while."""
