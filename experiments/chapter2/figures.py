@@ -58,8 +58,8 @@ def draw_rotors(rotors: Sequence[RotorStudy], path: Path) -> None:
                 sines.plot(
                     periods[shown] - 4.0, omega[shown], color=COLOURS[k], label=f"{frequency:g} Hz"
                 )
-            sines.set(xlabel="periods", ylabel="[rad/s]", title="sines")
-            sines.legend(loc="lower right")
+            sines.set(xlabel="periods", ylabel="[rad/s]")
+            legend_above(sines, 3)
         page.align_ylabels()
         save_png(page, path)
 

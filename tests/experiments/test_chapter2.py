@@ -1,0 +1,249 @@
+"""The study of chapter 2: what it reads, what its parts claim, and that its page is its own."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("experiments.chapter2", reason="the studies are in the checkout only")
+
+import casadi as ca
+
+from experiments.chapter2.__main__ import EXPECTED, FIGURES, PAGE, main
+from experiments.chapter2.agreement import study_agreement
+from experiments.chapter2.axes import ANGLES, one_axis, pair_of_commands, two_axes
+from experiments.chapter2.bench_tests import study_bench_tests
+from experiments.chapter2.bridge import TERMS, Bridge
+from experiments.chapter2.page import write_tables
+from experiments.chapter2.rotors import study_rotor
+from experiments.chapter2.simulation import difference
+from experiments.chapter2.study import read_study, signal
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.newtonian import Newtonian
+
+
+@pytest.fixture(scope="module")
+def study():
+    return read_study()
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return json.loads(EXPECTED.read_text(encoding="utf-8"))
+
+
+def rates(model, x, u) -> np.ndarray:
+    at = model.symbols()
+    f = ca.Function("f", list(at), [model.dynamics(*at)])
+    return np.array(f(x, u, model.parameters.values, np.zeros(4))).ravel()
+
+
+class TestStudy:
+    def test_cases_of_one_axis_are_the_thesis_list(self, study):
+        assert study.one_axis["vertical"]["sine"] == [
+            (0.02, 1.5), (0.05, 0.8), (0.1, 1.0), (0.5, 2.0), (1.0, 2.5)
+        ]  # fmt: skip
+        assert study.one_axis["vertical"]["square"] == [
+            (0.02, 0.5), (0.05, 0.8), (0.1, 1.0), (0.5, 2.5)
+        ]  # fmt: skip
+        assert study.one_axis["horizontal"]["sine"] == [
+            (0.05, 0.3), (0.1, 0.4), (0.2, 0.5), (0.5, 2.0)
+        ]  # fmt: skip
+        assert study.one_axis["horizontal"]["square"] == [
+            (0.05, 0.2), (0.1, 0.3), (0.2, 0.4), (0.5, 1.0), (1.0, 2.5)
+        ]  # fmt: skip
+
+    def test_nine_pairs_stay_within_what_the_motors_take(self, study):
+        assert len(study.two_axes) == 9
+        seen = set()
+        for name, pair in study.two_axes.items():
+            u = pair_of_commands(study, name)
+            assert u.shape == (round(pair.duration / study.sample_time), 2)
+            assert np.abs(u).max() <= 2.5
+            assert pair.why not in seen
+            seen.add(pair.why)
+
+    @pytest.mark.parametrize("text", ["", "[]", "sample_time: x", "rotors: {}"])
+    def test_what_is_no_study_is_told(self, tmp_path, text):
+        file = tmp_path / "study.yaml"
+        file.write_text(text)
+        with pytest.raises(ConfigurationError, match="no study"):
+            read_study(file)
+
+    def test_an_unknown_signal_or_key_is_told(self):
+        with pytest.raises(ConfigurationError, match="no signal 'sin'"):
+            signal({"signal": "sin"}, "case.u_v")
+        with pytest.raises(ConfigurationError, match="amplitud"):
+            signal({"signal": "sine", "amplitud": 1.0}, "case.u_v")
+
+
+class TestFigures:
+    def test_a_difference_is_measured_as_said(self):
+        t = np.linspace(0, 1, 1001)
+        measure = np.sin(2 * np.pi * t)
+        d = difference(measure + 0.1, measure)
+        assert (d.rms, d.largest) == (pytest.approx(0.1), pytest.approx(0.1))
+        assert d.fit == pytest.approx(100 * (1 - 0.1 / np.std(measure)), rel=1e-9)
+        assert np.isnan(difference(measure, np.zeros(1001)).fit)
+
+
+class TestBridge:
+    X = (90.0, 0.5, 0.2, 170.0, -0.4, -0.3)
+
+    def test_without_terms_it_is_the_newtonian_model(self):
+        u = [1.2, 0.5]
+        assert rates(Bridge(()), self.X, u) == pytest.approx(
+            rates(Newtonian(), self.X, u), rel=1e-12
+        )
+
+    def test_with_all_terms_it_is_the_lagrangian_model_on_the_axis(self):
+        u = [1.2, 0.5]
+        ours = rates(Lagrangian(parameters={"h": 0.0}), self.X, u)
+        assert rates(Bridge(TERMS), self.X, u) == pytest.approx(ours, rel=1e-10)
+
+    @pytest.mark.parametrize("term", TERMS)
+    def test_each_term_matters(self, term):
+        without = Bridge(tuple(t for t in TERMS if t != term))
+        gap = rates(without, self.X, [1.2, 0.5]) - rates(Bridge(TERMS), self.X, [1.2, 0.5])
+        assert np.abs(gap).max() > 1e-3
+
+
+class TestExpectation:
+    def test_rotors(self, study, expected):
+        small = study_rotor(study, "tail")
+        for size, rise in small.rises.items():
+            assert rise == pytest.approx(expected["rotors"]["h"]["rise_s"][str(size)], rel=1e-4)
+        for frequency, gain in small.gains.items():
+            assert gain == pytest.approx(expected["rotors"]["h"]["gain"][str(frequency)], rel=1e-4)
+        # The armature's inductance cannot be seen beside a tachometer's noise of 1.6 rad/s.
+        assert small.current_effect < 0.2
+
+    def test_yaw_alone(self, study, expected):
+        for case in one_axis(study, "horizontal"):
+            known = expected["one_axis"]["horizontal"][case.name]["alpha_h"]
+            found = case.differences["alpha_h"]
+            assert found.rms == pytest.approx(known["rms_rad"], rel=1e-3)
+            assert found.fit == pytest.approx(known["fit_percent"], abs=0.01)
+
+    @pytest.mark.slow
+    def test_two_axes(self, study, expected):
+        for case in two_axes(study):
+            assert not case.lagrangian.stopped and not case.newtonian.stopped
+            for angle in ANGLES:
+                known = expected["two_axes"][case.name][angle]
+                found = case.differences[angle]
+                assert found.rms == pytest.approx(known["rms_rad"], rel=1e-3)
+                assert found.fit == pytest.approx(known["fit_percent"], abs=0.01)
+            for speed in ("omega_v", "omega_h"):
+                assert case.differences[speed].largest == 0.0
+
+    @pytest.mark.slow
+    def test_models_agree_where_they_must(self, study, expected):
+        agreements, terms = study_agreement(study)
+        *exact, integration = agreements
+        for agreement in exact:
+            assert agreement.largest < 1e-12 < 1e-3 < agreement.moved
+        assert integration.largest == pytest.approx(
+            expected["agreement_rad"][integration.what], rel=0.05
+        )
+        for term in terms:
+            known = expected["terms_rms_rad"][term.name]
+            for name, values in {"all": term.newtonian, **term.left_wrong}.items():
+                for angle, value in values.items():
+                    assert value == pytest.approx(known[name][angle], rel=1e-3, abs=1e-9)
+
+    @pytest.mark.slow
+    def test_bench_tests_find_what_their_instruments_allow(self, study, expected):
+        found, _ = study_bench_tests(study, seed=1)
+        for f in found:
+            known = expected["bench_tests"][f.name]
+            n = study.bench_tests.repetitions
+            # Another seed: within what its own spread allows.
+            assert f.sd == pytest.approx(known["sd"], rel=0.4)
+            assert abs(f.mean - known["mean"]) < 4.5 * known["sd"] * (2 / n) ** 0.5
+
+
+class TestPage:
+    def test_its_tables_are_those_of_the_expected_figures(self, expected):
+        text = PAGE.read_text(encoding="utf-8")
+        for name, case in expected["two_axes"].items():
+            (row,) = re.findall(rf"^\| {name} \| ([\d. |–]+) \|$", text, re.MULTILINE)
+            cells = [float(cell) for cell in row.split(" | ")]
+            wanted = [
+                value
+                for angle in ANGLES
+                for value in (
+                    1e3 * case[angle]["rms_rad"],
+                    1e3 * case[angle]["max_rad"],
+                    case[angle]["fit_percent"],
+                )
+            ]
+            assert cells == pytest.approx(wanted, abs=0.051)
+        for name, value in expected["bench_tests"].items():
+            assert f"| `{name}` |" in text
+            assert f"{value['true']:.4g}" in text
+
+    def test_its_figures_are_there_and_small(self):
+        text = PAGE.read_text(encoding="utf-8")
+        shown = set(re.findall(r"figures/chapter2/(\w+\.png)", text))
+        assert shown == {path.name for path in FIGURES.glob("*.png")}
+        assert all(path.stat().st_size < 200_000 for path in FIGURES.glob("*.png"))
+
+    def test_what_the_prose_claims(self, expected):
+        # The opposing terms, and the inductance.
+        square = expected["terms_rms_rad"]["main_square"]
+        for term in ("coriolis", "turning"):
+            assert square[term]["alpha_h"] > square["all"]["alpha_h"]
+        for case in expected["terms_rms_rad"].values():
+            pitch = {term: case[term]["alpha_v"] for term in TERMS}
+            if case is not expected["terms_rms_rad"]["fast_yaw"]:
+                assert pitch["centrifugal"] < 0.01
+        assert expected["bench_tests"]["B_mr"]["sd"] > 0.2 * expected["bench_tests"]["B_mr"]["true"]
+
+    def test_a_lost_mark_is_told(self, tmp_path: Path):
+        file = tmp_path / "page.md"
+        file.write_text("<!-- a: begin -->\nold\n<!-- a: end -->\n", encoding="utf-8")
+        write_tables(file, {"a": "new"})
+        assert "new" in file.read_text() and "old" not in file.read_text()
+        with pytest.raises(ConfigurationError, match="lost its marks"):
+            write_tables(file, {"b": "new"})
+
+
+@pytest.mark.slow
+def test_the_program_draws_and_writes_elsewhere(tmp_path: Path, capsys) -> None:
+    before = PAGE.read_bytes()
+    assert main(["--out", str(tmp_path)]) == 0
+    assert PAGE.read_bytes() == before
+    assert {path.name for path in tmp_path.glob("*.png")} == {p.name for p in FIGURES.glob("*.png")}
+    assert json.loads((tmp_path / "chapter2.json").read_text())["schema"] == "trms.chapter2/1"
+
+
+def test_a_bad_study_ends_with_a_message(tmp_path: Path, capsys) -> None:
+    file = tmp_path / "study.yaml"
+    file.write_text("sample_time: 0.02\n")
+    assert main(["--study", str(file), "--out", str(tmp_path)]) == 2
+    assert "no study" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "rmse", "overshoot"),
+    [
+        (["model=lagrangian"], (0.167, 0.170), 3),
+        (["model=newtonian", "model@plant.model=lagrangian"], (0.167, 0.170), 6),
+    ],
+)
+def test_control_hardly_minds_as_the_page_says(words, rmse, overshoot, tmp_path) -> None:
+    from trms_cli.cli import main as trms
+
+    out = tmp_path / "run"
+    assert trms(["run", *words, "sim.duration=40", "picture=false", f"out={out}"]) == 0
+    channels = json.loads((out / "score.json").read_text())["channels"]
+    found = tuple(channels[angle]["rmse"] for angle in ANGLES)
+    assert found == pytest.approx(rmse, abs=6e-4)
+    assert channels["alpha_h"]["overshoot_percent"] == pytest.approx(overshoot, abs=0.6)
