@@ -1,0 +1,181 @@
+"""The Quanser Aero: its published numbers, its energy, its limits, its use by the rest."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from trms_cli.cli import main
+from trms_cli.commands.composition import compose
+from trms_cli.commands.run_assembly import experiment_of
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.core.plugins import build
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.simulation.closed_loop import Loop
+from trms_cli.simulation.history import History
+
+FREE = {"d_1": 0.0, "d_2": 0.0}
+
+
+def rates(model: QuanserAero, x, u=(0.0, 0.0), w=(0.0, 0.0, 0.0, 0.0)) -> np.ndarray:
+    at = model.symbols()
+    f = ca.Function("f", list(at), [model.dynamics(*at)])
+    return np.asarray(f(x, list(u), model.parameters.values, list(w))).ravel()
+
+
+def travel(model, x, u, seconds: float, step: float) -> np.ndarray:
+    """States over time, shape (n, 6)."""
+    advance = discretise(model, step).step
+    states = [np.asarray(x, dtype=float)]
+    for _ in range(round(seconds / step)):
+        after = advance(states[-1], list(u), model.parameters.values, np.zeros(4))
+        states.append(np.asarray(after).ravel())
+    return np.array(states)
+
+
+def inertias() -> tuple[float, float]:
+    """I_b and I_f of the published masses and lengths, kg m²."""
+    beam = 2 * 0.146 * 0.158**2 + 2 * 0.2 * 0.158**2 + 0.2 * 0.016**2 + 0.458 * 0.165**2 / 12
+    return beam, 0.526 * 0.02**2 / 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_energy_is_kept_without_friction_and_thrust(seed):
+    model = QuanserAero(parameters=FREE)
+    beam, yoke = inertias()
+    generator = np.random.default_rng(seed)
+    start = np.zeros(6)
+    start[[1, 2, 4, 5]] = generator.uniform(-1, 1, 4) * [3.0, 1.0, 2.0, 0.8]
+    errors = []
+    for step in (0.02, 0.01):
+        x = travel(model, start, (0, 0), 4.0, step)
+        yaw_rate, pitch_rate, pitch = x[:, 1], x[:, 4], x[:, 5]
+        about_yaw = yoke + beam * np.cos(pitch) ** 2
+        kinetic = 0.5 * beam * pitch_rate**2 + 0.5 * about_yaw * yaw_rate**2
+        energy = kinetic - 0.016 * 9.81 * 0.2 * np.cos(pitch)
+        momentum = about_yaw * yaw_rate
+        errors.append(np.abs(energy - energy[0]).max() + np.abs(momentum - momentum[0]).max())
+    assert errors[1] < 1e-7
+    assert errors[1] < errors[0] / 8  # of fourth order
+
+
+def test_friction_takes_energy_by_the_published_coefficients():
+    x = np.array([0, 0.7, 0.0, 0, 0.4, 0.0])
+    f = rates(QuanserAero(), x) - rates(QuanserAero(parameters=FREE), x)
+    beam, yoke = inertias()
+    assert f[4] == pytest.approx(-0.0031 * 0.4 / beam, rel=1e-9)
+    assert f[1] == pytest.approx(-0.0075 * 0.7 / (yoke + beam), rel=1e-9)
+
+
+@pytest.mark.parametrize(("main", "tail"), [(150.0, 0.0), (0.0, 150.0), (-120.0, 90.0)])
+def test_either_rotor_turns_both_axes(main, tail):
+    pitch = 0.3
+    x = np.array([tail, 0.0, 0.0, main, 0.0, pitch])
+    beam, yoke = inertias()
+    squares = main * abs(main), tail * abs(tail)
+    on_pitch = 0.158 * (1.26e-6 * squares[0] + 1.08e-6 * squares[1])
+    on_yaw = 0.158 * np.cos(pitch) * (1.26e-6 * squares[1] - 1.08e-6 * squares[0])
+    f = rates(QuanserAero(), x)
+    gravity = -0.016 * 9.81 * 0.2 * np.sin(pitch)
+    assert f[4] == pytest.approx((on_pitch + gravity) / beam, rel=1e-9)
+    assert f[1] == pytest.approx(on_yaw / (yoke + beam * np.cos(pitch) ** 2), rel=1e-9)
+
+
+def test_a_command_beyond_the_amplifier_acts_as_its_limit():
+    model = QuanserAero()
+    start = np.zeros(6)
+    np.testing.assert_array_equal(
+        travel(model, start, (36.2, -30.0), 1.0, 0.02),
+        travel(model, start, (24.0, -24.0), 1.0, 0.02),
+    )
+    # Also behind a delay, whose mean over a step is of what the amplifier lets through.
+    delayed = extended(model, {"d": InputDelay(rotor="main", delay=0.03)})
+    discrete = discretise(delayed, 0.02)
+    x = np.zeros(discrete.n_x)
+    p = delayed.parameters.values
+    for command in (36.2, 24.0):
+        following = x
+        for _ in range(3):
+            following = np.asarray(discrete.step(following, [command, 0], p, np.zeros(4))).ravel()
+        if command == 36.2:
+            beyond = following
+    np.testing.assert_array_equal(beyond[:6], following[:6])
+
+
+def test_the_rotor_follows_its_command_with_its_time_constant():
+    x = travel(QuanserAero(), np.zeros(6), (10.0, -5.0), 0.05, 0.005)
+    assert x[-1, 3] == pytest.approx(173.8 * (1 - np.exp(-1)), rel=1e-6)
+    assert x[-1, 0] == pytest.approx(-86.9 * (1 - np.exp(-1)), rel=1e-6)
+
+
+def test_the_documented_eigenvalues():
+    model = QuanserAero()
+    at = model.symbols()
+    slope = ca.Function("J", list(at), [ca.jacobian(model.dynamics(*at), at[0])])
+    p = model.parameters.values
+    at_rest = np.linalg.eigvals(np.asarray(slope(model.rest(), [0, 0], p, np.zeros(4))))
+    expected = [-20, -20, -0.4061, -0.0844 + 1.3047j, -0.0844 - 1.3047j, 0]
+    key = lambda v: (round(v.real, 3), round(v.imag, 3))  # noqa: E731
+    np.testing.assert_allclose(
+        sorted(at_rest, key=key), sorted(map(complex, expected), key=key), atol=2e-4
+    )
+
+
+def test_it_holds_a_pitch_with_both_rotors():
+    target = SteadyState(QuanserAero()).solve(np.array([0.3, 0.0]), np.zeros(4), None)
+    assert not target.projected
+    np.testing.assert_allclose(target.u, [9.430, 8.731], atol=2e-3)
+
+
+def test_what_is_measured_can_be_the_angles_alone():
+    model = build(
+        {"_target_": "trms_cli.models.quanser_aero.QuanserAero", "rotor_speeds": False}, "model"
+    )
+    assert [signal.name for signal in model.outputs] == ["alpha_v", "alpha_h"]
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        ["experiment=quanser_aero"],  # a PID, tuned where the rotors thrust
+        pytest.param(
+            ["model=quanser_aero", "controller=newton_mpc"], marks=pytest.mark.slow, id="newton_mpc"
+        ),
+    ],
+)
+def test_a_controller_tracks_with_it(chosen):
+    settings = [*chosen, "ref=constant", "sim.duration=12"]
+    settings += ["ref.alpha_v.offset=0.3", "ref.alpha_h.offset=0.5"]
+    experiment = experiment_of(compose(settings).config)
+    names = {signal.name: signal.unit for signal in experiment.model.states}
+    loop = Loop.start(experiment, lambda plant: History({"/plant/state": names}, None))
+    loop.run()
+    state = loop.history.columns("/plant/state")
+    assert state["alpha_v"][-50:] == pytest.approx(0.3, abs=0.02)
+    assert state["alpha_h"][-50:] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_recording_with_angles_alone_and_commands_beyond_the_limit_replays(tmp_path, capsys):
+    t = 0.01 * np.arange(300)
+    u = np.column_stack([8 + 30 * (t > 1), 6 + 0 * t])
+    x = np.zeros(6)
+    model = QuanserAero()
+    step = discretise(model, 0.01).step
+    rows = ["t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"]
+    for time, command in zip(t, u, strict=True):
+        rows.append(f"{time:.3f},{command[0]:.6g},{command[1]:.6g},{x[5]:.9g},{x[2]:.9g}")
+        x = np.asarray(step(x, command, model.parameters.values, np.zeros(4))).ravel()
+    file = tmp_path / "aero.csv"
+    file.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    folder = tmp_path / "run"
+    settings = ["plant=replay", f"plant.file={file}", "model=quanser_aero", "picture=false"]
+    assert main(["run", *settings, f"out={folder}"]) == 0
+    assert "not measured: omega_v" in capsys.readouterr().out
+    estimate = read_log(folder / "run.mcap").tables["/estimate"].columns
+    # The observer sees the angles alone, and finds the rotor that the limit held at 24 V.
+    assert estimate["omega_v"][-1] == pytest.approx(24 * 17.38, rel=0.05)

@@ -1,0 +1,150 @@
+"""Quanser Aero: two rotors on one beam, another maker's rig.
+
+Equations and values are those that the recorders of public recordings give (master's thesis, NTNU
+2025, repository finnferdinand/orbital-stabilization-quanser-aero), with one thing added: their
+rotors follow the command at once, here with a lag of first order::
+
+    τ ω̇ = k_u sat(u) − ω + w_motor τ/J_r                     each rotor
+    I_b θ̈ + I_b ψ̇² sin θ cos θ + d_x g m_e sin θ + d_1 θ̇
+        = d_t (K_mθ ω_m|ω_m| + K_tθ ω_t|ω_t|) + w_pitch
+    (I_f + I_b cos²θ) ψ̈ − 2 I_b θ̇ ψ̇ sin θ cos θ + d_2 ψ̇
+        = d_t cos θ (K_tψ ω_t|ω_t| − K_mψ ω_m|ω_m|) + w_yaw
+    I_b = 2 (m_pa + m_e) d_t² + m_e d_x² + m_rod l_t²/12      I_f = m_y r_y²/2
+
+θ is the pitch α_v, ψ the yaw α_h; S are the angular rates. Either rotor turns both axes. Commands
+beyond the amplifier's limit act as the limit itself: recordings hold such commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.models.model import Axis, FloatArray, Model, Signal
+from trms_cli.models.parameters import parameter_file
+
+
+class QuanserAero(Model):
+    """Quanser Aero with free pitch and yaw.
+
+    Parameters
+    ----------
+    parameter_set : str
+        A built-in set (``quanser_aero``) or the path of a parameter file.
+    parameters : mapping
+        Other values for some parameters, in SI.
+    rotor_speeds : bool
+        Whether the speeds of the rotors are among what may be measured, besides the angles.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown set or parameter.
+    """
+
+    def __init__(
+        self,
+        *,
+        parameter_set: str = "quanser_aero",
+        parameters: Mapping[str, float] | None = None,
+        rotor_speeds: bool = True,
+    ) -> None:
+        content = parameter_file(parameter_set)
+        self.name = "quanser_aero"
+        self.parameters = content.parameter_set().replaced(parameters or {})
+        self.states = (
+            Signal("omega_h", "rad/s", "speed of the tail rotor"),
+            Signal("S_h", "rad/s", "yaw rate"),
+            Signal("alpha_h", "rad", "yaw angle"),
+            Signal("omega_v", "rad/s", "speed of the main rotor"),
+            Signal("S_v", "rad/s", "pitch rate"),
+            Signal("alpha_v", "rad", "pitch angle, 0 with the beam level"),
+        )
+        self.inputs = (
+            Signal("u_v", "V", "command of the main rotor"),
+            Signal("u_h", "V", "command of the tail rotor"),
+        )
+        measured = ("alpha_v", "alpha_h", *(("omega_v", "omega_h") if rotor_speeds else ()))
+        self.outputs = tuple(self.states[self.state_index(name)] for name in measured)
+        self.disturbances = (
+            Signal("pitch_moment", "N*m", "torque on pitch"),
+            Signal("yaw_moment", "N*m", "torque on yaw"),
+            Signal("main_motor", "N*m", "torque on the main rotor"),
+            Signal("tail_motor", "N*m", "torque on the tail rotor"),
+        )
+        limits = {"u_v": 24.0, "u_h": 24.0, "alpha_v": np.inf, "alpha_h": np.inf} | content.limits
+        self.controlled = ("alpha_v", "alpha_h")
+        self.input_limits = {name: limits[name] for name in ("u_v", "u_h")}
+        self.stops = {name: limits[name] for name in self.controlled}
+        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.rotors = {"main": "u_v", "tail": "u_h"}
+
+    def rest(self) -> FloatArray:
+        return np.zeros(self.n_x)
+
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        return self._equations(x, u, p, w)[0]
+
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        return ca.vertcat(*(x[self.state_index(signal.name)] for signal in self.outputs))
+
+    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
+        return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
+
+    def input_path(
+        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
+    ) -> tuple[ca.SX, ca.SX]:
+        """The amplifier's limit; a delay behind it passes on what it let through."""
+        return self._within_limits(u), memory
+
+    def _within_limits(self, u: ca.SX) -> ca.SX:
+        lower, upper = self.input_bounds()
+        return ca.fmin(ca.fmax(u, lower), upper)
+
+    def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """All rows, and the quantities met on the way."""
+        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        omega_h, rate_h, omega_v, rate_v, alpha_v = x[0], x[1], x[3], x[4], x[5]
+        drive = self._within_limits(u)
+        square_v, square_h = omega_v * ca.fabs(omega_v), omega_h * ca.fabs(omega_h)
+        cosine, sine = ca.cos(alpha_v), ca.sin(alpha_v)
+
+        beam = (
+            2 * (c["m_pa"] + c["m_e"]) * c["d_t"] ** 2
+            + c["m_e"] * c["d_x"] ** 2
+            + c["m_rod"] * c["l_t"] ** 2 / 12
+        )
+        inertia_h = c["m_y"] * c["r_y"] ** 2 / 2 + beam * cosine**2
+        gravity = -c["d_x"] * c["g"] * c["m_e"] * sine
+        moment_v = (
+            c["d_t"] * (c["K_mp"] * square_v + c["K_tp"] * square_h)
+            + gravity
+            - beam * rate_h**2 * sine * cosine
+            - c["d_1"] * rate_v
+            + w[0]
+        )
+        moment_h = (
+            c["d_t"] * cosine * (c["K_ty"] * square_h - c["K_my"] * square_v)
+            + 2 * beam * rate_v * rate_h * sine * cosine
+            - c["d_2"] * rate_h
+            + w[1]
+        )
+        rows = ca.vertcat(
+            (c["k_uh"] * drive[1] - omega_h) / c["tau_h"] + w[3] / c["J_r"],
+            moment_h / inertia_h,
+            rate_h,
+            (c["k_uv"] * drive[0] - omega_v) / c["tau_v"] + w[2] / c["J_r"],
+            moment_v / beam,
+            rate_v,
+        )
+        return rows, {
+            "thrust_main": c["K_mp"] * square_v,
+            "thrust_tail": c["K_ty"] * square_h,
+            "arm_main": c["d_t"],
+            "arm_tail": c["d_t"] * cosine,
+            "inertia_pitch": beam,
+            "inertia_yaw": inertia_h,
+            "gravity_moment": gravity,
+        }
