@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.identification.dataset import Dataset
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model
 from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.state_kinds import Kind, kinds_of_states
 from trms_cli.simulation.rollout import Rollout
@@ -61,8 +61,8 @@ def spreads(model: Model) -> FloatArray:
     return np.array([_SPREAD[kind] for kind in kinds_of_states(model)])
 
 
-def estimated_starts(rollout: Rollout, dataset: Dataset, first: IntArray, p: FloatArray) -> Starts:
-    """Starts of windows of one recording.
+class StartEstimator:
+    """Estimates the starts of windows of one recording, for any parameters.
 
     Parameters
     ----------
@@ -71,35 +71,48 @@ def estimated_starts(rollout: Rollout, dataset: Dataset, first: IntArray, p: Flo
     dataset : Dataset
     first : (m,) array
         First samples of the windows, ascending.
-    p : (n_p,) array
-        Values of all parameters.
     """
-    model = rollout.model
-    measured = [model.state_index(n) for n in names(dataset.outputs) if n in model.state_names]
-    columns = [i for i, s in enumerate(dataset.outputs) if s.name in model.state_names]
-    values, rates = _polynomials(dataset, first)
-    kinematics = _Kinematics(model, {model.state_names[i] for i in measured}, p)
 
-    opening = {s.name: float(v) for s, v in zip(dataset.outputs, values[0], strict=True)}
-    state = rollout.initial(resting_state(model, opening, dataset.commands[0]), dataset.commands[0])
-    n, n_f = model.n_x, len(rollout.free)
-    slopes = np.zeros((rollout.n_x - n, n_f))
-    states, memories, at = [], [], 0
-    for j, sample in enumerate(first):
-        if sample > at:
-            state, slopes = _carried(rollout, dataset.commands, (at, sample), state, slopes, p)
-            at = int(sample)
-        known = np.isfinite(values[j, columns])
-        place = np.array(measured, dtype=int)[known]
-        state[place] = values[j, columns][known]
-        moving = {
-            model.state_names[measured[k]]: float(rates[j, columns[k]])
-            for k in np.flatnonzero(known)
-        }
-        state[:n] = kinematics.with_rates(state[:n], dataset.commands[sample], moving)
-        states.append(state.copy())
-        memories.append(slopes.copy())
-    return Starts(np.array(states), np.array(memories))
+    def __init__(self, rollout: Rollout, dataset: Dataset, first: IntArray) -> None:
+        model = rollout.model
+        self._rollout, self._commands, self._first = rollout, dataset.commands, first
+        self._columns = [i for i, s in enumerate(dataset.outputs) if s.name in model.state_names]
+        self._rows = np.array(
+            [model.state_index(dataset.outputs[i].name) for i in self._columns], dtype=int
+        )
+        self._values, self._rates = _polynomials(dataset, first)
+        self._kinematics = _Kinematics(model, {model.state_names[i] for i in self._rows})
+        seen = {s.name: float(v) for s, v in zip(dataset.outputs, self._values[0], strict=True)}
+        command = dataset.commands[0]
+        self._opening = rollout.initial(resting_state(model, seen, command), command)
+
+    def at(self, p: FloatArray) -> Starts:
+        """The starts with all parameters at ``p``, shape (n_p,)."""
+        rollout, model = self._rollout, self._rollout.model
+        n = model.n_x
+        state, slopes = self._opening, np.zeros((rollout.n_x - n, len(rollout.free)))
+        states, memories, at = [], [], 0
+        for j, sample in enumerate(self._first):
+            if sample > at:
+                state, slopes = _carried(rollout, self._commands, (at, sample), state, slopes, p)
+                at = int(sample)
+            state = state.copy()
+            known = np.isfinite(self._values[j, self._columns])
+            columns, rows = np.array(self._columns, dtype=int)[known], self._rows[known]
+            state[rows] = self._values[j, columns]
+            moving = {
+                model.state_names[row]: float(self._rates[j, column])
+                for row, column in zip(rows, columns, strict=True)
+            }
+            state[:n] = self._kinematics.with_rates(state[:n], self._commands[sample], moving, p)
+            states.append(state)
+            memories.append(slopes)
+        return Starts(np.array(states), np.array(memories))
+
+
+def estimated_starts(rollout: Rollout, dataset: Dataset, first: IntArray, p: FloatArray) -> Starts:
+    """Starts of windows of one recording, for one set of parameters."""
+    return StartEstimator(rollout, dataset, first).at(p)
 
 
 def _carried(
@@ -144,9 +157,9 @@ def _polynomials(dataset: Dataset, first: IntArray) -> tuple[FloatArray, FloatAr
 class _Kinematics:
     """Momenta from the rates of the angles."""
 
-    def __init__(self, model: Model, measured: set[str], p: FloatArray) -> None:
+    def __init__(self, model: Model, measured: set[str]) -> None:
         kinds = kinds_of_states(model)
-        self._model, self._p = model, p
+        self._model = model
         self._angles = [i for i, kind in enumerate(kinds) if kind == "angle"]
         self._momenta = [
             i
@@ -161,14 +174,16 @@ class _Kinematics:
         else:
             self._momenta = []
 
-    def with_rates(self, x: FloatArray, u: FloatArray, rates: dict[str, float]) -> FloatArray:
+    def with_rates(
+        self, x: FloatArray, u: FloatArray, rates: dict[str, float], p: FloatArray
+    ) -> FloatArray:
         """The state with the momenta at which the measured angles change as they do."""
         names_ = [self._model.state_names[i] for i in self._angles]
         rows = [k for k, name in enumerate(names_) if name in rates]
         if not rows or not self._momenta:
             return x
         wanted = np.array([rates[names_[k]] for k in rows])
-        now, slope = (np.array(v) for v in self._rate(x, u, self._p, np.zeros(self._model.n_w)))
+        now, slope = (np.array(v) for v in self._rate(x, u, p, np.zeros(self._model.n_w)))
         # The rates are linear in the momenta.
         change, *_ = np.linalg.lstsq(
             slope[np.ix_(rows, self._momenta)], wanted - now[rows, 0], rcond=None

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.starts import estimated_starts, spreads
+from trms_cli.identification.greybox.starts import StartEstimator, Starts, spreads
 from trms_cli.identification.problem import FitProblem
 from trms_cli.models.model import names
 from trms_cli.simulation.rollout import Rollout
@@ -115,6 +115,9 @@ class Windows:
         for _, _, rows in self._of_dataset:
             self.follows[rows.start] = False
         self.spread = spreads(model)
+        self._estimators = [
+            StartEstimator(self.rollout, dataset, first) for dataset, first, _ in self._of_dataset
+        ]
         self._index = np.arange(int(self.count.max()))[None] < self.count[:, None]
         self.declared, self._target = self._measurements()
         self.measured = np.isfinite(self._target)
@@ -189,12 +192,8 @@ class Windows:
         full[:, : self.n_x] = starts
         return full, np.concatenate(slopes)
 
-    def _estimated(self, p: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        found = []
-        for dataset, first, _ in self._of_dataset:
-            states, slopes = estimated_starts(self.rollout, dataset, first, p)
-            found.append((states, slopes))
-        return found
+    def _estimated(self, p: FloatArray) -> list[Starts]:
+        return [estimator.at(p) for estimator in self._estimators]
 
     def _measurements(self) -> tuple[FloatArray, FloatArray]:
         """Declared noise (m, n_y) and measured outputs (m, c, n_y), NaN where there is none."""

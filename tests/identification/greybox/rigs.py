@@ -1,0 +1,71 @@
+"""Recordings of small simulated rigs for these tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import Model
+from trms_cli.simulation.rollout import Rollout
+
+SAMPLE = 0.02  # s
+QUANTUM = 2 * np.pi / 4096  # rad
+TACHO_NOISE = 1.6  # rad/s
+
+
+def levels(seed: int, samples: int, ranges: list[tuple[float, float]]) -> np.ndarray:
+    """Commands held for one to two seconds."""
+    generator = np.random.default_rng(seed)
+    u = np.empty((samples, len(ranges)))
+    for i, (low, high) in enumerate(ranges):
+        k = 0
+        while k < samples:
+            hold = int(generator.integers(50, 100))
+            u[k : k + hold, i] = generator.uniform(low, high)
+            k += hold
+    return u
+
+
+def recording(
+    model: Model,
+    *,
+    seed: int = 0,
+    seconds: float = 20.0,
+    ranges: list[tuple[float, float]],
+    noisy: bool = True,
+    substeps: int = 4,
+) -> tuple[Dataset, np.ndarray]:
+    """A dataset of the model with its present parameters, and the true states (n, n_x)."""
+    samples = round(seconds / SAMPLE)
+    u = levels(seed, samples, ranges)
+    rollout = Rollout(model, SAMPLE, substeps=substeps)
+    x, states, y = rollout.initial(model.rest(), u[0]), [], []
+    for k in range(samples):
+        states.append(x[: model.n_x].copy())
+        found = rollout.outputs(u, [k], [1], x[None])
+        y.append(found.y[0])
+        x = found.ends[0]
+    measured, sd = np.array(y), []
+    generator = np.random.default_rng(seed + 1)
+    for i, signal in enumerate(model.outputs):
+        if signal.unit == "rad":
+            if noisy:
+                measured[:, i] = np.round(measured[:, i] / QUANTUM) * QUANTUM
+            sd.append(QUANTUM / 12**0.5)
+        else:
+            if noisy:
+                measured[:, i] += TACHO_NOISE * generator.standard_normal(samples)
+            sd.append(TACHO_NOISE)
+    dataset = Dataset(
+        f"rig{seed}",
+        f"rig{seed}.csv",
+        "0" * 64,
+        SAMPLE,
+        np.arange(samples) * SAMPLE,
+        model.inputs,
+        model.outputs,
+        u,
+        measured,
+        np.array(sd),
+    )
+    return dataset, np.array(states)

@@ -1,0 +1,142 @@
+"""The parabola of the cost against differences of the cost itself; starts against the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.identification.greybox.rigs import recording
+from trms_cli.effects.actuator_lag import ActuatorLag
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.supply_derating import SupplyDerating
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.greybox.objective import Objective
+from trms_cli.identification.greybox.weights import Weights
+from trms_cli.identification.greybox.windows import Windows
+from trms_cli.identification.problem import FitProblem, free_parameters
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian
+
+RANGES = [(0.4, 1.5)]
+
+
+@pytest.fixture(scope="module")
+def vertical() -> Model:
+    return Newtonian(freedom="vertical")
+
+
+@pytest.fixture(scope="module")
+def remembering() -> Model:
+    effects = {
+        "main_input_delay": InputDelay(rotor="main", delay=0.03, longest=0.06),
+        "main_actuator_lag": ActuatorLag(rotor="main", time_constant=0.05),
+        "main_supply_derating": SupplyDerating(rotor="main", depth=0.1, time_constant=20.0),
+    }
+    return extended(Newtonian(freedom="vertical"), effects)
+
+
+def objective(
+    model: Model, dataset: Dataset, free: list[str], joined: float | None = None, **settings: float
+) -> tuple[Objective, np.ndarray, np.ndarray]:
+    problem = FitProblem(
+        model=model,
+        datasets=(dataset,),
+        free=free_parameters(model.parameters, free),
+        window_length=4.0,
+        jobs=1,
+        **settings,  # type: ignore[arg-type]
+    )
+    windows = Windows(problem)
+    n_y = windows.declared.shape[1]
+    own = Weights(10 * windows.declared, np.ones(n_y), windows.share, 3.0)
+    theta = problem.starts
+    starts = windows.starts(problem.all_values(theta))
+    return Objective(windows, own, starts, joined), theta, starts
+
+
+def largest_slope_error(own: Objective, theta: np.ndarray, starts: np.ndarray) -> float:
+    """Of the parabola in each scaled variable against central differences, relative."""
+    _, quadratic, _ = own.parabola(theta, starts)
+    spread, zero_x, zero = own.windows.spread, np.zeros_like(starts), np.zeros_like(theta)
+    wanted, found = [], []
+    step = 1e-5
+    for i in range(len(theta)):
+        move = step * np.eye(len(theta))[i]
+        ends = [own.cost(theta + s * move * own.scales, starts) for s in (1, -1)]
+        wanted.append((ends[0] - ends[1]) / (2 * step))
+        found.append((quadratic.cost(zero_x, move) - quadratic.cost(zero_x, -move)) / (2 * step))
+    for i in range(starts.shape[1]):
+        move = np.zeros_like(starts)
+        move[:, i] = step
+        ends = [own.cost(theta, starts + s * move * spread) for s in (1, -1)]
+        wanted.append((ends[0] - ends[1]) / (2 * step))
+        found.append((quadratic.cost(move, zero) - quadratic.cost(-move, zero)) / (2 * step))
+    return float(np.max(np.abs(np.subtract(wanted, found))) / np.max(np.abs(wanted)))
+
+
+@pytest.mark.parametrize("joined", [None, 0.03])
+def test_slopes_are_exact(vertical: Model, joined: float | None) -> None:
+    dataset, _ = recording(vertical, ranges=RANGES)
+    off = vertical.parameters.replaced({"k_fvp": 1.7e-5, "k_ov": 0.004})
+    model = Newtonian(freedom="vertical")
+    model.parameters = off
+    own, theta, starts = objective(model, dataset, ["k_fvp", "k_ov", "J_mr", "k_uv"], joined)
+    assert largest_slope_error(own, theta, starts) < 1e-5
+
+
+def test_slopes_see_what_commands_before_the_window_left_behind(remembering: Model) -> None:
+    dataset, _ = recording(remembering, ranges=RANGES)
+    free = ["*lag.time_constant", "*derating.*", "k_fvp"]
+    moved = {"main_supply_derating.depth": 0.15, "main_actuator_lag.time_constant": 0.08}
+    values = remembering.parameters
+    try:
+        remembering.parameters = values.replaced(moved)
+        own, theta, starts = objective(remembering, dataset, free)
+    finally:
+        remembering.parameters = values
+    assert largest_slope_error(own, theta, starts) < 1e-5
+
+
+def test_starts_are_near_the_truth(vertical: Model) -> None:
+    dataset, states = recording(vertical, ranges=RANGES)
+    own, _, starts = objective(vertical, dataset, ["k_ov"])
+    error = np.abs(starts - states[own.windows.first])
+    assert np.all(error < 0.2 * own.windows.spread)
+
+
+def test_rotors_that_are_not_measured_are_simulated(vertical: Model) -> None:
+    dataset, states = recording(vertical, ranges=RANGES)
+    pitch = replace(
+        dataset,
+        outputs=dataset.outputs[:1],
+        measurements=dataset.measurements[:, :1],
+        noise_sd=dataset.noise_sd[:1],
+    )
+    own, _, starts = objective(vertical, pitch, ["k_ov"])
+    row = vertical.state_index("omega_v")
+    # The rig began at rest, its estimate at the speed of the first command: forgotten in 8 s.
+    np.testing.assert_allclose(starts[2:, row], states[own.windows.first[2:], row], atol=0.1)
+    assert own.windows.measured.sum() == len(dataset)  # one output of two
+
+
+def test_missing_samples_have_no_part(vertical: Model) -> None:
+    dataset, _ = recording(vertical, ranges=RANGES)
+    own, theta, starts = objective(vertical, dataset, ["k_ov"])
+    full = own.cost(theta, starts)
+    holes = dataset.measurements.copy()
+    holes[300:350] = np.nan
+    own, theta, _ = objective(vertical, replace(dataset, measurements=holes), ["k_ov"])
+    assert own.cost(theta, starts) < full
+    assert np.isfinite(own.parabola(theta, starts)[1].triangles).all()
+
+
+def test_overlapping_windows_count_each_sample_once(vertical: Model) -> None:
+    dataset, _ = recording(vertical, ranges=RANGES, seconds=24.0)
+    alone, _, starts = objective(vertical, dataset, ["k_ov"])
+    twice, _, more = objective(vertical, dataset, ["k_ov"], window_stride=2.0)
+    ratio = twice.weights.share * twice.windows.measured.sum() / alone.windows.measured.sum()
+    assert ratio == pytest.approx(1.0, abs=0.1)
+    assert len(more) > 1.8 * len(starts)
