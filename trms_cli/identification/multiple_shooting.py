@@ -197,7 +197,8 @@ def _covariance(fit: MapFit, problem: FitProblem) -> FloatArray | None:
 def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str, Any]:
     """What the result says beside its values, as JSON has it."""
     judge, standings = best.objective, _standings(fits)
-    behind = [float(s) if np.isfinite(s) else None for s in standings - standings.min()]
+    least = standings.min()
+    behind = [float(s - least) if np.isfinite(s) else None for s in standings]
     details: dict[str, Any] = {
         "starts": [
             {
