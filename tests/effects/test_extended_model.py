@@ -8,6 +8,9 @@ from trms_cli.core.errors import ModelError
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.models.tras import Tras
 
 FORMS = ["quasi_static", "dynamic"]
 #: Largest error ratio that a halved substep must give, by kind; 1/2 is order one.
@@ -240,3 +243,22 @@ def test_a_base_of_one_state_keeps_its_size(rig):
     p = ca.SX.sym("p", len(model.parameters))
     _, after = model.input_path(memory, ca.SX.sym("u", 2), p, (0.0, 1.0), 0.02)
     assert after.shape == (1, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("other", [Tras, QuanserAero, Lagrangian])
+def test_other_models_take_every_effect_too(rig, effect_name, other):
+    """Absent it changes no bit, present it changes something, whatever the rig is called."""
+    base = other()
+    u = rig.rich_input(60) * base.input_bounds()[1] / 2.5
+    start = base.rest()
+    start[base.state_index("S_v")] = start[base.state_index("S_h")] = 0.5
+    expected = rig.simulate(base, u, start=start)
+    absent = rig.extended(base, {effect_name: rig.absent(effect_name)})
+    np.testing.assert_array_equal(rig.simulate(absent, u, start=start)[:, :6], expected)
+    model = rig.extended(base, {effect_name: rig.effect(effect_name)})
+    blown = np.concatenate([start, np.full(model.n_x - 6, 0.01)])
+    x = rig.simulate(model, u, start=blown)
+    y, plain = rig.readings(model, x, u), rig.readings(base, expected, u)
+    assert np.all(np.isfinite(y))
+    assert np.any(y != plain)
