@@ -16,6 +16,7 @@ from trms_cli.commands.validate_pictures import (
 )
 from trms_cli.identification.validation.validate import ModelValidation
 from trms_cli.identification.validation.verdict import (
+    SMALL,
     Remark,
     lead_of,
     p_words,
@@ -94,11 +95,11 @@ def _comparison(page: Page, document: Mapping[str, Any]) -> None:
             for figures in horizons.values():
                 low, high = figures["ci95"]
                 mark = ""
-                if low is not None:
+                if low is not None and abs(figures["ratio"] - 1.0) >= SMALL:
                     mark = "good" if high < 1 else "bad" if low > 1 else ""
-                text = "–" if figures["ratio"] is None else f"{figures['ratio']:.2g}"
+                text = "–" if figures["ratio"] is None else f"{figures['ratio']:.3g}"
                 if low is not None:
-                    text += f" ({low:.2g}–{high:.2g})"
+                    text += f" ({low:.3g} … {high:.3g})"
                 cells.append(Marked(text, mark))  # type: ignore[arg-type]
             detail.append([" / ".join(pair["models"]), word(channel), *cells])
     horizons = list(next(iter(document["comparison"][0]["by_channel"].values()), {}))
@@ -106,8 +107,8 @@ def _comparison(page: Page, document: Mapping[str, Any]) -> None:
         page.table(
             ["models", "channel", *(f"{float(h):g} s" for h in horizons)],
             detail,
-            "RMS of the first over RMS of the second, with 95 % intervals; coloured where 1 lies "
-            "outside.",
+            "RMS of the first over RMS of the second, with 95 % intervals; coloured where they "
+            f"differ by more than chance and more than {100 * SMALL:g} %.",
             heads=2,
         )
 

@@ -34,7 +34,7 @@ _MOST_POINTS = 4_000
 _PIXELS_PER_INCH = 144
 
 #: Letters up to which a cell stays on one line.
-_SHORT = 16
+_SHORT = 24
 
 #: What a cell or a verdict is: coloured, and told by its text too.
 Mark = Literal["good", "bad", "doubtful", ""]

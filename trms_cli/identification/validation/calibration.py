@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from trms_cli.identification.dataset import Dataset, FloatArray
-from trms_cli.identification.validation.prediction import predict_one_step
+from trms_cli.identification.validation.prediction import OneStepFilter, predict_one_step
 from trms_cli.identification.validation.residual_tests import ResidualTests
 from trms_cli.identification.validation.validate import ModelValidation, tests_of
 from trms_cli.models.model import index_of, names
@@ -51,13 +51,19 @@ def calibrated(
         return None
     generator = np.random.default_rng(options.seed)
     statistics = []
+    filters = [
+        OneStepFilter(validation.model, dataset, options.predictor) if step.noise_factors else None
+        for dataset, step in zip(validation.datasets, validation.one_steps, strict=True)
+    ]
     factors = None  # of the filter's process noise: fitted to the first simulation, and kept
     for count in range(options.tests.simulations):
         simulated, steps = [], []
-        for dataset, y in zip(validation.datasets, clean, strict=True):
+        for dataset, y, filter_ in zip(validation.datasets, clean, filters, strict=True):
             assert y is not None
             data = replace(dataset, measurements=_measured(y, dataset, quanta, generator))
-            step = predict_one_step(validation.model, data, rollout, options.predictor, factors)
+            step = predict_one_step(
+                validation.model, data, rollout, options.predictor, factors, filter_
+            )
             factors = step.noise_factors or None
             simulated.append(data)
             steps.append(step)

@@ -69,6 +69,7 @@ def predict_one_step(
     rollout: Rollout,
     options: PredictorOptions,
     noise_factors: Mapping[str, float] | None = None,
+    prepared: OneStepFilter | None = None,
 ) -> OneStep:
     """Predict every sample from those before it.
 
@@ -78,18 +79,20 @@ def predict_one_step(
         Of the model at the recording's sample time.
     noise_factors : mapping or None
         Factors of the process noise that are known already (from another recording).
+    prepared : OneStepFilter or None
+        Over a recording with the same commands, to be used again with these measurements.
     """
     remembered = measured_states(model, dataset)
     if remembered is not None:
         return _from_measured(model, dataset, rollout, remembered)
-    filter_ = _Filter(model, dataset, options)
+    filter_ = prepared or OneStepFilter(model, dataset, options)
     settled = round(options.settle / dataset.sample_time)
     factors = dict(noise_factors or {"beam": 1.0, "drive": 1.0})
     if noise_factors is None and options.process_noise == "fitted":
         part = dataset.part(0, min(len(dataset), _SAMPLES_TO_FIT))
-        short = filter_ if len(part) == len(dataset) else _Filter(model, part, options)
+        short = filter_ if len(part) == len(dataset) else OneStepFilter(model, part, options)
         factors = _fitted_factors(short, settled)
-    errors, sd, states = filter_.run(factors)
+    errors, sd, states = filter_.run(factors, dataset.measurements)
     errors[:settled] = np.nan
     words = "unscented Kalman filter, " + (
         f"torques estimated on {', '.join(options.torques)}"
@@ -125,7 +128,7 @@ def _from_measured(model: Model, dataset: Dataset, rollout: Rollout, states: Flo
     )
 
 
-class _Filter:
+class OneStepFilter:
     """A filter over one recording, run again and again with other process noise."""
 
     def __init__(self, model: Model, dataset: Dataset, options: PredictorOptions) -> None:
@@ -152,29 +155,41 @@ class _Filter:
             + [""] * (len(self._nominal) - len(kinds))
         )
 
-    def run(self, factors: Mapping[str, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Innovations, their deviations, and filtered states, from the beginning."""
+    def run(
+        self, factors: Mapping[str, float], measurements: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Innovations, their deviations, and filtered states, from the beginning.
+
+        Parameters
+        ----------
+        factors : mapping
+            Of the process noise.
+        measurements : (n, n_y) array or None
+            Others than the recording's.
+        """
         dataset, state, observer = self._dataset, self._state, self._observer
+        if measurements is None:
+            measurements = dataset.measurements
         for values, initial in zip(self._inputs, self._initial, strict=True):
             values[...] = initial
         state.started = False
         for name, factor in factors.items():
             chosen = self._group == name
             self._variances[chosen] = factor**2 * self._nominal[chosen]
-        n, n_y = dataset.measurements.shape
+        n, n_y = measurements.shape
         innovations, sd = np.empty((n, n_y)), np.empty((n, n_y))
         states = np.empty((n, self._n_x))
         command = dataset.commands[0]
         with np.errstate(all="ignore"):
             for k in range(n):
-                estimate = observer.step(state, command, dataset.measurements[k], None)
+                estimate = observer.step(state, command, measurements[k], None)
                 innovations[k], sd[k] = estimate.innovation, estimate.innovation_sd
                 states[k] = estimate.x
                 command = dataset.commands[k]
         return innovations, sd, states
 
 
-def _fitted_factors(filter_: _Filter, skipped: int) -> dict[str, float]:
+def _fitted_factors(filter_: OneStepFilter, skipped: int) -> dict[str, float]:
     """Factors of the process noise that make the innovations most likely, one after the other."""
     factors = {"drive": 1.0, "beam": 1.0}
 

@@ -28,6 +28,8 @@ _AT_THE_NOISE = 1.5
 _GOOD, _USEFUL = 0.3, 0.9
 #: A quarter of the time with this much of the squared error is worth a sentence.
 _CONCENTRATED = 0.5
+#: Models whose errors differ by less than this share are alike for all purposes.
+SMALL = 0.02
 #: Most sentences on failed tests.
 _MOST_TESTS = 6
 #: Kinds of tests that a right model fails too where its outputs are quantised.
@@ -122,10 +124,16 @@ def _lead_of_several(document: Mapping[str, Any]) -> list[str]:
         for c, rows in lasting["by_horizon"].items()
     ]
     if against is not None and against["ratio"] is not None:
-        ratio = f"{against['ratio']:.2g}"
+        ratio = f"{against['ratio']:.3g}"
         if against["ci95"][0] is not None:
-            ratio += f" (95 % interval {against['ci95'][0]:.2g} to {against['ci95'][1]:.2g})"
-        if against["differ"]:
+            ratio += f" (95 % interval {against['ci95'][0]:.3g} to {against['ci95'][1]:.3g})"
+        if against["differ"] and abs(against["ratio"] - 1.0) < SMALL:
+            sentences.append(
+                f"{best['model']} and {ranking[1]['model']} foretell alike: the errors of the "
+                f"first are {ratio} times those of the second, on average over channels and "
+                "horizons."
+            )
+        elif against["differ"]:
             sentences.append(
                 f"{best['model']} foretells best: its errors are {ratio} times those of "
                 f"{ranking[1]['model']}, on average over channels and horizons."
@@ -164,7 +172,7 @@ def _on_errors(document: Mapping[str, Any]) -> Iterator[Remark]:
         text = f"**{word(channel)}**: {errors}; predicting no change errs by {naive}"
         fit = rows[chosen[-1]]["fit_percent"]
         if fit is not None:
-            text += f"; fit {fit:.0f} %"
+            text += f"; fit {fit:.0f} %".replace("-", "−")
         if set(grades) == {"noise"}:
             noise = said(document["noise_sd"][channel], unit)
             text += f". That is the sensor's noise ({noise})"
@@ -220,12 +228,12 @@ def _on_tests(document: Mapping[str, Any]) -> Iterator[Remark]:
     for (channel, meaning), found in list(groups.items())[:_MOST_TESTS]:
         inputs = [" × ".join(word(name) for name in test["inputs"]) for test in found]
         of = f" ({_listed(inputs)})" if any(inputs) else ""
-        largest = max(abs(test["largest_correlation"] or 0.0) for test in found)
-        yield Remark(
-            f"**{word(channel)}**: {meaning}{of}; correlation up to {largest:.2f}, "
-            f"{p_words(found[0]['p_holm'])}.",
-            "bad",
-        )
+        size = ""
+        if found[0]["name"] != "mean":
+            largest = max(abs(test["largest_correlation"] or 0.0) for test in found)
+            size = f" correlation up to {largest:.2f},"
+        p = p_words(found[0]["p_holm"])
+        yield Remark(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
     rest = sum(len(found) for found in list(groups.values())[_MOST_TESTS:])
     if rest:
         yield Remark(f"{rest} more tests fail: see the table.", "bad")
@@ -282,14 +290,16 @@ def remarks_on_comparison(document: Mapping[str, Any]) -> list[Remark]:
         one, other = pair["models"]
         if pair["ratio"] is None:
             continue
-        ratio = f"{pair['ratio']:.2g}"
+        ratio = f"{pair['ratio']:.3g}"
         if pair["ci95"][0] is not None:
-            ratio += f" ({pair['ci95'][0]:.2g} to {pair['ci95'][1]:.2g})"
-        if pair["differ"]:
-            text = f"{one} errs {ratio} times as much as {other}: more than chance."
+            ratio += f" ({pair['ci95'][0]:.3g} to {pair['ci95'][1]:.3g})"
+        text = f"{one} errs {ratio} times as much as {other}"
+        if not pair["differ"]:
+            remarks.append(Remark(f"{text}: these recordings do not tell.", "doubtful"))
+        elif abs(pair["ratio"] - 1.0) < SMALL:
+            remarks.append(Remark(f"{text}: more than chance, and next to nothing.", "doubtful"))
         else:
-            text = f"{one} errs {ratio} times as much as {other}: these recordings do not tell."
-        remarks.append(Remark(text, "good" if pair["differ"] else "doubtful"))
+            remarks.append(Remark(f"{text}: more than chance.", "good"))
     return remarks
 
 

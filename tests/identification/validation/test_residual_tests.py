@@ -1,0 +1,108 @@
+"""The family of tests: false alarms at their level, and each defect found by its own test."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import binom
+
+from trms_cli.identification.validation.residual_tests import (
+    MEANING,
+    geometric_lags,
+    residual_tests,
+)
+
+N = 800
+
+
+def inputs(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Two commands in steps of 0.16 s at 50 Hz, with several levels."""
+    return {name: np.repeat(rng.uniform(-1, 1, N // 8), 8)[:N] for name in ("u_v", "u_h")}
+
+
+def response(u: dict[str, np.ndarray], e: np.ndarray) -> np.ndarray:
+    return lfilter([0.0, 0.1], [1.0, -0.9], u["u_v"] + 0.5 * u["u_h"]) + e
+
+
+@pytest.mark.parametrize("noise", ["white", "coloured, whitened by the tests"])
+def test_false_alarms_in_the_whole_family_come_at_the_nominal_rate(noise):
+    """The residuals of the very model that made the data; Holm is a bound, not an equality."""
+    seeds, alarms = 200, 0
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        u, e = inputs(rng), rng.standard_normal((2, N))
+        if noise != "white":
+            e = lfilter([1.0], [1.0, -0.5], e)
+        y = {"alpha_v": response(u, e[0]), "alpha_h": response(u, e[1])}
+        tests = residual_tests({"alpha_v": e[0], "alpha_h": e[1]}, u, y, lags=10, longest_lag=30)
+        failed = tests.failures()
+        if noise != "white":
+            failed = [test for test in failed if test.kind not in ("auto", "ljung_box")]
+        alarms += bool(failed)
+    low, high = binom.interval(0.999, seeds, 0.05)
+    assert alarms <= high
+    assert noise != "white" or alarms >= max(1, low)
+
+
+DEFECTS = {
+    "auto": lambda rng, u, e: lfilter([1.0, 0.4], [1.0], e),
+    "input": lambda rng, u, e: e + 0.4 * np.roll(u["u_v"], 2),
+    "square": lambda rng, u, e: e + 1.0 * np.roll(u["u_v"], 1) ** 2,
+    "product": lambda rng, u, e: e + 0.8 * np.roll(u["u_v"] * u["u_h"], 1),
+    "bilinear": lambda rng, u, e: e + 0.6 * np.roll(e * u["u_h"], 1),
+    "square_square": lambda rng, u, e: e * (0.5 + 1.5 * np.roll(u["u_h"], 1) ** 2),
+    "mean": lambda rng, u, e: e + 0.3,
+}
+
+
+@pytest.mark.parametrize("kind", DEFECTS)
+def test_each_defect_is_found_by_its_own_test(kind):
+    found = 0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u, e = inputs(rng), rng.standard_normal(N)
+        residual = DEFECTS[kind](rng, u, e)
+        residual[:3] = e[:3]
+        y = response(u, residual)
+        tests = residual_tests({"alpha_v": residual}, u, {"alpha_v": y}, lags=10, longest_lag=30)
+        found += kind in {test.kind for test in tests.failures()}
+    assert found >= 8
+
+
+@pytest.mark.parametrize("kind, blind", [("square", "input"), ("product", "input")])
+def test_a_linear_correlation_is_blind_to_even_terms(kind, blind):
+    """Why there are nonlinear tests at all."""
+    missed = 0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u, e = inputs(rng), rng.standard_normal(N)
+        residual = DEFECTS[kind](rng, u, e)
+        tests = residual_tests(
+            {"alpha_v": residual}, u, {"alpha_v": response(u, e)}, lags=10, longest_lag=30
+        )
+        missed += blind not in {test.kind for test in tests.failures()}
+    assert missed >= 8
+
+
+def test_an_input_that_never_moves_has_no_tests():
+    rng = np.random.default_rng(0)
+    e = rng.standard_normal(N)
+    u = {"u_v": inputs(rng)["u_v"], "u_h": np.ones(N)}
+    tests = residual_tests({"alpha_v": e}, u, {"alpha_v": response(u, e)})
+    assert {name for test in tests.tests for name in test.inputs} == {"u_v"}
+
+
+def test_every_kind_has_its_meaning_and_every_name_is_unique():
+    rng = np.random.default_rng(0)
+    u, e = inputs(rng), rng.standard_normal((2, N))
+    y = {"alpha_v": response(u, e[0]), "alpha_h": response(u, e[1])}
+    tests = residual_tests(dict(zip(y, e, strict=True)), u, y)
+    assert {test.kind for test in tests.tests} == set(MEANING)
+    assert len({(test.channel, test.name) for test in tests.tests}) == len(tests.tests)
+
+
+def test_lags_grow_geometrically():
+    lags = geometric_lags(100)
+    assert lags[:4] == [1, 2, 3, 4] or lags[:3] == [1, 2, 3]
+    assert lags == sorted(set(lags)) and lags[-1] <= 100 and len(lags) < 15

@@ -1,0 +1,282 @@
+"""Models held against recordings whose truth is known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from known_rig import QUANTUM, SAMPLE_TIME, model, recording
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.validation.calibration import calibrated, matched_tail
+from trms_cli.identification.validation.document import document_of
+from trms_cli.identification.validation.lagged_state import measured_states
+from trms_cli.identification.validation.options import (
+    TestOptions,
+    ValidationOptions,
+    WindowOptions,
+)
+from trms_cli.identification.validation.validate import ModelValidation, validate_all
+from trms_cli.identification.validation.verdict import (
+    lead_of,
+    remarks_on,
+    remarks_on_comparison,
+    said,
+)
+from trms_cli.models.discrete import SteppedModel
+from trms_cli.models.driven import DrivenModel
+from trms_cli.models.model import Model, Signal, names
+from trms_cli.models.parameters import ParameterSet
+
+OPTIONS = ValidationOptions()
+
+
+def validated(
+    candidate: Model, *datasets: Dataset, options: ValidationOptions = OPTIONS
+) -> ModelValidation:
+    return validate_all({"m": candidate}, {"m": list(datasets)}, options)[0]
+
+
+@pytest.fixture(scope="module")
+def rig() -> Model:
+    return model()
+
+
+@pytest.fixture(scope="module")
+def data(rig) -> Dataset:
+    return recording(rig)
+
+
+@pytest.fixture(scope="module")
+def right(rig, data) -> ModelValidation:
+    return validated(rig, data)
+
+
+@pytest.fixture(scope="module")
+def wrong(data) -> ModelValidation:
+    return validated(model(k_fvp=1.05), data)
+
+
+class TestErrors:
+    def test_the_right_model_errs_by_the_noise_at_every_horizon(self, right):
+        for channel, horizons in document_of([right])["error"].items():
+            for value in horizons.values():
+                assert value == pytest.approx(right.noise_sd(channel), rel=0.1)
+
+    def test_a_wrong_thrust_shows_in_pitch_and_grows(self, right, wrong):
+        error = document_of([wrong])["error"]["alpha_v"]
+        assert error["0.1"] < error["0.5"] < error["2.0"]
+        assert error["2.0"] > 20 * right.noise_sd("alpha_v")
+        assert document_of([wrong])["error"]["omega_v"]["2.0"] == pytest.approx(
+            document_of([right])["error"]["omega_v"]["2.0"], rel=0.02
+        )
+
+    def test_no_window_sees_itself(self, rig, data, right):
+        """What comes after a window's start does not move the window's start."""
+        first = right.runs[0].windows[0.5]
+        later = data.measurements.copy()
+        cut = int(first.first[10])
+        later[cut:] += 1.0
+        factors = ValidationOptions(predictor=replace(OPTIONS.predictor, process_noise="nominal"))
+        a = validated(rig, data, options=factors).runs[0].windows[0.5]
+        b = validated(rig, replace(data, measurements=later), options=factors).runs[0].windows[0.5]
+        upto = np.flatnonzero(a.first <= cut)
+        simulated = [(x.measured - x.errors)[upto] for x in (a, b)]
+        assert simulated[0] == pytest.approx(simulated[1], abs=1e-9)
+
+    @pytest.mark.parametrize("start", ["moving_horizon", "fitted"])
+    def test_other_starts(self, rig, data, right, start):
+        found = document_of(
+            [
+                validated(
+                    rig,
+                    data.part(0, 800),
+                    options=ValidationOptions(windows=WindowOptions(start=start, stride=2.0)),
+                )
+            ]
+        )
+        for channel, horizons in found["error"].items():
+            noise = right.noise_sd(channel)
+            assert horizons["2.0"] == pytest.approx(noise, rel=0.15)
+            if start == "fitted" and channel.startswith("alpha"):  # two states, five samples
+                assert horizons["0.1"] < noise
+
+    def test_missing_samples_cost_nothing_but_themselves(self, rig, data, right):
+        lost = data.measurements.copy()
+        rng = np.random.default_rng(0)
+        lost[rng.random(lost.shape) < 0.2] = np.nan
+        lost[700:760] = np.nan
+        found = document_of([validated(rig, replace(data, measurements=lost))])
+        for channel, horizons in found["error"].items():
+            assert horizons["2.0"] == pytest.approx(right.noise_sd(channel), rel=0.15)
+        assert found["recordings"][0]["missing"]["alpha_v"] > 400
+
+    def test_a_channel_that_was_not_measured_is_left_out(self, rig, data):
+        part = replace(
+            data,
+            outputs=data.outputs[:2],
+            measurements=data.measurements[:, :2],
+            noise_sd=data.noise_sd[:2],
+        )
+        found = document_of([validated(rig, part)])
+        assert list(found["error"]) == ["alpha_v", "alpha_h"]
+        assert found["error"]["alpha_v"]["2.0"] < 2e-3
+
+    def test_driven_by_measured_rotors(self, rig, data):
+        driven = ("omega_v", "omega_h")
+        found = document_of([validated(DrivenModel(rig, driven), data.driven_by(driven))])
+        assert list(found["error"]) == ["alpha_v", "alpha_h"]
+        assert found["fit_percent"]["alpha_v"] > 90
+
+    def test_one_axis(self):
+        beam = model("newtonian_vertical")
+        found = document_of([validated(beam, recording(beam, 20.0))])
+        assert list(found["error"]) == ["alpha_v", "omega_v"]
+        assert found["residual_tests"]["failed"] == 0
+
+    def test_several_recordings_are_pooled(self, rig, data, right):
+        other = replace(recording(rig, 20.0, seed=5), name="second")
+        both = validated(rig, data, other)
+        found = document_of([both])
+        alone = document_of([right])
+        assert found["windows"]["2.0"] > alone["windows"]["2.0"]
+        assert set(found["error_by_recording"]) == {"rig", "second"}
+        assert found["error_by_recording"]["rig"] == alone["error"]
+
+    def test_horizons_that_do_not_fit_are_left_out_and_said(self, rig, data):
+        found = document_of([validated(rig, data.part(0, 300))])
+        assert list(found["error"]["alpha_v"]) == ["0.1", "0.5", "2.0"]
+        assert found["left_out_horizons_s"] == [10.0]
+
+    def test_too_short(self, rig, data):
+        with pytest.raises(ConfigurationError, match=r"lasts 2 s, and 2\.1 s are needed"):
+            validated(rig, data.part(0, 100))
+
+    def test_sample_times_must_agree(self, rig, data):
+        other = replace(data, sample_time=0.04)
+        with pytest.raises(ConfigurationError, match="sample time"):
+            validated(rig, data, other)
+
+
+class TestResidualTests:
+    def test_a_right_model_passes_in_spite_of_quantised_angles(self, right):
+        # one recording; the rate over many is held in test_residual_tests.py
+        assert document_of([right])["residual_tests"]["failed"] == 0
+
+    def test_a_wrong_one_fails_where_it_is_wrong(self, wrong):
+        assert wrong.tests.failures()[0].channel in ("alpha_v", "alpha_h")
+        assert "input_u_v" in {t.name for t in wrong.tests.of("alpha_v") if t.failed()}
+
+    def test_p_values_from_simulation_agree_with_the_limit_where_that_holds(self, rig, data):
+        options = ValidationOptions(tests=TestOptions(simulations=12, calibration="simulated"))
+        found = calibrated(validated(rig, data.part(0, 1000), options=options), QUANTUM)
+        assert not found.failures()
+        assert len(found.tests) == 64
+
+    def test_a_matched_tail_is_the_chi_square_of_many_simulations(self):
+        from scipy.stats import chi2
+
+        simulated = chi2(7).rvs(4000, random_state=0) * 1.7
+        for statistic in (5.0, 15.0, 25.0):
+            exact = chi2(7).sf(statistic / 1.7)
+            assert matched_tail(statistic, simulated, 7) == pytest.approx(exact, rel=0.15)
+
+    def test_a_model_that_runs_away_cannot_be_simulated_along(self, data):
+        small = replace(data, measurements=1e-3 * data.measurements, noise_sd=1e-3 * data.noise_sd)
+        assert calibrated(validated(model(), small), QUANTUM) is None
+
+
+class TestWords:
+    def test_say_what_is_good(self, right):
+        document = document_of([right])
+        assert "down to the sensor's noise" in lead_of(document)[0]
+        assert {remark.judgement for remark in remarks_on(document)} == {"good"}
+
+    def test_say_what_is_not(self, wrong):
+        document = document_of([wrong])
+        text = " ".join(remark.text for remark in remarks_on(document))
+        assert "main command" in text
+        assert "residual tests find something" in lead_of(document)[1]
+
+    def test_compare(self, right, wrong):
+        document = document_of([replace(right, name="right"), replace(wrong, name="wrong")])
+        assert document["ranking"][0]["model"] == "right"
+        assert document["comparison"][0]["differ"]
+        assert lead_of(document)[0].startswith("right foretells best")
+        assert "more than chance" in remarks_on_comparison(document)[0].text
+        assert set(document["models"]) == {"right", "wrong"}
+
+    def test_a_model_against_itself_is_alike(self, right):
+        document = document_of([replace(right, name="a"), replace(right, name="b")])
+        assert not document["comparison"][0]["differ"]
+        assert document["comparison"][0]["ratio"] == 1.0
+
+    def test_figures_with_units(self):
+        assert said(0.0123, "rad") == "12.3 mrad"
+        assert said(1.5, "rad") == "1.5 rad"
+        assert said(1.6, "rad/s") == "1.6 rad/s"
+        assert said(None, "rad") == "–"
+
+    def test_the_document_is_json_and_keeps_its_contract(self, right):
+        document = json.loads(json.dumps(document_of([right]), allow_nan=False))
+        assert document["schema"] == "trms.validation/1"
+        assert set(document["error"]["alpha_v"]) == {"0.1", "0.5", "2.0", "10.0"}
+        assert isinstance(document["fit_percent"]["alpha_v"], float)
+
+
+class Remembering(SteppedModel):
+    """y(k+1) = a y(k) + b y(k−1) + c u(k) + d u(k−1): a linear NARX model of one axis."""
+
+    def __init__(self) -> None:
+        self.name = "remembering"
+        self.sample_time = SAMPLE_TIME
+        self.states = (
+            Signal("alpha_v", "rad"), Signal("alpha_v_1", "rad"), Signal("u_v_1", "V")
+        )  # fmt: skip
+        self.inputs, self.outputs = (Signal("u_v", "V"),), (Signal("alpha_v", "rad"),)
+        self.disturbances = ()
+        self.parameters = ParameterSet([])
+        self.controlled, self.input_limits, self.stops = ("alpha_v",), {"u_v": 2.5}, {}
+        self.axes, self.rotors = {}, {}
+
+    def transition(self, x, u, p, w):
+        return ca.vertcat(1.7 * x[0] - 0.72 * x[1] + 0.01 * u[0] + 0.01 * x[2], x[0], u[0])
+
+    def measurement(self, x, u, p):
+        return x[:1, 0]
+
+
+class TestBlackBox:
+    @pytest.fixture
+    def made(self) -> Dataset:
+        rng = np.random.default_rng(0)
+        n = 1500
+        u = np.repeat(rng.uniform(-1, 1, n // 10), 10)
+        y = np.zeros(n)
+        for k in range(1, n - 1):
+            y[k + 1] = 1.7 * y[k] - 0.72 * y[k - 1] + 0.01 * u[k] + 0.01 * u[k - 1]
+            y[k + 1] += 0.001 * rng.standard_normal()
+        return Dataset(
+            "made", "made.csv", "0" * 64, SAMPLE_TIME, SAMPLE_TIME * np.arange(n),
+            (Signal("u_v", "V"),), (Signal("alpha_v", "rad"),), u[:, None], y[:, None],
+            np.array([0.001]),
+        )  # fmt: skip
+
+    def test_its_state_is_the_measured_past(self, made):
+        states = measured_states(Remembering(), made)
+        y, u = made.measurements[:, 0], made.commands[:, 0]
+        assert np.array_equal(states[5], [y[5], y[4], u[4]])
+        assert np.isnan(states[0]).any()
+        assert measured_states(model(), made) is None
+
+    def test_its_one_step_errors_are_the_noise_that_drove_it(self, made):
+        found = validated(Remembering(), made)
+        document = document_of([found])
+        assert document["one_step"]["alpha_v"]["rms"] == pytest.approx(0.001, rel=0.06)
+        assert document["residual_tests"]["failed"] == 0
+        assert "measured values" in document["predictor"]
+        assert names(found.channels) == ("alpha_v",)

@@ -1,0 +1,114 @@
+"""Pages that stand alone: nothing fetched, everything escaped, whole or not at all."""
+
+from __future__ import annotations
+
+import math
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from trms_cli.reporting.page import Marked, Page, embedded, shown_cell
+from trms_cli.reporting.style import new_figure
+
+
+class Tree(HTMLParser):
+    """Checks that tags are closed in order, and collects what would be fetched."""
+
+    VOID = ("meta", "img", "br", "link")
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+        self.ids: list[str] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.sources += [values[name] for name in ("src", "href") if name in values]
+        self.ids += [values["id"]] if "id" in values else []
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def drawing(points: int = 50):
+    figure = new_figure(3, 2)
+    figure.subplots().plot(np.arange(points), np.sin(np.arange(points)))
+    return figure
+
+
+@pytest.fixture
+def page() -> Page:
+    page = Page("A <title>", ["It is **good**.", "See `x & y`."], {"file": "a<b>.csv"})
+    page.section("Errors", "RMS & more.")
+    page.table(["channel", "RMS [rad]"], [["pitch", 0.0123], ["yaw", Marked(None, "bad")]], "Cap")
+    page.figure(drawing(), "A sine")
+    page.section("Errors", ["One.", "Two."])
+    page.points(["plain", Marked("wrong <here>", "bad")])
+    page.section("End")
+    return page
+
+
+def test_is_well_formed_and_fetches_nothing(page):
+    tree = Tree(page.html())
+    assert all(source.startswith(("data:", "#")) for source in tree.sources)
+    assert "http" not in page.html().replace("http-equiv", "")
+    assert len(set(tree.ids)) == len(tree.ids)
+    assert all(source[1:] in tree.ids for source in tree.sources if source[0] == "#")
+
+
+def test_text_is_escaped_and_two_marks_are_understood(page):
+    text = page.html()
+    assert "A &lt;title&gt;" in text and "a&lt;b&gt;.csv" in text and "wrong &lt;here&gt;" in text
+    assert "<strong>good</strong>" in text and "<code>x &amp; y</code>" in text
+
+
+def test_a_column_of_numbers_stands_right(page):
+    text = page.html()
+    assert '<th scope="col" class="number">RMS [rad]</th>' in text
+    assert '<td class="bad number">–</td>' in text
+
+
+@pytest.mark.parametrize(
+    "value, shown",
+    [(None, "–"), (math.nan, "–"), (math.inf, "∞"), (0.0, "0"), (0.012345, "0.0123"),
+     (-3.14159, "−3.14"), (123456.0, "1.2e05"), (4321.0, "4321"), (1.2e-5, "1.2e−05"),
+     (7, "7"), ("text", "text")],
+)  # fmt: skip
+def test_cells(value, shown):
+    assert shown_cell(value) == shown
+
+
+def test_few_points_are_curves_many_are_pixels_and_both_are_reproducible():
+    assert embedded(drawing())[0] == "image/svg+xml"
+    kind, content = embedded(drawing(20_000))
+    assert kind == "image/png" and content[:4] == b"\x89PNG"
+    assert embedded(drawing()) == embedded(drawing())
+    assert embedded(drawing(20_000))[1] == content
+
+
+def test_is_written_whole_or_not_at_all(page, tmp_path, monkeypatch):
+    path = tmp_path / "page.html"
+    page.write(path)
+    assert path.read_text(encoding="utf-8") == page.html()
+
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OSError):
+        Page("other").write(path)
+    assert path.read_text(encoding="utf-8") == page.html()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_content_before_the_first_section_has_a_place():
+    page = Page("bare")
+    page.text("hello")
+    Tree(page.html())
+    assert "hello" in page.html()
