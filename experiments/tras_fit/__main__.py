@@ -1,0 +1,114 @@
+"""``python -m experiments.tras_fit tras/``: fit the first part of the record, judge on the rest."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.tras_fit.study import Fitted, errors, fitted, model_of, parts_of, read_study
+from trms_cli.cli import describe_error
+from trms_cli.core.errors import TrmsError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study and print its tables, or one JSON document."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.tras_fit", description=__doc__)
+    parser.add_argument("folder", type=Path, help="closed_loop.csv and the static curves")
+    parser.add_argument("--fit-only", action="store_true", help="leave the held-out part alone")
+    parser.add_argument("--only", default=None, help="one of the fits: rotors, commands")
+    parser.add_argument("--jobs", type=int, default=2, help="threads")
+    parser.add_argument("--json", action="store_true", help="print trms.tras_fit/1")
+    given = parser.parse_args(argv)
+    if not (given.folder / "closed_loop.csv").is_file():
+        print(f"skipped: there is no closed_loop.csv in {given.folder}", file=sys.stderr)
+        return 0
+    settings = read_study()
+    document: dict[str, Any] = {"schema": "trms.tras_fit/1", "fits": {}}
+    try:
+        for name, fit in settings["fits"].items():
+            if given.only in (None, name):
+                document["fits"][name] = _told(given, settings, fit)
+    except TrmsError as error:
+        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
+        return error.exit_code
+    print(json.dumps(document, indent=1) if given.json else _table(document))
+    return 0
+
+
+def _told(given: argparse.Namespace, settings: dict[str, Any], fit: dict[str, Any]) -> Any:
+    found = fitted(given.folder, settings, fit, given.jobs)
+    first, rest = parts_of(given.folder, settings, fit)
+    parts = {"fitted": first} if given.fit_only else {"fitted": first, "held_out": rest}
+    before = model_of(given.folder, settings, fit)
+    return {
+        "outcome": found.result.outcome.value,
+        "seconds": found.result.seconds,
+        "starts": found.result.details["starts"],
+        "outputs": found.result.details["outputs"],
+        "on_bounds": found.result.details["on_bounds"],
+        "confounded": found.result.details["identifiability"]["confounded"],
+        "parameters": _parameters(found),
+        "errors": {name: errors(found.model, part, settings) for name, part in parts.items()},
+        "errors_before": {name: errors(before, part, settings) for name, part in parts.items()},
+    }
+
+
+def _parameters(found: Fitted) -> dict[str, Any]:
+    assert found.result.covariance is not None
+    sd = np.sqrt(np.diag(found.result.covariance))
+    return {
+        p.name: {
+            "value": found.result.values[p.name],
+            "sd": float(sd[i]),
+            "prior": p.prior_mean if p.prior_sd is not None else None,
+            "prior_sd": p.prior_sd,
+            "unit": p.unit,
+        }
+        for i, p in enumerate(found.problem.free)
+    }
+
+
+def _table(document: dict[str, Any]) -> str:
+    rows = []
+    for name, fit in document["fits"].items():
+        behind = [s["behind_best"] for s in fit["starts"]]
+        rows += [
+            f"## {name}: {fit['outcome']}, {fit['seconds']:.0f} s, nats behind the best start: "
+            + ", ".join("–" if b is None else f"{b:.1f}" for b in behind),
+            "",
+            "| part | model | output | estimated | moving_horizon | fitted | unchanged |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        for which, key in (("maker's", "errors_before"), ("fitted", "errors")):
+            for part, outputs in fit[key].items():
+                for output, e in outputs.items():
+                    figures = [e["estimated"], e["moving_horizon"], e["fitted"], e["unchanged"]]
+                    cells = " | ".join(f"{v:.4g}" for v in figures)
+                    rows.append(f"| {part} | {which} | {output} | {cells} |")
+        rows += [
+            "",
+            "| parameter | fitted | ± sd | prior | ± sd | unit |",
+            "|---|---|---|---|---|---|",
+        ]
+        for parameter, p in fit["parameters"].items():
+            prior = "– | –" if p["prior"] is None else f"{p['prior']:.4g} | {p['prior_sd']:.2g}"
+            rows.append(
+                f"| `{parameter}` | {p['value']:.4g} | {p['sd']:.2g} | {prior} | {p['unit']} |"
+            )
+        rows += ["", f"on bounds: {', '.join(fit['on_bounds']) or 'none'}", ""]
+        rows += [
+            f"- cannot be told apart (γ = {c['index']:.0f}): {', '.join(c['names'])}"
+            for c in fit["confounded"][:8]
+        ]
+        rows.append("")
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""The two fits of the study, and the free runs that judge them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from trms_cli.core.plugins import build
+from trms_cli.effects.extended_model import extended
+from trms_cli.identification.data import DataOptions, load_datasets
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.judgement import with_values
+from trms_cli.identification.method import FitResult, Unwatched
+from trms_cli.identification.multiple_shooting import MultipleShooting
+from trms_cli.identification.problem import FitProblem, Prior, free_parameters
+from trms_cli.identification.validation.free_run import common_windows, free_runs, lead_samples
+from trms_cli.identification.validation.options import ValidationOptions, WindowOptions
+from trms_cli.identification.validation.prediction import predict_one_step
+from trms_cli.models.driven import DrivenModel
+from trms_cli.models.model import Model
+from trms_cli.models.tras import Tras
+from trms_cli.simulation.rollout import Rollout
+
+STUDY = Path(__file__).with_name("study.yaml")
+#: How a window may start: by the filter, by the model's run over the seconds before, by itself.
+KINDS = ("estimated", "moving_horizon", "fitted")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One fit of the study.
+
+    Attributes
+    ----------
+    problem : FitProblem
+    model : Model
+        With the fitted values.
+    result : FitResult
+    """
+
+    problem: FitProblem
+    model: Model
+    result: FitResult
+
+
+def read_study(path: Path = STUDY) -> dict[str, Any]:
+    """The study's settings."""
+    settings: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return settings
+
+
+def model_of(folder: Path, settings: Mapping[str, Any], fit: Mapping[str, Any]) -> Model:
+    """The model with its effects, driven as the fit has it."""
+    curves = {}
+    if fit["curves"]:
+        curves = {f"{r}_curve": str(folder / f"static_{r}.csv") for r in ("main", "tail")}
+    effects = {name: build(node, name) for name, node in settings["effects"].items()}
+    model = extended(Tras(**curves), effects)
+    return DrivenModel(model, fit["driven"]) if fit["driven"] else model
+
+
+def parts_of(
+    folder: Path, settings: Mapping[str, Any], fit: Mapping[str, Any]
+) -> tuple[Dataset, Dataset]:
+    """What is fitted, and what is held out."""
+    whole = model_of(folder, settings, {**fit, "driven": []})
+    options = DataOptions(
+        command_delay=settings["command_delay"],
+        noise_sd=settings["noise_sd"],
+        quantum=settings["quantum"],
+    )
+    (dataset,) = load_datasets(str(folder / "closed_loop.csv"), whole, options)
+    if fit["driven"]:
+        dataset = dataset.driven_by(fit["driven"])
+    cut = round(settings["split"] / dataset.sample_time)
+    return dataset.part(0, cut), dataset.part(cut, len(dataset))
+
+
+def fitted(
+    folder: Path, settings: Mapping[str, Any], fit: Mapping[str, Any], jobs: int = 2
+) -> Fitted:
+    """Fit the first part."""
+    model = model_of(folder, settings, fit)
+    first, _ = parts_of(folder, settings, fit)
+    priors = {name: Prior(relative_sd=share) for name, share in fit["priors"].items()}
+    problem = FitProblem(
+        model=model,
+        datasets=(first,),
+        free=free_parameters(model.parameters, fit["free"], priors=priors),
+        window_length=settings["window"],
+        seed=settings["seed"],
+        jobs=jobs,
+    )
+    result = MultipleShooting(starts=settings["starts"]).fit(problem, Unwatched())
+    return Fitted(problem, with_values(model, result.values), result)
+
+
+def errors(model: Model, dataset: Dataset, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """RMS of the free runs' errors, by output and by how their windows start, SI units."""
+    judged = settings["judged"]
+    horizon = judged["horizon"]
+    rollout = Rollout(model, dataset.sample_time)
+    found: dict[str, Any] = {}
+    one_step = None
+    for kind in KINDS:
+        options = ValidationOptions(
+            horizons=(horizon,),
+            windows=WindowOptions(
+                start=kind,  # type: ignore[arg-type]
+                history=judged["history"],
+                stride=judged["stride"],
+            ),
+        )
+        if one_step is None:
+            one_step = predict_one_step(model, dataset, rollout, options.predictor)
+        firsts = common_windows(dataset, options, lead_samples([model], dataset, options))
+        runs = free_runs(model, dataset, rollout, one_step, firsts, options)
+        window = runs.windows[horizon]
+        for i, channel in enumerate(window.channels):
+            values = window.errors[..., i]
+            found.setdefault(channel, {})[kind] = float(np.sqrt(np.nanmean(values**2)))
+            found[channel]["windows"] = len(window.first)
+            found[channel]["unchanged"] = float(np.sqrt(np.nanmean(window.unchanged[..., i] ** 2)))
+    return found
