@@ -133,7 +133,7 @@ def _request(config: Mapping[str, Any]) -> Any:
         "lowest": config["band"]["lowest"],
         "highest": config["band"]["highest"],
         "seed": whole_number(config["seed"], "seed"),
-        **{key: config[key] for key in plain},
+        **{key: config[key] for key in plain if config[key] is not None},
     }
     return build(node)
 

@@ -118,8 +118,8 @@ def design(
     plan = Plan(samples, request.sample_time, lowest, highest, model.n_u, request.seed)
     progress("signals")
     shape = excitation.shape(plan)
-    trial = Trial(model, request, bounds)
     head = _lead_in(centre, request)
+    trial = Trial(model, request.sample_time, bounds, len(head))
     room = request.share * upper - np.abs(centre)
     if np.any(room < LEAST_SHARE * upper):
         worst = int(np.argmin(room / upper))
@@ -136,9 +136,10 @@ def design(
 
     if trial.play(commands(np.zeros(model.n_u))) is None:
         raise ConfigurationError(
-            "the rig passes a bound on its way to the operating point, before it is excited",
-            where="operating_point",
-            remedy="an operating point nearer to rest, a longer lead_in, or wider bounds: "
+            "the simulated rig is beyond a bound before it is excited: it has not come to rest "
+            "at the operating point, or passes a stop on its way there",
+            where="lead_in",
+            remedy="a longer lead_in, an operating point nearer to rest, or wider bounds than "
             + ", ".join(f"{name} ±{limit:.3g} rad" for name, limit in bounds.items()),
         )
     amplitude = largest_amplitudes(model, request, trial, commands, room, progress)
@@ -148,7 +149,7 @@ def design(
     states, outputs = played
     first = len(head)
     progress("rigs drawn from the priors")
-    drawn, lost = _drawn(model, request, trial, whole, first)
+    drawn, lost = _drawn(model, request, whole, first)
     return Design(
         model,
         np.arange(len(whole)) * request.sample_time,
@@ -205,20 +206,22 @@ def _operating_point(
             )
         return np.zeros(model.n_u), rest
     asked = {name: 0.5 * float(rest[model.state_index(name)]) for name in model.controlled}
-    for name, value in (request.operating_point or {}).items():
+    given = request.operating_point or {}
+    for name, value in given.items():
         if name not in model.controlled:
             raise ConfigurationError(
                 f"{name!r} is no angle of model {model.name!r}",
                 where=f"operating_point.{name}",
                 remedy=nearest(name, model.controlled),
             )
+        asked[name] = float(value)
+    for name, value in asked.items():
         if not abs(value) < bounds[name]:
             raise ConfigurationError(
-                f"{value!r} given",
+                f"{value:.3g} rad " + ("given" if name in given else "without another one given"),
                 where=f"operating_point.{name}",
                 remedy=f"within the bound of ±{bounds[name]:.3g} rad",
             )
-        asked[name] = float(value)
     target = SteadyState(model).solve(np.array([asked[name] for name in model.controlled]))
     if not target.converged or target.projected:
         raise ConfigurationError(
@@ -242,11 +245,12 @@ def _lead_in(centre: FloatArray, request: Request) -> FloatArray:
 
 
 def _drawn(
-    model: Model, request: Request, trial: Trial, commands: FloatArray, first: int
+    model: Model, request: Request, commands: FloatArray, first: int
 ) -> tuple[dict[str, tuple[float, float]], int]:
     """Ranges over rigs drawn from the priors, and how many of them pass a stop."""
     stops = {name: float(model.stops.get(name, np.inf)) for name in model.controlled}
-    free = Trial(model, request, {n: s if np.isfinite(s) else 4 * np.pi for n, s in stops.items()})
+    beyond = {name: stop if np.isfinite(stop) else 4 * np.pi for name, stop in stops.items()}
+    free = Trial(model, request.sample_time, beyond, first)
     kept, lost = [], 0
     for number in range(request.rigs):
         played = free.play(commands, prior_seed=request.seed * 1000 + number)

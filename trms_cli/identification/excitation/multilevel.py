@@ -19,6 +19,9 @@ from trms_cli.identification.excitation.excitation import (
 from trms_cli.identification.excitation.prbs import FLAT
 from trms_cli.references.multilevel import Multilevel
 
+#: Of the lowest frequency's period, for which a level may hold: longer ones put most of the power
+#: below the band.
+_SHARE_OF_PERIOD = 0.1
 #: Levels that a signal should have at least on average.
 _LEAST_HOLDS = 20
 #: Signals drawn, of which those that are least alike are taken: a few dozen levels of two draws
@@ -35,7 +38,7 @@ class MultilevelExcitation:
     levels : int or None
         Number of equally distant levels; None: any value.
     longest : float or None
-        s; None: a quarter of a period of the band's lower end, if twenty fit the duration.
+        s; None: a tenth of a period of the band's lower end, if twenty levels fit the duration.
     """
 
     levels: Annotated[int, Meta(ge=2)] | None = None
@@ -47,7 +50,7 @@ class MultilevelExcitation:
         shortest = FLAT / plan.highest
         longest = self.longest
         if longest is None:
-            longest = min(0.25 / plan.lowest, 2 * plan.duration / _LEAST_HOLDS)
+            longest = min(_SHARE_OF_PERIOD / plan.lowest, 2 * plan.duration / _LEAST_HOLDS)
         longest = max(longest, shortest)
         drawn = [
             Multilevel(
