@@ -59,7 +59,7 @@ def commands(n):
 class TestKinds:
     def test_of_states_are_read_off_the_step(self):
         kinds = kinds_of_states(rig_like((1, 2), (1, 2)))
-        assert kinds == ("angle",) * 2 + ("rotor",) * 2 + ("past",) * 6
+        assert kinds == ("angle",) * 2 + ("speed",) * 2 + ("past",) * 6
 
     def test_of_pushes_are_accelerations(self):
         assert kinds_of_disturbances(rig_like()) == (

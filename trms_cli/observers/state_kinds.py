@@ -9,7 +9,7 @@ import casadi as ca
 from trms_cli.models.discrete import copied_states
 from trms_cli.models.model import Model, names
 
-Kind = Literal["angle", "momentum", "rotor", "current", "past", "other"]
+Kind = Literal["angle", "momentum", "rotor", "speed", "current", "past", "other"]
 DisturbanceKind = Literal["disturbance", "rotor_disturbance", "acceleration", "rotor_acceleration"]
 #: Unit of the disturbances of a black box, which knows no torques.
 _ACCELERATION = "rad/s^2"
@@ -19,8 +19,9 @@ def kinds_of_states(model: Model) -> tuple[Kind, ...]:
     """The kind of each state, read off the model's structure.
 
     An axis names its angle; a momentum is the state that the axis' moment pushes; a rotor's speed
-    is the state that another torque pushes; a current is in ampere. A state that a step only copies
-    is the past of another or of an input.
+    is the state that another torque pushes; a current is in ampere. A black box has
+    speeds in place of rotors, and states that a step only copies: the past of another or of an
+    input.
     """
     x, u, p, w = model.symbols()
     follow = model.dynamics if model.sample_time is None else model.transition
@@ -40,7 +41,7 @@ def kinds_of_states(model: Model) -> tuple[Kind, ...]:
         elif pushed_by & moments:
             kinds.append("momentum")
         elif pushed_by:
-            kinds.append("rotor")
+            kinds.append("rotor" if model.sample_time is None else "speed")
         elif state.unit == "A":
             kinds.append("current")
         else:

@@ -73,6 +73,9 @@ class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         N m/√s, the same on the rotors, whose own torques are a tenth of the axes'.
     acceleration, rotor_acceleration : float
         rad/s²/√s, the same for a black box, which knows accelerations in place of torques.
+    speed : float
+        (rad/s)/√s, on the rotor speeds of a black box. Its steady state shifts with the noise of
+        what it is given, by the curvature of its surface: it is better told little of it.
     past : float
         State's unit/√s, on states that only remember an output or input; what was, stays.
     states : dict of str to float
@@ -88,6 +91,7 @@ class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     rotor_disturbance: _NotNegative = 2e-4
     acceleration: _NotNegative = 0.05
     rotor_acceleration: _NotNegative = 8.0
+    speed: _NotNegative = 0.5
     past: _NotNegative = 0.0
     states: Mapping[str, _NotNegative] = {}
 
@@ -103,6 +107,8 @@ class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         N m, of the torques on the axes and on the rotors.
     acceleration, rotor_acceleration : float
         rad/s², of what a black box has in place of torques.
+    speed : float
+        rad/s, rotor speeds of a black box.
     past : float
         State's unit, on states that only remember an output or input.
     states : dict of str to float
@@ -118,6 +124,7 @@ class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     rotor_disturbance: _Positive = 0.002
     acceleration: _Positive = 0.2
     rotor_acceleration: _Positive = 80.0
+    speed: _Positive = 20.0
     past: _Positive = 0.002
     states: Mapping[str, _Positive] = {}
 
