@@ -1,0 +1,91 @@
+"""``trms excite`` as a person meets it: its files, its words, and the run that plays it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trms_cli.cli import main
+from trms_cli.recordings.log_reader import read_log
+
+QUICK = ("duration=20", "lead_in=5", "rigs=1", "excitation=prbs", "band.lowest=0.1")
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("excite") / "there"
+    assert main(["excite", *QUICK, f"out={folder}"]) == 0
+    return folder
+
+
+def test_it_leaves_a_table_a_document_and_a_picture(designed):
+    document = json.loads((designed / "excitation.json").read_text())
+    assert document["schema"] == "trms.excitation/1"
+    assert document["kind"] == "prbs" and document["band_hz"][0] == 0.1
+    lines = (designed / "excitation.csv").read_text().splitlines()
+    header = next(line for line in lines if not line.startswith("#"))
+    assert header == "t[s],u_v[V],u_h[V]"
+    rows = np.loadtxt(designed / "excitation.csv", delimiter=",", skiprows=lines.index(header) + 1)
+    assert rows.shape == (1250, 3)
+    figures = document["inputs"]["u_v"]
+    assert np.ptp(rows[250:, 1]) == pytest.approx(2 * figures["amplitude"], rel=1e-4)
+    assert (designed / "excitation.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_run_goes_where_it_was_predicted(designed, tmp_path):
+    table = designed / "excitation.csv"
+    code = main(
+        ["run", "controller=played", f"controller.u_v.file={table}", "sim.duration=25",
+         "observer=full_state", "plant=ideal", "picture=false", f"out={tmp_path / 'run'}"]
+    )  # fmt: skip
+    assert code == 0
+    document = json.loads((designed / "excitation.json").read_text())
+    state = read_log(tmp_path / "run" / "run.mcap").tables["/plant/state"].columns
+    for name in ("alpha_v", "alpha_h", "omega_v", "omega_h"):
+        low, high = document["predicted"][name]["range"]
+        seen = np.asarray(state[name], dtype=float)[250:]
+        assert seen.min() == pytest.approx(low, abs=0.01 * (high - low))
+        assert seen.max() == pytest.approx(high, abs=0.01 * (high - low))
+
+
+def test_the_printed_command_plays_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["excite", *QUICK, "picture=false", "model=newtonian_vertical"]) == 0
+    line = next(l for l in capsys.readouterr().out.splitlines() if l.startswith("next"))
+    words = line.split(" run ", 1)[1].split()
+    assert "model=newtonian_vertical" in words and "controller=open_loop" in words
+    quick = [
+        "observer=full_state",
+        "plant=ideal",
+        "picture=false",
+        "signal@controller.u_h=constant",
+    ]
+    assert main(["run", *words, *quick[:3]]) == 0
+
+
+@pytest.mark.parametrize(
+    ("override", "where"),
+    [
+        ("duration=-1", "duration"),
+        ("share=2", "share"),
+        ("excitation=prbz", "excitation"),
+        ("band.highest=100", "band.highest"),
+        ("band.lowest=abc", "lowest"),
+        ("operating_point={alpha_v: 2}", "operating_point.alpha_v"),
+        ("amplitude={u_x: 1}", "amplitude.u_x"),
+        ("sample_time=1e-9", "duration"),
+    ],
+)
+def test_slips_are_told_by_their_key(override, where, capsys, tmp_path):
+    assert main(["excite", *QUICK, override, f"out={tmp_path / 'x'}"]) == 2
+    assert where in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_an_excitation_is_not_overwritten(designed, capsys):
+    before = (designed / "excitation.csv").read_bytes()
+    assert main(["excite", *QUICK, "seed=3", f"out={designed}"]) == 2
+    assert (designed / "excitation.csv").read_bytes() == before
