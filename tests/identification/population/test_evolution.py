@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -64,9 +65,9 @@ class TestSearch:
             return bowl(point)
 
         found = run(make(), cost=cost)
-        assert 0 <= np.min(seen) and np.max(seen) <= 1
+        assert np.min(seen) >= 0 and np.max(seen) <= 1
         best = [least for least, _ in found.costs]
-        assert all(b <= a for a, b in zip(best, best[1:], strict=False))
+        assert all(b <= a for a, b in pairwise(best))
         assert found.cost == bowl(found.best) == np.nanmin([bowl(p) for p in seen])
 
     def test_the_seed_decides_and_the_threads_do_not(self, make):

@@ -1,0 +1,229 @@
+"""``trms identify`` as a person types it."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import json
+import os
+import signal
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+
+from trms_cli.cli import main
+
+FIT = ("identify", "real=rig", "model=newtonian_vertical", "free=[k_fvp,k_ov,J_mr]")
+SMALL = ("method=genetic", "method.individuals=8", "method.generations=4", "picture=false")
+
+
+@dataclass
+class Done:
+    """What a command left."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def in_process(folder: Path, *argv: str) -> Done:
+    """The program without its start-up, in a folder."""
+    out, err, before = io.StringIO(), io.StringIO(), Path.cwd()
+    os.chdir(folder)
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = main(argv)
+    finally:
+        os.chdir(before)
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the recording ``rig`` of a rig whose parameters were drawn."""
+    folder = tmp_path_factory.mktemp("lab")
+    done = in_process(
+        folder,
+        *("run", "model=newtonian_vertical", "controller=open_loop", "observer=full_state"),
+        *("plant.prior_seed=3", "sim.duration=24", "signal@controller.u_v=multilevel"),
+        *("controller.u_v.amplitude=0.6", "controller.u_v.offset=0.9"),
+        *("picture=false", "out=rig"),
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trms(lab: Path):
+    return functools.partial(in_process, lab)
+
+
+def read(folder: Path) -> dict:
+    document: dict = json.loads((folder / "identification.json").read_text(encoding="utf-8"))
+    return document
+
+
+@pytest.fixture(scope="module")
+def fitted(trms, lab) -> str:
+    done = trms(*FIT[:3], "out=fit")
+    assert done.returncode == 0, done.stderr
+    return str(done.stdout)
+
+
+class TestFit:
+    def test_leaves_model_figures_and_page(self, fitted, lab):
+        document = read(lab / "fit")
+        assert document["schema"] == "trms.identification/1"
+        assert document["outcome"] == "converged"
+        assert {r["part"] for r in document["recordings"]} == {"fit", "held_out"}
+        for name in ("model.yaml", "free_runs.png", "parameters.png", "convergence.png"):
+            assert (lab / "fit" / name).stat().st_size > 1000
+        page = (lab / "fit" / "identification.html").read_text(encoding="utf-8")
+        assert "k_ov" in page and 'src="http' not in page
+
+    def test_finds_the_rig_within_what_it_reports(self, fitted, lab):
+        from trms_cli.models.newtonian import Newtonian
+
+        true = Newtonian(freedom="vertical").parameters.drawn(3)
+        found = read(lab / "fit")["parameters"]
+        for name, p in found.items():
+            assert abs(p["value"] - true[name].value) < 4 * p["sd"]
+        errors = read(lab / "fit")["errors"]["held_out"]
+        for name, after in errors["after"].items():
+            assert after["rmse"] < errors["before"][name]["rmse"]
+        assert errors["after"]["alpha_v"]["rmse"] < 0.001
+
+    def test_prints_what_it_writes(self, fitted, lab):
+        document = read(lab / "fit")
+        for name, p in document["parameters"].items():
+            line = next(line for line in fitted.splitlines() if line.split()[:1] == [name])
+            assert f"{p['value']:.5g}" in line and f"{p['sd']:.3g}" in line
+        rmse = document["errors"]["held_out"]["after"]["alpha_v"]["rmse"]
+        assert f"{rmse:.3g}" in fitted
+        assert " validate model=fit/model.yaml real=rig/run.mcap" in fitted
+
+    def test_the_model_runs(self, fitted, trms, lab):
+        content = yaml.safe_load((lab / "fit" / "model.yaml").read_text(encoding="utf-8"))
+        assert (
+            content["parameters"]["k_ov"]["value"]
+            == read(lab / "fit")["parameters"]["k_ov"]["value"]
+        )
+        assert read(lab / "fit")["recordings"][0]["sha256"][:16] in content["source"]
+        done = trms("run", "model=fit/model.yaml", "sim.duration=1", "picture=false", "out=ran")
+        assert done.returncode == 0, done.stderr
+
+    def test_what_has_no_part_is_left_out_and_said(self, trms):
+        done = trms("identify", "real=rig", "model=newtonian_vertical", *SMALL, "out=all")
+        assert done.returncode == 0, done.stderr
+        assert "no part in the equations, so not fitted: k_uh, J_tr" in done.stdout
+        assert "next" in done.stdout and "resume=all method.generations=8" in done.stdout
+
+    def test_an_effect_s_size_is_fitted(self, trms, lab):
+        size = "pitch_coulomb_friction.torque"
+        done = trms(
+            "identify", "real=rig", "model=newtonian_vertical", "effect=pitch_coulomb_friction",
+            f"free=[k_ov,{size}]", f"priors.{size}.mean=0.001", f"priors.{size}.sd=0.001",
+            f"bounds.{size}=[0,0.01]", *SMALL, "out=effect",
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        content = yaml.safe_load((lab / "effect" / "model.yaml").read_text(encoding="utf-8"))
+        fitted_size = read(lab / "effect")["parameters"][size]["value"]
+        assert content["effects"]["pitch_coulomb_friction"]["torque"] == fitted_size
+
+    def test_driven_by_the_measured_rotor(self, trms, lab):
+        done = trms(*FIT[:3], "free=[k_fvp,k_ov]", "driven=omega_v", *SMALL, "out=driven")
+        assert done.returncode == 0, done.stderr
+        assert list(read(lab / "driven")["errors"]["fit"]["after"]) == ["alpha_v"]
+        assert "driven=[omega_v]" in done.stdout
+
+    def test_a_sweep_prints_a_line_a_fit(self, trms):
+        done = trms(*FIT, *SMALL, "-m", "seed=1,2", "out=sweep")
+        assert done.returncode == 0, done.stderr
+        lines = [line for line in done.stdout.splitlines() if "RMSE" in line]
+        assert len(lines) == 2 and "seed=2" in lines[1]
+
+
+class TestInterruption:
+    def test_a_stopped_search_writes_its_best_and_goes_on_to_the_same_end(
+        self, trms, executable, lab
+    ):
+        words = [*FIT, "method=genetic", "method.individuals=8", "picture=false"]
+        whole = trms(*words, "method.generations=40", "out=whole")
+        assert whole.returncode == 0, whole.stderr
+        command = [str(executable), *words, "method.generations=5000", "out=stopped"]
+        process = subprocess.Popen(
+            command, cwd=lab, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        state = lab / "stopped" / "fit-state.json"
+        begun = time.monotonic()
+        while not state.exists() and time.monotonic() - begun < 60:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+        assert process.returncode == 130, err
+        assert "interrupted: the best so far is kept" in out
+        assert "resume=stopped" in out and (lab / "stopped" / "model.yaml").is_file()
+        assert "stopping at the best so far" in err
+        done = len(json.loads(state.read_text(encoding="utf-8"))["generations"])
+        assert done < 5000
+        end = max(40, done)
+        resumed = trms("identify", "resume=stopped", f"method.generations={end}")
+        assert resumed.returncode == 0, resumed.stderr
+        if end == 40:
+            assert read(lab / "stopped")["parameters"] == read(lab / "whole")["parameters"]
+
+    def test_another_search_is_refused_and_changes_nothing(self, trms, lab):
+        trms(*FIT, *SMALL, "out=kept")
+        before = (lab / "kept" / "request.json").read_bytes()
+        done = trms("identify", "resume=kept", "seed=4")
+        assert done.returncode == 2
+        assert "seed was 0 and is 4 now" in done.stderr
+        assert (lab / "kept" / "request.json").read_bytes() == before
+
+    @pytest.mark.parametrize(
+        ("folder", "words"),
+        [("nowhere", "there is no folder"), ("rig", "not the folder of a fit"), ("", "no folder")],
+    )
+    def test_what_cannot_go_on_is_told(self, trms, folder, words):
+        done = trms("identify", f"resume={folder}")
+        assert done.returncode == 2 and words in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], "real must be given"),
+        (["real=none.csv"], "there is no such file"),
+        (["real=rig", "free=[k_foo]"], "did you mean"),
+        (["real=rig", "free=[k_fhp]"], "has no part in the equations"),
+        (["real=rig", "bounds.k_ov=[1]"], "[lower, upper]"),
+        (["real=rig", "priors.k_ov=5"], "in quotes"),
+        (["real=rig", "driven=alpha_x"], "in  driven"),
+        (["real=rig", "validation.share=2"], "expected a number >= 0 and < 1"),
+        (["real=rig", "validation.real=rig"], "is fitted as well"),
+        (["real=rig", "model.currents=dynamic"], "in  model.currents"),
+        (["real=rig", "effect=yaw_coulomb_friction"], "has no yaw axis"),
+        (["real=rig", "windows.length=-1"], "expected a number > 0"),
+        (["real=rig", "data.end=0.5"], "record"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_told_with_what_to_do(trms, lab, words, told):
+    done = trms("identify", "model=newtonian_vertical", *words, "out=never")
+    assert done.returncode == 2, done.stdout
+    assert told in done.stderr and "Traceback" not in done.stderr
+    assert not (lab / "never").exists()
+
+
+def test_a_constant_channel_is_told_with_what_to_record(trms, lab):
+    rows = "".join(f"{k / 50:.2f},{(k // 50) % 2},0.3,{100 + k % 40}\n" for k in range(1500))
+    text = f"t[s],u_v[V],alpha_v[rad],omega_v[rad/s]\n{rows}"
+    (lab / "constant.csv").write_text(text, encoding="utf-8")
+    done = trms("identify", "model=newtonian_vertical", "real=constant.csv")
+    assert done.returncode == 2
+    assert "alpha_v is constant" in done.stderr and "record again" in done.stderr
