@@ -1,0 +1,192 @@
+"""From a problem to a network file: what the methods of networks promise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trms_cli.commands.catalogue import read_yaml
+from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
+from trms_cli.identification.blackbox.playback import free_run, predicted, rms, simulated
+from trms_cli.identification.blackbox.regressors import sampled
+from trms_cli.identification.blackbox.structure_selection import Assessed, Candidate, selected
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.method import Method, Outcome, Unwatched
+from trms_cli.identification.problem import FitProblem
+from trms_cli.models.narx_file import read_narx_file, write_narx_file
+from trms_cli.models.network import NarxStructure, Network
+from trms_cli.models.newtonian import Newtonian
+
+METHODS = ["narx", "nnoe", "rbf", "wavelet"]
+MODEL = Newtonian(freedom="horizontal")
+NOISE = 0.01
+
+
+def method(name: str, training: str = "lm", **changes):
+    """A method as configuration has it, small."""
+    node = dict(read_yaml(config_folder() / "method" / f"{name}.yaml"))
+    node.pop("defaults")
+    node["training"] = read_yaml(config_folder() / "training" / f"{training}.yaml")
+    small = {"stopping": {**node["stopping"], "epochs": 15}}
+    small |= {"units": 6} if name in ("rbf", "wavelet") else {"hidden": [4]}
+    for key, value in (small | changes).items():
+        node[key] = {**node[key], **value} if isinstance(value, dict) else value
+    return build(node, "method")
+
+
+def dataset(seed: int, n: int = 400, step: int = 1) -> Dataset:
+    """A small nonlinear system under the names of a rig: an integrator-free yaw with a rotor."""
+    generator = np.random.default_rng(seed)
+    u = np.repeat(generator.uniform(-1, 1, n // 10 + 1), 10)[:n]
+    y = np.zeros((n, 2))
+    for k in range(1, n):
+        y[k, 1] = 0.8 * y[k - 1, 1] + 0.3 * u[k - 1]
+        y[k, 0] = 0.95 * y[k - 1, 0] + 0.1 * y[k - 1, 1] * abs(y[k - 1, 1])
+    y += NOISE * generator.standard_normal(y.shape)
+    u, y = np.repeat(u, step), np.repeat(y, step, axis=0)
+    return Dataset(
+        f"d{seed}", f"d{seed}.csv", "", 0.1 / step, 0.1 / step * np.arange(len(u)), MODEL.inputs,
+        MODEL.outputs, u[:, None], y, np.full(2, NOISE),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def problem() -> FitProblem:
+    return FitProblem(model=MODEL, datasets=(dataset(0),), validation=(dataset(1),))
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def fitted(request, problem):
+    chosen = method(request.param)
+    assert isinstance(chosen, Method)
+    return chosen.fit(problem, Unwatched())
+
+
+def network_of(result) -> tuple[NarxStructure, Network]:
+    document = result.model_document
+    return NarxStructure.from_data(document["structure"]), Network.from_data(document["network"])
+
+
+def test_the_network_is_near_the_noise_one_step_ahead_and_stays_near_in_free_run(fitted):
+    structure, network = network_of(fitted)
+    test = sampled(dataset(2), structure)
+    first = structure.longest_lag
+    ahead = (predicted(structure, network, test) - test.outputs)[first:]
+    free = (simulated(structure, network, test) - test.outputs)[first:]
+    assert np.all(rms(ahead) < 3 * NOISE)
+    # far better than the mean, though one-step training promises nothing over many steps
+    assert np.all(rms(free) < 0.5 * test.outputs.std(axis=0))
+
+
+def test_the_file_is_a_model_that_steps_as_the_network_runs(fitted, tmp_path):
+    import casadi as ca
+
+    from trms_cli.models.narx_file import NarxFile
+
+    structure, network = network_of(fitted)
+    document = dict(fitted.model_document)
+    content = NarxFile(name="a", structure=structure, network=network, limits=document["limits"])
+    write_narx_file(tmp_path / "a.yaml", content)
+    model = read_narx_file(str(tmp_path / "a.yaml")).model()
+    assert model.input_limits == pytest.approx({"u_h": MODEL.input_limits["u_h"]})
+    x, u, p, w = model.symbols()
+    step = ca.Function("step", [x, u, p, w], [model.transition(x, u, p, w)])
+    test = sampled(dataset(3), structure)
+    first = structure.longest_lag
+    past = test.outputs[:first]
+    state = np.concatenate(
+        [past[::-1][: structure.output_lags[-1]].ravel(),
+         test.inputs[: first - 1][::-1][: structure.input_lags[-1] - 1].ravel()]
+    )  # fmt: skip
+    expected = free_run(structure, network, past[:, None], test.inputs[:30, None])[:, 0]
+    for k, row in enumerate(expected):
+        state = step(state, test.inputs[first - 1 + k], [], np.zeros(model.n_w)).full().ravel()
+        assert state[:2] == pytest.approx(row, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_same_seed_gives_the_same_network(name, problem):
+    once, again = (method(name).fit(problem, Unwatched()).model_document for _ in range(2))
+    assert once["network"] == again["network"]
+
+
+def test_simulation_training_runs_freely_better_than_one_step_training(problem):
+    def error(name: str) -> float:
+        details = method(name, stopping={"epochs": 40}).fit(problem, Unwatched()).details
+        return details["normalised_rms"]["validation_free_run"]
+
+    assert error("nnoe") <= 1.02 * error("narx")
+
+
+def test_a_slower_network_takes_means_of_the_commands():
+    fast = dataset(0, step=2)
+    result = method("narx", regressors={"sample_time": 0.1}).fit(
+        FitProblem(model=MODEL, datasets=(fast,)), Unwatched()
+    )
+    structure, _ = network_of(result)
+    assert structure.sample_time == 0.1
+    slow = sampled(fast, structure)
+    assert slow.inputs == pytest.approx(dataset(0).commands)
+    assert slow.outputs == pytest.approx(dataset(0).measurements)
+
+
+def test_an_interrupted_fit_keeps_the_best_so_far(problem):
+    class Impatient(Unwatched):
+        calls = 0
+
+        def update(self, fraction, cost, message):
+            self.calls += 1
+            return self.calls < 6
+
+    result = method("nnoe").fit(problem, Impatient())
+    assert result.outcome is Outcome.INTERRUPTED
+    assert len(result.details["stages"]) == 1
+    network_of(result)
+
+
+def test_of_several_starts_the_best_by_validation_is_kept(problem):
+    alone = [
+        method("narx").fit(FitProblem(**{**vars(problem), "seed": seed}), Unwatched())
+        for seed in range(3)
+    ]
+    best = min(result.details["stages"][0]["validation_loss"] for result in alone)
+    together = method("narx", starts=3).fit(problem, Unwatched())
+    assert together.details["stages"][0]["validation_loss"] == best
+
+
+class TestWhatCannotBeFitted:
+    """Bad data and settings get a message that says what to do."""
+
+    def test_a_sample_time_without_a_whole_ratio(self, problem):
+        with pytest.raises(RecordingError, match=r"method\.sample_time|regressors\.sample_time"):
+            method("narx", regressors={"sample_time": 0.15}).fit(problem, Unwatched())
+
+    def test_a_channel_that_is_missing_throughout(self, problem):
+        from dataclasses import replace
+
+        lost = replace(dataset(0), measurements=dataset(0).measurements * [1.0, np.nan])
+        with pytest.raises(RecordingError, match="omega_h"):
+            method("narx").fit(FitProblem(model=MODEL, datasets=(lost,)), Unwatched())
+
+    def test_lags_that_do_not_rise(self, problem):
+        with pytest.raises(ConfigurationError, match=r"method\.regressors\.output_lags"):
+            method("narx", regressors={"output_lags": [2, 1]}).fit(problem, Unwatched())
+
+    def test_a_training_that_is_none(self, problem):
+        from dataclasses import replace
+
+        with pytest.raises(ConfigurationError, match="trms list training"):
+            replace(method("narx"), training=3).fit(problem, Unwatched())
+
+
+def test_the_smallest_structure_within_the_spread_of_the_best_is_selected():
+    def assessed(lags: int, hidden: int, weights: int, *errors: float) -> Assessed:
+        return Assessed(Candidate(lags, hidden), weights, errors, errors)
+
+    large = assessed(3, 16, 200, 0.10, 0.11, 0.14)
+    small = assessed(2, 4, 40, 0.12, 0.13, 0.13)
+    smaller = assessed(1, 2, 15, 0.30, 0.31, 0.32)
+    lost = assessed(2, 2, 20, np.inf, 0.1, np.inf)
+    assert selected([large, small, smaller, lost]) is small
