@@ -79,7 +79,7 @@ def recorded(model: Model, seed: int, duration: float, sample_time: float = 0.02
         f"rig_{seed}",
         "",
         sample_time,
-        np.arange(samples) * sample_time,
+        np.arange(samples, dtype=np.float64) * sample_time,
         model.inputs,
         model.outputs,
         commands,

@@ -56,11 +56,11 @@ def read_study(path: Path = STUDY) -> dict[str, Any]:
 
 def model_of(folder: Path, settings: Mapping[str, Any], fit: Mapping[str, Any]) -> Model:
     """The model with its effects, driven as the fit has it."""
-    curves = {}
-    if fit["curves"]:
-        curves = {f"{r}_curve": str(folder / f"static_{r}.csv") for r in ("main", "tail")}
+    main, tail = (
+        str(folder / f"static_{rotor}.csv") if fit["curves"] else None for rotor in ("main", "tail")
+    )
     effects = {name: build(node, name) for name, node in settings["effects"].items()}
-    model = extended(Tras(**curves), effects)
+    model = extended(Tras(main_curve=main, tail_curve=tail), effects)
     return DrivenModel(model, fit["driven"]) if fit["driven"] else model
 
 

@@ -128,10 +128,9 @@ def triangles(a_b: FloatArray, r: FloatArray) -> FloatArray:
     while rows.shape[1] > block:
         missing = -rows.shape[1] % block
         rows = np.concatenate([rows, np.zeros((m, missing, columns))], axis=1)
-        small = np.linalg.qr(rows.reshape(-1, block, columns), mode="r")
+        small = _triangle(rows.reshape(-1, block, columns))
         rows = small.reshape(m, -1, columns)
-    factors: FloatArray = np.linalg.qr(rows, mode="r")
-    return factors
+    return _triangle(rows)
 
 
 def reduced(quadratic: Quadratic, damping: float) -> Reduced:
@@ -156,7 +155,7 @@ def reduced(quadratic: Quadratic, damping: float) -> Reduced:
     stacked = np.concatenate(rows, axis=1)
     if quadratic.joint is not None:
         return _along_chains(quadratic.joint, stacked, n)
-    whole = np.linalg.qr(stacked, mode="r")
+    whole = _triangle(stacked)
     left = whole[:, n:, n:].reshape(-1, columns - n)
     back = -np.linalg.solve(whole[:, :n, :n], whole[:, :n, n:])
     return Reduced(*_compact(left), back[..., :-1], back[..., -1])
@@ -180,7 +179,7 @@ def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> Reduced:
             row[:, -1] = joint.gap[j + 1]
             # The heaviest rows first: the factorisation stays accurate for near-equalities.
             wide = np.vstack([row, wide])
-        whole = np.linalg.qr(wide, mode="r")
+        whole = _triangle(wide)
         solved = -np.linalg.solve(whole[:n, :n], whole[:n, n:])
         pivots.append((solved[:, :n], solved[:, n:-1], solved[:, -1]))
         rest = whole[n:, n:]
@@ -197,6 +196,11 @@ def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> Reduced:
             to_starts[j] += in_next @ to_starts[j + 1]
             at_zero[j] += in_next @ at_zero[j + 1]
     return Reduced(*_compact(np.vstack(left)), to_starts, at_zero)
+
+
+def _triangle(rows: FloatArray) -> FloatArray:
+    """R of one QR factorisation, of each matrix in a stack."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _compact(rows: FloatArray) -> tuple[FloatArray, FloatArray]:

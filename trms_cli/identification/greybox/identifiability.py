@@ -82,7 +82,7 @@ def identifiability(
     fisher = information.of_data
     size = np.sqrt(np.diag(fisher))
     loud = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
-    heard = np.flatnonzero(loud)
+    heard = np.flatnonzero(loud).tolist()
     gram = fisher[np.ix_(heard, heard)] / np.outer(size[heard], size[heard])
     sd = np.sqrt(np.diag(covariance))
     remaining = {
@@ -95,7 +95,7 @@ def identifiability(
         remaining,
         {names[i]: float(against_all[k]) for k, i in enumerate(heard)},
         tuple(_confounded(gram, [names[i] for i in heard])),
-        tuple(names[i] for i in np.flatnonzero(~loud)),
+        tuple(names[i] for i in np.flatnonzero(~loud).tolist()),
     )
 
 
