@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from trms_cli.identification.validation.validate import ModelValidation
 
 _OPTIONS = "trms_cli.identification.validation.options.ValidationOptions"
+#: What a channel without declared noise is given, so that filters stay invertible.
+_NO_NOISE = 1e-6
 #: Keys of the configuration that make up a :class:`ValidationOptions`.
 _OPTION_KEYS = ("horizons", "windows", "predictor", "tests", "block", "seed")
 
@@ -126,7 +128,7 @@ def _check_noise(datasets: Sequence[Dataset]) -> None:
     """A channel without noise would weigh infinitely much, and no band would hold."""
     for dataset in datasets:
         for signal, sd in zip(dataset.outputs, dataset.noise_sd, strict=True):
-            if not sd > 0:
+            if not sd > _NO_NOISE:
                 raise ConfigurationError(
                     f"no noise of {signal.name} is declared",
                     where="data.noise_sd",

@@ -13,6 +13,9 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
+#: Keeps a residual that repeats itself exactly from making the equations singular.
+_RIDGE = 1e-13
+
 
 def whitened(residual: FloatArray, highest_order: int = 20) -> tuple[FloatArray, int]:
     """The innovations of an autoregression fitted to a residual, its order by BIC.
@@ -43,17 +46,18 @@ def whitened(residual: FloatArray, highest_order: int = 20) -> tuple[FloatArray,
     m = len(complete)
     if m < 10 * highest_order or not np.any(complete[:, 0]):
         return residual, 0
-    # Gram–Schmidt over rising order: the k-th column of R tells the error of order k − 1.
-    past, now = complete[:, 1:], complete[:, 0]
-    q, r = np.linalg.qr(past)
-    gains = q.T @ now
-    errors = float(now @ now) - np.concatenate([[0.0], np.cumsum(gains**2)])
-    errors = np.maximum(errors, 1e-14 * float(now @ now)) / m
+    # One Cholesky factor serves all orders: its k-th row tells what the k-th lag adds. (A QR of the
+    # lags themselves costs a hundred times as much on a busy machine.)
+    gram = complete.T @ complete
+    inner = gram[1:, 1:] + _RIDGE * np.trace(gram) * np.eye(highest_order)
+    root = np.linalg.cholesky(inner)
+    gains = np.linalg.solve(root, gram[1:, 0])
+    errors = gram[0, 0] - np.concatenate([[0.0], np.cumsum(gains**2)])
+    errors = np.maximum(errors, 1e-14 * gram[0, 0]) / m
     order = int(np.argmin(m * np.log(errors) + np.arange(highest_order + 1) * np.log(m)))
     if order == 0:
         return residual, 0
-    # A singular column (a residual that repeats itself exactly) is no reason to fail.
-    coefficients, *_ = np.linalg.lstsq(r[:order, :order], gains[:order], rcond=1e-10)
+    coefficients = np.linalg.solve(root[:order, :order].T, gains[:order])
     raw = np.full((n, order + 1), np.nan)
     for k in range(order + 1):
         raw[k:, k] = residual[: n - k]

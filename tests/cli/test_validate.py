@@ -1,0 +1,141 @@
+"""``trms validate`` as a person types it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trms_cli.cli import main
+from trms_cli.commands.validate_models import model_list, one_of, shown_names
+from trms_cli.core.errors import ConfigurationError
+
+HEADER = "t[s],u_v[V],alpha_v[deg],omega_v[rpm]\n"
+
+
+def write(path: Path, seconds: float = 8.0, commands: bool = True) -> Path:
+    """A vertical rig that is no model's: a lightly damped swing, a rotor that lags."""
+    rng = np.random.default_rng(0)
+    step, rows = 0.02, []
+    angle, rate, speed = -0.6, 0.0, 0.0
+    for k in range(round(seconds / step)):
+        u = 1.2 + 0.4 * ((k // 60) % 2) if commands else 1.2
+        speed += step * (150.0 * u - speed) / 0.4
+        rate += step * (-4.0 * (angle + 0.62 - 1.4e-5 * speed**2) - 0.1 * rate)
+        angle += step * rate
+        shown = np.degrees(angle) + 0.03 * rng.standard_normal()
+        rpm = speed * 9.5493 + 15 * rng.standard_normal()
+        rows.append(f"{k * step:.2f},{u:g},{shown:.3f},{rpm:.1f}\n")
+    path.write_text(HEADER + "".join(rows), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "rig.csv")
+    return tmp_path
+
+
+def test_leaves_figures_and_a_page(trms, tmp_path):
+    write(tmp_path / "rig.csv")
+    done = trms("validate", "real=rig.csv", "model=newtonian_vertical", "out=here")
+    assert done.returncode == 0, done.stderr
+    assert "Left alone for 2 s" in " ".join(done.stdout.split())
+    document = json.loads((tmp_path / "here/validation.json").read_text(encoding="utf-8"))
+    assert document["schema"] == "trms.validation/1"
+    assert document["model"] == "newtonian_vertical"
+    assert list(document["error"]) == ["alpha_v", "omega_v"]
+    assert list(document["error"]["alpha_v"]) == ["0.1", "0.5", "2.0"]
+    assert document["left_out_horizons_s"] == [10.0]
+    assert document["fit_percent"]["alpha_v"] < 90  # it is no model's rig
+    page = (tmp_path / "here/validation.html").read_text(encoding="utf-8")
+    assert "newtonian_vertical" in page and page.count("data:image/") >= 5
+    again = trms("validate", "real=rig.csv", "model=newtonian_vertical", "out=here")
+    assert again.returncode == 2 and "not empty" in again.stderr
+
+
+def test_compares_models_a_file_among_them(here, capsys):
+    (here / "mine.yaml").write_text(
+        "name: mine\nmodel: newtonian_vertical\n" + _parameters(), encoding="utf-8"
+    )
+    code = main(
+        ["validate", "real=rig.csv", "model=[newtonian_vertical,mine.yaml]", "out=both",
+         "page=false", "horizons=[0.5,2]"]
+    )  # fmt: skip
+    assert code == 0
+    document = json.loads((here / "both/validation.json").read_text(encoding="utf-8"))
+    assert set(document["models"]) == {"newtonian_vertical", "mine"}
+    assert [row["model"] for row in document["ranking"]]
+    assert document["comparison"][0]["ratio"] == pytest.approx(1.0)  # the same parameters
+    assert not (here / "both/validation.html").exists()
+    assert "do not tell" in capsys.readouterr().out
+
+
+def _parameters() -> str:
+    from trms_cli.core.resources import config_folder
+
+    text = (config_folder() / "parameters/bench.yaml").read_text(encoding="utf-8")
+    return text[text.index("parameters:") :]
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["real=none.csv"], "none.csv"),
+        (["real=rig.csv", "model=newtonian"], "no u_h"),
+        (["real=rig.csv", "driven=[omega_h]"], "omega_h"),
+        (["real=rig.csv", "horizons=[2,1]"], "rising"),
+        (["real=rig.csv", "windows.start=guessed"], "windows.start"),
+        (["real=rig.csv", "tests.level=2"], "tests.level"),
+        (["real=rig.csv", "data.end=1"], "are needed"),
+        (["real=rig.csv", "predictor.torques=[nothing]"], "nothing"),
+        (["real=rig.csv", "effect=yaw_coulomb_friction"], "yaw"),
+        (["real=rig.csv", "page=3"], "page"),
+        (["real=rig.csv", "data.quantum.alpha_v=0"], "noise"),
+        ([], "real"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_explained(here, capsys, arguments, words):
+    if not any(text.startswith("model=") for text in arguments):
+        arguments = [*arguments, "model=newtonian_vertical"]
+    assert main(["validate", *arguments]) == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert not (here / "outputs").exists()
+
+
+class TestListsOfModels:
+    def test_one_model_is_left_to_the_composition(self):
+        assert model_list(["real=a.csv", "model=newtonian"]) is None
+        assert model_list(["real=a.csv"]) is None
+
+    def test_a_list_is_taken_apart(self):
+        argv = ["real=a.csv", "model=[newtonian,fits/b.yaml]", "seed=1"]
+        assert model_list(argv) == ("newtonian", "fits/b.yaml")
+        assert one_of(argv, "newtonian") == ["model=newtonian", "real=a.csv", "seed=1"]
+
+    def test_a_parameter_set_stands_for_its_file(self):
+        (choice, *_) = one_of(["real=a.csv", "model=[tras,tras_record]"], "tras_record")
+        assert choice.endswith("parameters/tras_record.yaml")
+
+    @pytest.mark.parametrize(
+        "value, words",
+        [("model=[]", "no model"), ("model=[a,a]", "twice"), ("model=[a", "bracket")],
+    )
+    def test_what_is_no_list(self, value, words):
+        with pytest.raises(ConfigurationError, match=words):
+            model_list([value])
+
+    def test_a_sweep_takes_alternatives_instead(self):
+        with pytest.raises(ConfigurationError) as caught:
+            model_list(["-m", "model=[a,b]"])
+        assert "model=a,b" in caught.value.remedy
+
+    def test_names_stay_unique(self):
+        assert shown_names(["x/fit.yaml", "y/fit.yaml", "tras"]) == [
+            "x/fit.yaml", "y/fit.yaml", "tras",
+        ]  # fmt: skip
+        assert shown_names(["x/fit.yaml", "tras"]) == ["fit", "tras"]
