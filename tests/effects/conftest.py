@@ -128,7 +128,7 @@ def _readings(model, states, inputs, step=0.02):
     function = discretise(model, step, 1, sensors=True).measurement
     u = np.vstack([np.asarray(inputs, dtype=float), inputs[-1]])
     p = model.parameters.values
-    return np.array([np.asarray(function(x, v, p)).ravel() for x, v in zip(states, u, strict=True)])
+    return np.asarray(function(np.asarray(states).T, u.T, p)).T
 
 
 def _rich_input(samples: int, step: float = 0.02, seed: int = 1) -> np.ndarray:
