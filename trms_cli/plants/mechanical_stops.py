@@ -103,3 +103,23 @@ class StoppedSteps(SteppedModel):
         self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
     ) -> tuple[ca.SX, ca.SX]:
         return self.base.input_path(memory, u, p, window, step)
+
+    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
+        return self.base.sensor_memory(step)
+
+    def sensor_path(
+        self,
+        memory: ca.SX,
+        before: ca.SX,
+        after: ca.SX,
+        u: ca.SX,
+        p: ca.SX,
+        window: tuple[float, float],
+        step: float,
+    ) -> ca.SX:
+        return self.base.sensor_path(memory, before, after, u, p, window, step)
+
+    def reading(
+        self, memory: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX, step: float, since: float = 1.0
+    ) -> ca.SX:
+        return self.base.reading(memory, x, u, p, step, since)
