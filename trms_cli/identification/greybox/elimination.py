@@ -157,7 +157,7 @@ def reduced(quadratic: Quadratic, damping: float) -> Reduced:
         return _along_chains(quadratic.joint, stacked, n)
     whole = _triangle(stacked)
     left = whole[:, n:, n:].reshape(-1, columns - n)
-    back = -np.linalg.solve(whole[:, :n, :n], whole[:, :n, n:])
+    back = _solved(whole[:, :n, :n], whole[:, :n, n:])
     return Reduced(*_compact(left), back[..., :-1], back[..., -1])
 
 
@@ -180,7 +180,7 @@ def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> Reduced:
             # The heaviest rows first: the factorisation stays accurate for near-equalities.
             wide = np.vstack([row, wide])
         whole = _triangle(wide)
-        solved = -np.linalg.solve(whole[:n, :n], whole[:n, n:])
+        solved = _solved(whole[:n, :n], whole[:n, n:])
         pivots.append((solved[:, :n], solved[:, n:-1], solved[:, -1]))
         rest = whole[n:, n:]
         if last:
@@ -201,6 +201,11 @@ def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> Reduced:
 def _triangle(rows: FloatArray) -> FloatArray:
     """R of one QR factorisation, of each matrix in a stack."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def _solved(a: FloatArray, b: FloatArray) -> FloatArray:
+    """``−a⁻¹ b``, of each matrix in a stack."""
+    return -np.asarray(np.linalg.solve(a, b), dtype=np.float64)
 
 
 def _compact(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
