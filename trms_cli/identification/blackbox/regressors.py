@@ -80,7 +80,7 @@ def sampled(dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0) 
             f"the recording is sampled each {dataset.sample_time:g} s and the network each "
             f"{structure.sample_time:g} s",
             where=dataset.source,
-            remedy="choose a whole multiple: method.sample_time="
+            remedy="choose a whole multiple: method.regressors.sample_time="
             f"{max(1, step) * dataset.sample_time:g}",
         )
     outputs = _columns(dataset, structure.outputs, dataset.measurements, names(dataset.outputs))

@@ -1,0 +1,190 @@
+"""Chapter 3: its recordings, its trainings, its page, the networks that travel with the program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("experiments.chapter3", reason="the studies are in the checkout only")
+
+from experiments.chapter3 import networks as shipped
+from experiments.chapter3.figures import draw_all
+from experiments.chapter3.page import filled
+from experiments.chapter3.recordings import cut_at_stops, recording
+from experiments.chapter3.study import Study, _excitation_jobs, _member_jobs, _table_jobs
+from experiments.chapter3.tables import markdown, plain
+from experiments.chapter3.trainings import Job, recorded, run_job, settings
+from trms_cli.core.errors import RecordingError
+from trms_cli.core.resources import config_folder
+from trms_cli.identification.blackbox.structure_selection import Assessed, Candidate
+from trms_cli.models.model import names
+from trms_cli.models.narx_file import read_narx_file
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "chapter3.md"
+#: Share of the recordings' durations.
+SHORT = 0.15
+
+
+def quick(
+    system: str, label: str, training: str = "lm", seed: int = 0, method: str = "narx"
+) -> Job:
+    return Job(system, label, method, training, seed, {"stopping": {"epochs": 5}})
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    """Everything of the study, small."""
+    tables = {
+        system: [run_job(quick(system, name, name), SHORT) for name in ("scg", "lm")]
+        for system in settings()["systems"]
+    }
+    members = {
+        "vertical": [
+            run_job(quick("vertical", "nnarx"), SHORT),
+            run_job(
+                Job("vertical", "nnoe", "nnoe", "lm", 0, {"horizons": [1.0], "first_epochs": 3,
+                    "stopping": {"epochs": 3}}),
+                SHORT,
+            ),
+        ]
+    }  # fmt: skip
+    excitations = [run_job(quick("vertical", "multilevel"), SHORT)]
+    structures = [
+        Assessed(Candidate(1, 2), 12, (0.01, 0.02), (0.4, 0.5)),
+        Assessed(Candidate(2, 4), 38, (0.01, 0.02), (0.1, np.inf)),
+        Assessed(Candidate(1, 4), 22, (0.01, 0.02), (0.3, 0.3)),
+        Assessed(Candidate(2, 2), 20, (0.01, 0.02), (0.2, 0.21)),
+    ]
+    return Study(tables, members, excitations, structures, dict.fromkeys(tables, 1.0))
+
+
+class TestStudy:
+    """The list of trainings is the thesis's; a training is told in full."""
+
+    def test_all_thirteen_on_one_axis_and_six_on_two(self):
+        trainings = {name: own["trainings"] for name, own in settings()["systems"].items()}
+        options = {path.stem for path in (config_folder() / "training").glob("*.yaml")}
+        assert set(trainings["horizontal"]) == set(trainings["vertical"]) == options
+        assert set(trainings["both"]) == {"lm", "bfgs", "br", "cgb", "rp", "scg"}
+
+    def test_every_start_of_every_training_is_a_job(self):
+        assert len(_table_jobs("vertical", [0, 1])) == 26
+        members = _member_jobs("both", [0])
+        assert {job.label for job in members} == {"nnarx", "nnoe"}
+        assert {job.label for job in _excitation_jobs([0])} == {"prbs", "multilevel"}
+
+    def test_the_test_recording_takes_no_part_in_any_training(self):
+        parts = [recorded("vertical", part, SHORT) for part in ("fitted", "validation", "test")]
+        for i, one in enumerate(parts):
+            for other in parts[i + 1 :]:
+                n = min(len(one), len(other))
+                assert np.abs(one.commands[:n] - other.commands[:n]).mean() > 0.05
+
+    def test_a_training_is_judged_on_all_three_recordings(self, study):
+        one = study.tables["both"][1]
+        assert set(one.one_step) == set(one.free_run) == {"fitted", "validation", "test"}
+        assert set(one.one_step["test"]) == {"alpha_v", "alpha_h", "omega_v", "omega_h"}
+        assert one.losses[-1] < one.losses[0]
+        assert one.epochs == len(one.losses) - 1
+
+    def test_tables_and_document_say_the_same(self, study):
+        tables, document = markdown(study), plain(study)
+        json.dumps(document, allow_nan=False)
+        lm = document["tables"]["vertical"][1]
+        assert lm["training"] == "lm"
+        row = next(line for line in tables["vertical"].splitlines() if line.startswith("| `lm`"))
+        assert f"{1e3 * lm['free_run']['test']['alpha_v']:.3g}" in row
+        assert tables["structure"].splitlines()[-1].startswith("| selected | 2 | 2 |")
+
+    def test_every_figure_is_drawn(self, study, tmp_path, monkeypatch):
+        drawn: list[str] = []
+        monkeypatch.setattr(
+            "trms_cli.reporting.training_picture.save_png",
+            lambda figure, path: drawn.append(path.name),
+        )
+        draw_all(study, tmp_path, SHORT)
+        page = PAGE.read_text(encoding="utf-8")
+        shown = {word.split(")")[0] for word in page.split("figures/chapter3/")[1:]}
+        assert {name for name in shown if name.endswith(".png")} >= {
+            "structure.png",
+            "learning_vertical.png",
+        }
+        assert set(drawn) <= {path.name for path in (PAGE.parent / "figures/chapter3").iterdir()}
+
+
+class TestPage:
+    """Tables go between their marks, and nowhere else."""
+
+    def test_a_table_takes_the_place_of_the_old_one(self):
+        text = "a\n<!-- table x -->\nold\n<!-- end -->\nb\n<!-- table y -->\n<!-- end -->\n"
+        assert filled(text, {"x": "new \\1"}, "p") == text.replace("old", "new \\1")
+
+    def test_a_missing_place_is_named(self):
+        with pytest.raises(RecordingError, match="no place for the table 'x'"):
+            filled("", {"x": "t"}, "p")
+
+    def test_the_page_has_a_place_for_every_table(self, study):
+        filled(PAGE.read_text(encoding="utf-8"), markdown(study), str(PAGE))
+
+
+class TestRecordings:
+    """Simulated as a bench would record."""
+
+    def test_the_seed_draws_commands_and_noise(self):
+        own = settings()["systems"]["horizontal"]
+
+        def made(seed: int):
+            return recording(
+                own["model"], own["excitation"], duration=3.0, sample_time=0.02, seed=seed, name="r"
+            )
+
+        once, again, other = made(0), made(0), made(1)
+        assert np.array_equal(once.measurements, again.measurements)
+        assert not np.array_equal(once.commands, other.commands)
+        quantum = 2 * np.pi / 4096
+        steps = once.output("alpha_h") / quantum
+        assert steps == pytest.approx(np.round(steps), abs=1e-6)
+
+    def test_pieces_end_where_the_beam_touches_its_stops(self):
+        own = settings()["systems"]["horizontal"]
+        whole = recording(
+            own["model"], own["excitation"], duration=4.0, sample_time=0.02, seed=0, name="r"
+        )
+        angle = whole.output("alpha_h")
+        angle[:] = 0.0
+        angle[90:95] = 1.0
+        pieces = cut_at_stops(whole, {"alpha_h": 1.0}, shortest=0.5)
+        assert [len(piece) for piece in pieces] == [90, 105]
+        assert len(cut_at_stops(whole, {"alpha_h": 1.0}, shortest=2.0)) == 1
+
+
+@pytest.mark.parametrize("name", shipped.settings()["networks"])
+class TestShippedNetworks:
+    """The networks in configs/networks are those that the settings describe, and they are good."""
+
+    def test_is_of_its_settings(self, name):
+        content, own = read_narx_file(name), shipped.settings()
+        regressors = own["method"]["regressors"]
+        assert list(content.structure.output_lags) == regressors["output_lags"]
+        assert content.structure.sample_time == own["sample_time"]
+        assert content.rig == own["networks"][name]["model"]
+        hidden = own["networks"][name]["method"]["hidden"]
+        assert [len(content.network.weights["b1"])] == hidden
+
+    def test_foretells_four_seconds_of_a_recording_that_it_never_saw(self, name):
+        """Another draw of the commands, run-up included: what a predictive controller needs."""
+        own = shipped.settings()["networks"][name]
+        content = read_narx_file(name)
+        fresh = recording(
+            own["model"], own["excitation"], duration=60.0, sample_time=0.02, seed=77, name="r"
+        )
+        pieces = cut_at_stops(fresh, content.limits, 6.0)
+        errors = shipped.window_errors(content.structure, content.network, pieces, 4.0, 0.3)
+        for channel, error in errors.items():
+            # of the speeds 1.6 rad/s is the tachometer's noise
+            assert error < (0.03 if channel.startswith("alpha") else 2.5), channel
+        assert set(errors) == set(names(fresh.outputs))
