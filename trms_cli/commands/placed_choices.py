@@ -39,7 +39,7 @@ def drop_foreign_keys(
         # A plain view: an interpolation that does not resolve is not this function's to judge.
         present = OmegaConf.to_container(node)
         assert isinstance(present, dict)
-        for key, value in present.items():
+        for key, value in ((str(k), v) for k, v in present.items()):
             foreign = isinstance(setting, str) or (key in setting and setting[key] == value)
             typed_here = any(k == f"{place}.{key}" or k.startswith(f"{place}.{key}.") for k in keys)
             if key not in own and foreign and not typed_here:
