@@ -133,7 +133,7 @@ class TestGaps:
         time = np.concatenate([np.arange(50) * 0.02, 3 + np.arange(30) * 0.02, [9.0, 9.02]])
         parts = split_at_gaps(made(time))
         assert [len(p) for p in parts] == [50, 30]
-        assert "1 parts of fewer" in parts[0].remarks[-1]
+        assert "1 of fewer" in parts[0].remarks[-1]
 
     def test_without_gaps_nothing_happens(self):
         recording = made(np.arange(50) * 0.02)

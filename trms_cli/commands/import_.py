@@ -227,9 +227,12 @@ def _print(document: dict[str, Any]) -> None:
     console.print(table)
     for note in document["notes"]:
         console.print(f"note: {escape(note)}")
+    told: set[str] = set()
     for part in document["preparation"]:
         for done in part["done"]:
-            console.print(f"done: {escape(done)}")
+            if done not in told:
+                console.print(f"done: {escape(done)}")
+                told.add(done)
         if len(document["logs"]) > 1:
             console.print(f"log: {escape(part['log'])} ({part['samples']} samples)")
     if len(document["logs"]) == 1:

@@ -133,7 +133,7 @@ def _speeds(dataset: Dataset, motion: Motion) -> Iterator[Finding]:
         elif correlation > _CLEAR and _near(ratio, 1 / _RPM, _RPM_SPREAD):
             yield Finding(
                 "unit", name,
-                f"{name} is {ratio:.2g} times what {command} makes of it: rad/s read as rpm",
+                f"{name} is {ratio:.3g} times what {command} makes of it: rad/s read as rpm",
                 f"write the unit into the header: {name}[rad/s]", True,
             )  # fmt: skip
         elif correlation > _CLEAR and not 1 / _ROUGHLY < ratio < _ROUGHLY:

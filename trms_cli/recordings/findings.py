@@ -15,6 +15,8 @@ from trms_cli.recordings.recording import Recording, quantum
 
 #: A channel with fewer levels is a switched signal: being at its largest is no saturation.
 _LEAST_LEVELS = 12
+#: A signal that stays as it was at more samples than this is held between levels.
+_HELD_SHARE = 0.5
 #: A command at its extreme value for more of the time than this is worth a sentence.
 _SATURATED_SHARE = 0.02
 #: s for which an angle must keep still to be at rest.
@@ -166,12 +168,18 @@ def _channel(recording: Recording, name: str, masks: dict[str, np.ndarray]) -> C
 
 
 def _extreme_share(values: np.ndarray) -> float | None:
-    """Share of the time at the extreme values, by runs of at least two; None if few levels."""
+    """Share of the time at the extreme values, by runs of at least two.
+
+    None where that tells nothing: for few levels, and for a signal that is held at every level.
+    """
     there = values[np.isfinite(values)]
     if len(np.unique(there)) < _LEAST_LEVELS:
         return None
     near = 1e-6 * float(np.ptp(there))
     at_limit = (there >= there.max() - near) | (there <= there.min() + near)
+    elsewhere = ~at_limit[1:]
+    if np.any(elsewhere) and np.mean(np.diff(there)[elsewhere] == 0) > _HELD_SHARE:
+        return None
     return sum(count for _, count in runs(at_limit) if count > 1) / len(there)
 
 

@@ -37,9 +37,12 @@ def split_at_gaps(recording: Recording) -> list[Recording]:
     dropped = len(edges) - 1 - len(spans)
     parts = []
     for number, (a, b) in enumerate(spans, start=1):
-        remark = f"part {number} of {len(spans)}: split at {len(wide)} gaps in t"
+        remark = (
+            f"part {number} of {len(spans)}: split at {len(wide)} "
+            f"gap{'' if len(wide) == 1 else 's'} in t"
+        )
         if dropped:
-            remark += f", {dropped} parts of fewer than {_LEAST_ROWS} rows left out"
+            remark += f", {dropped} of fewer than {_LEAST_ROWS} rows left out"
         parts.append(
             replace(
                 recording,
