@@ -74,6 +74,10 @@ def test_a_model_is_controlled_and_estimated(words, pitch, yaw, tmp_path: Path) 
         (["model=lagrangian", "model.shields=round"], ["model.shields", "rings"]),
         (["model=newtonian", "model.main_interface=no.csv"], ["model.main_interface", "u[V],v[V]"]),
         (["model=motor_main", "ref=speed", "model.voltage_limit=0"], ["model.voltage_limit"]),
+        (
+            ["model=feedback_manual", "model@plant.model=newtonian"],
+            ["measures omega_v, omega_h", "plant.sensors.channels=[alpha_v,alpha_h]"],
+        ),
         (["model=feedback_manual", "controller=lqr"], ["cannot rest", "alpha_v=-0.156"]),
     ],
 )

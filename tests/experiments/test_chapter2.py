@@ -199,10 +199,15 @@ class TestPage:
         square = expected["terms_rms_rad"]["main_square"]
         for term in ("coriolis", "turning"):
             assert square[term]["alpha_h"] > square["all"]["alpha_h"]
-        for case in expected["terms_rms_rad"].values():
-            pitch = {term: case[term]["alpha_v"] for term in TERMS}
-            if case is not expected["terms_rms_rad"]["fast_yaw"]:
-                assert pitch["centrifugal"] < 0.01
+        cases = expected["terms_rms_rad"]
+        assert all(case["centrifugal"][angle] < 0.01 for case in cases.values() for angle in ANGLES)
+        for name in ("main_square", "level_yaw", "two_squares", "pitch_resonance", "two_chirps"):
+            yaw = {term: cases[name][term]["alpha_h"] for term in TERMS}
+            assert min(yaw["coriolis"], yaw["turning"]) > max(yaw["inertia"], yaw["centrifugal"])
+            pitch = {term: cases[name][term]["alpha_v"] for term in TERMS}
+            assert max(pitch, key=pitch.__getitem__) == "inertia"
+        for name in ("tail_square", "level_yaw", "two_sines", "fast_yaw"):
+            assert cases[name]["arm"]["alpha_h"] > cases[name]["all"]["alpha_h"]
         assert expected["bench_tests"]["B_mr"]["sd"] > 0.2 * expected["bench_tests"]["B_mr"]["true"]
 
     def test_a_lost_mark_is_told(self, tmp_path: Path):

@@ -12,6 +12,7 @@ from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.quadratic_damping import QuadraticDamping
+from trms_cli.models.driven import DrivenModel
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.rig_bodies import bodies, energies
@@ -231,6 +232,13 @@ class TestForm:
         at = ours.symbols()[:3]
         assert set(ours.quantities(*at)) == set(theirs.quantities(*theirs.symbols()[:3]))
         assert set(ours.parameters.names) - set(theirs.parameters.names) == {"h"}
+
+    def test_driven_by_measured_speeds_it_needs_no_motors(self) -> None:
+        # S is free of the rotors' accelerations: the beam can be fitted without the motors.
+        driven = DrivenModel(Lagrangian(), ("omega_v", "omega_h"))
+        x, u, p, w = driven.symbols()
+        slopes = ca.jacobian(driven.dynamics(x, u, p, w), ca.vertcat(u[:2], w[2:]))
+        assert slopes.nnz() == 0
 
     def test_takes_effects(self) -> None:
         damped = extended(Lagrangian(), {"drag": QuadraticDamping(axis="yaw", coefficient=0.05)})

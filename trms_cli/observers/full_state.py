@@ -18,7 +18,7 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discrete import copied_states
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.model import Model, index_of
+from trms_cli.models.model import Model
 from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.observer import Estimate, ObserverSetup
 
@@ -62,7 +62,7 @@ class FullState:
 
     def init(self, setup: ObserverSetup) -> FullStateState:
         model = setup.model
-        channels = [index_of(model.outputs, n, "an output of the model") for n in setup.outputs]
+        channels = setup.channels()
         x, u, p, _ = model.symbols()
         y = model.measurement(x, u, p)[channels]
         measurement = BufferedFunction(ca.Function("measured_channels", [x, u, p], [y]))

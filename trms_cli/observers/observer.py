@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.models.model import Model
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -40,6 +41,28 @@ class ObserverSetup:
     noise_sd: Mapping[str, float]
     first_measurement: FloatArray
     first_command: FloatArray
+
+    def channels(self) -> list[int]:
+        """Positions of the measured channels among the model's outputs.
+
+        Raises
+        ------
+        ConfigurationError
+            For a channel that the model knows nothing of.
+        """
+        known = names(self.model.outputs)
+        foreign = [name for name in self.outputs if name not in known]
+        if foreign:
+            both = [name for name in self.outputs if name in known]
+            raise ConfigurationError(
+                f"the rig measures {', '.join(foreign)}, of which model {self.model.name!r} "
+                "knows nothing",
+                where="plant.sensors.channels",
+                remedy=f"measure what it knows: plant.sensors.channels=[{','.join(both)}]"
+                if both
+                else f"choose a model that measures {foreign[0]}",
+            )
+        return [known.index(name) for name in self.outputs]
 
 
 @dataclass

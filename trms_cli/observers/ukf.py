@@ -35,7 +35,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.model import Model, index_of, names
+from trms_cli.models.model import Model, names
 from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.observer import Estimate, ObserverSetup
 from trms_cli.observers.sigma_points import SigmaPoints
@@ -192,7 +192,7 @@ class Ukf:
     def init(self, setup: ObserverSetup) -> UkfState:
         model = setup.model
         equations = self._equations(setup)
-        channels = [index_of(model.outputs, n, "an output of the model") for n in setup.outputs]
+        channels = setup.channels()
         substeps = self.substeps or max(1, int(np.ceil(setup.sample_time / _LONGEST_SUBSTEP)))
         discrete = discretise(model, setup.sample_time, substeps, sensors=True)
         n_s = model.n_x + discrete.n_sensors
