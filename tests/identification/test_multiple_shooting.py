@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -177,6 +178,34 @@ def test_an_interrupted_fit_keeps_the_best_so_far(measured: Dataset) -> None:
     assert np.isfinite(result.theta).all()
     assert len(progress.fractions) == 3
     assert all(0 <= fraction <= 1 for fraction in progress.fractions)
+
+
+class Remembering(Impatient):
+    """Stops early, keeps what is saved, and gives it back."""
+
+    def __init__(self, kept: dict[str, Any] | None = None, patience: int = 10**6) -> None:
+        super().__init__()
+        self.kept, self.patience = kept, patience
+
+    def update(self, fraction: float, cost: float, message: str) -> bool:
+        self.fractions.append(fraction)
+        return len(self.fractions) < self.patience
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        self.kept = json.loads(json.dumps(state))
+
+    def saved(self) -> Mapping[str, Any] | None:
+        return self.kept
+
+
+def test_an_interrupted_fit_goes_on_where_it_was(measured: Dataset, fitted: FitResult) -> None:
+    first = Remembering(patience=6)
+    MultipleShooting(starts=1).fit(problem(vertical(), measured), first)
+    second = Remembering(first.kept)
+    result = MultipleShooting(starts=1).fit(problem(vertical(), measured), second)
+    assert result.outcome is Outcome.CONVERGED
+    np.testing.assert_allclose(result.theta, fitted.theta, rtol=1e-4)
+    assert len(second.fractions) < len(fitted.history) + len(first.fractions)
 
 
 def test_a_profile_of_what_is_not_free_is_refused(measured: Dataset) -> None:

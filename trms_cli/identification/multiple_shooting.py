@@ -9,7 +9,7 @@ its own be fitted without that error growing over minutes. See ``docs/grey-box.m
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
@@ -74,10 +74,12 @@ class MultipleShooting:
         settings = MapSettings(
             iterations=self.iterations, tolerance=self.tolerance, joined=_JOINED[self.continuity]
         )
-        watcher = _Watcher(progress, self.starts, self.iterations, begun)
+        watcher = _Watcher(progress, problem, self.starts, self.iterations, begun)
         fits: list[MapFit] = []
-        for k, theta in enumerate(_starting_points(problem, windows, settings, self.starts)):
-            watcher.begin(k)
+        for k in range(self.starts):
+            theta = watcher.begin(k)
+            if theta is None:
+                theta = _starting_point(k, problem, windows, settings)
             fits.append(fit_from(windows, theta, settings, watch=watcher))
             watcher.evaluations += fits[-1].objective.evaluations
             if watcher.stopped:
@@ -100,17 +102,27 @@ class MultipleShooting:
 
 
 class _Watcher:
-    """Passes the search's steps on to the progress, and keeps the history."""
+    """Passes the search's steps on to the progress, keeps the history and where searches are.
 
-    def __init__(self, progress: Progress, starts: int, iterations: int, begun: float) -> None:
+    A fit that was interrupted goes on from the last point of each search; those that had ended
+    are at their end after a step or two.
+    """
+
+    def __init__(
+        self, progress: Progress, problem: FitProblem, starts: int, iterations: int, begun: float
+    ) -> None:
         self._progress, self._starts, self._iterations = progress, starts, iterations
         self._begun, self._start = begun, 0
+        saved = (progress.saved() or {}).get("points", [])
+        self._points: list[list[float]] = [p for p in saved if len(p) == len(problem.free)]
         self.history: list[HistoryPoint] = []
         self.stopped = False
         self.evaluations = 0
 
-    def begin(self, start: int) -> None:
+    def begin(self, start: int) -> FloatArray | None:
+        """Note which search begins; where an earlier fit had come with it, if it had begun."""
         self._start = start
+        return np.array(self._points[start]) if start < len(self._points) else None
 
     def __call__(self, iteration: int, point: Point) -> bool:
         # A search seldom takes more than a third of the steps that it may.
@@ -122,33 +134,31 @@ class _Watcher:
                 self.evaluations + iteration, time.perf_counter() - self._begun, point.cost
             )
         )
+        self._points[self._start :] = [point.theta.tolist(), *self._points[self._start + 1 :]]
+        self._progress.save({"points": self._points})
         self.stopped = self.stopped or not self._progress.update(fraction, point.cost, message)
         return not self.stopped
 
 
-def _starting_points(
-    problem: FitProblem, windows: Windows, settings: MapSettings, count: int
-) -> Iterator[FloatArray]:
-    """Where searches begin: the model as it is, two standard places, draws from the priors."""
+def _starting_point(
+    k: int, problem: FitProblem, windows: Windows, settings: MapSettings
+) -> FloatArray:
+    """Where the search number ``k`` begins: the model as it is, a standard place, draws."""
     first = problem.starts
-    yield first
-    if count < 2:
-        return
-    effects = np.array(["." in name for name in problem.names])
-    if effects.any() and not effects.all():
-        # With the effects' sizes held, the model's own parameters are fitted first: where the
-        # search for both at once loses its way, this one may not, and the other way round.
-        nominal = fit_from(windows, first, settings, held=effects)
-        yield nominal.point.theta
-    elif not np.array_equal(problem.prior_means, first):
-        yield problem.prior_means
-    else:
-        count += 1
-    generator = np.random.default_rng(np.random.SeedSequence([problem.seed, 0x57A7]))
+    if k == 0:
+        return first
+    if k == 1:
+        effects = np.array(["." in name for name in problem.names])
+        if effects.any() and not effects.all():
+            # With the effects' sizes held, the model's own parameters are fitted first: where the
+            # search for both at once loses its way, this one may not, and the other way round.
+            return fit_from(windows, first, settings, held=effects).point.theta
+        if not np.array_equal(problem.prior_means, first):
+            return problem.prior_means
+    generator = np.random.default_rng(np.random.SeedSequence([problem.seed, 0x57A7, k]))
     low, high = problem.bounds
-    for _ in range(count - 2):
-        drawn = problem.prior_means + problem.scales * generator.standard_normal(len(first))
-        yield np.clip(drawn, low, high)
+    drawn = problem.prior_means + problem.scales * generator.standard_normal(len(first))
+    return np.clip(drawn, low, high)
 
 
 def _best(fits: list[MapFit]) -> MapFit:
