@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from trms_cli.models.motor import by_direction
 from trms_cli.models.newtonian import geometry
@@ -54,8 +55,6 @@ class Bridge(TwinRotor):
         self._right = right
 
     def pitch_at_rest(self) -> float:
-        import numpy as np
-
         g = geometry({parameter.name: parameter.value for parameter in self.parameters})
         return float(-np.arctan2(g["B"] - g["A"], g["C"]))
 
