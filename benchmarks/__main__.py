@@ -15,7 +15,10 @@ from benchmarks.document import Table, document, print_table, write_document
 from benchmarks.options import Options
 
 #: In the order of running; a module each under benchmarks.subjects.
-SUBJECTS = ("newton_time", "peers", "objective", "tracking", "parts", "program", "growth")
+SUBJECTS = (
+    *("newton_time", "peers", "objective", "tracking"),
+    *("parts", "identification", "program", "growth"),
+)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -87,7 +87,8 @@ class SimulationCost:
         root = self.windows.measured / (self.windows.declared * s)[:, None]
         m, n = len(self.windows), self.windows.n_x
         a = (found.j[..., :n] * self.windows.spread * root[..., None]).reshape(m, -1, n)
-        b = (found.r * root).reshape(m, -1, 1)
-        transposed = a.transpose(0, 2, 1)
-        normal = transposed @ a + np.eye(n)
-        return np.asarray(-np.linalg.solve(normal, transposed @ b)[..., 0], dtype=np.float64)
+        b = (found.r * root).reshape(m, -1)
+        # Not by BLAS, which would start threads of its own beside those of the search.
+        normal = np.einsum("mki,mkj->mij", a, a) + np.eye(n)
+        right = np.einsum("mki,mk->mi", a, b)[..., None]
+        return np.asarray(-np.linalg.solve(normal, right)[..., 0], dtype=np.float64)
