@@ -29,6 +29,8 @@ _ROUND_ITERATIONS, _ROUND_TOLERANCE = 12, 0.5
 _ROUNDS = 8
 #: Relative change of the residuals' scales that no longer needs another round.
 _SETTLED = 0.1
+#: Joints that are to be tighter than this are tightened to it by factors of ten.
+_FIRST_JOINT = 0.03
 #: Gauss–Newton steps on the starts alone before anything is weighed.
 _START_STEPS = 3
 
@@ -98,13 +100,15 @@ def fit_from(
     if held is not None:
         bounds = (np.where(held, theta, bounds[0]), np.where(held, theta, bounds[1]))
     centres = windows.starts(problem.all_values(theta))
-    objective = Objective(windows, _declared(windows), centres, settings.joined)
+    joints = _joints(settings.joined)
+    objective = Objective(windows, _declared(windows), centres, joints[0])
     point = with_fitted_starts(objective, theta, centres)
     if not np.isfinite(point.cost):
         return MapFit(point, Outcome.FAILED, objective, None, 0)
     objective.weights = weighed(objective, point, None)
     known, done, outcome = None, 0, Outcome.CONVERGED
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
+        objective.joined = joints[min(round_, len(joints) - 1)]
         search = minimise(
             objective,
             point,
@@ -121,7 +125,7 @@ def fit_from(
         weights = weighed(objective, point, known)
         change = _change(objective.weights, weights)
         objective.weights = weights
-        if change < _SETTLED:
+        if change < _SETTLED and round_ + 1 >= len(joints):
             break
     if outcome is not Outcome.INTERRUPTED:
         search = minimise(
@@ -135,6 +139,16 @@ def fit_from(
         point, outcome, done = search.point, search.outcome, done + search.iterations
     known = information(objective, point.theta, point.starts)
     return MapFit(point, outcome, objective, known, done)
+
+
+def _joints(last: float | None) -> list[float | None]:
+    """Joints between windows, tightened by steps: a stiff one lets the search move by hairs."""
+    if last is None:
+        return [None]
+    joints: list[float | None] = [last]
+    while (joints[0] or 0.0) < _FIRST_JOINT:
+        joints.insert(0, min(10 * (joints[0] or 0.0), _FIRST_JOINT))
+    return joints
 
 
 def with_fitted_starts(objective: Objective, theta: FloatArray, starts: FloatArray) -> Point:
