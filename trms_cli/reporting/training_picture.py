@@ -280,7 +280,8 @@ def _dots(panel: Axes, row: int, values: FloatArray, colour: str) -> None:
 def _few_ticks(axis: Axis, values: Sequence[float]) -> None:
     """Round ticks over a range that may be less than a decade."""
     low, high = min(values), max(values)
-    steps = (1.0, 2.0, 5.0) if high / low < 60 else (1.0,)
+    steps = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if high / low < 8 else (1.0, 2.0, 5.0)
+    steps = steps if high / low < 60 else (1.0,)
     decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     ticks = [step * 10.0**decade for decade in decades for step in steps]
     axis.set_major_locator(FixedLocator(ticks))
@@ -296,7 +297,9 @@ def _stay_near(panel: Axes, measured: FloatArray) -> None:
 
 
 def _short(value: float) -> str:
-    return f"{value:.2g}" if np.isfinite(value) else "∞"
+    if not np.isfinite(value):
+        return "∞"
+    return f"{value:.2g}" if value < 1000 else ">1000"
 
 
 def _frame(column: int, row: int) -> Rectangle:

@@ -1,9 +1,9 @@
 """Which lags and how many hidden units: by the error on data that are not fitted.
 
 Each candidate is trained from several random starts. The error that counts is that of the free
-run over the held-out recordings: one step ahead nearly every structure looks good. Of the
-candidates whose median is as low as the best one's upper quartile the one with the fewest
-weights is taken: what more weights gain is then within the spread of the starts.
+run over the held-out recordings: one step ahead nearly every structure looks good. The best
+candidate has the smallest median; of those that fail no more often badly, their upper quartile
+being no larger than its, the one with the fewest weights is taken.
 """
 
 from __future__ import annotations
@@ -94,10 +94,10 @@ def assess(
 
 
 def selected(assessed: Sequence[Assessed]) -> Assessed:
-    """The candidate with the fewest weights that is as good as the best one within its spread."""
+    """The candidate with the fewest weights whose upper quartile is that of the best, or lower."""
     best = min(assessed, key=lambda one: one.median)
     return min(
-        (one for one in assessed if one.median <= best.upper),
+        (one for one in assessed if one.upper <= best.upper),
         key=lambda one: (one.weights, one.median),
     )
 
