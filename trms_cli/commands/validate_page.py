@@ -25,7 +25,7 @@ from trms_cli.identification.validation.verdict import (
     word,
 )
 from trms_cli.reporting import validation_figures, validation_spectra
-from trms_cli.reporting.page import Marked, Page, shown_cell
+from trms_cli.reporting.page import Mark, Marked, Page, shown_cell
 
 _START_WORDS = {
     "estimated": "estimated by the filter from all samples before the window",
@@ -94,13 +94,13 @@ def _comparison(page: Page, document: Mapping[str, Any]) -> None:
             cells: list[Any] = []
             for figures in horizons.values():
                 low, high = figures["ci95"]
-                mark = ""
+                mark: Mark = ""
                 if low is not None and abs(figures["ratio"] - 1.0) >= SMALL:
                     mark = "good" if high < 1 else "bad" if low > 1 else ""
                 text = "–" if figures["ratio"] is None else f"{figures['ratio']:.3g}"
                 if low is not None:
                     text += f" ({low:.3g} … {high:.3g})"
-                cells.append(Marked(text, mark))  # type: ignore[arg-type]
+                cells.append(Marked(text, mark))
             detail.append([" / ".join(pair["models"]), word(channel), *cells])
     horizons = list(next(iter(document["comparison"][0]["by_channel"].values()), {}))
     if detail:

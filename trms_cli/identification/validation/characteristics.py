@@ -8,7 +8,9 @@ with x_i > x_j has mean N(N − 1)/4 and variance N(2N + 5)(N − 1)/72.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -138,7 +140,7 @@ def autocorrelation(values: FloatArray) -> FloatArray:
     return np.asarray(r / r[0]) if r[0] > 0 else np.full(half, np.nan)
 
 
-def parts_of(values: FloatArray, figure) -> FloatArray:  # type: ignore[no-untyped-def]
+def parts_of(values: FloatArray, figure: Callable[[FloatArray], Any]) -> FloatArray:
     """A figure of each of equal parts; of parts in which something was measured."""
     parts = np.array_split(values, min(_PARTS, max(1, len(values) // 10)))
     return np.array([figure(part) for part in parts if np.any(~np.isnan(part))])

@@ -8,7 +8,7 @@ Ann. Statist. 17, 1989, without overlap of the blocks).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,7 +116,12 @@ def mean_log_ratio(
     return Interval(value, float(lower), float(upper))
 
 
-def _interval(value: float, sums: Sequence[BlockSums], figure, seed: int) -> Interval:  # type: ignore[no-untyped-def]
+def _interval(
+    value: float,
+    sums: Sequence[BlockSums],
+    figure: Callable[[list[FloatArray]], FloatArray],
+    seed: int,
+) -> Interval:
     blocks = len(sums[0].squares)
     if blocks < 4 or not np.isfinite(value):
         return Interval(value, np.nan, np.nan)

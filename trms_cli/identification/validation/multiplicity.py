@@ -7,7 +7,7 @@ Sources: S. Holm, "A simple sequentially rejective multiple test procedure", Sca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +51,11 @@ def benjamini_hochberg(p_values: Sequence[float] | FloatArray) -> FloatArray:
     )
 
 
-def _adjusted(p_values: Sequence[float] | FloatArray, factor, cumulate) -> FloatArray:  # type: ignore[no-untyped-def]
+def _adjusted(
+    p_values: Sequence[float] | FloatArray,
+    factor: Callable[[FloatArray, int], FloatArray],
+    cumulate: Callable[[FloatArray], FloatArray],
+) -> FloatArray:
     p = np.asarray(p_values, dtype=float)
     adjusted = np.full(p.shape, np.nan)
     present = np.flatnonzero(~np.isnan(p))
@@ -59,5 +63,5 @@ def _adjusted(p_values: Sequence[float] | FloatArray, factor, cumulate) -> Float
         return adjusted
     order = present[np.argsort(p[present], kind="stable")]
     m = len(order)
-    adjusted[order] = np.minimum(1.0, cumulate(factor(np.arange(m), m) * p[order]))
+    adjusted[order] = np.minimum(1.0, cumulate(factor(np.arange(m, dtype=float), m) * p[order]))
     return adjusted

@@ -225,7 +225,8 @@ _FEW = (1, 2, 3, 5)
 
 def geometric_lags(longest: int, ratio: float = 1.5) -> list[int]:
     """1, 2, 3, 4, 6, 9, … up to about `longest` samples."""
-    lags, lag = [], 1.0
+    lags: list[int] = []
+    lag = 1.0
     while round(lag) <= longest:
         if not lags or round(lag) > lags[-1]:
             lags.append(round(lag))

@@ -104,7 +104,7 @@ def segments_of(values: FloatArray, sample_time: float, length: int) -> Segments
     cut = np.array([values[i : i + length] for i in begins])
     cut = (cut - cut.mean(axis=1, keepdims=True)) * window * scale
     transforms = np.fft.rfft(cut, axis=1)
-    frequencies = np.fft.rfftfreq(length, sample_time)
+    frequencies = np.asarray(np.fft.rfftfreq(length, sample_time), dtype=float)
     # Without their mean the segments say nothing at 0 Hz.
     return Segments(frequencies[1:], transforms[:, 1:])
 
