@@ -82,6 +82,13 @@ def test_joined_windows_recover_as_well(
         assert np.all(np.diag(joined.covariance) < 1.2 * np.diag(fitted.covariance))
 
 
+def test_closed_loop_data_serve_as_well() -> None:
+    closed, _ = recording(vertical(**HIDDEN), ranges=RANGES, seconds=40.0, feedback=1.0)
+    result = fit(problem(vertical(), closed))
+    assert np.all(np.abs(errors(result, HIDDEN)) < 4)
+    assert result.values["k_ov"] == pytest.approx(HIDDEN["k_ov"], rel=0.02)
+
+
 def test_samples_may_be_missing_and_wrong(measured: Dataset) -> None:
     generator = np.random.default_rng(0)
     y = measured.measurements.copy()

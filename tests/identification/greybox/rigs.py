@@ -34,14 +34,20 @@ def recording(
     ranges: list[tuple[float, float]],
     noisy: bool = True,
     substeps: int = 4,
+    feedback: float = 0.0,
 ) -> tuple[Dataset, np.ndarray]:
-    """A dataset of the model with its present parameters, and the true states (n, n_x)."""
+    """A dataset of the model with its present parameters, and the true states (n, n_x).
+
+    With ``feedback`` (V/rad) the measured first angle is fed back to the first command.
+    """
     samples = round(seconds / SAMPLE)
     u = levels(seed, samples, ranges)
     rollout = Rollout(model, SAMPLE, substeps=substeps)
     x, states, y = rollout.initial(model.rest(), u[0]), [], []
     for k in range(samples):
         states.append(x[: model.n_x].copy())
+        angle = rollout.outputs(u, [k], [1], x[None]).y[0, 0] if feedback else 0.0
+        u[k, 0] -= feedback * np.round(angle / QUANTUM) * QUANTUM
         found = rollout.outputs(u, [k], [1], x[None])
         y.append(found.y[0])
         x = found.ends[0]
