@@ -61,7 +61,7 @@ class OpenLoopState:
         """What the signals ask for at a time (s), before limits, shape (n_u,)."""
         block, k = divmod(round(time / self.period), _BLOCK)
         if block != self.block:
-            times = (block * _BLOCK + np.arange(_BLOCK)) * self.period
+            times = (block * _BLOCK + np.arange(_BLOCK, dtype=np.float64)) * self.period
             self.commands = np.tile(self.offset, (_BLOCK, 1))
             for column, signal in zip(self.commands.T, self.signals, strict=True):
                 if signal is not None:

@@ -178,7 +178,7 @@ def _dress_spectrum(panel: Axes, f: ExcitationFigures, label: str) -> None:
         panel.axvline(pole, color=GREY, lw=0.8, ls=(0, (4, 2)), zorder=1)
     panel.set_ylabel(label)
     panel.set_xlabel("frequency [Hz]; the band shaded, the slowest and fastest pole dashed")
-    panel.xaxis.label.set_size(8)
+    panel.xaxis.label.set_fontsize(8)
     legend_above(panel)
 
 

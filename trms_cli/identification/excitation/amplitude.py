@@ -148,7 +148,7 @@ def largest_amplitudes(
             remedy="smaller ones, or amplitude={} to have them searched",
         )
     alone = fixed.copy()
-    for i in np.flatnonzero(free):
+    for i in np.flatnonzero(free).tolist():
         progress(f"amplitude of {inputs[i]}")
         one = np.zeros(len(inputs))
         one[i] = room[i]
@@ -156,7 +156,7 @@ def largest_amplitudes(
     progress("amplitudes together")
     wanted = np.where(free, alone, 0.0)
     amplitude = fixed + wanted * _largest(_along(trial, commands, fixed, wanted))
-    weak = [i for i in np.flatnonzero(free) if amplitude[i] < LEAST_SHARE * upper[i]]
+    weak = [i for i in np.flatnonzero(free).tolist() if amplitude[i] < LEAST_SHARE * upper[i]]
     if weak:
         name = inputs[weak[0]]
         raise ConfigurationError(

@@ -152,7 +152,7 @@ def design(
     drawn, lost = _drawn(model, request, whole, first)
     return Design(
         model,
-        np.arange(len(whole)) * request.sample_time,
+        np.arange(len(whole), dtype=np.float64) * request.sample_time,
         whole,
         first,
         plan,

@@ -124,7 +124,7 @@ def summary(design: Design, spectra: Spectra) -> dict[str, Any]:
             }
             for i, signal in enumerate(model.inputs)
         },
-        "correlation_of_inputs": float(np.corrcoef(values.T)[0, 1])
+        "correlation_of_inputs": float(np.asarray(np.corrcoef(values.T))[0, 1])
         if values.shape[1] > 1
         else None,
         "bounds_rad": design.bounds,
