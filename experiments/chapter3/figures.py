@@ -104,7 +104,7 @@ def _draw_runs(system: str, networks: dict[str, Trained], path: Path, short: flo
         samples = sampled(dataset, structure)
         run = simulated(structure, Network.from_data(one.network), samples)
         runs[label] = dict(zip(structure.outputs, run.T, strict=True))
-    time = np.arange(len(samples)) * structure.sample_time
+    time = np.arange(len(samples), dtype=np.float64) * structure.sample_time
     units = dict(zip(structure.outputs, structure.output_units, strict=True))
     draw_free_runs(
         time,
@@ -133,7 +133,7 @@ def _draw_tests(one: Trained, path: Path, short: float) -> None:
     shown = [
         Correlation(
             test.formula,
-            test.result.lags,
+            test.result.lags.astype(np.float64),
             test.result.correlations,
             test.result.band(),
             test.failed(),

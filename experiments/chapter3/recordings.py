@@ -53,7 +53,7 @@ def recording(
     rig = SimulatedRig(model=built, sensors=bench_sensors())
     n = round(duration / sample_time)
     run = rig.init(PlantSetup(sample_time, n, seed))
-    time = np.arange(n) * sample_time
+    time = np.arange(n, dtype=np.float64) * sample_time
     lower, upper = run.input_limits
     columns = []
     for number, signal in enumerate(run.inputs):

@@ -225,7 +225,7 @@ def draw_structure(
         bright = np.sqrt(least * most)
         for i, j in np.ndindex(median.shape):
             low, high = errors[i, j].min(), errors[i, j].max()
-            words = f"{_short(median[i, j])}\n{_short(low)}–{_short(high)}"
+            words = f"{_short(float(median[i, j]))}\n{_short(low)}–{_short(high)}"
             colour = "white" if shown[i, j] > bright else INK
             panel.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
         row, column = list(lags).index(chosen[0]), list(hidden).index(chosen[1])
@@ -280,8 +280,8 @@ def _dots(panel: Axes, row: int, values: FloatArray, colour: str) -> None:
 def _few_ticks(axis: Axis, values: Sequence[float]) -> None:
     """Round ticks over a range that may be less than a decade."""
     low, high = min(values), max(values)
-    steps = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if high / low < 8 else (1.0, 2.0, 5.0)
-    steps = steps if high / low < 60 else (1.0,)
+    steps = [1.0, 1.5, 2.0, 3.0, 5.0, 7.0] if high / low < 8 else [1.0, 2.0, 5.0]
+    steps = steps if high / low < 60 else [1.0]
     decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     ticks = [step * 10.0**decade for decade in decades for step in steps]
     axis.set_major_locator(FixedLocator(ticks))

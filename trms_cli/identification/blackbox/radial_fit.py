@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from time import process_time
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from msgspec import Meta
 
 from trms_cli.identification.blackbox.narx import check_training
+from trms_cli.identification.blackbox.one_step import Objective
 from trms_cli.identification.blackbox.outcome import Stage, fit_result, told
 from trms_cli.identification.blackbox.preparation import Prepared, Regressors, prepared_problem
 from trms_cli.identification.blackbox.radial import Radial
@@ -26,6 +27,7 @@ from trms_cli.identification.blackbox.radial_start import (
 from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.training import (
     Outcome,
+    Report,
     Stopping,
     TrainingAlgorithm,
     train,
@@ -126,9 +128,9 @@ class RadialFit:
 class _AsPlaced:
     """No training: the placed units with their linear weights."""
 
-    regularised = True
+    regularised: ClassVar[bool] = True
 
-    def minimise(self, objective: object, start: FloatArray, report: object) -> None:
+    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
         return
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +69,7 @@ class Mlp:
     hidden: tuple[int, ...]
     direct: bool = False
 
-    kind = "mlp"
+    kind: ClassVar[Kind] = "mlp"
 
     @cached_property
     def _layout(self) -> dict[str, tuple[slice, tuple[int, ...]]]:

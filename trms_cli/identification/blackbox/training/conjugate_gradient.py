@@ -113,18 +113,18 @@ class _Directions:
         if due or self._anchor is None:
             # The restart direction itself stays as the third term of those that follow it.
             self._anchor, self._since = (last, change), 1
-            direction = -slope + _ratio(slope @ change, last @ change) * last
+            direction = -slope + _share(slope, last, change) * last
         else:
             anchor, anchor_change = self._anchor
             direction = (
                 -slope
-                + _ratio(slope @ change, last @ change) * last
-                + _ratio(slope @ anchor_change, anchor @ anchor_change) * anchor
+                + _share(slope, last, change) * last
+                + _share(slope, anchor, anchor_change) * anchor
             )
             descent = -(slope @ direction)
             if not _DESCENT[0] * square <= descent <= _DESCENT[1] * square:
                 self._anchor, self._since = (last, change), 1
-                direction = -slope + _ratio(slope @ change, last @ change) * last
+                direction = -slope + _share(slope, last, change) * last
         if slope @ direction >= 0:
             self._anchor, self._since, self.restarted = None, 0, True
             return -slope
@@ -164,5 +164,7 @@ def quiet_step(search: LineSearch, *arguments: Any) -> float | None:
         return search.step(*arguments)
 
 
-def _ratio(numerator: float, denominator: float) -> float:
-    return float(numerator / denominator) if denominator != 0 else 0.0
+def _share(slope: FloatArray, direction: FloatArray, change: FloatArray) -> float:
+    """gᵀs / dᵀs, by which d + … stays conjugate to the direction along which g changed by s."""
+    denominator = float(direction @ change)
+    return float(slope @ change) / denominator if denominator != 0 else 0.0

@@ -28,7 +28,7 @@ class LineSearch:
 
     def evaluate(self, theta: FloatArray) -> tuple[float, FloatArray]:
         """Loss and gradient; a point that was just evaluated costs nothing."""
-        if self._known is None or not np.array_equal(theta, self._at):
+        if self._known is None or self._at is None or not np.array_equal(theta, self._at):
             self._at, self._known = theta.copy(), self._objective.gradient(theta)
         return self._known
 
