@@ -184,11 +184,25 @@ def region_figure(
     channels = list(dict.fromkeys(table.channel for table in every))
     variables = list(dict.fromkeys(table.variable for table in every))
     with house_style():
-        figure = new_figure(
-            max(4.0, min(12.0, 0.6 + 1.75 * len(variables))), 0.5 + 1.55 * len(channels)
-        )
+        width = max(4.0, min(12.0, 0.9 + 1.75 * len(variables)))
+        height = 1.0 + 1.55 * len(channels)
+        figure = new_figure(width, height)
+        # Dozens of panels: to arrange themselves takes longer than to draw them.
+        figure.set_layout_engine("none")
         panels = figure.subplots(
-            len(channels), len(variables), sharex="col", sharey="row", squeeze=False
+            len(channels),
+            len(variables),
+            sharex="col",
+            sharey="row",
+            squeeze=False,
+            gridspec_kw={
+                "left": 0.95 / width,
+                "right": 1 - 0.1 / width,
+                "bottom": 0.6 / height,
+                "top": 1 - 0.35 / height,
+                "wspace": 0.12,
+                "hspace": 0.14,
+            },
         )
         for i, (model, found) in enumerate(tables.items()):
             for table in found:
@@ -212,7 +226,7 @@ def region_figure(
         if len(tables) > 1:
             figure.legend(
                 *panels[0][0].get_legend_handles_labels(),
-                loc="outside upper left",
+                loc="upper left",
                 ncols=6,
                 frameon=False,
                 fontsize=8,
