@@ -88,7 +88,11 @@ def publish(found: Findings, page: Path = PAGE, figures: Path = FIGURES) -> None
     """
     text = page.read_text(encoding="utf-8")
     blocks = {name: _markdown(rows) for name, rows in tables(found).items()}
-    blocks["time"] = f"The whole study took {found.seconds:.0f} s, two processes side by side."
+    fits = [f for o in (*found.cases, *found.compared) for f in o.fits]
+    blocks["time"] = (
+        f"The {len(fits)} fits of the study took {sum(f.seconds for f in fits):.0f} s of processor "
+        "time together; two processes share them."
+    )
     for name, block in blocks.items():
         begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
         before, mark, rest = text.partition(begin)
@@ -112,6 +116,7 @@ def document(found: Findings) -> dict[str, Any]:
             "seconds": f.seconds,
             "simulations": f.simulations,
             "values": f.values,
+            "history": f.history,
         }
 
     def case(o: CaseOutcome) -> dict[str, Any]:
@@ -287,7 +292,7 @@ def _traces(outcome: CaseOutcome) -> Any:
 
 def _searches(outcomes: Sequence[CaseOutcome]) -> Any:
     """The common cost over processor time, a line a seed; multiple shooting as a point."""
-    from trms_cli.reporting.style import COLOURS, legend_above, new_figure
+    from trms_cli.reporting.style import COLOURS, new_figure
 
     figure = new_figure(9.5, 3.2)
     panels = figure.subplots(1, len(outcomes), squeeze=False)[0]
@@ -300,13 +305,16 @@ def _searches(outcomes: Sequence[CaseOutcome]) -> Any:
                 panel.plot([fit.seconds], [max(fit.cost - least, 0.5)], "o", color=colour, ms=5)
                 continue
             history = np.array(fit.history)
-            panel.plot(history[:, 1], history[:, 2] - least, color=colour, lw=0.9)
+            # The history has the clock's time, which other work on the machine stretches.
+            time = history[:, 1] * fit.seconds / history[-1, 1]
+            panel.plot(time, history[:, 2] - least, color=colour, lw=0.9)
         for i, method in enumerate(methods):
-            panel.plot([], [], color=COLOURS[i], marker="o" * (i == 2), label=_METHODS[method])
+            mark = {"marker": "o", "lw": 0.0} if method == "multiple_shooting" else {}
+            panel.plot([], [], color=COLOURS[i], label=_METHODS[method], **mark)
         panel.set_xscale("log")
         panel.set_yscale("log")
-        panel.set_xlabel("time [s]")
+        panel.set_xlabel("processor time [s]")
         panel.set_title(f"{outcome.case.name}, {outcome.free} parameters", fontsize=9)
+        panel.legend(loc="lower right", fontsize=8)
     panels[0].set_ylabel("cost above the least [nats]")
-    legend_above(panels[0], 3)
     return figure
