@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.excitation.band import band_of, linearised
 from trms_cli.identification.excitation.chirp import ChirpExcitation
-from trms_cli.identification.excitation.design import design
+from trms_cli.identification.excitation.design import Design, design
 from trms_cli.identification.excitation.excitation import Plan, crest_factor
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import (
@@ -136,11 +138,16 @@ class TestBand:
 QUICK = Request(duration=30.0, lead_in=10.0, rigs=0)
 
 
+@lru_cache
+def quick(kind: str) -> Design:
+    """The quick design of a kind, made once."""
+    return design(Newtonian(), KINDS[kind], QUICK)
+
+
 class TestDesign:
     @every_kind
     def test_the_simulated_rig_stays_within_bounds_and_limits(self, kind):
-        model = Newtonian()
-        found = design(model, KINDS[kind], QUICK)
+        model, found = Newtonian(), quick(kind)
         for name, limit in found.bounds.items():
             low, high = found.ranges[name]
             assert max(-low, high) <= limit
@@ -151,10 +158,9 @@ class TestDesign:
         assert max(*use, *reach) > 0.9
 
     def test_smaller_bounds_give_smaller_amplitudes(self):
-        model = Newtonian()
-        wide = design(model, KINDS["prbs"], QUICK)
+        model, wide = Newtonian(), quick("prbs")
         request = Request(
-            duration=40.0, lead_in=10.0, rigs=0, bounds={"alpha_v": 0.7, "alpha_h": 0.5}
+            duration=30.0, lead_in=10.0, rigs=0, bounds={"alpha_v": 0.7, "alpha_h": 0.5}
         )
         narrow = design(model, KINDS["prbs"], request)
         assert np.all(narrow.amplitude < wide.amplitude)
@@ -173,7 +179,7 @@ class TestDesign:
         assert found.amplitude.tolist() == [0.1, 0.3]
 
     def test_the_same_request_gives_the_same_design(self):
-        first, again = (design(Newtonian(), KINDS["multilevel"], QUICK) for _ in range(2))
+        first, again = quick("multilevel"), design(Newtonian(), KINDS["multilevel"], QUICK)
         np.testing.assert_array_equal(first.commands, again.commands)
 
     @pytest.mark.parametrize(
@@ -210,7 +216,7 @@ class TestDesign:
 
 class TestSpectra:
     def test_signal_over_noise_is_that_of_the_definition(self):
-        found = design(Newtonian(), KINDS["multisine"], QUICK)
+        found = quick("multisine")
         noise = {"alpha_v": 4e-4, "alpha_h": 4e-4, "omega_v": 1.6, "omega_h": 1.6}
         spectra = spectra_of(found, noise)
         assert spectra.noise[2] == pytest.approx(2 * 1.6**2 * 0.02)
@@ -225,7 +231,7 @@ class TestSpectra:
         )
 
     def test_the_summary_tells_how_far_each_output_is_seen(self):
-        found = design(Newtonian(), KINDS["multisine"], QUICK)
+        found = quick("multisine")
         noise = {"alpha_v": 4e-4, "alpha_h": 4e-4, "omega_v": 1.6, "omega_h": 1.6}
         document = summary(found, spectra_of(found, noise))
         seen = document["predicted"]["omega_h"]["seen_up_to_hz"]

@@ -99,7 +99,7 @@ class TestResampling:
 
 class TestOutliers:
     @pytest.mark.parametrize("kind", ["prbs", "multilevel", "closed"])
-    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("seed", range(2))
     def test_a_good_recording_has_hardly_any(self, kind, seed):
         recording = play(kind, seed=seed, duration=40.0)
         for name in recording.names("output"):
@@ -203,12 +203,12 @@ class TestDelays:
 
 
 class TestLoop:
-    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("seed", range(2))
     @pytest.mark.parametrize("kind", ["prbs", "multilevel", "multisine"])
     def test_open_loops_are_never_called_closed(self, kind, seed):
         assert look_at(play(kind, seed=seed, prior_seed=seed)).loop.state == "open"
 
-    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("seed", range(2))
     def test_a_controller_is_noticed(self, seed):
         assert look_at(play("closed", seed=seed, prior_seed=seed)).loop.state == "closed"
 
