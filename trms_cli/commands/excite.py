@@ -233,7 +233,9 @@ def _lines(
             f"{figures['amplitude']:>11.3g}{figures['limit']:>8.3g}{figures['crest_factor']:>14.3f}"
         )
     if document["correlation_of_inputs"] is not None:
-        yield f"  correlation of the two: {document['correlation_of_inputs']:.3f}"
+        # adding zero takes the sign from what rounds to it
+        alike = round(document["correlation_of_inputs"], 3) + 0.0
+        yield f"  correlation of the two: {alike:.3f}"
     yield ""
     yield f"{'predicted':<19}{'range':>20}{'drawn rigs':>22}{'seen up to':>14}"
     for name, figures in document["predicted"].items():

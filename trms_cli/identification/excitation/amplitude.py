@@ -145,7 +145,7 @@ def largest_amplitudes(
             "with the amplitudes given the simulated rig passes "
             + " or ".join(f"±{limit:.3g} rad of {name}" for name, limit in trial.bounds.items()),
             where="amplitude",
-            remedy="smaller ones, or amplitude={} to have them searched",
+            remedy="smaller ones, or amplitude=null to have them searched",
         )
     alone = fixed.copy()
     for i in np.flatnonzero(free).tolist():
