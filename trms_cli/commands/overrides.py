@@ -175,6 +175,14 @@ def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Over
             where=override.key + override.package,
             remedy=nearest(first, allowed),
         )
+    if (override.value or "").strip() in ("null", "None", ""):
+        # Hydra has no word for taking a choice away that another option makes.
+        raise ConfigurationError(
+            f"{override.value!r} given, and one of the group {override.key} is wanted",
+            where=override.key + override.package,
+            remedy=f"there are: {', '.join(groups[override.key])}; what is left out of the command "
+            "line is not chosen",
+        )
     given = [item.strip("[]") for item in _names(override.value or "") or []]
     for name in (name.strip() for item in given for name in item.split(",")):
         if name and name != "null" and name not in groups[override.key]:
