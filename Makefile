@@ -76,7 +76,7 @@ chapter4: $(READY) ## study: grey-box fits, genetic algorithm and better, white 
 	@$(BIN)/python -m experiments.chapter4 $(ARGS)
 
 docs-figures: $(READY) ## draw the figures of docs/ with the program itself
-	@$(BIN)/python -m trms_cli.reporting.effect_figures docs/figures/effects
+	@$(BIN)/python -m docs.figures
 
 lock: $(READY) ## renew the locked versions from pyproject.toml
 	@$(BIN)/python -m pip install --quiet uv

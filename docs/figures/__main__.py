@@ -14,10 +14,15 @@ from trms_cli.reporting import effect_figures
 HERE = Path(__file__).parent
 README = HERE.parents[1] / "README.md"
 BEGIN, END = "<!-- what make run prints: begin -->", "<!-- what make run prints: end -->"
+#: Figures of docs/excitation.md, and how they are designed.
+EXCITATIONS = {
+    "excitation_multisine": [],
+    "excitation_reversals": ["excitation=multilevel", "reversals=true"],
+}
 
 
 def main() -> None:
-    """Draw the effects; run the README's run, keep its picture and what it printed."""
+    """Draw the effects and excitations; run the README's run, keep its picture and what it printed."""
     effect_figures.main([str(HERE / "effects")])
     with tempfile.TemporaryDirectory() as scratch:
         # found on the path, the program tells the next commands by its bare name
@@ -30,6 +35,12 @@ def main() -> None:
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, encoding="utf-8", **told)
         (picture,) = Path(scratch).glob("outputs/*/*/run.png")
         shutil.copyfile(picture, HERE / "run.png")
+        for name, words in EXCITATIONS.items():
+            designed = Path(scratch, name)
+            subprocess.run(
+                [command[0], "excite", *words, f"out={designed}"], capture_output=True, **told
+            )
+            shutil.copyfile(designed / "excitation.png", HERE / f"{name}.png")
     before, _, rest = README.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
     if not end:
