@@ -41,12 +41,26 @@ def composed(trms, *argv: str) -> dict:
 
 class TestRun:
     def test_with_a_network_file_says_what_model_and_rig_are(self, trms, network, tmp_path):
-        done = trms("run", "model=net.yaml", "sim.duration=20", "out=run", "picture=false")
+        options = ("sim.duration=2", "out=run", "picture=false")
+        done = trms("run", "model=net.yaml", *options, TRMS_COMPILE="0")
         assert done.returncode == 0, done.stderr
         assert "model narx, rig narx" in done.stdout
         score = json.loads((tmp_path / "run" / "score.json").read_text())
         assert score["solver"]["failures"] == 0
 
+    def test_with_the_trained_network_reaches_the_reference(self, trms, tmp_path):
+        """All defaults; interpreted, which is quicker than to compile for so short a run."""
+        options = ("controller=newton_mpc", "sim.duration=20", "out=run", "picture=false")
+        done = trms("run", "model=narx_2dof", *options, TRMS_COMPILE="0")
+        assert done.returncode == 0, done.stderr
+        assert "model narx, rig newtonian" in done.stdout
+        score = json.loads((tmp_path / "run" / "score.json").read_text())
+        assert score["solver"]["failures"] == 0
+        for axis in ("alpha_v", "alpha_h"):
+            assert score["channels"][axis]["settling_time_s"] < 5.0
+            assert score["channels"][axis]["steady_state_error"] < 0.0046  # three encoder quanta
+
+    @pytest.mark.slow
     def test_with_the_trained_network_is_as_good_as_with_the_equations(self, trms, tmp_path):
         """The rig is white-box in both: the network is a model of it, not the rig itself."""
         scores = {}
@@ -73,8 +87,9 @@ class TestRun:
                 assert scores[name][axis]["steady_state_error"] < 0.0046
 
     def test_is_repeated_from_its_log(self, trms, network, tmp_path):
-        first = trms("run", "model=net.yaml", "sim.duration=2", "out=a", "picture=false")
-        again = trms("run", "--from", "a/run.mcap", "out=b", "picture=false")
+        options = ("sim.duration=1", "out=a", "picture=false")
+        first = trms("run", "model=net.yaml", *options, TRMS_COMPILE="0")
+        again = trms("run", "--from", "a/run.mcap", "out=b", "picture=false", TRMS_COMPILE="0")
         assert (first.returncode, again.returncode) == (0, 0), again.stderr
         scores = [json.loads((tmp_path / f / "score.json").read_text()) for f in "ab"]
         assert scores[0]["channels"] == scores[1]["channels"]
