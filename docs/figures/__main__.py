@@ -22,7 +22,7 @@ EXCITATIONS = {
 
 
 def main() -> None:
-    """Draw the effects and excitations; run the README's run, keep its picture and what it printed."""
+    """Draw what the pages show; run the README's run, keep its picture and what it printed."""
     effect_figures.main([str(HERE / "effects")])
     with tempfile.TemporaryDirectory() as scratch:
         # found on the path, the program tells the next commands by its bare name
