@@ -41,6 +41,7 @@ _PRIMARIES = ("run", "identify", "validate", "excite")
 _INSIDE_OTHERS = {
     "disturbance": "torques on the rig: disturbance@plant.disturbances=NAME",
     "parameters": "values of a model: model.parameter_set=NAME",
+    "networks": "trained networks of the models narx_…: model.network=NAME",
     "qp_solver": "of newton_mpc: qp_solver@controller.qp=NAME",
     "shaping": "smooths a reference: shaping@ref.shaping=NAME",
     "training": "of a network: training@method.training=NAME",

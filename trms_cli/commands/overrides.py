@@ -330,7 +330,9 @@ def _value(override: Override, keys: DeclaredKeys, multirun: bool) -> Override:
     """A value's override, with open mappings opened and paths quoted."""
     parts = override.key.split(".")
     if override.prefix != "~" and len(parts) > 1:
-        places = (".".join(parts[:n]) for n in range(len(parts), 0, -1))
+        # A group of several options is empty too, while none is chosen; it is not open.
+        least = 2 if parts[0] in keys.declared.defaults else 1
+        places = (".".join(parts[:n]) for n in range(len(parts), least - 1, -1))
         if any(keys.value(place) == {} for place in places):
             override = override._replace(prefix="++")
     value = override.value
