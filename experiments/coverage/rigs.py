@@ -34,7 +34,7 @@ class Recorded(NamedTuple):
     dataset : Dataset
     truth : ParameterSet
     travel : float
-        Largest share of the range of any angle that was used; from 1 on a stop was hit.
+        Largest share of the range of any angle that was used; near 1 a stop was hit.
     """
 
     dataset: Dataset
