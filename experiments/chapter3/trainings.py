@@ -104,13 +104,13 @@ def model_of(system: str) -> Model:
 @cache
 def recorded(system: str, part: str, short: float = 1.0) -> Dataset:
     """A recording of a system; ``short`` is the share of its duration."""
-    own, number = settings()["systems"][system], PARTS.index(part)
+    own = settings()["systems"][system]
     return recording(
         own["model"],
         own["excitation"],
         duration=short * settings()["durations"][part],
         sample_time=settings()["sample_time"],
-        seed=10 * number,
+        seed=own["draws"][part],
         name=f"{system} {part}",
     )
 

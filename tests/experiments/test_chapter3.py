@@ -16,7 +16,7 @@ from experiments.chapter3.page import filled
 from experiments.chapter3.recordings import cut_at_stops, recording
 from experiments.chapter3.study import Study, _excitation_jobs, _member_jobs, _table_jobs
 from experiments.chapter3.tables import markdown, plain
-from experiments.chapter3.trainings import Job, recorded, run_job, settings
+from experiments.chapter3.trainings import PARTS, Job, model_of, recorded, run_job, settings
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.resources import config_folder
 from trms_cli.identification.blackbox.structure_selection import Assessed, Candidate
@@ -83,6 +83,20 @@ class TestStudy:
             for other in parts[i + 1 :]:
                 n = min(len(one), len(other))
                 assert np.abs(one.commands[:n] - other.commands[:n]).mean() > 0.05
+
+    @pytest.mark.parametrize("system", settings()["systems"])
+    def test_no_recording_hits_the_frame(self, system):
+        stops = model_of(system).stops
+        for part in PARTS:
+            dataset = recorded(system, part)
+            assert len(cut_at_stops(dataset, stops, 0.0)) == 1, part
+        if system == settings()["excitations"]["system"]:
+            own = settings()["excitations"]["prbs"]
+            dataset = recording(
+                settings()["systems"][system]["model"], own, duration=180.0, sample_time=0.02,
+                seed=0, name="p",
+            )  # fmt: skip
+            assert len(cut_at_stops(dataset, stops, 0.0)) == 1
 
     def test_a_training_is_judged_on_all_three_recordings(self, study):
         one = study.tables["both"][1]
