@@ -105,6 +105,16 @@ class TestStudy:
         assert one.losses[-1] < one.losses[0]
         assert one.epochs == len(one.losses) - 1
 
+    @pytest.mark.slow
+    def test_all_thirteen_trainings_of_one_axis_take_less_than_three_minutes(self):
+        trained = [run_job(job) for job in _table_jobs("horizontal", [0])]
+        assert len(trained) == 13
+        assert sum(one.seconds for one in trained) < 180
+        # those that reach the floor of the encoder one step ahead; gradient descent does not
+        good = {"cgf", "cgp", "cgb", "scg", "bfgs", "oss", "lm", "br"}
+        for one in trained:
+            assert (one.one_step["test"]["alpha_h"] < 1.3e-3) or one.job.training not in good
+
     def test_tables_and_document_say_the_same(self, study):
         tables, document = markdown(study), plain(study)
         json.dumps(document, allow_nan=False)
