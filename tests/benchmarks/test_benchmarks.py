@@ -16,7 +16,15 @@ from benchmarks.document import SCHEMA, Column, Table, document, print_table
 from benchmarks.lockstep import Entrant, race
 from benchmarks.options import Options
 from benchmarks.setups import FULL_STATE, experiment, newton_horizon
-from benchmarks.subjects import growth, newton_time, objective, parts, peers, tracking
+from benchmarks.subjects import (
+    growth,
+    identification,
+    newton_time,
+    objective,
+    parts,
+    peers,
+    tracking,
+)
 
 
 @pytest.fixture
@@ -121,7 +129,9 @@ def test_a_subject_runs(subject: object, quick: Options) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("subject", [objective, peers, tracking], ids=lambda s: s.__name__)
+@pytest.mark.parametrize(
+    "subject", [objective, peers, tracking, identification], ids=lambda s: s.__name__
+)
 def test_a_long_subject_runs(subject: object, quick: Options) -> None:
     for table in subject.run(quick):  # type: ignore[attr-defined]
         assert table.rows
