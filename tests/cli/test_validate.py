@@ -107,6 +107,13 @@ def test_bad_input_is_explained(here, capsys, arguments, words):
     assert not (here / "outputs").exists()
 
 
+def test_a_recording_in_which_nothing_moves_is_refused(here, capsys):
+    rows = "".join(f"{k * 0.02:.2f},0,-35.5,0\n" for k in range(400))
+    (here / "still.csv").write_text(HEADER + rows, encoding="utf-8")
+    assert main(["validate", "real=still.csv", "model=newtonian_vertical"]) == 2
+    assert "nothing moves" in capsys.readouterr().err
+
+
 class TestListsOfModels:
     def test_one_model_is_left_to_the_composition(self):
         assert model_list(["real=a.csv", "model=newtonian"]) is None

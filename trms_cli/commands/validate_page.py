@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from trms_cli.commands.validate_pictures import (
-    characteristics_of,
     correlation_rows,
     error_growths,
     free_run_traces,
     spectra_of,
 )
+from trms_cli.identification.validation.characteristics import characteristics_of
 from trms_cli.identification.validation.validate import ModelValidation
 from trms_cli.identification.validation.verdict import (
     SMALL,

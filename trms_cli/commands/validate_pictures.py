@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.validation.characteristics import Characteristics, characteristics
 from trms_cli.identification.validation.comparison import rms_interval
 from trms_cli.identification.validation.metrics import rms
 from trms_cli.identification.validation.residual_tests import ResidualTest
@@ -51,7 +50,8 @@ def error_growths(validations: Sequence[ModelValidation]) -> list[ErrorGrowth]:
 
 
 def _by_column(errors: np.ndarray) -> np.ndarray:
-    return np.array([rms(column) for column in errors.T])
+    found = np.array([rms(column) for column in errors.T])
+    return np.where(found > 0, found, np.nan)  # no place on a logarithmic axis
 
 
 def _point(
@@ -173,7 +173,7 @@ def spectra_of(validations: Sequence[ModelValidation]) -> list[ChannelSpectra]:
                 segments_of(measured - error, step, length)
             ).density
             errors[validation.name] = spectrum(of_error).density
-        if density is None or density.segments == 0:
+        if density is None or density.segments == 0 or not density.density.max() > 0:
             continue
         found.append(
             ChannelSpectra(
@@ -189,19 +189,6 @@ def spectra_of(validations: Sequence[ModelValidation]) -> list[ChannelSpectra]:
             )
         )
     return found
-
-
-def characteristics_of(dataset: Dataset) -> list[Characteristics]:
-    """Statistics of the outputs, then of the inputs."""
-    outputs = [
-        characteristics(s.name, s.unit, dataset.measurements[:, i], dataset.sample_time)
-        for i, s in enumerate(dataset.outputs)
-    ]
-    inputs = [
-        characteristics(s.name, s.unit, dataset.commands[:, i], dataset.sample_time)
-        for i, s in enumerate(dataset.inputs)
-    ]
-    return [c for c in (*outputs, *inputs) if c.samples]
 
 
 def _channels(validations: Sequence[ModelValidation]) -> list[tuple[str, str]]:

@@ -27,8 +27,10 @@ def model(name: str = "newtonian", **factors: float) -> Model:
     import yaml
 
     node = yaml.safe_load((config_folder() / f"model/{name}.yaml").read_text(encoding="utf-8"))
-    known = build(node, "model").parameters
-    node["parameters"] = {key: factor * known[key].value for key, factor in factors.items()}
+    node.pop("defaults", None)
+    if factors:
+        known = build(node, "model").parameters
+        node["parameters"] = {key: factor * known[key].value for key, factor in factors.items()}
     return build(node, "model")
 
 

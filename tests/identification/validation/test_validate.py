@@ -126,6 +126,15 @@ class TestErrors:
         assert list(found["error"]) == ["alpha_v", "alpha_h"]
         assert found["error"]["alpha_v"]["2.0"] < 2e-3
 
+    def test_a_channel_that_never_moves_is_not_tested(self, rig, data):
+        still = data.measurements.copy()
+        still[:, 1] = 0.1
+        found = document_of([validated(rig, replace(data, measurements=still).part(0, 600))])
+        assert {t["channel"] for t in found["residual_tests"]["tests"]} == {
+            "alpha_v", "omega_v", "omega_h",
+        }  # fmt: skip
+        assert found["fit_percent"]["alpha_h"] is None
+
     def test_driven_by_measured_rotors(self, rig, data):
         driven = ("omega_v", "omega_h")
         found = document_of([validated(DrivenModel(rig, driven), data.driven_by(driven))])
@@ -272,6 +281,17 @@ class TestBlackBox:
         assert np.array_equal(states[5], [y[5], y[4], u[4]])
         assert np.isnan(states[0]).any()
         assert measured_states(model(), made) is None
+
+    def test_a_network_of_the_library(self):
+        """Trained on the rig of one axis: near the noise, by one step from measured values."""
+        beam = model("newtonian_vertical")
+        network = model("narx_vertical")
+        document = document_of([validated(network, recording(beam, 20.0))])
+        assert "measured values" in document["predictor"]
+        assert (
+            document["error"]["alpha_v"]["0.5"]
+            < 0.2 * (document["by_horizon"]["alpha_v"]["0.5"]["unchanged_rms"])
+        )
 
     def test_its_one_step_errors_are_the_noise_that_drove_it(self, made):
         found = validated(Remembering(), made)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.identification.dataset import FloatArray
+from trms_cli.identification.dataset import Dataset, FloatArray
 from trms_cli.identification.validation.spectra import default_length, segments_of, spectrum
 
 #: Parts of the stationarity check.
@@ -122,6 +122,16 @@ def characteristics(
         edges,
         r[:shown],
     )
+
+
+def characteristics_of(dataset: Dataset) -> list[Characteristics]:
+    """Statistics of the outputs, then of the inputs; of those that have any sample."""
+    columns = [
+        *zip(dataset.outputs, dataset.measurements.T, strict=True),
+        *zip(dataset.inputs, dataset.commands.T, strict=True),
+    ]
+    found = [characteristics(s.name, s.unit, y, dataset.sample_time) for s, y in columns]
+    return [signal for signal in found if signal.samples]
 
 
 def autocorrelation(values: FloatArray) -> FloatArray:

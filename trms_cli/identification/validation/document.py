@@ -9,6 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from trms_cli.identification.validation.characteristics import (
+    Characteristics,
+    characteristics_of,
+)
 from trms_cli.identification.validation.comparison import (
     BlockSums,
     Interval,
@@ -47,6 +51,7 @@ def document_of(validations: Sequence[ModelValidation]) -> dict[str, Any]:
                     for i, s in enumerate(d.outputs)
                 },
                 "remarks": list(d.remarks),
+                "signals": {c.name: _signal(c) for c in characteristics_of(d)},
             }
             for d in first.datasets
         ],
@@ -59,6 +64,12 @@ def document_of(validations: Sequence[ModelValidation]) -> dict[str, Any]:
         return _plain({**document, **model_document(first)})
     document["models"] = {v.name: model_document(v) for v in validations}
     return _plain({**document, **comparison_document(validations)})
+
+
+def _signal(found: Characteristics) -> dict[str, Any]:
+    """The figures of a signal, without its distribution."""
+    drawn = ("name", "counts", "edges", "autocorrelation")
+    return {key: value for key, value in vars(found).items() if key not in drawn}
 
 
 def model_document(validation: ModelValidation) -> dict[str, Any]:

@@ -31,18 +31,18 @@ def fit_percent(errors: FloatArray, measured: FloatArray) -> float:
     """Fit in %; NaN for a signal that does not move."""
     present = ~np.isnan(errors) & ~np.isnan(measured)
     e, y = errors[present], measured[present]
-    if not e.size:
+    if not e.size or not np.ptp(y) > 0:
         return np.nan
     moving = float(np.linalg.norm(y - y.mean()))
     with np.errstate(over="ignore"):
-        return 100.0 * (1.0 - float(np.linalg.norm(e)) / moving) if moving > 0 else np.nan
+        return 100.0 * (1.0 - float(np.linalg.norm(e)) / moving)
 
 
 def vaf_percent(errors: FloatArray, measured: FloatArray) -> float:
     """Variance accounted for in %; NaN for a signal that does not move."""
     present = ~np.isnan(errors) & ~np.isnan(measured)
     e, y = errors[present], measured[present]
-    if not e.size or not np.var(y) > 0:
+    if not e.size or not np.ptp(y) > 0:
         return np.nan
     with np.errstate(over="ignore", invalid="ignore"):
         return 100.0 * (1.0 - float(np.var(e)) / float(np.var(y)))

@@ -236,11 +236,16 @@ def tests_of(
     steps: Sequence[OneStep],
     options: ValidationOptions,
 ) -> ResidualTests:
-    """Residual tests over all recordings at once."""
+    """Residual tests over all recordings at once, of the channels that move."""
     step_s = datasets[0].sample_time
     gap = gap_samples(options, step_s)
     measured = [set(names(d.outputs)) for d in datasets]
     channels = [name for name in names(model.outputs) if all(name in m for m in measured)]
+    channels = [
+        name
+        for name in channels
+        if any(np.nanmax(y) > np.nanmin(y) for y in (d.output(name) for d in datasets))
+    ]
     commands = joined([d.commands for d in datasets], gap)
     outputs = joined(
         [d.measurements[:, [names(d.outputs).index(c) for c in channels]] for d in datasets], gap

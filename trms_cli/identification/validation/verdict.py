@@ -262,7 +262,7 @@ def _on_regions(document: Mapping[str, Any]) -> Iterator[Remark]:
         if not found:
             continue
         share, low, high, time, variable = max(found)
-        if share >= _CONCENTRATED:
+        if share >= max(_CONCENTRATED, 1.5 * time):
             unit = document["units"].get(variable, "")
             yield Remark(
                 f"{100 * share:.0f} % of the squared error of {word(channel)} over {horizon:g} s "
