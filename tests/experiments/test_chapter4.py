@@ -91,7 +91,10 @@ class TestPage:
         copy.write_text(page.PAGE.read_text(encoding="utf-8"), encoding="utf-8")
         page.publish(findings, copy, figures)
         once = copy.read_text(encoding="utf-8")
-        assert "| 1 | case 1 | 12 | pitch | 50 |" in once and "The 16 fits of the study took 32 s of processor time" in once
+        assert (
+            "| 1 | case 1 | 12 | pitch | 50 |" in once
+            and "The 16 fits of the study took 32 s of processor time" in once
+        )
         page.publish(findings, copy, figures)
         assert copy.read_text(encoding="utf-8") == once
         for name in ("white_against_grey", "case_9", "comparison"):
