@@ -261,7 +261,9 @@ def _spectra(page: Page, validations: Sequence[ModelValidation]) -> None:
     page.figure(
         validation_spectra.spectra_figure(spectra),
         f"Grey band: 95 % interval of the measured density. Coherence: error of "
-        f"{validations[0].name}; dashed: reached by chance at one frequency in twenty.",
+        f"{validations[0].name}; dashed: reached by chance at one frequency in twenty. "
+        "In closed loop a command follows the sensor's noise, and so coherence where the error is "
+        "noise is the controller's doing.",
     )
 
 
