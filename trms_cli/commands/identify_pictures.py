@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +59,19 @@ def _figures(fitted: Assessment, document: Mapping[str, Any]) -> dict[str, tuple
     if len(document["history"]) > 1:
         made["convergence"] = (
             picture.convergence_figure(document["history"], "the search"),
-            "The least cost so far, above the least of all.",
+            _about_the_search([cost for _, _, cost in document["history"]]),
         )
     return made
+
+
+def _about_the_search(costs: list[float | None]) -> str:
+    known = [cost for cost in costs if cost is not None]
+    if all(b <= a for a, b in pairwise(known)):
+        return "The least cost so far, above the least of all."
+    return (
+        "The cost along the search, above the least of all. Where it rises, another start was "
+        "begun or the residuals were weighed anew."
+    )
 
 
 def _traces(fitted: Assessment, part: str) -> list[FreeRunTrace]:

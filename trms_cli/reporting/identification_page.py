@@ -15,6 +15,8 @@ _PARTS = {"held_out": "held out", "fit": "fitted"}
 #: Share of a prior's deviation that is left where the data said next to nothing.
 _UNINFORMED = 0.9
 _MOST_SETS = 12
+#: Relative change of an error that is none.
+_NO_CHANGE = 0.01
 
 
 def identification_page(
@@ -108,7 +110,9 @@ def _error_rows(errors: Mapping[str, Any]) -> list[list[Cell | Marked]]:
             was = before.get(name, {}).get("rmse")
             mark: Mark = ""
             if was is not None and after["rmse"] is not None:
-                mark = "good" if after["rmse"] < was else "bad"
+                change = after["rmse"] / was - 1 if was > 0 else 0.0
+                if abs(change) > _NO_CHANGE:
+                    mark = "good" if change < 0 else "bad"
             rows.append(
                 [
                     LABELS.get(name, name),
