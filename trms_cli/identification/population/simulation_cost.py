@@ -86,9 +86,10 @@ class SimulationCost:
         s = np.sqrt(np.maximum(1.0, self._mean_square(found.r)))
         root = self.windows.measured / (self.windows.declared * s)[:, None]
         m, n = len(self.windows), self.windows.n_x
-        a = (found.j[..., :n] * self.windows.spread * root[..., None]).reshape(m, -1, n)
+        slopes = (found.j[..., :n] * self.windows.spread * root[..., None]).reshape(m, -1, n)
+        a = np.ascontiguousarray(slopes.transpose(0, 2, 1))
         b = (found.r * root).reshape(m, -1)
         # Not by BLAS, which would start threads of its own beside those of the search.
-        normal = np.einsum("mki,mkj->mij", a, a) + np.eye(n)
-        right = np.einsum("mki,mk->mi", a, b)[..., None]
+        normal = np.einsum("mik,mjk->mij", a, a) + np.eye(n)
+        right = np.einsum("mik,mk->mi", a, b)[..., None]
         return np.asarray(-np.linalg.solve(normal, right)[..., 0], dtype=np.float64)
