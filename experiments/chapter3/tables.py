@@ -115,7 +115,7 @@ def _members(results: Sequence[Trained]) -> str:
 
 
 def _structure(study: Study) -> str:
-    best = min(study.structures, key=lambda one: one.median)
+    best = min(study.structures, key=lambda one: one.level)
     chosen = selected(study.structures)
     rows = [
         [
@@ -126,7 +126,7 @@ def _structure(study: Study) -> str:
             _spread([100 * value for value in one.one_step]),
             _spread([100 * value for value in one.free_run]),
         ]
-        for words, one in (("smallest median", best), ("selected", chosen))
+        for words, one in (("best", best), ("selected", chosen))
     ]
     heads = ["", "lags", "hidden units", "weights"]
     return _table([*heads, "one step [% of the spread]", "free run [% of the spread]"], rows)

@@ -1,9 +1,10 @@
 """Which lags and how many hidden units: by the error on data that are not fitted.
 
 Each candidate is trained from several random starts. The error that counts is that of the free
-run over the held-out recordings: one step ahead nearly every structure looks good. The best
-candidate has the smallest median; of those that fail no more often badly, their upper quartile
-being no larger than its, the one with the fewest weights is taken.
+run over the held-out recordings: one step ahead nearly every structure looks good. Taken is the
+smallest candidate within one standard error of the best (the rule of Breiman, Friedman, Olshen &
+Stone 1984, "Classification and Regression Trees"), by the logarithms of the errors, so that a
+factor counts the same everywhere.
 """
 
 from __future__ import annotations
@@ -57,9 +58,15 @@ class Assessed:
         return float(np.median(self.free_run))
 
     @property
-    def upper(self) -> float:
-        """Upper quartile of the free-run errors."""
-        return float(np.quantile(self.free_run, 0.75, method="higher"))
+    def level(self) -> float:
+        """Mean of the logarithms of the free-run errors."""
+        return float(np.mean(np.log(self.free_run)))
+
+    @property
+    def standard_error(self) -> float:
+        """Of :attr:`level`; 0 for a single start."""
+        n = len(self.free_run)
+        return float(np.std(np.log(self.free_run), ddof=1) / np.sqrt(n)) if n > 1 else 0.0
 
 
 def candidate_method(method: NarxFit, candidate: Candidate) -> NarxFit:
@@ -94,11 +101,13 @@ def assess(
 
 
 def selected(assessed: Sequence[Assessed]) -> Assessed:
-    """The candidate with the fewest weights whose upper quartile is that of the best, or lower."""
-    best = min(assessed, key=lambda one: one.median)
+    """The candidate with the fewest weights within one standard error of the best."""
+    best = min(assessed, key=lambda one: one.level)
+    if not np.isfinite(best.level):  # every one has diverged at least once
+        return min(assessed, key=lambda one: one.median)
+    limit = best.level + best.standard_error
     return min(
-        (one for one in assessed if one.upper <= best.upper),
-        key=lambda one: (one.weights, one.median),
+        (one for one in assessed if one.level <= limit), key=lambda one: (one.weights, one.level)
     )
 
 
