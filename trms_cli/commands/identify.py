@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
@@ -49,9 +48,6 @@ options
 
 def main(argv: Sequence[str]) -> int:
     """Compose and fit."""
-    # Before the linear algebra is loaded: its matrices are small here, and threads that wait for
-    # one another on a busy machine have cost a training a factor of fifty.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     from trms_cli.commands.identify_resume import resumed, take_folder
 
     folder, rest = take_folder(argv)
