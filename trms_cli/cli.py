@@ -93,8 +93,8 @@ def _dispatch(arguments: list[str]) -> int:
     if word in ("-V", "--version"):
         sys.stdout.write(f"trms {__version__}\n")
         return EXIT_OK
-    # Before linear algebra is loaded: matrices are small here, and threads that wait for one another
-    # on a busy machine have cost a training a factor of fifty.
+    # Before linear algebra is loaded: matrices are small here, and threads that wait for one
+    # another on a busy machine have cost a training a factor of fifty.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     module = load_command(word)
     if "--help" in rest or "-h" in rest:
