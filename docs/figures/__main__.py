@@ -9,6 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from docs.figures import validation
 from trms_cli.reporting import effect_figures
 
 HERE = Path(__file__).parent
@@ -24,6 +25,7 @@ EXCITATIONS = {
 def main() -> None:
     """Draw what the pages show; run the README's run, keep its picture and what it printed."""
     effect_figures.main([str(HERE / "effects")])
+    validation.draw(HERE)
     with tempfile.TemporaryDirectory() as scratch:
         # found on the path, the program tells the next commands by its bare name
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

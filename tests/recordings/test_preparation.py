@@ -233,7 +233,7 @@ class TestFindings:
         words = " | ".join(found.sentences)
         assert "alpha_h is constant at 0 rad" in words
         assert "omega_h: not a single value" in words
-        assert "u_v is at its limit for" in words
+        assert "u_v is at its largest, " in words
         assert found.channels["alpha_h"].constant and found.channels["alpha_h"].rest_share == 1
 
     def test_reversals_and_rest_are_counted(self):

@@ -138,10 +138,9 @@ def remarks_on(recording: Recording, masks: dict[str, np.ndarray] | None = None)
         share = _extreme_share(recording.channels[name])
         if share is not None and share > _SATURATED_SHARE:
             largest = float(np.nanmax(np.abs(recording.channels[name])))
-            sentences.append(
-                f"{name} is at its limit for {share:.0%} of the time (up to {largest:.4g} "
-                f"{recording.units[name]})"
-            )
+            unit = recording.units[name]
+            size = f"{largest:.4g}" + (f" {unit}" if unit != "1" else "")
+            sentences.append(f"{name} is at its largest, {size}, for {share:.0%} of the time")
     return sentences
 
 
