@@ -6,6 +6,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+# folder of the TRAS record
+RECORDS ?= tras
 # jobs of the test run
 JOBS ?= 2
 
@@ -14,7 +16,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test slow lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 docs-figures lock clean
+	chapter2 chapter3 chapter4 coverage tras-fit docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -74,6 +76,12 @@ chapter3: $(READY) ## study: neural networks, thirteen training algorithms, stru
 
 chapter4: $(READY) ## study: grey-box fits, genetic algorithm and better, white against grey
 	@$(BIN)/python -m experiments.chapter4 $(ARGS)
+
+coverage: $(READY) ## study: do the intervals of a fit hold the truth? (half an hour)
+	@$(BIN)/python -m experiments.coverage $(ARGS)
+
+tras-fit: $(READY) ## study: a fit to the real TRAS (RECORDS=folder with closed_loop.csv)
+	@$(BIN)/python -m experiments.tras_fit '$(RECORDS)' $(ARGS)
 
 docs-figures: $(READY) ## draw the figures of docs/ with the program itself
 	@$(BIN)/python -m docs.figures
