@@ -27,7 +27,7 @@ Ctrl-C stops a fit at the best so far and writes that.
 examples
   trms identify real=rig.csv                                 all parameters that have a prior
   trms identify real=rig.csv free=[k_fvp,k_ov,l_cb]          some of them
-  trms identify real=rig.csv 'free=[priors,"!k_g"]'            all but one
+  trms identify real=rig.csv 'free=[priors,"!k_g"]'          all but one
   trms identify 'real=[monday.csv,tuesday.csv]' validation.real=friday.csv
   trms identify real=rig.csv driven=[omega_v,omega_h]        rotor speeds taken from the recording
   trms identify real=rig.csv effect=yaw_coulomb_friction 'free=[priors,yaw_coulomb_friction.torque]'
