@@ -250,3 +250,9 @@ def test_all_errors_are_told_at_once(recordings):
 
 def test_nothing_is_raised_for_warnings(recordings):
     admit([dataset(recordings["prbs"]).part(500, 1300)], MODEL).require()
+
+
+def test_a_model_that_runs_away_tells_nothing_of_the_channels(recordings):
+    model = Newtonian(parameters={"J_mr": 1e-9, "J_tr": 1e-9})
+    found = admit([dataset(recordings["multilevel"], model=model)], model).issues
+    assert not {issue.check for issue in found} & {"sign", "unit", "swapped", "speed"}

@@ -233,7 +233,9 @@ def _followed(dataset: Dataset, motion: Motion) -> dict[str, tuple[float, float]
         measured = dataset.output(name)
         rows = np.isfinite(measured)
         y, x = measured[rows], modelled[rows]
-        if len(y) < _LEAST_SAMPLES or np.std(x) < _TURNS or np.std(y) == 0:
+        if len(y) < _LEAST_SAMPLES or not np.isfinite(x).all():
+            continue
+        if np.std(x) < _TURNS or np.std(y) == 0:
             continue
         found[name] = (float(np.corrcoef(y, x)[0, 1]), float(y @ x / (x @ x)))
     return found
@@ -246,10 +248,11 @@ def _thrusts(dataset: Dataset, motion: Motion) -> dict[str, _Thrust]:
         step = dataset.sample_time
         if np.count_nonzero(rows) < _LEAST_SAMPLES:
             continue
-        passive, thrust = (
-            smoothed(values[name], step)[rows] for values in (motion.passive, motion.thrust)
-        )
-        if not (np.isfinite(passive).all() and np.isfinite(thrust).all()) or np.std(thrust) == 0:
+        modelled = (motion.passive[name], motion.thrust[name])
+        if not np.isfinite(modelled).all():  # the model's rotors ran away
+            continue
+        passive, thrust = (smoothed(values, step)[rows] for values in modelled)
+        if np.std(thrust) == 0:
             continue
         y = acceleration[rows]
         others = np.column_stack([passive, np.ones(len(y))])
