@@ -227,3 +227,14 @@ def test_a_constant_channel_is_told_with_what_to_record(trms, lab):
     done = trms("identify", "model=newtonian_vertical", "real=constant.csv")
     assert done.returncode == 2
     assert "alpha_v is constant" in done.stderr and "record again" in done.stderr
+
+
+@pytest.mark.parametrize("method", ["multiple_shooting", "genetic"])
+def test_a_rig_that_cannot_be_simulated_is_an_error_and_leaves_no_model(trms, lab, method):
+    out = f"runaway_{method}"
+    small = SMALL[1:3] if method == "genetic" else ()
+    rotor = "model.parameters={J_mr: 1e-9}"  # far too light for any integration step
+    done = trms(*FIT[:3], rotor, "free=[k_ov]", f"method={method}", *small, f"out={out}")
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "no start could be simulated" in done.stderr and "Traceback" not in done.stderr
+    assert not (lab / out / "model.yaml").exists()

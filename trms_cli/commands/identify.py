@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 from trms_cli.commands.composition import Composition, Outcome, execute
-from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.errors import EXIT_OK, SimulationError
+
+if TYPE_CHECKING:
+    from trms_cli.identification.method import FitResult
 
 SUMMARY = "fit a model's parameters, or a network, to recordings"
 COMPOSES = "identify"
@@ -82,6 +86,7 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     if again:  # now that it is known to be the same search
         files.write_config(composition, folder)
     screen.say_fitted(result)
+    _require_simulated(result)
     fitted = assessment.assess(asked, result)
     model = files.write_fitted_model(
         asked, fitted.result, fitted.deviations, origin, folder / MODEL_NAME
@@ -94,3 +99,12 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     if progress.exit_code is not None and composition.job is not None:
         raise KeyboardInterrupt  # the sweep ends too
     return Outcome(EXIT_OK if progress.exit_code is None else progress.exit_code, result.cost)
+
+
+def _require_simulated(result: FitResult) -> None:
+    """A fit that could simulate nothing has no model to write."""
+    from trms_cli.identification.method import Outcome as Ended
+
+    if result.outcome is Ended.FAILED:
+        problem, _, remedy = result.outcome.value.partition(": ")
+        raise SimulationError(problem, where="model", remedy=remedy)
