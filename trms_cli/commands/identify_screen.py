@@ -195,10 +195,9 @@ def _error_lines(errors: Mapping[str, Any]) -> Iterator[str]:
         after, before = errors[part]["after"], errors[part]["before"] or {}
         for name, figures in (after or {}).items():
             was = before.get(name, {}).get("rmse")
-            percent = figures["fit_percent"]
             yield (
                 f"  {name:9} {words:22}{_number(was):>10}{_number(figures['rmse']):>10}"
-                f"{'–' if percent is None else f'{percent:.1f}':>9}  {figures['unit']}"
+                f"{_percent(figures['fit_percent']):>9}  {figures['unit']}"
             )
 
 
@@ -208,6 +207,13 @@ def _value(value: float | None) -> str:
 
 def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}"
+
+
+def _percent(value: float | None) -> str:
+    """A model that runs away fits by minus many digits, which no column holds."""
+    if value is None:
+        return "–"
+    return f"{value:.1f}" if value > -1e5 else f"{value:.0e}"
 
 
 def _print_headed(line: str) -> None:
