@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -115,12 +114,13 @@ class FitProgress:
             return
         import msgspec
 
+        # One name, so that what an interruption leaves of it is written over by the next.
+        draft = self._file.with_name(f".{self._file.name}")
         try:
-            handle, name = tempfile.mkstemp(dir=self._file.parent, prefix=".fit-state")
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(msgspec.json.encode(self._state))
-            os.replace(name, self._file)
+            draft.write_bytes(msgspec.json.encode(self._state))
+            os.replace(draft, self._file)
         except OSError as error:
+            draft.unlink(missing_ok=True)
             sys.stderr.write(f"note   the state of the fit cannot be kept: {error}\n")
         self._state, self._written = None, perf_counter()
 
