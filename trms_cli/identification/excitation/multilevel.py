@@ -73,7 +73,7 @@ class MultilevelExcitation:
 
 
 def _least_alike(drawn: list[FloatArray], count: int) -> list[FloatArray]:
-    """The first signal, and others with little correlation to those before and a small mean."""
+    """The first signal, and of the others those with the least correlation to the ones before."""
     chosen = drawn[:1]
     while len(chosen) < count:
         left = [d for d in drawn if not any(d is c for c in chosen)]
