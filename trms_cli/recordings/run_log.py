@@ -102,11 +102,6 @@ class RunLog:
         except OSError as error:
             raise self._abandon(error) from error
 
-    @property
-    def topic_names(self) -> tuple[str, ...]:
-        """Topics that can be written."""
-        return tuple(self._channels)
-
     def write(self, topic: str, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
         """Log one message; it is kept until :meth:`flush`.
 

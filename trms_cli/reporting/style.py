@@ -96,17 +96,6 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def dress(panel: Axes) -> None:
-    """The quiet frame of :func:`house_style` for a panel that was made outside it."""
-    panel.grid(color=PALE, lw=0.5)
-    panel.set_axisbelow(True)
-    for side in ("top", "right"):
-        panel.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        panel.spines[side].set_color(GREY)
-    panel.tick_params(colors=GREY, labelcolor=INK, length=3)
-
-
 def thinned(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
     """Every k-th sample, so that no more than :data:`MOST_POINTS` (twice) are drawn."""
     step = max(1, len(time) // MOST_POINTS)
