@@ -445,7 +445,7 @@ def test_other_models(close_loop: Callable[..., Any], model: Any) -> None:
 
 def run_with_memory(mpc: NewtonMpc, model: Any, goal: list[float], seconds: float) -> Any:
     """As close_loop, for a rig whose input path has memory."""
-    from conftest import Ran
+    from .conftest import Ran
 
     discrete = discretise(model, mpc.sample_time, 10)
     full = discrete.initial(model.rest(), np.zeros(model.n_u))
