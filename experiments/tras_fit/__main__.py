@@ -11,7 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from experiments.tras_fit.study import Fitted, errors, fitted, model_of, parts_of, read_study
+from experiments.tras_fit.study import (
+    Fitted,
+    cross_validated,
+    errors,
+    fitted,
+    model_of,
+    parts_of,
+    read_study,
+)
 from trms_cli.cli import describe_error
 from trms_cli.core.errors import TrmsError
 
@@ -21,6 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m experiments.tras_fit", description=__doc__)
     parser.add_argument("folder", type=Path, help="closed_loop.csv and the static curves")
     parser.add_argument("--fit-only", action="store_true", help="leave the held-out part alone")
+    parser.add_argument("--folds", action="store_true", help="cross-validate over the whole record")
     parser.add_argument("--only", default=None, help="one of the fits: rotors, commands")
     parser.add_argument("--jobs", type=int, default=2, help="threads")
     parser.add_argument("--json", action="store_true", help="print trms.tras_fit/1")
@@ -42,6 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _told(given: argparse.Namespace, settings: dict[str, Any], fit: dict[str, Any]) -> Any:
+    if given.folds:
+        return cross_validated(given.folder, settings, fit, given.jobs)
     found = fitted(given.folder, settings, fit, given.jobs)
     first, rest = parts_of(given.folder, settings, fit)
     parts = {"fitted": first} if given.fit_only else {"fitted": first, "held_out": rest}
@@ -77,6 +88,9 @@ def _parameters(found: Fitted) -> dict[str, Any]:
 def _table(document: dict[str, Any]) -> str:
     rows = []
     for name, fit in document["fits"].items():
+        if "pooled" in fit:
+            rows += _folds_table(name, fit)
+            continue
         behind = [s["behind_best"] for s in fit["starts"]]
         rows += [
             f"## {name}: {fit['outcome']}, {fit['seconds']:.0f} s, nats behind the best start: "
@@ -108,6 +122,21 @@ def _table(document: dict[str, Any]) -> str:
         ]
         rows.append("")
     return "\n".join(rows)
+
+
+def _folds_table(name: str, fit: dict[str, Any]) -> list[str]:
+    rows = [
+        f"## {name}, {len(fit['folds'])} parts, each fitted without itself",
+        "",
+        "| part | output | estimated | moving_horizon | fitted | unchanged |",
+        "|---|---|---|---|---|---|",
+    ]
+    parts = [(str(k + 1), fold) for k, fold in enumerate(fit["folds"])]
+    for part, outputs in (*parts, ("all", fit["pooled"])):
+        for output, e in outputs.items():
+            figures = [e["estimated"], e["moving_horizon"], e["fitted"], e["unchanged"]]
+            rows.append(f"| {part} | {output} | {' | '.join(f'{v:.4g}' for v in figures)} |")
+    return [*rows, ""]
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -85,12 +86,59 @@ def fitted(
     folder: Path, settings: Mapping[str, Any], fit: Mapping[str, Any], jobs: int = 2
 ) -> Fitted:
     """Fit the first part."""
-    model = model_of(folder, settings, fit)
     first, _ = parts_of(folder, settings, fit)
+    return _fit_to((first,), folder, settings, fit, jobs)
+
+
+def cross_validated(
+    folder: Path, settings: Mapping[str, Any], fit: Mapping[str, Any], jobs: int = 2
+) -> dict[str, Any]:
+    """Errors on each of several equal parts of the record, fitted to the others; pooled RMS.
+
+    The same settings as everywhere. One part at the end judges a model where yaw had not been
+    before; here most of its range has been visited by what is fitted.
+    """
+    first, rest = parts_of(folder, settings, fit)
+    cuts = np.linspace(0, len(first) + len(rest), settings["folds"] + 1).round().astype(int)
+    whole = _joined(first, rest)
+    found: list[dict[str, Any]] = []
+    for a, b in pairwise(cuts.tolist()):
+        others = tuple(part for part in (whole.part(0, a), whole.part(b, len(whole))) if len(part))
+        model = _fit_to(others, folder, settings, fit, jobs).model
+        found.append(errors(model, whole.part(a, b), settings))
+    pooled: dict[str, Any] = {}
+    for channel in found[0]:
+        weights = np.array([fold[channel]["windows"] for fold in found], dtype=float)
+        pooled[channel] = {
+            key: float(
+                np.sqrt(np.average([fold[channel][key] ** 2 for fold in found], weights=weights))
+            )
+            for key in (*KINDS, "unchanged")
+        } | {"windows": int(weights.sum())}
+    return {"pooled": pooled, "folds": found}
+
+
+def _joined(first: Dataset, rest: Dataset) -> Dataset:
+    return replace(
+        first,
+        time=np.concatenate([first.time, rest.time]),
+        commands=np.vstack([first.commands, rest.commands]),
+        measurements=np.vstack([first.measurements, rest.measurements]),
+    )
+
+
+def _fit_to(
+    datasets: tuple[Dataset, ...],
+    folder: Path,
+    settings: Mapping[str, Any],
+    fit: Mapping[str, Any],
+    jobs: int,
+) -> Fitted:
+    model = model_of(folder, settings, fit)
     priors = {name: Prior(relative_sd=share) for name, share in fit["priors"].items()}
     problem = FitProblem(
         model=model,
-        datasets=(first,),
+        datasets=datasets,
         free=free_parameters(model.parameters, fit["free"], priors=priors),
         window_length=settings["window"],
         seed=settings["seed"],
