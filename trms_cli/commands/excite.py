@@ -54,7 +54,7 @@ def main(argv: Sequence[str]) -> int:
 
 def perform(composition: Composition) -> int:
     """Design one composed excitation; write, print and draw it."""
-    from trms_cli.commands.run_folder import write_document
+    from trms_cli.commands.run_folder import write_document, write_whole
     from trms_cli.core.plugins import build
     from trms_cli.identification.excitation.design import design
     from trms_cli.identification.excitation.spectra import spectra_of, summary
@@ -73,16 +73,18 @@ def perform(composition: Composition) -> int:
     }
     document["kind"] = str(composition.choices.get("excitation"))
     folder = composition.folder("excite")
-    folder.mkdir(parents=True, exist_ok=True)
     table = folder / TABLE_NAME
-    table.write_text(_csv(found, document["kind"]), encoding="utf-8")
+    write_whole(_csv(found, document["kind"]), table)
     document["file"] = str(table)
     write_document(document, folder / DOCUMENT_NAME)
     if config["picture"]:
         from trms_cli.reporting.excitation_picture import draw_excitation
 
         title = f"{document['kind']} · {model.name} · {found.plan.duration:g} s"
-        draw_excitation(_figures(found, spectra), folder / PICTURE_NAME, title=title)
+        try:
+            draw_excitation(_figures(found, spectra), folder / PICTURE_NAME, title=title)
+        except OSError as error:  # the commands are safe in their file: this much may fail
+            sys.stderr.write(f"no picture: {error.strerror or error}\n")
     if composition.job is not None:
         amplitudes = ", ".join(f"{n} {i['amplitude']:.3g}" for n, i in document["inputs"].items())
         print(f"{composition.job:>4}  {' '.join(composition.overrides)}  {amplitudes}")

@@ -83,10 +83,25 @@ def write_document(document: Mapping[str, Any], path: Path) -> None:
     """
     import json
 
+    write_whole(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n", path)
+
+
+def write_whole(text: str, path: Path) -> None:
+    """Write a file of a command's folder, whole or not at all.
+
+    Raises
+    ------
+    RecordingError
+        If the disk does not take it.
+    """
     from trms_cli.recordings.output_file import explain_os_error
 
-    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    draft = path.with_name(f".{path.name}")
     try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise explain_os_error(error, path) from error
+        draft.write_text(text, encoding="utf-8")
+        os.replace(draft, path)
+    except BaseException as error:
+        draft.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise explain_os_error(error, path) from error
+        raise
