@@ -7,10 +7,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import yaml
 
+from experiments.chapter3.methods import option
 from trms_cli.core.plugins import build
-from trms_cli.core.resources import config_folder
 from trms_cli.identification.dataset import Dataset, FloatArray
 from trms_cli.models.model import names
 from trms_cli.plants.plant import PlantSetup
@@ -49,7 +48,7 @@ def recording(
         Of the commands and of the noise.
     name : str
     """
-    built = build(_option("model", model), "model")
+    built = build(option("model", model), "model")
     rig = SimulatedRig(model=built, sensors=bench_sensors())
     n = round(duration / sample_time)
     run = rig.init(PlantSetup(sample_time, n, seed))
@@ -100,7 +99,7 @@ def cut_at_stops(dataset: Dataset, stops: Mapping[str, float], shortest: float) 
 @cache
 def bench_sensors() -> Sensors:
     """The sensors of the simulated rig's own configuration."""
-    sensors = build(_option("plant", "simulated")["sensors"], "sensors")
+    sensors = build(option("plant", "simulated")["sensors"], "sensors")
     assert isinstance(sensors, Sensors)
     return sensors
 
@@ -112,11 +111,6 @@ def spans(datasets: list[Dataset]) -> dict[str, tuple[float, float]]:
         name: (float(values[:, i].min()), float(values[:, i].max()))
         for i, name in enumerate(names(datasets[0].outputs))
     }
-
-
-def _option(group: str, name: str) -> dict[str, Any]:
-    path = config_folder() / group / f"{name}.yaml"
-    return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
 
 
 def _seeded(part: Mapping[str, Any], seed: int, number: int) -> dict[str, Any]:
