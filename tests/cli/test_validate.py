@@ -146,3 +146,8 @@ class TestListsOfModels:
             "x/fit.yaml", "y/fit.yaml", "tras",
         ]  # fmt: skip
         assert shown_names(["x/fit.yaml", "tras"]) == ["fit", "tras"]
+        assert shown_names(["monday/model.yaml", "b/tuesday/model.yaml", "model.yaml"]) == [
+            "monday",
+            "tuesday",
+            "model",
+        ]

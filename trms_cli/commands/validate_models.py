@@ -62,8 +62,15 @@ def one_of(argv: Sequence[str], name: str) -> list[str]:
 
 
 def shown_names(given: Sequence[str]) -> list[str]:
-    """What models are called in tables: a file's stem, or, where stems repeat, its path."""
-    stems = [Path(name).stem if name.endswith((".yaml", ".yml")) else name for name in given]
+    """What models are called in tables: a file's stem, or, where stems repeat, its path.
+
+    Every fit is called ``model.yaml``; it goes by the name of its folder.
+    """
+    stems = [_stem(Path(name)) if name.endswith((".yaml", ".yml")) else name for name in given]
     return [
         stem if stems.count(stem) == 1 else name for stem, name in zip(stems, given, strict=True)
     ]
+
+
+def _stem(path: Path) -> str:
+    return path.parent.name if path.stem == "model" and path.parent.name else path.stem
