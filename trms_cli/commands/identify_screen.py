@@ -138,7 +138,7 @@ def _part(dataset: Dataset) -> str:
 
 
 def _more(method: Mapping[str, Any]) -> str:
-    for key in ("generations", "evaluations"):
+    for key in ("generations", "evaluations", "iterations"):
         if isinstance(method.get(key), int):
             return f"method.{key}={2 * method[key]}"
     return ""
