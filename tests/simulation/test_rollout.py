@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,27 @@ def test_with_and_without_a_compiler(plain: Rollout, monkeypatch: pytest.MonkeyP
                 np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(a).max())
     finally:
         compilation.compiler.cache_clear()
+
+
+def test_without_a_compiler_threads_do_not_mix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search without gradients: slopes in the starts only, several points at a time."""
+    monkeypatch.setenv("TRMS_COMPILE", "0")
+    compilation.compiler.cache_clear()
+    try:
+        interpreted = Rollout(Newtonian(), SAMPLE)
+    finally:
+        compilation.compiler.cache_clear()
+    x0 = starts(interpreted)
+    points = [factor * interpreted.model.parameters.values for factor in (1.0, 1.1, 1.2, 1.3)]
+
+    def simulated(p: np.ndarray) -> np.ndarray:
+        return interpreted.sensitivities(commands(), FIRST, COUNT, x0, p).dy
+
+    alone = [simulated(p) for p in points]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(simulated, points))
+    for a, b in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_threads_change_nothing(plain: Rollout) -> None:

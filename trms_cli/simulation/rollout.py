@@ -16,9 +16,11 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -135,6 +137,8 @@ class Rollout:
         self._library = compiled_library(self._functions, self._driver())
         if self._library is None:
             self._buffered = [BufferedFunction(f, compile=False) for f in self._functions]
+        #: Those have one set of arrays for whoever calls, several searching threads included.
+        self._one_at_a_time = Lock()
 
     @property
     def n_x(self) -> int:
@@ -237,7 +241,8 @@ class Rollout:
             rows = slice(offsets[a], offsets[b])
             # by sample and by window in turn: y, ends and, with slopes, dy, dends
             parts = (r[rows] if i % 2 == 0 else r[a:b] for i, r in enumerate(results))
-            work(call.part(a, b), tuple(parts))
+            with nullcontext() if self._library is not None else self._one_at_a_time:
+                work(call.part(a, b), tuple(parts))
 
         ranges = [(a, b) for a, b in pairwise(edges) if b > a]
         if len(ranges) == 1:
@@ -265,15 +270,15 @@ class Rollout:
             return
         y, ends, dy, dends = results
         step, measure = self._buffered[2:]
-        n, f = self.n_x, len(self.free)
+        n, f, n_y = self.n_x, len(self.free), self.model.n_y
         now = np.empty((n, n + f))
         for j, k, row, x, u in call.samples():
             if k == 0:
                 now[:] = np.eye(n, n + f)
             value, c, d = measure.evaluate(x, u, call.p)
             y[row] = value
-            dy[row] = c.reshape(-1, n) @ now
-            dy[row][:, n:] += d.reshape(-1, f)
+            dy[row] = c.reshape(n_y, n) @ now
+            dy[row][:, n:] += d.reshape(n_y, f)
             for _ in range(self._repeats):
                 after, a, b = step.evaluate(x, u, call.p)
                 now = a.reshape(n, n) @ now
