@@ -178,11 +178,11 @@ def _fits(recording: _Recording, quick: bool) -> Table:
             Column("fit", "fit"),
             Column("free", "free"),
             Column("time", "time", "s"),
-            Column("processor", "processor", "s"),
+            Column("processor", "CPU", "s"),
             *LIMIT,
-            Column("simulations", "simulations"),
-            Column("rate", "simulations", "1/s"),
-            Column("cost", "cost", "nats", 6),
+            Column("simulations", "runs"),
+            Column("rate", "runs", "1/s"),
+            Column("cost", "cost", "nats", 5),
         ],
     )
     everything = _problem(recording, ("priors",))
@@ -191,7 +191,7 @@ def _fits(recording: _Recording, quick: bool) -> Table:
         if quick
         else Genetic(individuals=50, generations=100)
     )
-    words = f"genetic algorithm, {size.generations} generations of {size.individuals}"
+    words = f"genetic algorithm, {size.individuals} × {size.generations}"
     _add(table, words, everything, size.fit, LIMIT_GENETIC)
     shooting = MultipleShooting()
     _add(table, "multiple shooting, 2 starts", _problem(recording, FREE), shooting.fit,
