@@ -122,33 +122,6 @@ class Narx(SteppedModel):
             self._rest = _settled(self)
         return self._rest.copy()
 
-    def state_after(self, outputs: FloatArray, commands: FloatArray) -> FloatArray:
-        """The state that a record leads to, shape (n_x,).
-
-        Parameters
-        ----------
-        outputs : (n, n_y) array
-            Measured samples up to the present one, at least as many as the longest output lag.
-        commands : (n, n_u) array
-            Commands at the same samples; the last one, which acts from now on, is no part of the
-            state.
-
-        Raises
-        ------
-        ModelError
-            For a record that is shorter than the network's memory.
-        """
-        memory = max(self.structure.output_lags[-1], self.structure.input_lags[-1])
-        if min(len(outputs), len(commands)) < memory:
-            raise ModelError(
-                f"{len(outputs)} samples given, and the network remembers {memory}",
-                where="record",
-                remedy=f"give {memory} samples or more before the first prediction",
-            )
-        past_outputs = outputs[::-1][: self.structure.output_lags[-1]]
-        past_commands = commands[::-1][1 : self.structure.input_lags[-1]]
-        return np.concatenate([past_outputs.ravel(), past_commands.ravel()])
-
     def _push_scale(self) -> FloatArray:
         """Change of each output in a step by a unit of its disturbance."""
         T = self.structure.sample_time

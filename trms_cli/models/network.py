@@ -281,17 +281,11 @@ class NarxStructure:
         """Samples of the past that must be known before the first prediction."""
         return max(self.output_lags[-1], self.input_lags[-1])
 
-    def lagged_names(self) -> tuple[str, ...]:
-        """What :meth:`arrangement` works on: ``y(k−l)`` lag by lag, then ``u(k−m)``."""
-        outputs = [f"{name}(k-{lag})" for lag in self.output_lags for name in self.outputs]
-        inputs = [f"{name}(k-{lag})" for lag in self.input_lags for name in self.inputs]
-        return (*outputs, *inputs)
-
     def arrangement(self) -> FloatArray:
         """The regressor as a linear map of the lagged values, ``(n_phi, n_phi)``: φ = T lagged.
 
         ``lagged`` has the outputs lag by lag (all signals at the first lag, then all at the
-        second, …) and then the inputs likewise, as :meth:`lagged_names` says.
+        second, …) and then the inputs likewise.
         """
         result = np.eye(self.n_regressors)
         if self.differences:

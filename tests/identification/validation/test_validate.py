@@ -238,6 +238,8 @@ class TestWords:
         assert said(0.0123, "rad") == "12.3 mrad"
         assert said(1.5, "rad") == "1.5 rad"
         assert said(1.6, "rad/s") == "1.6 rad/s"
+        assert said(1.6, "1/s") == "1.6 1/s"
+        assert said(0.25, "1") == "0.25"
         assert said(None, "rad") == "–"
 
     def test_the_document_is_json_and_keeps_its_contract(self, right):

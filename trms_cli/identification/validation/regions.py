@@ -40,34 +40,6 @@ class RegionTable:
     time_share: FloatArray
     error_share: FloatArray
 
-    @property
-    def concentration(self) -> float:
-        """Largest share of the error in a quarter of the bins that lie side by side, over its
-        share of the time: 1 for an error that is everywhere alike."""
-        width = max(1, len(self.rms) // 4)
-        ratios = [
-            self.error_share[i : i + width].sum() / self.time_share[i : i + width].sum()
-            for i in range(len(self.rms) - width + 1)
-        ]
-        return float(max(ratios))
-
-    def worst(self) -> tuple[float, float, float, float]:
-        """The worst quarter of the bins, side by side: from, to, share of time, share of error."""
-        width = max(1, len(self.rms) // 4)
-        starts = range(len(self.rms) - width + 1)
-        i = max(
-            starts,
-            key=lambda k: (
-                self.error_share[k : k + width].sum() / self.time_share[k : k + width].sum()
-            ),
-        )
-        return (
-            float(self.edges[i]),
-            float(self.edges[i + width]),
-            float(self.time_share[i : i + width].sum()),
-            float(self.error_share[i : i + width].sum()),
-        )
-
 
 def region_tables(
     errors: Mapping[str, FloatArray], variables: Mapping[str, FloatArray], bins: int = BINS

@@ -103,16 +103,6 @@ class ModelValidation:
             if channel in names(d.outputs)
         )
 
-    def one_step_errors(self, channel: str) -> FloatArray:
-        """One-step errors of a channel, recordings one after another, NaN between them."""
-        return joined(
-            [step.errors[:, step.channels.index(channel)] for step in self._with(channel)],
-            self.gap,
-        )
-
-    def _with(self, channel: str) -> list[OneStep]:
-        return [step for step in self.one_steps if channel in step.channels]
-
     @property
     def gap(self) -> int:
         """Missing samples between two recordings that are joined: no lag reaches across."""

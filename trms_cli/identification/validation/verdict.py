@@ -54,7 +54,7 @@ def said(value: float | None, unit: str) -> str:
         return "–"
     if unit.startswith("rad") and unit != "rad/s" and abs(value) < 0.1:
         return f"{_digits(1e3 * value)} m{unit}"
-    return f"{_digits(value)} {unit}".replace(" 1", "") if unit != "1" else _digits(value)
+    return _digits(value) if unit == "1" else f"{_digits(value)} {unit}"
 
 
 def _digits(value: float) -> str:
@@ -207,7 +207,7 @@ def _on_tests(document: Mapping[str, Any]) -> Iterator[Remark]:
         )
         return
     failed = sorted((test for test in tests["tests"] if test["failed"]), key=lambda test: test["p"])
-    coloured = [test for test in failed if _kind(test) in _WHITENESS]
+    coloured = [test for test in failed if test["name"] in _WHITENESS]
     if coloured:
         channels = _listed(list(dict.fromkeys(word(test["channel"]) for test in coloured)))
         largest = max(abs(test["largest_correlation"] or 0.0) for test in coloured)
@@ -223,7 +223,7 @@ def _on_tests(document: Mapping[str, Any]) -> Iterator[Remark]:
         yield Remark(text, "doubtful" if len(coloured) == len(failed) else "bad")
     groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for test in failed:
-        if _kind(test) not in _WHITENESS:
+        if test["name"] not in _WHITENESS:
             groups.setdefault((test["channel"], test["meaning"]), []).append(test)
     for (channel, meaning), found in list(groups.items())[:_MOST_TESTS]:
         inputs = [" × ".join(word(name) for name in test["inputs"]) for test in found]
@@ -257,7 +257,7 @@ def _on_regions(document: Mapping[str, Any]) -> Iterator[Remark]:
             (share, low, high, time, table["variable"])
             for table in document["regions"]["tables"]
             if table["channel"] == channel
-            for low, high, time, share in [_worst_quarter(table)]
+            for low, high, time, share in [worst_quarter(table)]
         ]
         if not found:
             continue
@@ -272,8 +272,14 @@ def _on_regions(document: Mapping[str, Any]) -> Iterator[Remark]:
             )
 
 
-def _worst_quarter(table: Mapping[str, Any]) -> tuple[float, float, float, float]:
-    """From, to, share of time, share of error of the worst neighbouring quarter of the bins."""
+def worst_quarter(table: Mapping[str, Any]) -> tuple[float, float, float, float]:
+    """From, to, share of time, share of error of the worst neighbouring quarter of the bins.
+
+    Parameters
+    ----------
+    table : mapping
+        A region table of the document: edges, time_share, error_share.
+    """
     error, time, edges = table["error_share"], table["time_share"], table["edges"]
     width = max(1, len(error) // 4)
     i = max(
@@ -319,14 +325,6 @@ def _failing(document: Mapping[str, Any]) -> dict[str, None]:
     failed = [test for test in document["residual_tests"]["tests"] if test["failed"]]
     failed.sort(key=lambda test: test["p"])
     return dict.fromkeys(word(test["channel"]) for test in failed)
-
-
-def _kind(test: Mapping[str, Any]) -> str:
-    name: str = test["name"]
-    for kind in _WHITENESS:
-        if name == kind:
-            return kind
-    return name
 
 
 def _last(document: Mapping[str, Any]) -> str:
