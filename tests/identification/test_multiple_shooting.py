@@ -112,6 +112,22 @@ def test_several_recordings_of_one_rig_narrow_the_intervals(
     assert np.all(np.abs(errors(both, HIDDEN)) < 4)
 
 
+@pytest.mark.parametrize("length", [4.0, 10.0])
+def test_overlapping_windows_do_not_narrow_the_intervals(measured: Dataset, length: float) -> None:
+    """They hold the same samples again, and these say no more the second time."""
+
+    def deviations(stride: float | None) -> np.ndarray:
+        asked = problem(vertical(), measured, window_length=length, window_stride=stride)
+        covariance = fit(asked).covariance
+        assert covariance is not None
+        found: np.ndarray = np.sqrt(np.diag(covariance))
+        return found
+
+    ratios = np.array([deviations(length / k) for k in (2, 8)]) / deviations(None)
+    # They need not be alike: windows have starts of their own, and other ones see other things.
+    assert np.all((ratios > 0.75) & (ratios < 1.33))
+
+
 def test_a_parameter_may_end_on_its_bound_and_says_so(measured: Dataset) -> None:
     asked = problem(vertical(), measured, bounds={"k_ov": (0.005, 0.02)})
     result = fit(asked)

@@ -29,7 +29,8 @@ class Information:
         Of each output's residuals, each as if white and of unit variance: Fisher's information
         with the starts eliminated.
     score : (n_y, n_f, n_f) array
-        Covariance of each output's slope, with the residuals' autocorrelation.
+        Covariance of each output's slope, with the residuals' autocorrelation, and with the copies
+        of a residual that overlapping windows hold; see :func:`information`.
     trust : (n_y,) array
         Weight that each output has in the cost.
     prior : (n_f,) array
@@ -37,6 +38,8 @@ class Information:
     scales : (n_f,) array
     size : (n_y,) array
         Root mean square of the whitened residuals.
+    share : float
+        Of the weight of a sample that each of the windows over it has.
     """
 
     curvature: FloatArray
@@ -45,6 +48,7 @@ class Information:
     prior: FloatArray
     scales: FloatArray
     size: FloatArray
+    share: float = 1.0
 
     @property
     def of_data(self) -> FloatArray:
@@ -78,7 +82,8 @@ class Information:
         """φ of each output: how much wider its scores are than white residuals' (n_y,).
 
         The mean ratio over the directions in parameter space, each weighted by how much the
-        output narrows it.
+        output narrows it. It is of residuals in time; copies of them in overlapping windows are
+        not counted here, for the cost's weights have that share already.
         """
         h = self.of_data + np.diag(self.prior)
         inverse = np.linalg.pinv(h, rcond=1e-13, hermitian=True)
@@ -86,12 +91,23 @@ class Information:
         for c in range(len(ratios)):
             white = np.trace(inverse @ self.curvature[c])
             if white > 0:
-                ratios[c] = np.trace(inverse @ self.score[c]) / white
+                ratios[c] = self.share * np.trace(inverse @ self.score[c]) / white
         return ratios
 
 
 def information(objective: Objective, theta: FloatArray, starts: FloatArray) -> Information:
     """Information at a point, by one simulation with slopes.
+
+    Windows that lie end to end have residuals of their own, and the covariances of their slopes
+    add up. Where they overlap, ``k = 1/share`` windows hold copies of one residual. Sort the
+    windows into k families, each end to end: the slope is ``S = Σ S_i``, one term a family, and
+
+        cov S ≤ k Σ_i cov S_i = k M
+
+    (Cauchy and Schwarz), M being the sum over all windows as if they were independent. The two
+    sides are equal where the families' slopes are the same, which they nearly are: they come
+    from the same samples. The score is therefore ``M / share``. With the cost's weights ``share/φ``
+    the overlap then leaves ``(share/φ)² M/share``, which is what one family gives.
 
     Parameters
     ----------
@@ -119,18 +135,16 @@ def information(objective: Objective, theta: FloatArray, starts: FloatArray) -> 
     gamma = autocovariance(score, windows.measured, max(1, int(lags)))
     count = np.maximum(windows.measured.sum(axis=(0, 1)), 1)
     white = np.einsum("mtyf,mtyg->yfg", projected * inside[..., None], projected)
+    found = score_covariances(projected, gamma)
+    floored = np.array([_at_least(*pair) for pair in zip(white, found, strict=True)])
     return Information(
         curvature=white,
-        score=np.array(
-            [
-                _at_least(white, found)
-                for white, found in zip(white, score_covariances(projected, gamma), strict=True)
-            ]
-        ),
+        score=floored / windows.share,
         trust=weights.trust,
         prior=objective.precisions * objective.scales**2,
         scales=objective.scales,
         size=np.sqrt((z**2).sum(axis=(0, 1)) / count),
+        share=windows.share,
     )
 
 
