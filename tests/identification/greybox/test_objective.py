@@ -140,3 +140,20 @@ def test_overlapping_windows_count_each_sample_once(vertical: Model) -> None:
     ratio = twice.weights.share * twice.windows.measured.sum() / alone.windows.measured.sum()
     assert ratio == pytest.approx(1.0, abs=0.1)
     assert len(more) > 1.8 * len(starts)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("angle", [1e170, np.inf])
+def test_a_simulation_that_runs_away_costs_without_end_and_without_words(
+    vertical: Model, angle: float
+) -> None:
+    """At 1e170 rad it is finite yet, and its square is not."""
+    dataset, _ = recording(vertical, ranges=RANGES)
+    own, theta, starts = objective(vertical, dataset, ["k_ov"])
+    away = starts.copy()
+    away[1, vertical.state_index("alpha_v")] = angle
+    assert own.cost(theta, away) == np.inf
+    assert own.parabola(theta, away)[0] == np.inf
+    cost, chosen = own.better_starts(theta, away, starts)
+    assert cost == pytest.approx(own.cost(theta, starts))
+    np.testing.assert_array_equal(chosen, starts)

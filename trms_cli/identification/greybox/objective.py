@@ -42,6 +42,9 @@ class Objective:
         self.scales = problem.scales
         self.means, self.precisions = problem.prior_means, problem.prior_precisions
 
+    # A search tries parameters with which a simulation runs away: that is a cost, not a warning.
+
+    @np.errstate(all="ignore")
     def cost(self, theta: FloatArray, starts: FloatArray) -> float:
         """Its value; infinite where the simulation is not finite."""
         residuals = self._simulated(theta, starts, slopes=False)
@@ -66,6 +69,7 @@ class Objective:
         total = float(parts.min(axis=0).sum()) + self._of_parameters(theta)
         return total, np.where((chosen == 0)[:, None], one, other)
 
+    @np.errstate(all="ignore")
     def _of_windows(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
         """Each window's part of the cost with its start's prior, shape (m,)."""
         r = self._simulated(theta, starts, slopes=False).r
@@ -81,6 +85,7 @@ class Objective:
     def _of_parameters(self, theta: FloatArray) -> float:
         return 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
 
+    @np.errstate(all="ignore")
     def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
         """Its value, and the parabola in scaled changes.
 
