@@ -147,8 +147,8 @@ def identification_of(composition: Composition) -> Identification:
         raise ConfigurationError(
             f"{config['method'][TARGET]!r} cannot fit",
             where="method",
-            remedy="a method is a frozen dataclass with fit(problem, progress); see `trms list "
-            "method`",
+            remedy="a method is a frozen dataclass with fits_parameters and fit(problem, "
+            "progress); see `trms list method`",
         )
     model = _model(config)
     data = build(config["data"], "data")
@@ -259,8 +259,7 @@ def _free(
     model: Model, options: IdentifyOptions, method: Method
 ) -> tuple[tuple[FreeParameter, ...], tuple[str, ...]]:
     """The free parameters, none for a method that trains a network of its own; and idle ones."""
-    # A network has weights of its own, which an algorithm trains.
-    if not getattr(method, "fits_parameters", not hasattr(method, "training")):
+    if not method.fits_parameters:
         return (), ()
     priors = {
         name: None if node is None else _prior(name, node)

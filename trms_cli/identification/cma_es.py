@@ -6,7 +6,7 @@ N. Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from msgspec import Meta
 
@@ -43,6 +43,8 @@ class CmaEs:
     initial_step: Annotated[float, Meta(gt=0, le=1)] = 1 / 6
     restarts: Annotated[int, Meta(ge=0)] = 0
     tolerance: Annotated[float, Meta(gt=0)] = 1e-3
+
+    fits_parameters: ClassVar[bool] = True
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Search; see :class:`trms_cli.identification.method.Method`."""

@@ -8,7 +8,7 @@ usual ones for real numbers, all configurable.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -68,6 +68,8 @@ class Genetic:
     mutation_probability: Probability | None = None
     mutation_index: Annotated[float, Meta(ge=0)] = 20.0
     mutation_sd: Annotated[float, Meta(gt=0)] = 0.05
+
+    fits_parameters: ClassVar[bool] = True
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Search; see :class:`trms_cli.identification.method.Method`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -117,6 +117,9 @@ class Unwatched:
 @runtime_checkable
 class Method(Protocol):
     """A method of identification: a frozen dataclass of its settings."""
+
+    #: Whether it fits the problem's free parameters; False: it trains a model of its own.
+    fits_parameters: ClassVar[bool]
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem. The same problem, settings and seed give the same result."""

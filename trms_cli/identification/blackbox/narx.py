@@ -7,7 +7,7 @@ and Control of Dynamic Systems", chapters 2 and 3.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from msgspec import Meta
@@ -76,6 +76,8 @@ class NarxFit:
     starts: Annotated[int, Meta(ge=1)] = 1
     stopping: Stopping = field(default_factory=Stopping)
 
+    fits_parameters: ClassVar[bool] = False
+
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem's recordings.
 
@@ -141,6 +143,8 @@ class NnoeFit:
     every: Annotated[int, Meta(ge=1)] = 1
     first_epochs: Annotated[int, Meta(ge=1)] = 20
     stopping: Stopping = field(default_factory=Stopping)
+
+    fits_parameters: ClassVar[bool] = False
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem's recordings.

@@ -73,6 +73,8 @@ class RadialFit:
     regressors: Regressors = field(default_factory=Regressors)
     stopping: Stopping = field(default_factory=Stopping)
 
+    fits_parameters: ClassVar[bool] = False
+
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem's recordings.
 
