@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
+from tests.identification.greybox.rigs import recording
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.problem import Prior, free_parameters
+from trms_cli.identification.problem import FitProblem, Prior, free_parameters
+from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import Parameter, ParameterSet
 
 SET = ParameterSet(
@@ -77,9 +81,23 @@ def test_search_range_is_finite_and_holds_the_start() -> None:
     ],
 )
 def test_mistakes_are_told(words: list[str], settings: dict[str, object], said: str) -> None:
-    with pytest.raises(ConfigurationError, match="."):
+    with pytest.raises(ConfigurationError, match=re.escape(said)):
         free_parameters(SET, words, **settings)  # type: ignore[arg-type]
-    try:
-        free_parameters(SET, words, **settings)  # type: ignore[arg-type]
-    except ConfigurationError as error:
-        assert said in str(error)
+
+
+def test_a_value_within_a_thousandth_of_its_scale_is_on_the_bound() -> None:
+    model = Newtonian()
+    asked = FitProblem(
+        model=model,
+        datasets=(recording(model, seconds=0.2, ranges=[(0.0, 0.1)] * 2)[0],),
+        free=free_parameters(model.parameters, ["k_ov"], bounds={"k_ov": (0.001, 0.01)}),
+    )
+    scale = asked.scales[0]
+    for value, wanted in (
+        (0.001, -1),
+        (0.001 + 0.9e-3 * scale, -1),
+        (0.001 + 1.1e-3 * scale, 0),
+        (0.01 - 1.1e-3 * scale, 0),
+        (0.01 - 0.9e-3 * scale, 1),
+    ):
+        assert asked.on_bounds(np.array([value])).tolist() == [wanted]

@@ -53,7 +53,7 @@ def document() -> dict:
         "errors": {"fit": part, "held_out": part}, "parameters": PARAMETERS, "admission": [],
         "identifiability": {
             "confounded": [{"names": ["m_cb", "l_cb"], "index": 1e4}],
-            "prior_remaining": {"k_ov": 0.95}, "silent": [],
+            "prior_remaining": {"k_ov": 0.95}, "silent": [], "uninformed": ["k_ov"],
         },
         "details": {"starts_agree": False}, "history": [[50, 0.5, 9.0], [100, 1.0, 3.0]],
         "recordings": [

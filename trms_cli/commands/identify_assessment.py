@@ -16,10 +16,8 @@ from trms_cli.models.model import Model
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Share of a parameter's scale within which it counts as lying on its bound.
-_AT_BOUND = 1e-3
 #: What a method's details say of the parameters, and what the document says elsewhere.
-_TOLD, _ELSEWHERE = ("identifiability", "outputs", "profiles"), ("correlation", "on_bounds")
+_TOLD, _ELSEWHERE = ("identifiability", "outputs", "profiles"), ("on_bounds",)
 
 
 @dataclass
@@ -54,14 +52,11 @@ class Assessment:
 
     @property
     def correlation(self) -> FloatArray | None:
-        """Correlation of the estimates, (n_f, n_f)."""
+        """Correlation of the estimates, (n_f, n_f); NaN beside one without variance."""
+        from trms_cli.identification.greybox.identifiability import correlations
+
         covariance = self.result.covariance
-        if covariance is None:
-            return None
-        roots = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            correlation: FloatArray = covariance / np.outer(roots, roots)
-        return correlation
+        return None if covariance is None else correlations(covariance)
 
 
 def assess(asked: Identification, result: FitResult) -> Assessment:
@@ -84,8 +79,7 @@ def _at_point(asked: Identification, result: FitResult, told: dict[str, Any]) ->
     fit = fit_from(Windows(asked.problem), result.theta, MapSettings(), held=every)
     if fit.information is None:
         return Assessment(result, told)
-    on_bound = np.array([name in at_bounds(asked, result.values) for name in result.values])
-    covariance = fit.information.covariance(on_bound)
+    covariance = fit.information.covariance(asked.problem.on_bounds(result.theta) != 0)
     judged_so = identifiability(fit.information, asked.problem.names, covariance)
     return Assessment(
         replace(result, covariance=covariance), told | {"identifiability": asdict(judged_so)}
@@ -112,11 +106,7 @@ def judge(asked: Identification, assessment: Assessment, fitted: Model | None = 
 
 def at_bounds(asked: Identification, values: Mapping[str, float]) -> dict[str, str]:
     """Which fitted values lie on a bound: ``lower`` or ``upper`` by name."""
-    found = {}
-    for parameter in asked.problem.free:
-        value, margin = values[parameter.name], _AT_BOUND * parameter.scale
-        if value <= parameter.lower + margin:
-            found[parameter.name] = "lower"
-        elif value >= parameter.upper - margin:
-            found[parameter.name] = "upper"
-    return found
+    problem = asked.problem
+    at = problem.on_bounds(np.array([values[name] for name in problem.names]))
+    words = {-1: "lower", 1: "upper"}
+    return {name: words[on] for name, on in zip(problem.names, at.tolist(), strict=True) if on}

@@ -19,8 +19,6 @@ from trms_cli.identification.method import FitResult
 _PARTS = {"fit": "on what was fitted", "held_out": "on what was held out"}
 #: Sets of parameters that imitate each other that are printed.
 _MOST_SETS = 4
-#: Share of a prior's deviation that is left where the data said next to nothing.
-_UNINFORMED = 0.9
 
 
 class IdentifyScreen:
@@ -169,9 +167,7 @@ def _doubt_lines(document: Mapping[str, Any]) -> Iterator[str]:
         )
     if len(sets) > _MOST_SETS:
         yield f"           and {len(sets) - _MOST_SETS} more sets: see the document"
-    remaining = known.get("prior_remaining", {})
-    vague = [name for name, share in remaining.items() if share > _UNINFORMED]
-    vague += [name for name in known.get("silent", []) if name not in vague]
+    vague = known.get("uninformed", [])
     if vague:
         yield f"unknown    {', '.join(vague)}: the data say next to nothing; the prior decided"
     absent = [n for n, p in document["parameters"].items() if _absent(n, p)]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.identification.greybox.identifiability import correlations, identifiability
+from trms_cli.identification.greybox.identifiability import identifiability
 from trms_cli.identification.greybox.levenberg_marquardt import Point
 from trms_cli.identification.greybox.map_fit import MapFit, MapSettings, fit_from
 from trms_cli.identification.greybox.profile import profile
@@ -34,8 +34,6 @@ FloatArray = npt.NDArray[np.float64]
 #: Gaps between windows as a share of the starts' spread: a few mrad and 10 mrad/s when joined
 #: softly; when joined hard the gaps are below what any sensor sees.
 _JOINED = {"free": None, "penalty": 0.03, "equality": 1e-4}
-#: Share of a parameter's scale within which it counts as lying on its bound.
-_ON_BOUND = 1e-6
 #: Fits that agree differ in the logarithm of their posterior by less than this, nats.
 _AGREEMENT = 0.5
 
@@ -65,6 +63,8 @@ class MultipleShooting:
     iterations: Annotated[int, Meta(ge=1)] = 100
     tolerance: Annotated[float, Meta(gt=0)] = 1e-3
     profiles: tuple[str, ...] = ()
+
+    fits_parameters: ClassVar[bool] = True
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem; see :class:`trms_cli.identification.method.Method`."""
@@ -191,17 +191,10 @@ def _standings(fits: list[MapFit]) -> FloatArray:
     return standings
 
 
-def _on_bounds(fit: MapFit, problem: FitProblem) -> npt.NDArray[np.bool_]:
-    low, high = problem.bounds
-    near = _ON_BOUND * problem.scales
-    at: npt.NDArray[np.bool_] = (fit.point.theta <= low + near) | (fit.point.theta >= high - near)
-    return at
-
-
 def _covariance(fit: MapFit, problem: FitProblem) -> FloatArray | None:
     if fit.information is None:
         return None
-    return fit.information.covariance(_on_bounds(fit, problem))
+    return fit.information.covariance(problem.on_bounds(fit.point.theta) != 0)
 
 
 def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str, Any]:
@@ -226,11 +219,10 @@ def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str,
     covariance = _covariance(best, problem)
     assert covariance is not None
     judged = identifiability(best.information, problem.names, covariance)
-    at = _on_bounds(best, problem)
+    at = problem.on_bounds(best.point.theta)
     weights, declared = judge.weights, judge.windows.declared
     return details | {
         "on_bounds": [name for name, on in zip(problem.names, at, strict=True) if on],
-        "correlation": correlations(covariance).tolist(),
         "identifiability": asdict(judged),
         "outputs": {
             name: {
@@ -260,8 +252,7 @@ def _profiled(asked: tuple[str, ...], problem: FitProblem) -> tuple[str, ...]:
 def _profiles(best: MapFit, wanted: tuple[str, ...], watcher: _Watcher) -> Mapping[str, Any]:
     assert best.information is not None
     problem = best.objective.windows.problem
-    held = _on_bounds(best, problem)
-    covariance = best.information.covariance(held)
+    covariance = best.information.covariance(problem.on_bounds(best.point.theta) != 0)
     curvature = np.linalg.pinv(
         best.information.of_data + np.diag(best.information.prior), rcond=1e-13, hermitian=True
     )

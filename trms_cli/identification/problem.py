@@ -18,11 +18,14 @@ from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter, ParameterSet
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 #: The word of ``free`` for all parameters that have a prior.
 PRIORS = "priors"
 #: Share of its start by which a parameter without prior is scaled; of 1 where it starts at 0.
 _SCALE_WITHOUT_PRIOR = 0.3
+#: Share of a parameter's scale within which it counts as lying on its bound.
+_ON_BOUND = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,6 +328,23 @@ class FitProblem:
             np.array([parameter.lower for parameter in self.free]),
             np.array([parameter.upper for parameter in self.free]),
         )
+
+    def on_bounds(self, theta: FloatArray) -> IntArray:
+        """Which parameters count as lying on a bound, shape (n_f,): −1 lower, 1 upper, 0 neither.
+
+        A search that knows no slopes comes near a bound without touching it: a thousandth of a
+        parameter's scale, which no data tell from nothing, counts as being there.
+
+        Parameters
+        ----------
+        theta : (n_f,) array
+        """
+        lower, upper = self.bounds
+        near = _ON_BOUND * self.scales
+        found: IntArray = np.where(
+            theta <= lower + near, -1, np.where(theta >= upper - near, 1, 0)
+        ).astype(np.int64)
+        return found
 
     def all_values(self, theta: FloatArray) -> FloatArray:
         """The model's whole parameter vector with the free ones at ``theta``, shape (n_p,)."""

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PARTS = {"held_out": "held out", "fit": "fitted"}
-#: Share of a prior's deviation that is left where the data said next to nothing.
-_UNINFORMED = 0.9
 _MOST_SETS = 12
 #: Relative change of an error that is none.
 _NO_CHANGE = 0.01
@@ -171,9 +169,7 @@ def _doubts(document: Mapping[str, Any]) -> list[Marked]:
     more = len(known.get("confounded", [])) - _MOST_SETS
     if more > 0:
         points.append(Marked(f"{more} more such sets: see identification.json."))
-    remaining = known.get("prior_remaining", {})
-    vague = [name for name, share in remaining.items() if share > _UNINFORMED]
-    vague += [name for name in known.get("silent", []) if name not in vague]
+    vague = known.get("uninformed", [])
     if vague:
         points.append(
             Marked(f"{', '.join(vague)}: next to nothing; the prior decided.", "doubtful")

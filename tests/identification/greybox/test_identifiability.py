@@ -91,6 +91,14 @@ def test_a_parameter_without_effect_is_silent(columns: np.ndarray) -> None:
     found = judged(columns)
     assert found.silent == ("p3",)  # type: ignore[attr-defined]
     assert found.prior_remaining["p3"] == pytest.approx(1.0)  # type: ignore[attr-defined]
+    assert found.uninformed == ("p3",)  # type: ignore[attr-defined]
+
+
+def test_a_parameter_that_the_data_hardly_narrow_is_uninformed(columns: np.ndarray) -> None:
+    columns[:, 1] *= 0.01  # 200 samples of 0.01 against a prior of 1: 0.99 of its deviation stay
+    found = judged(columns)
+    assert found.silent == ()  # type: ignore[attr-defined]
+    assert found.uninformed == ("p1",)  # type: ignore[attr-defined]
 
 
 def test_correlations_are_between_minus_one_and_one(columns: np.ndarray) -> None:

@@ -23,7 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 #: Brun's threshold.
 COLLINEAR = 15.0
 #: Share of the prior's deviation above which the data have said next to nothing.
-UNINFORMED = 0.9
+_UNINFORMED = 0.9
 #: Sets of up to so many parameters are looked at.
 _LARGEST_SET = 4
 
@@ -59,12 +59,16 @@ class Identifiability:
         The worst first.
     silent : tuple of str
         Parameters that these data do not depend on at all.
+    uninformed : tuple of str
+        Parameters of which the data say next to nothing, so that the prior decided: those of
+        whose prior's deviation more than nine tenths remain, and the silent ones.
     """
 
     prior_remaining: dict[str, float]
     collinearity: dict[str, float]
     confounded: tuple[Confounded, ...]
     silent: tuple[str, ...]
+    uninformed: tuple[str, ...]
 
 
 def identifiability(
@@ -91,19 +95,21 @@ def identifiability(
         if information.prior[i] > 0
     }
     against_all = _against_all(gram)
+    silent = tuple(names[i] for i in np.flatnonzero(~loud).tolist())
     return Identifiability(
         remaining,
         {names[i]: float(against_all[k]) for k, i in enumerate(heard)},
         tuple(_confounded(gram, [names[i] for i in heard])),
-        tuple(names[i] for i in np.flatnonzero(~loud).tolist()),
+        silent,
+        tuple(n for n in names if remaining.get(n, 0.0) > _UNINFORMED or n in silent),
     )
 
 
 def correlations(covariance: FloatArray) -> FloatArray:
-    """Correlation matrix; 0 beside a parameter without variance, its own included."""
+    """Correlation matrix; NaN beside a parameter without variance, its own included."""
     sd = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
-        found: FloatArray = np.where(np.outer(sd, sd) > 0, covariance / np.outer(sd, sd), 0.0)
+        found: FloatArray = covariance / np.outer(sd, sd)
     return found
 
 
