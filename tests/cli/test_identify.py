@@ -180,10 +180,19 @@ class TestInterruption:
     def test_another_search_is_refused_and_changes_nothing(self, trms, lab):
         trms(*FIT, *SMALL, "out=kept")
         before = (lab / "kept" / "request.json").read_bytes()
-        done = trms("identify", "resume=kept", "seed=4")
+        done = trms("identify", "resume=kept", "method.individuals=9")
         assert done.returncode == 2
-        assert "seed was 0 and is 4 now" in done.stderr
+        assert "individuals was" in done.stderr and "is 9 now" in done.stderr
         assert (lab / "kept" / "request.json").read_bytes() == before
+
+    @pytest.mark.parametrize("word", ["seed=4", "real=rig", "method=narx", "model=lagrangian"])
+    def test_another_fit_never_takes_the_place_of_one(self, trms, lab, word):
+        if not (lab / "placed").is_dir():
+            trms(*FIT, *SMALL, "out=placed")
+        before = (lab / "placed" / "model.yaml").read_bytes()
+        done = trms("identify", "resume=placed", word)
+        assert done.returncode == 2 and "for all else fit anew" in done.stderr
+        assert (lab / "placed" / "model.yaml").read_bytes() == before
 
     @pytest.mark.parametrize(
         ("folder", "words"),

@@ -15,6 +15,8 @@ from trms_cli.commands.identify_progress import STATE_NAME
 from trms_cli.core.errors import ConfigurationError
 
 _KEY = "resume="
+#: What may differ when a fit goes on: anything else would put another fit in its place.
+_MAY_CHANGE = ("method.", "jobs=", "picture=", "--cfg", "job")
 
 
 def take_folder(argv: Sequence[str]) -> tuple[Path | None, list[str]]:
@@ -62,11 +64,13 @@ def resumed(folder: Path, argv: Sequence[str], primary: str, perform: Callable[.
             remedy=f"cd {shlex.quote(request['working_folder'])}, and again",
         )
     for word in argv:
-        if word in ("-m", "--multirun") or word.lstrip("+").startswith("out="):
+        if not word.lstrip("+").startswith(_MAY_CHANGE):
             raise ConfigurationError(
                 f"{word} given",
                 where="resume",
-                remedy="a search goes on in its own folder; fit anew for more",
+                remedy="a search goes on with its own recordings, model and method, in its own "
+                "folder; only its budget (method.…), jobs and picture may change: for all else "
+                "fit anew",
             )
     places = [word for place in request["config_dirs"] for word in ("--config-dir", place)]
     task: Task = partial(perform, folder=folder)
