@@ -14,6 +14,7 @@ from trms_cli.commands.composition import Composition
 from trms_cli.commands.identify_request import Identification
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import TARGET
+from trms_cli.core.whole_file import replace_whole
 from trms_cli.identification.method import FitResult
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.models.model import Model
@@ -33,9 +34,9 @@ def write_config(composition: Composition, folder: Path) -> None:
         "working_folder": str(Path.cwd()),
     }
     try:
-        (folder / CONFIG_NAME).write_text(composition.yaml, encoding="utf-8")
+        replace_whole(folder / CONFIG_NAME, composition.yaml.encode())
         text = json.dumps(request, indent=2, ensure_ascii=False) + "\n"
-        (folder / REQUEST_NAME).write_text(text, encoding="utf-8")
+        replace_whole(folder / REQUEST_NAME, text.encode())
     except OSError as error:
         raise RecordingError(
             f"cannot be written: {error.strerror or error}",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.whole_file import replace_whole
 
 #: Files of a run in its folder.
 LOG_NAME, SCORE_NAME, PICTURE_NAME = "run.mcap", "score.json", "run.png"
@@ -96,12 +97,7 @@ def write_whole(text: str, path: Path) -> None:
     """
     from trms_cli.recordings.output_file import explain_os_error
 
-    draft = path.with_name(f".{path.name}")
     try:
-        draft.write_text(text, encoding="utf-8")
-        os.replace(draft, path)
-    except BaseException as error:
-        draft.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise explain_os_error(error, path) from error
-        raise
+        replace_whole(path, text.encode())
+    except OSError as error:
+        raise explain_os_error(error, path) from error

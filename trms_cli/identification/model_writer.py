@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.whole_file import replace_whole
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.identification.problem import FreeParameter
@@ -100,7 +101,7 @@ def model_document(
 
 
 def write_model(document: Mapping[str, Any], path: Path, heading: str = "") -> None:
-    """Write a model file.
+    """Write a model file, whole or not at all.
 
     Parameters
     ----------
@@ -119,7 +120,7 @@ def write_model(document: Mapping[str, Any], path: Path, heading: str = "") -> N
         dict(document), sort_keys=False, allow_unicode=True, default_flow_style=None, width=400
     )
     try:
-        path.write_text(comment + text, encoding="utf-8")
+        replace_whole(path, (comment + text).encode())
     except OSError as error:
         raise RecordingError(
             f"cannot be written: {error.strerror or error}",

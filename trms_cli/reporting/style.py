@@ -19,6 +19,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from trms_cli.core.whole_file import replace_whole
+
 #: Okabe & Ito (2008): told apart with any common colour blindness.
 PALETTE = MappingProxyType(
     {
@@ -127,4 +129,4 @@ def save_png(figure: Figure, path: Path) -> None:
     picture = Image.open(drawn).convert("RGB").quantize(_COLOURS_OF_A_PNG)
     content = io.BytesIO()
     picture.save(content, format="png", optimize=True)
-    path.write_bytes(content.getvalue())
+    replace_whole(path, content.getvalue())
