@@ -152,7 +152,8 @@ class TestAll:
     def test_reduces_the_loss_of_a_network(self, name, sine, start):
         training = train(option(name), sine, start, Stopping(epochs=300, patience=0))
         assert training.history.losses[-1] < 0.5 * training.history.losses[0]
-        assert sine.loss(training.theta) == pytest.approx(training.history.losses[-1])
+        kept = training.history.losses[training.best_epoch]
+        assert sine.loss(training.theta) == pytest.approx(kept)
 
     @pytest.mark.parametrize("name", OPTIONS)
     def test_is_repeated_bit_for_bit(self, name, sine, start):
@@ -392,6 +393,25 @@ class TestStopping:
         assert training.outcome is Outcome.INTERRUPTED
         assert training.history.epochs == 5
         assert sine.loss(training.theta) == training.history.losses[5]
+
+    def test_without_validation_the_weights_of_the_smallest_loss_are_kept(self, sine, start):
+        def until(epoch):
+            def impatient(now, loss, validation):
+                if now == epoch:
+                    raise KeyboardInterrupt
+
+            return impatient
+
+        wild = GradientDescent(learning_rate=1.5, momentum=0.9)
+        training = train(wild, sine, start, Stopping(progress=0.0), watcher=until(60))
+        losses = training.history.losses
+        assert training.best_epoch == int(np.argmin(losses)) < 60  # the last is not the best
+        assert sine.loss(training.theta) == min(losses)
+
+    def test_a_regularised_training_keeps_its_last_weights(self, sine, start):
+        training = train(BayesianRegularisation(), sine, start, Stopping(epochs=30))
+        assert training.best_epoch == training.history.epochs
+        assert sine.loss(training.theta) == training.history.losses[-1]
 
     def test_a_diverging_start_is_refused(self, sine, start):
         with pytest.raises(ConfigurationError, match="diverges"):

@@ -124,7 +124,9 @@ class Training:
     Attributes
     ----------
     theta : (P,) array
-        Weights of the smallest validation error where early stopping is on, else the last.
+        Weights of the smallest validation error where early stopping is on, of the smallest loss
+        where it is not; of a training that regularises itself the last, for its loss alone is
+        not what it reduces.
     history : History
     outcome : Outcome
     best_epoch : int
@@ -145,12 +147,19 @@ class _Recorder:
     """The report of one training."""
 
     def __init__(
-        self, start: FloatArray, stopping: Stopping, validation: Objective | None, early: bool
+        self,
+        start: FloatArray,
+        stopping: Stopping,
+        validation: Objective | None,
+        *,
+        early: bool,
+        regularised: bool,
     ) -> None:
         self.history = History()
         self.outcome = Outcome.NO_PROGRESS
         self.kept, self.best, self.best_epoch = start.copy(), np.inf, 0
-        self._stopping, self._validation, self._early = stopping, validation, early
+        self._stopping, self._validation = stopping, validation
+        self._early, self._regularised = early, regularised
         self._watcher: Watcher | None = None
         self._spent, self._resumed = 0.0, process_time()
 
@@ -168,8 +177,9 @@ class _Recorder:
         history.validation.append(checked)
         history.slopes.append(slope)
         history.effective.append(np.nan if effective is None else effective)
-        if not self._early or checked < self.best or epoch == 0:
-            self.kept, self.best, self.best_epoch = theta.copy(), checked, epoch
+        merit = checked if self._early else loss
+        if self._regularised or merit < self.best or epoch == 0:
+            self.kept, self.best, self.best_epoch = theta.copy(), merit, epoch
         if self._watcher is not None:
             self._watcher(epoch, loss, checked)
         self._end_if_due(epoch, loss, slope)
@@ -226,7 +236,9 @@ def train(
         If the loss is not finite at the start.
     """
     early = validation is not None and stopping.patience > 0 and not algorithm.regularised
-    recorder = _Recorder(start, stopping, validation, early)
+    recorder = _Recorder(
+        start, stopping, validation, early=early, regularised=algorithm.regularised
+    )
     recorder.watched_by(watcher)
     loss, slope = objective.gradient(start)
     if not np.isfinite(loss):
