@@ -35,7 +35,9 @@ class HistoryPoint(NamedTuple):
 
     evaluations: int  #: simulations of all recordings so far
     seconds: float  #: since the fit began
-    cost: float  #: the best so far
+    #: Of the point where it was, or of the best of a population. It may rise: a new search begins,
+    #: residuals are weighed anew (multiple shooting), a training step fails.
+    cost: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +91,7 @@ class Progress(Protocol):
         fraction : float
             Of the work, 0 to 1.
         cost : float
-            The best so far.
+            As in :class:`HistoryPoint`.
         message : str
             One line.
         """

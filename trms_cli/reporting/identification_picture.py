@@ -115,7 +115,7 @@ def parameter_figure(parameters: Mapping[str, Mapping[str, Any]], title: str) ->
 
 
 def convergence_figure(history: Sequence[Sequence[float]], title: str) -> Figure:
-    """The least cost so far above the least of all, over simulations and over time.
+    """The search's cost above its least, over simulations and over time.
 
     Parameters
     ----------
