@@ -33,6 +33,14 @@ _TURNS = 5.0
 #: 1/s: faster modes are armature currents, slower ones integrate.
 _FASTEST_MODE, _SLOWEST_MODE = 100.0, 0.02
 _LEAST_SAMPLES = 100
+#: rad by which pitch may be off the model's: counterweights of the priors move rest by some 0.1.
+_OFF_PITCH = 0.25
+#: Zeros of pitch that are looked for, rad, and how finely.
+_FARTHEST_ZERO, _ZERO_STEP = 1.5, 0.01
+#: Share of the squared error of the acceleration that another zero must take away.
+_ZERO_EXPLAINS = 0.5
+#: Samples of a recording on which weight is evaluated.
+_SPARSE = 1000
 
 
 @dataclass(frozen=True)
@@ -84,7 +92,8 @@ def findings_by_model(dataset: Dataset, model: Model) -> list[Finding]:
         return swapped
     speeds = list(_speeds(dataset, motion))
     told = {finding.channel[-2:] for finding in speeds}
-    return [*speeds, *_angles(dataset, motions, thrusts, told)]
+    found = [*speeds, *_angles(dataset, motions, thrusts, told)]
+    return found or list(_zero(dataset, motions, motion))
 
 
 def time_scales(dataset: Dataset, model: Model) -> TimeScales | None:
@@ -166,6 +175,63 @@ def _angles(
                 "unit", name, f"{name} moves {thrust.factor:.3g} times as far as it should: "
                 "degrees read as rad", f"write the unit into the header: {name}[deg]", True,
             )  # fmt: skip
+
+
+def _zero(dataset: Dataset, motions: Motions, motion: Motion) -> Iterator[Finding]:
+    """Whether pitch is counted from another zero than the level beam.
+
+    Over a recording pitch goes nowhere, so its mean acceleration is that of weight and thrust
+    in balance; the angle that must be added for it is where zero is.
+    """
+    name = "alpha_v"
+    if name not in motion.accelerations:
+        return
+    off = _imbalance(dataset, motion, name)
+    if off is None:
+        return
+    pitch = dataset.output(name)
+    pitch = pitch[np.isfinite(pitch)]
+    pitch = pitch[:: max(1, len(pitch) // _SPARSE)]
+    count = round(_FARTHEST_ZERO / _ZERO_STEP)
+    shifts = _ZERO_STEP * np.arange(-count, count + 1)
+    weight = motions.at_rest(name, np.add.outer(shifts, pitch).ravel())
+    mean = weight.reshape(len(shifts), len(pitch)).mean(axis=1)
+    # Only where weight draws back: the other root is the beam upside down.
+    balance = np.mean(off) + mean[count] - mean
+    roots = np.flatnonzero((balance[:-1] < 0) & (balance[1:] >= 0))
+    if not len(roots):
+        return
+    k = int(roots[np.argmin(np.abs(shifts[roots]))])
+    shift = float(shifts[k] - balance[k] * _ZERO_STEP / (balance[k + 1] - balance[k]))
+    if abs(shift) < _OFF_PITCH:
+        return
+    measurements = dataset.measurements.copy()
+    measurements[:, names(dataset.outputs).index(name)] += shift
+    moved = replace(dataset, measurements=measurements)
+    again = _imbalance(moved, motions.of(moved), name)
+    if again is None or again @ again > (1 - _ZERO_EXPLAINS) * (off @ off):
+        return
+    rest = float(motions.model.rest()[motions.model.state_index(name)])
+    hanging = ""
+    if abs(shift - rest) < _OFF_PITCH:
+        hanging = ", as an encoder that was switched on while the beam hung"
+    yield Finding(
+        "zero", name,
+        f"{name} is off by a constant {-shift:.2f} rad: the model counts pitch from the level "
+        f"beam and hangs at {rest:.2f} rad without thrust{hanging}",
+        f"if so: 'data.offset={{{name}: {rest if hanging else shift:.2f}}}' adds it; if the beam "
+        "is balanced otherwise or the thrusts are, leave it",
+        False,
+    )  # fmt: skip
+
+
+def _imbalance(dataset: Dataset, motion: Motion, name: str) -> FloatArray | None:
+    """Measured acceleration less the model's, rad/s², where it can be told."""
+    measured, modelled = motion.accelerations[name], motion.passive[name] + motion.thrust[name]
+    rows = np.isfinite(measured)
+    if np.count_nonzero(rows) < _LEAST_SAMPLES or not np.isfinite(modelled).all():
+        return None
+    return np.asarray(measured - smoothed(modelled, dataset.sample_time))[rows]
 
 
 def _turned_round(dataset: Dataset, motions: Motions, name: str, thrust: _Thrust) -> bool:

@@ -18,7 +18,8 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.identification.dataset import Dataset, FloatArray
-from trms_cli.models.model import Model, names
+from trms_cli.identification.sample_time import require_sample_time
+from trms_cli.models.model import Model, Signal, names
 from trms_cli.plants.recorded import read_runs
 from trms_cli.plants.replay import RecordedRig
 from trms_cli.plants.sensors import Sensors
@@ -43,6 +44,9 @@ class DataOptions:
         Part of each recording to take, s in its own time; None for all.
     input_scale : dict of str to float
         By input: what a recorded 1 is in the model's unit, where the units differ.
+    offset : dict of str to float
+        By output: what is added to it, in its SI unit, where its zero is another one than the
+        model's (pitch is 0 where the beam is level).
     command_delay : int
         Samples from a row's time until its command acts.
     jitter : float
@@ -68,6 +72,7 @@ class DataOptions:
     start: float | None = None
     end: float | None = None
     input_scale: Mapping[str, float] = field(default_factory=dict)
+    offset: Mapping[str, float] = field(default_factory=dict)
     command_delay: Annotated[int, Meta(ge=0)] = 0
     jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
     channels: tuple[str, ...] | None = None
@@ -136,6 +141,7 @@ def load_datasets(
             )
         for run in runs:
             remarks = [*run.remarks]
+            measurements = _offset(run.measurements, run.outputs, options.offset, remarks)
             noise = np.array([run.noise_sd[name] for name in names(run.outputs)])
             if options.noise_sd == ESTIMATE:
                 noise = np.maximum(noise, noise_estimate(run.measurements))
@@ -144,22 +150,48 @@ def load_datasets(
                     "noise estimated from the data: "
                     + ", ".join(f"{s.name} {sd:.3g} {s.unit}" for s, sd in figures)
                 )
-            datasets.append(
-                Dataset(
-                    _unique(file, [d.name for d in datasets]),
-                    file,
-                    sha256,
-                    run.sample_time,
-                    run.time,
-                    run.inputs,
-                    run.outputs,
-                    np.ascontiguousarray(run.commands),
-                    np.ascontiguousarray(run.measurements),
-                    noise,
-                    tuple(remarks),
-                )
+            dataset = Dataset(
+                _unique(file, [d.name for d in datasets]),
+                file,
+                sha256,
+                run.sample_time,
+                run.time,
+                run.inputs,
+                run.outputs,
+                np.ascontiguousarray(run.commands),
+                np.ascontiguousarray(measurements),
+                noise,
+                tuple(remarks),
             )
+            # Before anything simulates it: between samples of 20 s nothing stays finite.
+            require_sample_time(dataset, model)
+            datasets.append(dataset)
     return datasets
+
+
+def _offset(
+    measurements: FloatArray,
+    outputs: Sequence[Signal],
+    offset: Mapping[str, float],
+    remarks: list[str],
+) -> FloatArray:
+    """Measurements with what is to be added to them; told in the remarks."""
+    moved = measurements.copy()
+    for name, value in offset.items():
+        if name not in names(outputs):
+            raise ConfigurationError(
+                f"no output {name!r} is taken from the recording",
+                where=f"data.offset.{name}",
+                remedy=f"its outputs are {', '.join(names(outputs))}",
+            )
+        if not np.isfinite(value):
+            raise ConfigurationError(
+                f"{value!r} given", where=f"data.offset.{name}", remedy="a finite number"
+            )
+        index = names(outputs).index(name)
+        moved[:, index] += value
+        remarks.append(f"{value:+.4g} {outputs[index].unit} added to {name}")
+    return moved
 
 
 def noise_estimate(measurements: FloatArray) -> FloatArray:

@@ -91,6 +91,30 @@ class Motions:
         self._momentum_of = ca.Function("momentum", [x, u, wanted], [solved])
         self._acceleration = ca.Function("acceleration", [x, u], [acceleration])
 
+    def at_rest(self, angle: str, values: FloatArray) -> FloatArray:
+        """Acceleration with an axis held at angles, all else at rest and without commands.
+
+        Parameters
+        ----------
+        angle : str
+            One that is a state of the model.
+        values : (n,) array
+            rad.
+
+        Returns
+        -------
+        (n,) array
+            rad/s²; of pitch, what weight alone makes of it.
+        """
+        model, n = self.model, len(values)
+        states = np.tile(model.rest()[:, None], (1, n))
+        states[model.state_index(angle)] = values
+        u, still = np.zeros((model.n_u, n)), np.zeros((len(self._angles), n))
+        states[self._momenta] = self._mapped(self._momentum_of, states, u, still)
+        return self._mapped(self._acceleration, states, u)[
+            [axis.angle for axis in self._axes.values()].index(angle)
+        ]
+
     @staticmethod
     def possible(model: Model) -> Motions | None:
         """For a model of the right kind; None for one that only steps or has no axes."""
@@ -214,4 +238,6 @@ def smoothed(values: FloatArray, step: float) -> FloatArray:
     from scipy.signal import savgol_filter
 
     window = max(7, 2 * round(_WINDOW / step / 2) + 1)
+    if len(values) < window:
+        return np.asarray(values)
     return np.asarray(savgol_filter(values, window, 3))
