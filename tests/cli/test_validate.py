@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trms_cli.cli import main
-from trms_cli.commands.validate_models import model_list, one_of, shown_names
+from trms_cli.commands.validate_models import model_list, named_sets, one_of, shown_names
 from trms_cli.core.errors import ConfigurationError
 
 HEADER = "t[s],u_v[V],alpha_v[deg],omega_v[rpm]\n"
@@ -94,6 +94,7 @@ def _parameters() -> str:
         (["real=rig.csv", "predictor.torques=[nothing]"], "nothing"),
         (["real=rig.csv", "effect=yaw_coulomb_friction"], "yaw"),
         (["real=rig.csv", "page=3"], "page"),
+        (["real=rig.csv", "picture=false"], "page=false"),
         (["real=rig.csv", "data.quantum.alpha_v=0"], "noise"),
         ([], "real"),
     ],
@@ -114,6 +115,52 @@ def test_a_recording_in_which_nothing_moves_is_refused(here, capsys):
     assert "nothing moves" in capsys.readouterr().err
 
 
+class TestWhatTheRecordingsTell:
+    """Recordings are looked at before models are held against them, as before a fit."""
+
+    @pytest.fixture
+    def played(self, here) -> Path:
+        write(here / "long.csv", seconds=30.0)
+        return here
+
+    def spoil(self, folder: Path, *changes: tuple[str, str]) -> None:
+        text = (folder / "long.csv").read_text(encoding="utf-8")
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        (folder / "spoilt.csv").write_text(text, encoding="utf-8")
+
+    def test_a_wrong_unit_is_named(self, played, capsys):
+        self.spoil(played, ("omega_v[rpm]", "omega_v[rad/s]"))
+        assert main(["validate", "real=spoilt.csv", "model=newtonian_vertical"]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert "rpm read as rad/s" in said and "omega_v[rpm]" in said
+        assert not (played / "outputs").exists()
+
+    def test_also_where_its_speed_would_drive_the_beam(self, played, capsys):
+        self.spoil(played, ("omega_v[rpm]", "omega_v[rad/s]"))
+        words = ["real=spoilt.csv", "model=newtonian_vertical", "driven=[omega_v]"]
+        assert main(["validate", *words]) == 2
+        assert "rpm read as rad/s" in " ".join(capsys.readouterr().err.split())
+
+    def test_only_the_model_that_it_is_of_is_named(self, played, capsys):
+        words = "[newtonian_vertical,narx_vertical]"
+        self.spoil(played, ("omega_v[rpm]", "omega_v[rad/s]"))
+        assert main(["validate", "real=spoilt.csv", f"model={words}"]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert "newtonian_vertical: omega_v is" in said and "narx" not in said
+
+    def test_a_warning_stands_everywhere(self, here, capsys):
+        write(here / "still.csv", commands=False)
+        words = ["real=still.csv", "model=newtonian_vertical", "out=here", "horizons=[0.5]"]
+        assert main(["validate", *words]) == 0
+        assert "warning    still: the inputs never move" in capsys.readouterr().out
+        document = json.loads((here / "here/validation.json").read_text(encoding="utf-8"))
+        assert document["warnings"][0]["check"] == "excitation"
+        page = (here / "here/validation.html").read_text(encoding="utf-8")
+        assert "the inputs never move" in page
+
+
 class TestListsOfModels:
     def test_one_model_is_left_to_the_composition(self):
         assert model_list(["real=a.csv", "model=newtonian"]) is None
@@ -127,6 +174,13 @@ class TestListsOfModels:
     def test_a_parameter_set_stands_for_its_file(self):
         (choice, *_) = one_of(["real=a.csv", "model=[tras,tras_record]"], "tras_record")
         assert choice.endswith("parameters/tras_record.yaml")
+
+    def test_one_parameter_set_stands_for_its_file_too(self, capsys):
+        assert main(["validate", "real=a.csv", "model=bench", "--cfg", "job"]) == 0
+        assert "parameters/bench.yaml" in capsys.readouterr().out
+        (alternatives,) = named_sets(["model=bench,newtonian"])
+        assert alternatives.endswith("parameters/bench.yaml,newtonian")
+        assert named_sets(["real=a.csv", "model=tras"]) == ["real=a.csv", "model=tras"]
 
     @pytest.mark.parametrize(
         "value, words",

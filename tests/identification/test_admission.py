@@ -12,6 +12,7 @@ import pytest
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.admission import admit
+from trms_cli.identification.admission_issue import together
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian
@@ -256,3 +257,80 @@ def test_a_model_that_runs_away_tells_nothing_of_the_channels(recordings):
     model = Newtonian(parameters={"J_mr": 1e-9, "J_tr": 1e-9})
     found = admit([dataset(recordings["multilevel"], model=model)], model).issues
     assert not {issue.check for issue in found} & {"sign", "unit", "swapped", "speed"}
+
+
+class TestForAValidation:
+    """What cannot be fitted may still be held against a model; what is read wrongly may not."""
+
+    @pytest.mark.parametrize("what", WRONG)
+    def test_wrong_channels_are_named_all_the_same(self, what, recordings):
+        change, check, channel = WRONG[what]
+        spoilt = dataset(recordings["multilevel"], change)
+        errors = admit([spoilt], MODEL, purpose="validation").errors
+        assert [(e.check, e.channel) for e in errors] == [(check, channel)]
+
+    @KINDS
+    def test_short_parts_pass(self, kind, recordings):
+        """A sign is no error where an axis may swing against its thrust for other reasons."""
+        whole = dataset(recordings[kind])
+        for seconds in (1.0, 3.0, 6.0):
+            n = round(seconds / whole.sample_time)
+            for first in range(0, len(whole) - n, len(whole) // 6):
+                part = whole.part(first, first + n)
+                assert admit([part], MODEL, purpose="validation").errors == (), first
+
+    @pytest.mark.parametrize(
+        "still, words",
+        [
+            ({"u_v": 0.8, "u_h": 0.0}, "never move"),
+            ({"u_v": 2.5, "u_h": -2.5}, "at the limit throughout"),
+            ({"omega_h": 0.0}, "omega_h is constant"),
+            ({"alpha_h": 0.2, "omega_h": 0.0, "u_h": 0.0}, "alpha_h is constant"),
+        ],
+        ids=str,
+    )
+    def test_rest_is_worth_a_word(self, still, words, recordings):
+        def rest(channels):
+            for name, value in still.items():
+                channels[name].fill(value)
+
+        spoilt = dataset(recordings["prbs"], rest)
+        assert admit([spoilt], MODEL).errors
+        found = admit([spoilt], MODEL, purpose="validation")
+        assert found.errors == () and any(words in w.problem for w in found.warnings)
+
+    def test_the_others_are_looked_at_beside_a_constant_one(self, recordings):
+        def spoil(channels):
+            channels["omega_h"].fill(0.0)
+            channels["alpha_v"] *= -1
+
+        errors = admit([dataset(recordings["prbs"], spoil)], MODEL, purpose="validation").errors
+        assert [(e.check, e.channel) for e in errors] == [("sign", "alpha_v")]
+
+    def test_where_nothing_moves_nothing_is_told(self, recordings):
+        spoilt = dataset(recordings["prbs"], lambda c: [v.fill(0.1) for v in c.values()])
+        (error,) = admit([spoilt], MODEL, purpose="validation").errors
+        assert "nothing moves" in error.problem
+
+    @pytest.mark.skipif(not SHELF.is_dir(), reason="the shelf of recordings is not there")
+    def test_a_real_recording_and_its_parts_pass_without_a_word(self):
+        (whole,) = load_datasets(str(SHELF / "tras/closed_loop.csv"), Tras(), DataOptions())
+        assert admit([whole], Tras(), purpose="validation").issues == ()
+        part = whole.part(1000, 1500)
+        assert admit([part], Tras(), purpose="validation").errors == ()
+
+
+def test_of_several_models_only_those_are_named_that_an_issue_is_of(recordings):
+    spoilt = dataset(recordings["prbs"], lambda c: (c["u_v"].fill(0.0), c["alpha_h"].fill(0.1)))
+
+    class Small(Newtonian):
+        input_limits = property(lambda self: {"u_v": 2.5, "u_h": 0.2})
+
+    found = {"mine": admit([spoilt], MODEL), "small": admit([spoilt], Small())}
+    assert together({"mine": found["mine"]}) == found["mine"]
+    both = together(found)
+    constant = next(i for i in both.errors if i.check == "constant")
+    assert constant.problem.startswith("alpha_h is constant")
+    beyond = next(i for i in both.issues if i.channel == "u_h")
+    assert beyond.problem.startswith("small: u_h ")
+    assert [i.severity for i in both.issues] == sorted(i.severity for i in both.issues)

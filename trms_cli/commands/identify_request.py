@@ -10,16 +10,21 @@ import msgspec
 from msgspec import Meta
 
 from trms_cli.commands.composition import Composition
+from trms_cli.commands.recording_request import (
+    driven_model,
+    driven_recordings,
+    model_of,
+    several,
+)
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import TARGET, build
-from trms_cli.effects.extended_model import extended
-from trms_cli.identification.admission import Admission, admit
+from trms_cli.identification.admission import admit
+from trms_cli.identification.admission_issue import Admission
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.judgement import acting_parameters
 from trms_cli.identification.method import Method
 from trms_cli.identification.problem import FitProblem, FreeParameter, Prior, free_parameters
-from trms_cli.models.driven import DrivenModel
 from trms_cli.models.model import Model
 
 #: Keys of the configuration that are plugins of their own.
@@ -129,7 +134,7 @@ class Identification:
     @property
     def driven(self) -> tuple[str, ...]:
         """States that measurements prescribe."""
-        return several(self.options.driven)
+        return several(self.options.driven, "driven")
 
 
 def identification_of(composition: Composition) -> Identification:
@@ -150,15 +155,15 @@ def identification_of(composition: Composition) -> Identification:
             remedy="a method is a frozen dataclass with fits_parameters and fit(problem, "
             "progress); see `trms list method`",
         )
-    model = _model(config)
+    model = model_of(config)
     data = build(config["data"], "data")
-    driven = several(options.driven)
-    simulated = _driven_model(model, driven)
+    driven = several(options.driven, "driven")
+    simulated = driven_model(model, driven)
     free, idle = _free(simulated, options, method)
-    loaded = load_datasets(several(options.real), model, data)
+    loaded = load_datasets(several(options.real, "real"), model, data)
     admission = admit(loaded, model, len(free))
     admission.require()
-    recordings = _driven_recordings(loaded, driven)
+    recordings = driven_recordings(loaded, driven)
     fitted, held_out = _parts(recordings, options, model, data, driven)
     problem = FitProblem(
         model=simulated,
@@ -176,44 +181,11 @@ def identification_of(composition: Composition) -> Identification:
     return Identification(options, model, problem, method, recordings, idle, admission)
 
 
-def several(names: str | Sequence[str]) -> tuple[str, ...]:
-    """One name or several, as several."""
-    return (names,) if isinstance(names, str) else tuple(names)
-
-
 def _options(config: Mapping[str, Any]) -> IdentifyOptions:
     own = {key: value for key, value in config.items() if key not in _GROUPS}
     options = build({TARGET: f"{__name__}.IdentifyOptions", **own})
     assert isinstance(options, IdentifyOptions)
     return options
-
-
-def _model(config: Mapping[str, Any]) -> Model:
-    model = build(config["model"], "model")
-    if not isinstance(model, Model):
-        raise ConfigurationError(
-            f"{config['model'][TARGET]!r} is no model",
-            where="model",
-            remedy="see `trms list model`",
-        )
-    effects = {
-        name: build(node, f"effect.{name}") for name, node in (config.get("effect") or {}).items()
-    }
-    return extended(model, effects)
-
-
-def _driven_model(model: Model, driven: Sequence[str]) -> Model:
-    if not driven:
-        return model
-    try:
-        return DrivenModel(model, driven)
-    except TrmsError as error:
-        error.where = "driven"
-        raise
-
-
-def _driven_recordings(recordings: Sequence[Dataset], driven: Sequence[str]) -> tuple[Dataset, ...]:
-    return tuple(dataset.driven_by(driven) if driven else dataset for dataset in recordings)
 
 
 def _parts(
@@ -227,12 +199,12 @@ def _parts(
     keep = options.validation
     if keep.real is not None:
         try:
-            loaded = load_datasets(several(keep.real), model, data)
+            loaded = load_datasets(several(keep.real, "validation.real"), model, data)
         except TrmsError as error:
             if error.where == "real":
                 error.where = "validation.real"
             raise
-        held_out = _driven_recordings(loaded, driven)
+        held_out = driven_recordings(loaded, driven)
         twice = {d.sha256 for d in recordings} & {d.sha256 for d in held_out}
         if twice:
             source = next(d.source for d in held_out if d.sha256 in twice)
@@ -266,7 +238,7 @@ def _free(
         for name, node in _flat(options.priors, _is_prior)
     }
     bounds = {name: _bounds(name, node) for name, node in _flat(options.bounds, _is_leaf)}
-    words = several(options.free)
+    words = several(options.free, "free")
     found = free_parameters(model.parameters, words, priors=priors, bounds=bounds)
     used = acting_parameters(model)
     idle = tuple(parameter.name for parameter in found if parameter.name not in used)

@@ -87,6 +87,7 @@ def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Ou
         screen.progress("figures")
         document = document_of(validations)
         document["notes"] = [*request.notes_on(asked), *notes]
+        document["warnings"] = request.warnings_of(asked)
         document["versions"] = request.versions()
         folder = compositions[0].folder("validate")
         write_document(document, folder / DOCUMENT_NAME)

@@ -13,6 +13,7 @@ from trms_cli.commands.validate_pictures import (
     free_run_traces,
     spectra_of,
 )
+from trms_cli.identification.admission_issue import Issue
 from trms_cli.identification.validation.characteristics import characteristics_of
 from trms_cli.identification.validation.validate import ModelValidation
 from trms_cli.identification.validation.verdict import (
@@ -71,6 +72,9 @@ def _facts(document: Mapping[str, Any]) -> dict[str, str]:
     facts["their start"] = _START_WORDS[document["window_start"]]
     for i, note in enumerate(document["notes"]):
         facts[f"note {i + 1}" if len(document["notes"]) > 1 else "note"] = note
+    for i, warning in enumerate(document["warnings"]):
+        key = f"warning {i + 1}" if len(document["warnings"]) > 1 else "warning"
+        facts[key] = str(Issue(**warning))
     facts["command"] = f"`{shlex.join(['trms', *sys.argv[1:]])}`"
     facts["versions"] = ", ".join(f"{name} {v}" for name, v in document["versions"].items())
     return facts

@@ -10,16 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trms_cli.commands.composition import Composition
+from trms_cli.commands.recording_request import (
+    driven_model,
+    driven_recordings,
+    model_of,
+    several,
+)
 from trms_cli.commands.run_assembly import versions as versions
 from trms_cli.commands.validate_models import shown_names
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, build
-from trms_cli.effects.extended_model import extended
+from trms_cli.identification.admission import admit
+from trms_cli.identification.admission_issue import Admission, together
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.options import ValidationOptions
-from trms_cli.models.driven import DrivenModel
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model
 
 if TYPE_CHECKING:
     from trms_cli.identification.validation.validate import ModelValidation
@@ -46,6 +52,8 @@ class Asked:
     driven : tuple of str
     effects : tuple of str
     page : bool
+    admission : Admission
+        What was found in the recordings, by all models together.
     """
 
     models: Mapping[str, Model]
@@ -55,6 +63,7 @@ class Asked:
     driven: tuple[str, ...]
     effects: tuple[str, ...]
     page: bool
+    admission: Admission
 
 
 def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> Asked:
@@ -68,8 +77,8 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
     config = compositions[0].config
     options = build({TARGET: _OPTIONS, **{key: config[key] for key in _OPTION_KEYS}})
     data = build(config["data"], "data")
-    real = _several(config["real"], "real")
-    driven = tuple(_several(config["driven"], "driven"))
+    real = several(config["real"], "real")
+    driven = several(config["driven"], "driven")
     if not isinstance(config["page"], bool):
         raise ConfigurationError(f"{config['page']!r} given", where="page", remedy="true or false")
     if config["out"] is not None and not (isinstance(config["out"], str) and config["out"]):
@@ -77,44 +86,30 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
             f"{config['out']!r} given", where="out", remedy="name a folder, or null"
         )
     models: dict[str, Model] = {}
-    datasets: dict[str, Sequence[Dataset]] = {}
+    recordings: dict[str, Sequence[Dataset]] = {}
+    admissions: dict[str, Admission] = {}
     shown = shown_names(given) if given else [_name_of(compositions[0])]
     for name, composition in zip(shown, compositions, strict=True):
-        model = _model(composition.config)
+        model = model_of(composition.config)
+        simulated = driven_model(model, driven)
         loaded = load_datasets(real, model, data)
-        if driven:
-            model = DrivenModel(model, driven)
-            loaded = [dataset.driven_by(driven) for dataset in loaded]
-        _check_noise(loaded)
-        _check_motion(loaded)
-        models[name], datasets[name] = model, loaded
+        admissions[name] = admit(loaded, model, purpose="validation")
+        models[name], recordings[name] = simulated, loaded
+    admission = together(admissions)
+    admission.require()
+    datasets = {name: driven_recordings(loaded, driven) for name, loaded in recordings.items()}
+    for driven_ones in datasets.values():
+        _check_noise(driven_ones)
     return Asked(
-        models, datasets, options, data, driven, tuple(config["effect"] or ()), config["page"]
+        models=models,
+        datasets=datasets,
+        options=options,
+        data=data,
+        driven=driven,
+        effects=tuple(config["effect"] or ()),
+        page=config["page"],
+        admission=admission,
     )
-
-
-def _check_motion(datasets: Sequence[Dataset]) -> None:
-    """Where nothing moves, every model that rests is right."""
-    if not any(np.nanmax(y) > np.nanmin(y) for d in datasets for y in d.measurements.T):
-        raise ConfigurationError(
-            f"nothing moves in {', '.join(d.source for d in datasets)}",
-            where="real",
-            remedy="record the rig while its commands step or sweep over the range that matters",
-        )
-
-
-def _model(config: Mapping[str, Any]) -> Model:
-    model = build(config["model"], "model")
-    if not isinstance(model, Model):
-        raise ConfigurationError(
-            f"{config['model'].get(TARGET)!r} is not a model",
-            where="model",
-            remedy="choose one that `trms list model` shows",
-        )
-    effects = {
-        name: build(node, f"effect.{name}") for name, node in (config["effect"] or {}).items()
-    }
-    return extended(model, effects) if effects else model
 
 
 def _name_of(composition: Composition) -> str:
@@ -124,15 +119,6 @@ def _name_of(composition: Composition) -> str:
     if composition.choices.get("model") == "from_file" and isinstance(path, str):
         return Path(path).stem
     return str(composition.choices.get("model"))
-
-
-def _several(value: Any, where: str) -> list[str]:
-    items = [value] if isinstance(value, str) else value
-    if not isinstance(items, list) or not all(isinstance(item, str) and item for item in items):
-        raise ConfigurationError(
-            f"{value!r} given", where=where, remedy=f"{where}=NAME, or '{where}=[NAME,NAME]'"
-        )
-    return items
 
 
 def _check_noise(datasets: Sequence[Dataset]) -> None:
@@ -145,13 +131,6 @@ def _check_noise(datasets: Sequence[Dataset]) -> None:
                     where="data.noise_sd",
                     remedy=f"data.noise_sd.{signal.name}=… ({signal.unit}), or "
                     "data.noise_sd=estimate",
-                )
-            values = dataset.output(signal.name)
-            if np.count_nonzero(~np.isnan(values)) < 2:
-                raise ConfigurationError(
-                    f"{dataset.source} has no value of {signal.name}",
-                    where="data.channels",
-                    remedy="leave the channel out: 'data.channels=[…]'",
                 )
 
 
@@ -178,6 +157,11 @@ def calibrated_where_asked(
             )
         done.append(validation if tests is None else replace(validation, tests=tests))
     return done, notes
+
+
+def warnings_of(asked: Asked) -> list[dict[str, str]]:
+    """What the recordings are not as good for as they might be, for the document."""
+    return Admission(asked.admission.warnings).as_data()
 
 
 def notes_on(asked: Asked) -> list[str]:
@@ -214,8 +198,3 @@ def objective(document: Mapping[str, Any]) -> float | None:
         if row["rms"] and row["unchanged_rms"]
     ]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
-
-
-def channel_names(validations: Sequence[ModelValidation]) -> list[str]:
-    """Channels of any of the models, in order."""
-    return list(dict.fromkeys(name for v in validations for name in names(v.channels)))

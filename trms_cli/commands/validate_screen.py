@@ -81,6 +81,8 @@ class ValidateScreen:
             )
         for note in document["notes"]:
             console.print(f"note       {note}", highlight=False, markup=False, soft_wrap=True)
+        for issue in self._asked.admission.warnings:
+            console.print(f"warning    {issue}", highlight=False, markup=False, soft_wrap=True)
         console.print()
         for sentence in lead_of(document):
             console.print(sentence, style="bold", highlight=False, markup=False)

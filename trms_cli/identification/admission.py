@@ -7,22 +7,27 @@ matter of degree is a warning that stands in the report. Nothing is mended here.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from trms_cli.core.errors import RecordingError
 from trms_cli.identification.admission_by_model import Finding, findings_by_model, time_scales
+from trms_cli.identification.admission_issue import Admission, Issue, ordered
 from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.sample_time import SAMPLES_A_PERIOD, far_too_slow
 from trms_cli.models.model import Model, names
 
-Severity = Literal["error", "warning"]
+Purpose = Literal["fit", "validation"]
 
 #: Samples below which nothing is fitted, and samples a free parameter.
 _LEAST_SAMPLES, _SAMPLES_A_PARAMETER = 50, 10
 #: Share of the slowest mode's period that the recordings must last; and that they should.
 _LEAST_PERIODS, _GOOD_PERIODS = 0.5, 2.0
+#: Share of that period from which on the motion of an axis tells its sign for certain.
+_TELLING_PERIODS = 1.0
+#: What keeps a model from being fitted, and yet may be held against one.
+_ONLY_FOR_A_FIT = ("constant", "excitation", "saturation")
 #: Share of the time at the limits: throughout, and worth a word.
 _SATURATED, _OFTEN_SATURATED = 0.95, 0.3
 #: Commands beyond the limit by this factor are another unit; by the lesser one, not yet cut.
@@ -36,82 +41,16 @@ _TINY = 0.02
 _MOST_MISSING = 0.5
 #: Standard deviations of its noise that an output must move by to be seen at all, and well.
 _SEEN, _SEEN_WELL = 5.0, 20.0
-#: Samples that a period of the fastest mode needs.
-_SAMPLES_A_PERIOD = 6.0
+#: Largest command that may be per cent of the limit.
+_PER_CENT = 105.0
 
 
-@dataclass(frozen=True)
-class Issue:
-    """Something that is wrong with a recording, or not as good as it might be.
-
-    Attributes
-    ----------
-    check : str
-        What was looked at, in one word or two.
-    severity : "error" or "warning"
-    dataset : str
-        Name; empty for all together.
-    channel : str
-        Input or output; empty for the whole recording.
-    problem : str
-        A sentence.
-    remedy : str
-        What to record or to change instead.
-    """
-
-    check: str
-    severity: Severity
-    dataset: str
-    channel: str
-    problem: str
-    remedy: str
-
-    def __str__(self) -> str:
-        place = f"{self.dataset}: " if self.dataset else ""
-        return f"{place}{self.problem} ({self.remedy})"
-
-
-@dataclass(frozen=True)
-class Admission:
-    """What was found.
-
-    Attributes
-    ----------
-    issues : tuple of Issue
-        Errors first.
-    """
-
-    issues: tuple[Issue, ...]
-
-    @property
-    def errors(self) -> tuple[Issue, ...]:
-        return tuple(issue for issue in self.issues if issue.severity == "error")
-
-    @property
-    def warnings(self) -> tuple[Issue, ...]:
-        return tuple(issue for issue in self.issues if issue.severity == "warning")
-
-    def require(self) -> None:
-        """Raise if there is an error.
-
-        Raises
-        ------
-        RecordingError
-            Of the first error; the others are listed below its remedy.
-        """
-        errors = self.errors
-        if not errors:
-            return
-        first, *others = errors
-        remedy = "\n".join([first.remedy, *(f"also: {issue}" for issue in others)])
-        raise RecordingError(first.problem, where=first.dataset or "real", remedy=remedy)
-
-    def as_data(self) -> list[dict[str, str]]:
-        """For a JSON document."""
-        return [asdict(issue) for issue in self.issues]
-
-
-def admit(datasets: Sequence[Dataset], model: Model, free_parameters: int = 0) -> Admission:
+def admit(
+    datasets: Sequence[Dataset],
+    model: Model,
+    free_parameters: int = 0,
+    purpose: Purpose = "fit",
+) -> Admission:
     """Check recordings against what is to be done with them.
 
     Parameters
@@ -123,6 +62,9 @@ def admit(datasets: Sequence[Dataset], model: Model, free_parameters: int = 0) -
         equations (not for a black box).
     free_parameters : int
         How many are to be fitted.
+    purpose : {"fit", "validation"}
+        A validation demands no length, and commands or axes that rest are worth a word only,
+        unless nothing moves at all.
 
     Returns
     -------
@@ -130,20 +72,70 @@ def admit(datasets: Sequence[Dataset], model: Model, free_parameters: int = 0) -
     """
     issues: list[Issue] = []
     for dataset in datasets:
+        slow = far_too_slow(dataset, model)
+        if slow is not None:  # nothing can be simulated between such samples
+            issues += _from([slow], dataset, model)
+            continue
         found = [*_inputs(dataset, model), *_outputs(dataset, model)]
-        broken = {issue.channel for issue in found if issue.severity == "error"}
+        broken = {issue.check for issue in found if issue.severity == "error"}
+        told = dataset
+        if purpose == "validation" and "constant" in broken:
+            told = _moving_part(dataset)
+            broken.discard("constant")
         if not broken:
-            found += _from(findings_by_model(dataset, model), dataset)
+            found += _from(findings_by_model(told, model), told, model)
         issues += found
-    issues += _length(datasets, model, free_parameters)
+    if purpose == "fit":
+        issues += _length(datasets, model, free_parameters)
+    else:
+        issues = [_as_warning(i) if i.check in _ONLY_FOR_A_FIT else i for i in issues]
+        issues += _still(datasets)
     issues += _rates(datasets, model)
-    return Admission(tuple(sorted(issues, key=lambda issue: issue.severity != "error")))
+    return ordered(issues)
 
 
-def _from(findings: Sequence[Finding], dataset: Dataset) -> Iterator[Issue]:
-    for f in findings:
+def _as_warning(issue: Issue) -> Issue:
+    return replace(issue, severity="warning")
+
+
+def _moving_part(dataset: Dataset) -> Dataset:
+    """Without the outputs that are constant: the motion of the others tells their places."""
+    kept = [i for i, y in enumerate(dataset.measurements.T) if np.nanmax(y) > np.nanmin(y)]
+    return replace(
+        dataset,
+        outputs=tuple(dataset.outputs[i] for i in kept),
+        measurements=np.ascontiguousarray(dataset.measurements[:, kept]),
+        noise_sd=dataset.noise_sd[kept],
+    )
+
+
+def _still(datasets: Sequence[Dataset]) -> Iterator[Issue]:
+    """Where nothing moves, every model that rests is right."""
+    columns = [y[np.isfinite(y)] for d in datasets for y in d.measurements.T]
+    if not any(len(y) and np.ptp(y) > 0 for y in columns):
         yield Issue(
-            f.check, "error" if f.certain else "warning", dataset.name, f.channel, f.problem,
+            "excitation", "error", "", "",
+            f"nothing moves in {', '.join(d.source for d in datasets)}",
+            "record the rig while its commands step or sweep over the range that matters",
+        )  # fmt: skip
+
+
+def _from(findings: Sequence[Finding], dataset: Dataset, model: Model) -> Iterator[Issue]:
+    """Findings as issues: less certain, or none, where the recording is short for the model.
+
+    Over less than a period of the slowest mode an axis may swing against its thrust for other
+    reasons (what it did before): in one of sixteen parts of half a period of simulated rigs.
+    """
+    scales = time_scales(dataset, model) if findings else None
+    periods = dataset.duration / scales.slowest if scales is not None else np.inf
+    for f in findings:
+        certain = f.certain
+        if f.check in ("sign", "swapped") and not f.channel.startswith("omega"):
+            if periods < _LEAST_PERIODS:
+                continue
+            certain = certain and periods >= _TELLING_PERIODS
+        yield Issue(
+            f.check, "error" if certain else "warning", dataset.name, f.channel, f.problem,
             f.remedy,
         )  # fmt: skip
 
@@ -159,15 +151,17 @@ def _inputs(dataset: Dataset, model: Model) -> Iterator[Issue]:
             continue
         commanded.append(name)
         if largest > _OTHER_UNIT * limit:
-            hint = ""
-            if largest <= 110 * 1.05 and largest / 100 <= _UNCUT * limit:
-                hint = " Is it in %? Then write the header as [%]"
+            remedy = "correct the unit in the file's header, or tell what a recorded 1 is"
+            if largest <= _PER_CENT:  # of any other unit nothing is known
+                scale = f"{{{name}: {limit / 100:.4g}}}"
+                remedy += f"; if it is per cent of the limit: 'data.input_scale={scale}'"
+            else:
+                remedy += f" with data.input_scale.{name}"
             yield Issue(
                 "unit", "error", dataset.name, name,
                 f"{name} reaches {largest:.4g} {unit}, {largest / limit:.3g} times the limit of "
                 f"{limit:g} {unit} of model {model.name!r}",
-                f"correct the unit in the file's header, or tell what a recorded 1 is: "
-                f"'data.input_scale={{{name}: {limit / largest:.3g}}}'.{hint}",
+                remedy,
             )  # fmt: skip
             continue
         if largest > _UNCUT * limit:
@@ -223,9 +217,10 @@ def _outputs(dataset: Dataset, model: Model) -> Iterator[Issue]:
     for signal, y in zip(dataset.outputs, dataset.measurements.T, strict=True):
         name, there = signal.name, y[np.isfinite(y)]
         leave = _without(dataset, name)
-        if not len(there):
+        if len(there) < 2:
+            count = "only a" if len(there) else "not a"
             yield Issue(
-                "missing", "error", dataset.name, name, f"{name} has not a single value", leave
+                "missing", "error", dataset.name, name, f"{name} has {count} single value", leave
             )
             continue
         if float(np.ptp(there)) == 0:
@@ -304,12 +299,13 @@ def _rates(datasets: Sequence[Dataset], model: Model) -> Iterator[Issue]:
                 f"resample: data.resample={own:g}",
             )  # fmt: skip
         scale = time_scales(dataset, model)
-        if scale is not None and dataset.sample_time > scale.fastest / _SAMPLES_A_PERIOD:
+        slow = scale is not None and dataset.sample_time > scale.fastest / SAMPLES_A_PERIOD
+        if scale and slow and far_too_slow(dataset, model) is None:
             yield Issue(
                 "sample time", "warning", dataset.name, "",
                 f"sampled every {dataset.sample_time:g} s, and the fastest mode of model "
                 f"{model.name!r} has a period of {scale.fastest:.2g} s",
-                f"record at least every {scale.fastest / _SAMPLES_A_PERIOD:.2g} s",
+                f"record at least every {scale.fastest / SAMPLES_A_PERIOD:.2g} s",
             )  # fmt: skip
     if len(steps) > 1:
         words = ", ".join(f"{step:g}" for step in steps)
@@ -333,11 +329,3 @@ def _moved(dataset: Dataset, name: str) -> float:
     if not np.isfinite(y).any():
         return 0.0
     return float(np.nanstd(y) / max(float(dataset.noise_sd[index]), 1e-9))
-
-
-def issues_as_lines(admission: Admission) -> list[str]:
-    """One line an issue, for a screen."""
-    return [f"{issue.severity}: {issue}" for issue in admission.issues]
-
-
-__all__ = ["Admission", "Issue", "admit", "issues_as_lines"]
