@@ -322,11 +322,9 @@ class TestForAValidation:
 
 def test_of_several_models_only_those_are_named_that_an_issue_is_of(recordings):
     spoilt = dataset(recordings["prbs"], lambda c: (c["u_v"].fill(0.0), c["alpha_h"].fill(0.1)))
-
-    class Small(Newtonian):
-        input_limits = property(lambda self: {"u_v": 2.5, "u_h": 0.2})
-
-    found = {"mine": admit([spoilt], MODEL), "small": admit([spoilt], Small())}
+    small = Newtonian()
+    small.input_limits = {"u_v": 2.5, "u_h": 0.2}
+    found = {"mine": admit([spoilt], MODEL), "small": admit([spoilt], small)}
     assert together({"mine": found["mine"]}) == found["mine"]
     both = together(found)
     constant = next(i for i in both.errors if i.check == "constant")
