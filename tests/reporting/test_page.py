@@ -7,6 +7,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from trms_cli.reporting.page import Marked, Page, embedded, shown_cell
 from trms_cli.reporting.style import new_figure
@@ -77,7 +79,7 @@ def test_a_column_of_numbers_stands_right(page):
 @pytest.mark.parametrize(
     "value, shown",
     [(None, "–"), (math.nan, "–"), (math.inf, "∞"), (0.0, "0"), (0.012345, "0.0123"),
-     (-3.14159, "−3.14"), (123456.0, "1.2e05"), (4321.0, "4321"), (1.2e-5, "1.2e−05"),
+     (-3.14159, "−3.14"), (123456.0, "1.23e05"), (4321.0, "4321"), (1.2e-5, "1.20e−05"),
      (7, "7"), ("text", "text")],
 )  # fmt: skip
 def test_cells(value, shown):
@@ -112,3 +114,29 @@ def test_content_before_the_first_section_has_a_place():
     page.text("hello")
     Tree(page.html())
     assert "hello" in page.html()
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "shown"),
+    [
+        (1.69623e-5, 5.9e-8, "1.6962e−05"), (0.02, 2.7e-4, "0.02000"), (1.5, 4.0, "1.5"),
+        (-0.353, 1e-9, "−0.353000"), (0.0, 0.1, "0"), (0.5, None, "0.5"), (0.5, 0.0, "0.5"),
+        (4321.25, 0.3, "4321.25"), (None, 0.1, "–"),
+    ],
+)  # fmt: skip
+def test_a_value_is_shown_to_the_digits_of_its_deviation(value, sd, shown):
+    assert shown_cell(value, sd) == shown
+    assert Marked(value, sd=sd).text == shown
+
+
+@given(st.floats(1e-8, 1e8), st.floats(1e-4, 1.0))
+def test_what_is_shown_is_within_the_deviation(value, share):
+    text = shown_cell(value, share * value).replace("−", "-")
+    assert abs(float(text) - value) <= 0.06 * share * value + 1e-2 * share * value
+
+
+def test_a_table_of_many_columns_is_set_smaller():
+    page = Page("Wide")
+    page.table([f"c{i}" for i in range(13)], [[0.5] * 13])
+    page.table(["a", "b"], [[1.0, 2.0]])
+    assert page.html().count('<table class="wide">') == 1

@@ -139,7 +139,7 @@ def _parameters(
         rows.append(
             [
                 name,
-                p["value"],
+                Marked(p["value"], sd=p["sd"]),
                 p["sd"],
                 p["prior_mean"],
                 p["prior_sd"],

@@ -47,6 +47,13 @@ class Marked:
 
     value: Cell  #: what is shown
     mark: Mark = ""  #: how it is coloured
+    #: Standard deviation of the value, which is shown to the second digit of it.
+    sd: float | None = None
+
+    @property
+    def text(self) -> str:
+        """What stands in the cell."""
+        return shown_cell(self.value, self.sd)
 
 
 @dataclass
@@ -135,10 +142,10 @@ class Page:
             shown.append(
                 [
                     {
-                        "text": shown_cell(cell.value),
+                        "text": cell.text,
                         "mark": cell.mark,
                         "number": isinstance(cell.value, (int, float)) or cell.value is None,
-                        "short": len(shown_cell(cell.value)) <= _SHORT,
+                        "short": len(cell.text) <= _SHORT,
                     }
                     for cell in cells
                 ]
@@ -213,18 +220,38 @@ class Page:
         self._sections[-1].blocks.append(_Block(kind, content))
 
 
-def shown_cell(value: Cell) -> str:
-    """A cell as text: three digits, a dash for what does not exist."""
+def shown_cell(value: Cell, sd: float | None = None) -> str:
+    """A cell as text: three digits, a dash for what does not exist.
+
+    Parameters
+    ----------
+    value : str, float, int or None
+    sd : float or None
+        Standard deviation of a figure, which is then shown to the second digit of it: at least
+        three digits, at most six.
+    """
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "–"
     if isinstance(value, float):
         if math.isinf(value):
             return "∞" if value > 0 else "−∞"
+        digits = _digits(value, sd)
         if value != 0 and not 1e-3 <= abs(value) < 1e5:
-            return f"{value:.1e}".replace("-", "−").replace("e+", "e")
-        text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+            return f"{value:.{digits - 1}e}".replace("-", "−").replace("e+", "e")
+        if digits > 3:
+            # the zeros at the end are known ones
+            text = f"{value:#.{digits}g}".rstrip(".")
+        else:
+            text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
         return text.replace("-", "−")
     return str(value)
+
+
+def _digits(value: float, sd: float | None) -> int:
+    """Digits down to the second one of a standard deviation, from three to six."""
+    if not value or not sd or not math.isfinite(sd):
+        return 3
+    return min(max(math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2, 3), 6)
 
 
 def embedded(figure: Figure) -> tuple[str, bytes]:
