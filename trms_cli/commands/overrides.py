@@ -3,7 +3,8 @@
 Checked before Hydra starts: a key or an option that does not exist is answered with the nearest
 that does. Three forms are ours and rewritten:
 
-- ``model=fit.yaml``: a path chooses the option ``from_file`` with that path;
+- ``model=fit.yaml``: a path chooses the option ``from_file`` with that path, and so does the
+  folder of a fit;
 - ``effect=yaw_coulomb_friction``: a group that takes several options also takes one;
 - ``plant.parameters.k_g=0.05``: the keys of a mapping that is empty in its YAML need no ``+``;
   their names are checked by the plugin that knows them.
@@ -18,11 +19,15 @@ from typing import NamedTuple
 
 from trms_cli.commands.catalogue import Groups, Primary, take_config_dirs
 from trms_cli.commands.declared_keys import DeclaredKeys, is_path
+from trms_cli.commands.model_files import with_model_files
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 
 #: Keys whose value is a path: quoted for Hydra's grammar, which forbids ``=``, ``(`` and others.
 PATH_KEYS = ("out", "file", "path", "real", "resume")
+
+#: What one command draws is a picture, and what another writes is a page with pictures.
+_SAME = {"picture": "page", "page": "picture"}
 
 #: All options of the composing command; ``--from`` is taken off before.
 _OPTIONS = ("--cfg", "--config-dir", "--from", "--multirun", "--help", "--debug")
@@ -117,6 +122,7 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
     ConfigurationError
         For an unknown key or option.
     """
+    request = request._replace(overrides=with_model_files(request.overrides, primary, groups))
     prepared: list[str] = []
     keys = DeclaredKeys(primary, groups, request.overrides)
     for override in _last_of_each_choice(request, primary, groups):
@@ -197,6 +203,13 @@ def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Over
 def _check_first_name(override: Override, primary: Primary, groups: Groups) -> None:
     first = override.key.split(".")[0]
     allowed = {*primary.defaults, *primary.body}
+    other = _SAME.get(first)
+    if first not in allowed and other in allowed:
+        raise ConfigurationError(
+            f"there is no key {first!r}",
+            where=override.key,
+            remedy=f"the key is {other}: {override._replace(key=str(other))}",
+        )
     if first not in allowed and override.key in groups:
         raise ConfigurationError(
             f"group {first!r} has no place of its own (given: {override})",
@@ -329,7 +342,7 @@ def _rig_of(path: Path) -> str:
 def _value(override: Override, keys: DeclaredKeys, multirun: bool) -> Override:
     """A value's override, with open mappings opened and paths quoted."""
     parts = override.key.split(".")
-    if override.prefix != "~" and len(parts) > 1:
+    if override.prefix != "~":
         # A group of several options is empty too, while none is chosen; it is not open.
         least = 2 if parts[0] in keys.declared.defaults else 1
         places = (".".join(parts[:n]) for n in range(len(parts), least - 1, -1))

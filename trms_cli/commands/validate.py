@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from time import perf_counter
 
 from trms_cli.commands.composition import Composition, Outcome, compose, execute
-from trms_cli.commands.validate_models import model_list, one_of
+from trms_cli.commands.validate_models import model_list, named_sets, one_of
 from trms_cli.core.errors import EXIT_OK
 
 SUMMARY = "how well models foretell recordings: errors, residual tests, spectra"
@@ -49,7 +49,7 @@ def main(argv: Sequence[str]) -> int:
     """Compose, one configuration a model, and validate."""
     models = model_list(argv)
     if models is None:
-        return execute(argv, COMPOSES, perform)
+        return execute(named_sets(argv), COMPOSES, perform)
     if "--cfg" in argv or "-c" in argv:
         for name in models:
             sys.stdout.write("---\n")

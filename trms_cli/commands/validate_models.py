@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from trms_cli.commands.model_files import with_parameter_sets
 from trms_cli.core.errors import ConfigurationError
 
 _KEY = "model="
@@ -52,13 +53,15 @@ def one_of(argv: Sequence[str], name: str) -> list[str]:
 
     A parameter set that is no model (``tras_record``) stands for its file, which names its model.
     """
+    rest = [word for word in argv if not word.lstrip("+").startswith(_KEY)]
+    return named_sets([f"{_KEY}{name}", *rest])
+
+
+def named_sets(argv: Sequence[str]) -> list[str]:
+    """The command line with its file for a parameter set that is chosen as the model."""
     from trms_cli.commands.catalogue import read_groups, take_config_dirs
 
-    rest = [word for word in argv if not word.lstrip("+").startswith(_KEY)]
-    groups = read_groups(take_config_dirs(argv)[0])
-    if name not in groups["model"] and name in groups.get("parameters", {}):
-        name = str(groups["parameters"][name].file)
-    return [f"{_KEY}{name}", *rest]
+    return with_parameter_sets(argv, read_groups(take_config_dirs(argv)[0]))
 
 
 def shown_names(given: Sequence[str]) -> list[str]:
