@@ -76,6 +76,8 @@ def test_the_printed_command_plays_it(tmp_path, capsys, monkeypatch):
         ("band.lowest=abc", "lowest"),
         ("operating_point={alpha_v: 2}", "operating_point.alpha_v"),
         ("amplitude={u_x: 1}", "amplitude.u_x"),
+        ("amplitude.u_v=50", "amplitude.u_v"),
+        ("bounds.alpha_x=1", "bounds.alpha_x"),
         ("sample_time=1e-9", "duration"),
     ],
 )
@@ -89,3 +91,24 @@ def test_an_excitation_is_not_overwritten(designed, capsys):
     before = (designed / "excitation.csv").read_bytes()
     assert main(["excite", *QUICK, "seed=3", f"out={designed}"]) == 2
     assert (designed / "excitation.csv").read_bytes() == before
+
+
+def test_a_duration_without_a_period_is_told(capsys):
+    assert main(["excite", "duration=0.5"]) == 2
+    told = capsys.readouterr().err
+    assert "in  duration" in told
+    assert "a longer duration" in told
+
+
+def test_a_rotor_alone_is_limited_by_its_command(tmp_path, capsys):
+    """A speed has no stop."""
+    words = ["model=motor_main", "duration=40", "lead_in=2", "rigs=1", "share=0.6"]
+    assert main(["excite", *words, f"out={tmp_path / 'x'}"]) == 0
+    document = json.loads((tmp_path / "x/excitation.json").read_text(encoding="utf-8"))
+    motor = document["inputs"]["u_v"]
+    assert motor["amplitude"] == pytest.approx(0.6 * motor["limit"])
+    assert document["bounds_rad"] == {}
+    assert max(document["predicted"]["omega_v"]["range"]) > 50
+    assert "ref=speed" in capsys.readouterr().out
+    assert main(["excite", *words, "bounds.omega_v=3"]) == 2
+    assert "no angle" in capsys.readouterr().err

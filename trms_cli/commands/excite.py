@@ -288,6 +288,8 @@ def _play(document: Mapping[str, Any], folder: Path, composition: Composition) -
             f"controller.{name}.file={table}",
             f"controller.{name}.column={name}",
         ]
+    if not document["bounds_rad"]:  # a rotor alone: the references of a run are speeds
+        play.insert(0, "ref=speed")
     words = [program(), "run", *(shlex.quote(o) for o in given), *play]
     if document["sample_time_s"] != 0.02:
         words.append(f"sim.sample_time={document['sample_time_s']:g}")

@@ -97,22 +97,31 @@ def _figure(f: ExcitationFigures, title: str) -> Figure:
     grid = figure.add_gridspec(5, 6, height_ratios=(1.0, 1.0, 1.35, 1.35, 1.35))
     commands, angles = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
     _draw_time(commands, f, f.commands, "command")
-    _draw_time(angles, f, {n: y for n, y in f.outputs.items() if n in f.bounds}, "angle")
+    shown = _bounded(f)
+    what = "angle" if f.bounds else "speed"
+    _draw_time(angles, f, {n: f.outputs[n] for n in shown}, what)
     colours = dict(zip(f.bounds, COLOURS, strict=False))
     for limits in {round(limit, 6) for limit in f.bounds.values()}:
         owner = next(n for n, limit in f.bounds.items() if round(limit, 6) == limits)
         for side in (-limits, limits):
             angles.axhline(side, color=colours[owner], lw=0.8, ls=(0, (4, 2)))
-    angles.set_xlabel("time [s], the bounds of the angles dashed")
+    angles.set_xlabel("time [s], the bounds of the angles dashed" if f.bounds else "time [s]")
     _draw_inputs(figure.add_subplot(grid[2, :3]), f)
     _draw_responses(figure.add_subplot(grid[2, 3:]), f)
-    _draw_outputs(figure.add_subplot(grid[3, :3]), f, [n for n in f.outputs if n in f.bounds])
-    speeds = [n for n in f.outputs if n not in f.bounds]
+    _draw_outputs(figure.add_subplot(grid[3, :3]), f, shown)
+    speeds = [n for n in f.outputs if n not in shown]
     if speeds:
         _draw_outputs(figure.add_subplot(grid[3, 3:]), f, speeds)
     _draw_states(figure, grid, f)
     figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
     return figure
+
+
+def _bounded(f: ExcitationFigures) -> list[str]:
+    """Outputs with a bound; of a rotor alone, which has none, those in the unit of the first."""
+    unit = f.units[next(iter(f.outputs))]
+    alike = [name for name in f.outputs if f.units[name] == unit]
+    return [name for name in f.outputs if name in f.bounds] or alike
 
 
 def _draw_time(
@@ -142,8 +151,8 @@ def _draw_inputs(panel: Axes, f: ExcitationFigures) -> None:
 
 
 def _draw_responses(panel: Axes, f: ExcitationFigures) -> None:
-    dashes = ("-", (0, (4, 2)))
-    for colour, output in zip(COLOURS, [n for n in f.outputs if n in f.bounds], strict=False):
+    dashes, shown = ("-", (0, (4, 2))), _bounded(f)
+    for colour, output in zip(COLOURS, shown, strict=False):
         inputs = [name for out, name in f.responses if out == output]
         for dash, name in zip(dashes, inputs, strict=False):
             response = f.responses[output, name]
@@ -152,7 +161,7 @@ def _draw_responses(panel: Axes, f: ExcitationFigures) -> None:
             label = f"{LABELS.get(output, output)} / {name}"
             panel.plot(f.frequencies, response, color=colour, ls=dash, lw=1.2, label=label)
     units = {f.units[name] for name in f.commands}
-    _dress_spectrum(panel, f, f"model's response [rad/{'/'.join(units)}]")
+    _dress_spectrum(panel, f, f"model's response [{f.units[shown[0]]}/{'/'.join(units)}]")
 
 
 def _draw_outputs(panel: Axes, f: ExcitationFigures, chosen: list[str]) -> None:
@@ -197,6 +206,8 @@ def _draw_states(figure: Figure, grid: GridSpec, f: ExcitationFigures) -> None:
             panel.axhline(side * f.bounds[angle], color=ALARM, lw=0.8, ls=(0, (4, 2)))
         panel.set_xlabel(f"{LABELS[speed]} [rad/s]")
         panel.set_ylabel(f"{LABELS[angle]} [rad]")
+    if not f.rates:
+        return
     panel = figure.add_subplot(grid[4, 2 * len(pairs) :])
     for colour, (name, rate) in zip(COLOURS, f.rates.items(), strict=False):
         panel.hist(

@@ -82,6 +82,8 @@ class Trial:
                 state[:] = step.outputs[0]
             angles = np.abs(states[begin:end, self._rows])
             late = np.arange(begin, end)[:, None] >= self.first
+            if not np.all(np.isfinite(states[begin:end])):
+                return None  # without angles no bound tells
             if not np.all(angles <= np.where(late, self._after, self._before)):
                 return None  # beyond, or no longer a number
         sense = self._discrete.measurement.map(len(commands))
@@ -145,7 +147,7 @@ def largest_amplitudes(
             "with the amplitudes given the simulated rig passes "
             + " or ".join(f"±{limit:.3g} rad of {name}" for name, limit in trial.bounds.items()),
             where="amplitude",
-            remedy="smaller ones, or amplitude=null to have them searched",
+            remedy="smaller ones, or leave amplitude out to have them searched",
         )
     alone = fixed.copy()
     for i in np.flatnonzero(free).tolist():

@@ -140,7 +140,7 @@ def design(
             "at the operating point, or passes a stop on its way there",
             where="lead_in",
             remedy="a longer lead_in, an operating point nearer to rest, or wider bounds than "
-            + ", ".join(f"{name} ±{limit:.3g} rad" for name, limit in bounds.items()),
+            + (", ".join(f"{name} ±{limit:.3g} rad" for name, limit in bounds.items()) or "none"),
         )
     amplitude = largest_amplitudes(model, request, trial, commands, room, progress)
     whole = commands(amplitude)
@@ -173,15 +173,19 @@ def design(
 
 
 def _bounds(model: Model, request: Request) -> dict[str, float]:
+    # A rotor's speed has no stop: its command alone limits it.
+    angles = [name for name in model.controlled if _unit(model, name) == "rad"]
     for name in request.bounds:
-        if name not in model.controlled:
+        if name not in angles:
             raise ConfigurationError(
                 f"{name!r} is no angle of model {model.name!r}",
                 where=f"bounds.{name}",
-                remedy=nearest(name, model.controlled),
+                remedy=nearest(name, angles)
+                if angles
+                else "leave bounds out: this model has no angles, share limits its inputs",
             )
     bounds = {}
-    for name in model.controlled:
+    for name in angles:
         stop = float(model.stops.get(name, np.inf))
         own = request.share * stop if np.isfinite(stop) else _WITHOUT_STOP
         bounds[name] = float(request.bounds.get(name, own))
@@ -192,13 +196,17 @@ def _bounds(model: Model, request: Request) -> dict[str, float]:
     return bounds
 
 
+def _unit(model: Model, state: str) -> str:
+    return model.states[model.state_index(state)].unit
+
+
 def _operating_point(
     model: Model, request: Request, bounds: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Command and state about which the excitation is."""
     rest = model.rest()
     if request.reversals:
-        if request.operating_point is not None:
+        if request.operating_point:
             raise ConfigurationError(
                 "reversals and an operating point",
                 where="operating_point",
@@ -210,13 +218,13 @@ def _operating_point(
     for name, value in given.items():
         if name not in model.controlled:
             raise ConfigurationError(
-                f"{name!r} is no angle of model {model.name!r}",
+                f"model {model.name!r} controls no {name!r}",
                 where=f"operating_point.{name}",
                 remedy=nearest(name, model.controlled),
             )
         asked[name] = float(value)
     for name, value in asked.items():
-        if not abs(value) < bounds[name]:
+        if not abs(value) < bounds.get(name, np.inf):
             raise ConfigurationError(
                 f"{value:.3g} rad " + ("given" if name in given else "without another one given"),
                 where=f"operating_point.{name}",
@@ -226,11 +234,11 @@ def _operating_point(
     if not target.converged or target.projected:
         raise ConfigurationError(
             f"model {model.name!r} cannot rest at "
-            + ", ".join(f"{name} {value:.3g} rad" for name, value in asked.items()),
+            + ", ".join(f"{n} {value:.3g} {_unit(model, n)}" for n, value in asked.items()),
             where="operating_point",
             remedy="the nearest point at which it rests: "
             + ", ".join(
-                f"{name} {value:.3g} rad"
+                f"{name} {value:.3g} {_unit(model, name)}"
                 for name, value in zip(model.controlled, target.reference_reached, strict=True)
             ),
         )
@@ -248,7 +256,11 @@ def _drawn(
     model: Model, request: Request, commands: FloatArray, first: int
 ) -> tuple[dict[str, tuple[float, float]], int]:
     """Ranges over rigs drawn from the priors, and how many of them pass a stop."""
-    stops = {name: float(model.stops.get(name, np.inf)) for name in model.controlled}
+    stops = {
+        name: float(model.stops.get(name, np.inf))
+        for name in model.controlled
+        if _unit(model, name) == "rad"
+    }
     beyond = {name: stop if np.isfinite(stop) else 4 * np.pi for name, stop in stops.items()}
     free = Trial(model, request.sample_time, beyond, first)
     kept, lost = [], 0

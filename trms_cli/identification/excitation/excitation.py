@@ -99,16 +99,19 @@ def check_band(plan: Plan) -> None:
     """
     nyquist = 0.5 / plan.sample_time
     if not 0 < plan.lowest < plan.highest:
+        too_short = plan.highest * plan.duration <= 1
         raise ConfigurationError(
             f"a band from {plan.lowest:.4g} to {plan.highest:.4g} Hz",
-            where="band.highest",
-            remedy="give band.lowest < band.highest",
+            where="duration" if too_short else "band.highest",
+            remedy=f"a longer duration: {plan.duration:g} s hold no period of {plan.highest:.4g} Hz"
+            if too_short
+            else "give band.lowest < band.highest",
         )
     if plan.highest > 0.8 * nyquist:
         raise ConfigurationError(
             f"{plan.highest:.4g} Hz cannot be sampled every {plan.sample_time:g} s",
             where="band.highest",
-            remedy=f"at most {0.8 * nyquist:.4g} Hz, or a smaller sim.sample_time",
+            remedy=f"at most {0.8 * nyquist:.4g} Hz, or a smaller sample_time",
         )
     if plan.lowest * plan.duration < 1 - 1e-9:
         raise ConfigurationError(

@@ -19,7 +19,7 @@ class Request:
     lowest, highest : float or None
         Band, Hz; None: from the model.
     operating_point : dict of str to float, or None
-        Angles, rad; None: half-way from rest to level.
+        Angles, rad, or a rotor's speed, rad/s; those not named: half-way from rest to level.
     reversals : bool
         Whether the rotors are to change their direction: then the commands are about zero.
     amplitude : dict of str to float
