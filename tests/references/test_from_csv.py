@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.references.from_csv import FromCsv
+from trms_cli.references.from_csv import FromCsv, read_columns
 
 GOOD = "# rig: mine\n\nt[s],r_v[rad],note_free[V]\n10,0.1,1\n11,0.3,1\n13,-0.1,1\n"
 
@@ -79,3 +79,10 @@ def test_a_missing_file_is_told(tmp_path: Path) -> None:
         FromCsv(file=str(tmp_path / "none.csv"), column="r_v")
     with pytest.raises(RecordingError, match="cannot be read"):
         FromCsv(file=str(tmp_path), column="r_v")
+
+
+def test_the_hint_has_the_unit_of_what_is_read(tmp_path):
+    for column, unit in (("u_v", "V"), ("r_v", "rad")):
+        with pytest.raises(RecordingError) as caught:
+            read_columns(tmp_path / "none.csv", column)
+        assert f"t[s],{column}[{unit}]" in caught.value.remedy

@@ -88,11 +88,15 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
     from trms_cli.recordings.channels import find_channel
     from trms_cli.recordings.units import to_si
 
+    channel = find_channel(column)
+    is_command = channel is not None and channel.role == "input"
+    fitting = channel.units if channel is not None and is_command else ("rad",)
+    example = f"t[s],{column}[{fitting[0]}]"
     if not path.exists():
         raise RecordingError(
             f"there is no file {str(path)!r}",
             where="file",
-            remedy="give the path of a CSV file whose header is like t[s],r_v[rad],r_h[rad]",
+            remedy=f"give the path of a CSV file whose header is like {example}",
         )
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -100,7 +104,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
         raise RecordingError(
             f"{str(path)!r} cannot be read: {getattr(error, 'strerror', None) or error}",
             where="file",
-            remedy="give the path of a CSV file whose header is like t[s],r_v[rad],r_h[rad]",
+            remedy=f"give the path of a CSV file whose header is like {example}",
         ) from error
     rows = _rows(text)
     header_line, header = next(rows, (0, []))
@@ -109,9 +113,9 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
         raise RecordingError(
             "the file is empty",
             where=str(path),
-            remedy="write a header like t[s],r_v[rad] and rows of numbers below it",
+            remedy=f"write a header like {example} and rows of numbers below it",
         )
-    units = dict(_name_and_unit(cell, where) for cell in header)
+    units = dict(_name_and_unit(cell, where, fitting[0]) for cell in header)
     names = list(units)
     for name in ("t", column):
         if name not in units:
@@ -145,9 +149,6 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
             remedy="sort the rows by t, and give each time once",
         )
     seconds, _ = to_si(time, units["t"], ("s",), where=where, name="t")
-    channel = find_channel(column)
-    is_command = channel is not None and channel.role == "input"
-    fitting = channel.units if channel is not None and is_command else ("rad",)
     converted, _ = to_si(values, units[column], fitting, where=where, name=column)
     return seconds, converted
 
@@ -159,13 +160,14 @@ def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
             yield line, [cell.strip() for cell in next(csv.reader([content]))]
 
 
-def _name_and_unit(cell: str, where: str) -> tuple[str, str]:
+def _name_and_unit(cell: str, where: str, unit: str) -> tuple[str, str]:
     name, bracket, rest = cell.partition("[")
+    unit = "s" if name == "t" else unit
     if not bracket or not rest.endswith("]"):
         raise RecordingError(
             f"the column {cell!r} has no unit",
             where=where,
-            remedy=f"write the header as name[unit], e.g. {name or 'r_v'}[rad]",
+            remedy=f"write the header as name[unit], e.g. {name or 'r_v'}[{unit}]",
         )
     return name.strip(), rest[:-1]
 
@@ -179,6 +181,6 @@ def _number(cell: str, name: str, path: Path, line: int) -> float:
         raise RecordingError(
             f"column {name!r} holds {cell!r}, which is not a finite number",
             where=f"{path}:{line}",
-            remedy="fill the cell; a reference has no missing samples",
+            remedy="fill the cell; neither a reference nor a command has missing samples",
         )
     return number
