@@ -7,6 +7,7 @@ import functools
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -247,3 +248,32 @@ def test_a_rig_that_cannot_be_simulated_is_an_error_and_leaves_no_model(trms, la
     assert done.returncode == 1, done.stdout + done.stderr
     assert "no start could be simulated" in done.stderr and "Traceback" not in done.stderr
     assert not (lab / out / "model.yaml").exists()
+
+
+class TestDoubts:
+    """What a fit says of itself when it should not be believed."""
+
+    def test_a_parameter_far_from_what_was_known(self, trms, lab):
+        done = trms(*FIT, "priors.k_fvp={mean: 2.4e-5, sd: 1.0e-6}", "picture=false", "out=far")
+        assert done.returncode == 0, done.stderr
+        assert re.search(r"^far .*k_fvp \(\d+\)", done.stdout, re.MULTILINE)
+
+    def test_a_search_that_did_not_settle(self, trms, lab):
+        done = trms(*FIT, *SMALL, "out=unsettled")
+        assert "the search had not settled" in done.stdout
+        settled = trms(*FIT, "picture=false", "out=settled")
+        assert "had not settled" not in settled.stdout
+
+    def test_a_fit_that_is_worse_than_none(self, trms, lab):
+        held = ("free=[k_ov]", "bounds.k_ov=[0.02,0.03]", "priors.k_ov={mean: 0.025, sd: 0.001}")
+        done = trms(*FIT[:3], *held, "picture=false", "out=worse")
+        assert done.returncode == 0, done.stderr
+        assert re.search(r"^worse +alpha_v", done.stdout, re.MULTILINE)
+
+    def test_the_next_command_judges_on_what_was_held_out(self, trms, lab):
+        done = trms(*FIT, "data.start=2", "picture=false", "out=next")
+        (command,) = re.findall(r"(validate model=.*)", done.stdout)
+        assert "data.start=2" in command
+        done = trms(*FIT, "picture=false", "out=next2")
+        (command,) = re.findall(r"(validate model=.*)", done.stdout)
+        assert re.search(r"data\.start=1[0-9]", command)

@@ -19,6 +19,10 @@ from trms_cli.identification.method import FitResult
 _PARTS = {"fit": "on what was fitted", "held_out": "on what was held out"}
 #: Sets of parameters that imitate each other that are printed.
 _MOST_SETS = 4
+#: Prior deviations from which a fitted value is worth a line.
+_FAR = 4.0
+#: Growth of a held-out error that is more than its scatter.
+_WORSE = 1.1
 
 
 class IdentifyScreen:
@@ -47,7 +51,8 @@ class IdentifyScreen:
         if self._asked.driven:
             words.append(f"driven by {', '.join(self._asked.driven)}")
         if problem.free:
-            words.append(f"{len(problem.free)} parameters free")
+            number = len(problem.free)
+            words.append(f"{number} parameter{'s' if number > 1 else ''} free")
         _print_headed(f"identify   {' · '.join(words)}")
         print(f"fitted     {'; '.join(map(_part, problem.datasets))}")
         if problem.validation:
@@ -96,20 +101,30 @@ class IdentifyScreen:
                 _print_headed(line)
         print(f"\ntime       {whole:.1f} s in all")
         print(f"model      {model}")
-        print(f"figures    {model.with_name('identification.json')}")
+        print(f"numbers    {model.with_name('identification.json')}")
         if page is not None:
             print(f"page       {page}")
         print()
-        real = shlex.quote(self._asked.recordings[0].source)
         where, trms = shlex.quote(str(model)), program()
-        driven = self._asked.driven
-        more = f" driven=[{','.join(driven)}]" if driven else ""
-        print(f"next       {trms} validate model={where} real={real}{more}")
+        print(f"next       {trms} validate model={where} {self._judging()}")
         print(f"           {trms} run model={where}")
         if document["outcome"] in ("interrupted", "budget_spent") and self._resumable:
             print(f"           {trms} identify resume={shlex.quote(str(self._folder))}", end="")
             longer = _more(self._composition.config["method"])
             print(f" {longer}" if longer and document["outcome"] == "budget_spent" else "")
+
+    def _judging(self) -> str:
+        """The recording, read as the fit read it, and of it what was held out."""
+        asked = self._asked
+        first = (*asked.problem.validation, *asked.recordings)[0]
+        words = [f"real={shlex.quote(first.source)}"]
+        if asked.driven:
+            words.append(f"driven=[{','.join(asked.driven)}]")
+        words += [shlex.quote(w) for w in self._composition.overrides if w.startswith("data.")]
+        parted = asked.problem.validation and first.source == asked.recordings[0].source
+        if parted and not any(w.startswith("data.start=") for w in words):
+            words.append(f"data.start={first.time[0]:g}")
+        return " ".join(words)
 
     @property
     def _resumable(self) -> bool:
@@ -166,18 +181,44 @@ def _doubt_lines(document: Mapping[str, Any]) -> Iterator[str]:
             f"confounded {', '.join(found['names'])}: these data tell only a combination of them"
         )
     if len(sets) > _MOST_SETS:
-        yield f"           and {len(sets) - _MOST_SETS} more sets: see the document"
+        left = len(sets) - _MOST_SETS
+        yield f"           and {left} more set{'s' if left > 1 else ''}: see identification.json"
     vague = known.get("uninformed", [])
     if vague:
         yield f"unknown    {', '.join(vague)}: the data say next to nothing; the prior decided"
     absent = [n for n, p in document["parameters"].items() if _absent(n, p)]
     if absent:
         yield f"absent     {', '.join(absent)}: of size zero, these data show none of it"
+    far = {n: _moved(p) for n, p in document["parameters"].items() if _moved(p) > _FAR}
+    if far:
+        listed = ", ".join(f"{name} ({moved:.0f})" for name, moved in far.items())
+        yield f"far        {listed}: so many prior deviations from what was known; it may stand for"
+        yield "           something that the model lacks, or the record is not what it seems"
     bound = [n for n, p in document["parameters"].items() if p["at_bound"] and n not in absent]
     if bound:
         yield f"at bounds  {', '.join(bound)}: widen bounds.NAME, or ask what the model lacks"
     if document["details"].get("starts_agree") is False:
         yield "starts     did not agree: there is more than one optimum; the best is kept"
+    if document["outcome"] != "converged" and any(
+        p["sd"] is not None for p in document["parameters"].values()
+    ):
+        yield "doubt      the search had not settled: the ± do not tell how far it still had to go"
+    worse = [
+        name
+        for name, after in (document["errors"]["held_out"]["after"] or {}).items()
+        if (was := (document["errors"]["held_out"]["before"] or {}).get(name, {}).get("rmse"))
+        and after["rmse"] is not None
+        and after["rmse"] > _WORSE * was
+    ]
+    if worse:
+        yield f"worse      {', '.join(worse)}, on what was held out, than before: ask what it lacks"
+
+
+def _moved(parameter: Mapping[str, Any]) -> float:
+    """By how many prior deviations a parameter moved, 0 where it has no prior."""
+    if parameter["prior_sd"] is None or parameter["value"] is None:
+        return 0.0
+    return abs(float(parameter["value"] - parameter["prior_mean"])) / float(parameter["prior_sd"])
 
 
 def _absent(name: str, parameter: Mapping[str, Any]) -> bool:
