@@ -144,3 +144,13 @@ class TestErrorsNameTheKeysGiven:
         with pytest.raises(RecordingError) as error:
             load_datasets(str(file), MODEL, DataOptions(delays={"alpha": 0.1}))
         assert error.value.where == "data.delays.alpha"
+
+
+def test_an_offset_is_added_and_told(file):
+    (plain,) = load_datasets(str(file), MODEL)
+    (moved,) = load_datasets(str(file), MODEL, DataOptions(offset={"alpha_v": -0.62}))
+    np.testing.assert_allclose(moved.output("alpha_v"), plain.output("alpha_v") - 0.62)
+    np.testing.assert_array_equal(moved.output("alpha_h"), plain.output("alpha_h"))
+    assert any("-0.62 rad added to alpha_v" in remark for remark in moved.remarks)
+    with pytest.raises(ConfigurationError, match="u_v"):
+        load_datasets(str(file), MODEL, DataOptions(offset={"u_v": 1.0}))

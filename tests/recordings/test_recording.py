@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings import append_stream
+from trms_cli.recordings.grid import on_grid
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.mcap_recording import write_mcap
 from trms_cli.recordings.recording import Recording, quantum, read_recording
@@ -137,3 +138,37 @@ def test_an_angle_of_more_than_a_turn_is_doubted(degrees: float, told: str) -> N
     doubts = [note for note in recording.notes() if "full turn" in note]
     assert len(doubts) == (1 if told else 0)
     assert not told or f"alpha_v reaches {told}" in doubts[0]
+
+
+@pytest.mark.parametrize("independent", [True, False])
+def test_a_clock_that_jitters_has_no_gaps(independent):
+    random = np.random.default_rng(1)
+    late = random.normal(0, 0.004, 3000)
+    steps = np.maximum(0.02 + late, 0.002)
+    time = np.cumsum(steps) if independent else np.sort(0.02 * np.arange(3000) + late)
+    recording = Recording(time, {}, {})
+    assert recording.gaps == []
+    assert any("the clock jitters and hardly any" in note for note in recording.notes())
+    lost = np.delete(time, slice(1000, 1030))
+    assert len(Recording(lost, {}, {}).gaps) == 1
+
+
+def test_samples_that_are_lost_are_no_jitter():
+    recording = Recording(np.delete(0.02 * np.arange(300), [40, 90, 170, 171]), {}, {})
+    assert len(recording.gaps) == 3
+    assert "3 gaps in t, about 4 samples in all" in recording.notes()[0]
+
+
+def test_a_slow_clock_is_told():
+    assert any("t[ms]" in note for note in Recording(20.0 * np.arange(50), {}, {}).notes())
+
+
+def test_no_larger_jitter_is_advised_than_can_be_told():
+    time = 0.02 * np.arange(100.0)
+    for late, advised in ((0.006, True), (0.0098, False)):
+        shaken = time.copy()
+        shaken[50] += late
+        with pytest.raises(RecordingError) as error:
+            on_grid(Recording(shaken, {}, {}), 0.2)
+        assert ("plant.jitter=" in str(error.value.remedy)) is advised
+        assert "data.resample" in str(error.value.remedy)

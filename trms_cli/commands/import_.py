@@ -44,8 +44,10 @@ A CSV is a header of name[unit] and numbers below; lines with # above are key: v
 Names: t, u_v u_h (main and tail rotor input), alpha_v alpha_h (pitch, yaw), omega_v omega_h
 (rotor speeds), r_v r_h (references), i_v i_h (currents), d_* (known disturbances). t, one
 input and one output are required. Any unit that fits is converted: deg, rpm, ms, mV, %, 1, …
-An empty cell is a missing sample. A MAT file holds vectors of these names in SI units, or a
-struct `units` that says otherwise: units.alpha_v = 'deg'; or it is an export of `trms export`.
+Pitch is 0 where the beam is level and positive upwards: at rest it hangs at some -0.6 rad. (One
+that reads 0 there: data.offset of `trms identify`.) An empty cell is a missing sample. A MAT file
+holds vectors of these names in SI units, or a struct `units` that says otherwise:
+units.alpha_v = 'deg'; or it is an export of `trms export`.
 
 examples
   trms import recording.csv
@@ -73,7 +75,7 @@ def main(argv: list[str]) -> int:
     from trms_cli.recordings.mcap_recording import sha256_of, write_mcap
     from trms_cli.recordings.recording import read_recording
 
-    if given.file.suffix.lower() == ".mcap":
+    if given.file.suffix.lower() == ".mcap" and _is_log(given.file):
         raise RecordingError(
             "this is a log already", where=str(given.file), remedy="trms export turns it into CSV"
         )
@@ -110,6 +112,15 @@ def main(argv: list[str]) -> int:
     else:
         _print(document)
     return 0
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a file begins as an MCAP does; anything else is told by its reader."""
+    try:
+        with path.open("rb") as file:
+            return file.read(5) == b"\x89MCAP"
+    except OSError:
+        return False
 
 
 def _preparation(given: Any) -> Any:

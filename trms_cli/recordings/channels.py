@@ -48,6 +48,16 @@ _KNOWN = (
 )
 CHANNELS = {channel.name: channel for channel in _KNOWN}
 
+#: What else people call them.
+_OTHER_NAMES = {
+    "time": "t",
+    "timestamp": "t",
+    "pitch": "alpha_v",
+    "elevation": "alpha_v",
+    "yaw": "alpha_h",
+    "azimuth": "alpha_h",
+}
+
 #: /reference names the controlled axis, a recording names the reference of the axis.
 REFERENCE_OF_AXIS = {"alpha_v": "r_v", "alpha_h": "r_h"}
 AXIS_OF_REFERENCE = {name: axis for axis, name in REFERENCE_OF_AXIS.items()}
@@ -64,6 +74,8 @@ def find_channel(name: str) -> Channel | None:
 
 def nearest_name(name: str) -> str | None:
     """Return the known name that a misspelt one most likely means, or None."""
+    if name.lower() in _OTHER_NAMES:
+        return _OTHER_NAMES[name.lower()]
     lower = {known.lower(): known for known in ("t", *CHANNELS)}
     close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
     return lower[close[0]] if close else None

@@ -127,7 +127,10 @@ def remarks_on(recording: Recording, masks: dict[str, np.ndarray] | None = None)
     """Sentences on what may be wrong with the channels: cheap enough for every reading."""
     if masks is None:
         masks = find_outliers(recording)
-    sentences = describe_outliers(recording, masks)
+    sentences = [
+        f"{sentence}; --outliers mark, or data.outliers=mark, makes them missing"
+        for sentence in describe_outliers(recording, masks)
+    ]
     for name, values in recording.channels.items():
         there = values[np.isfinite(values)]
         if not len(there):

@@ -9,7 +9,7 @@ import numpy as np
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.grid import on_grid
-from trms_cli.recordings.recording import GAP_FACTOR, Recording
+from trms_cli.recordings.recording import Recording
 
 #: Rows that a part needs to be one.
 _LEAST_ROWS = 10
@@ -23,7 +23,7 @@ def split_at_gaps(recording: Recording) -> list[Recording]:
     RecordingError
         If no part is long enough.
     """
-    wide = np.flatnonzero(np.diff(recording.time) > GAP_FACTOR * recording.sample_time) + 1
+    wide = np.searchsorted(recording.time, [end for _, end in recording.gaps])
     if not len(wide):
         return [recording]
     edges = [0, *wide.tolist(), len(recording)]

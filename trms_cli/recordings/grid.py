@@ -17,6 +17,8 @@ from trms_cli.recordings.recording import Recording
 #: More points than this, most of them missing, are a recording of several runs.
 _MOST_POINTS = 5_000_000
 _LEAST_SHARE_PRESENT = 0.1
+#: Largest share of a sample time that a step is advised to be off by.
+_MOST_JITTER = 0.4
 
 
 @dataclass(frozen=True)
@@ -79,14 +81,22 @@ def on_grid(recording: Recording, tolerance: float) -> GriddedRecording:
     uneven = np.flatnonzero((off > tolerance) | (whole < 1))
     if len(uneven):
         worst = int(uneven[np.argmax(off[uneven])])
+        # A step of a sample and a half could be one or two: no larger share can tell.
+        rounded = float(off[uneven].max()) if np.all(whole[uneven] >= 1) else 1.0
+        larger = np.ceil(100 * rounded) / 100
+        jitters = (
+            f"; a clock that only jitters passes with plant.jitter={larger:g} "
+            f"(share of the sample time, now {tolerance:g})"
+            if larger <= _MOST_JITTER
+            else ""
+        )
         raise RecordingError(
             f"the samples are not evenly spaced: {len(uneven)} of {len(steps)} steps are not whole "
             f"multiples of the median step {step * 1e3:.4g} ms; at t = "
             f"{recording.time[worst]:.6g} s one takes {steps[worst] * step * 1e3:.4g} ms",
             where=str(recording.source),
             remedy="resample it to a fixed rate before (trms import --resample SECONDS, or "
-            "data.resample=SECONDS); a clock that only jitters passes with a "
-            f"larger plant.jitter (share of the sample time, now {tolerance:g}, below 0.5)",
+            f"data.resample=SECONDS; {step:.3g} keeps its rate){jitters}",
         )
     index = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
     count = int(index[-1]) + 1

@@ -14,10 +14,14 @@ from trms_cli.recordings.channels import find_channel
 
 #: A step longer than this many sample times is a gap: at least one sample is not there.
 GAP_FACTOR = 1.5
+#: The same where the clock jitters by so much that a step of one sample may be as long.
+JITTERING_GAP_FACTOR = 2.5
 #: rad. Cables and stops keep either axis of a twin rotor below it.
 FULL_TURN = 2 * np.pi
 #: Deviations of the step below this share of the sample time are not worth a word.
 JITTER_SHARE = 0.01
+#: s; rigs of this kind swing within seconds, so a longer sample time is a slip of the unit.
+SLOW_SAMPLE = 1.0
 
 
 @dataclass(frozen=True)
@@ -62,9 +66,23 @@ class Recording:
 
     @cached_property
     def gaps(self) -> list[tuple[float, float]]:
-        """The last time before each gap and the first after it [s]."""
-        wide = np.flatnonzero(np.diff(self.time) > GAP_FACTOR * self.sample_time)
+        """The last time before each gap and the first after it [s]; not what the clock jitters."""
+        factor = JITTERING_GAP_FACTOR if self.jitters else GAP_FACTOR
+        wide = np.flatnonzero(np.diff(self.time) > factor * self.sample_time)
         return [(float(self.time[i]), float(self.time[i + 1])) for i in wide]
+
+    @property
+    def jitters(self) -> bool:
+        """Whether long steps are made up for by short ones, which lost samples never are."""
+        long, short = self._uneven
+        return short > 0 and short >= 0.5 * long > 0
+
+    @cached_property
+    def _uneven(self) -> tuple[int, int]:
+        """Steps as long as a gap of one sample, and steps that are short by as much."""
+        steps = np.diff(self.time) / self.sample_time
+        long = (steps > GAP_FACTOR) & (steps <= JITTERING_GAP_FACTOR)
+        return int(np.count_nonzero(long)), int(np.count_nonzero(steps < 2 - GAP_FACTOR))
 
     @cached_property
     def missing(self) -> dict[str, int]:
@@ -79,6 +97,8 @@ class Recording:
     def notes(self) -> list[str]:
         """Tell in sentences what a user should know before trusting the numbers."""
         lines = list(self.remarks)
+        if self.sample_time > SLOW_SAMPLE:
+            lines.append(f"{self.sample_time:.4g} s a sample: is t in ms? Then write t[ms]")
         if self.gaps:
             lost = sum(round((b - a) / self.sample_time) - 1 for a, b in self.gaps)
             start, end = max(self.gaps, key=lambda gap: gap[1] - gap[0])
@@ -97,14 +117,28 @@ class Recording:
                     "full turn, which no rig of this kind makes: is its unit right?"
                 )
         steps = np.diff(self.time)
-        steps = steps[steps <= GAP_FACTOR * self.sample_time]
+        longest = JITTERING_GAP_FACTOR if self.jitters else GAP_FACTOR
+        steps = steps[steps <= longest * self.sample_time]
         jitter = float(np.max(np.abs(steps - self.sample_time)))
         if jitter > JITTER_SHARE * self.sample_time:
             lines.append(
                 f"uneven sampling: steps from {steps.min() * 1e3:.4g} to {steps.max() * 1e3:.4g} "
-                f"ms around {self.sample_time * 1e3:.4g} ms"
+                f"ms around {self.sample_time * 1e3:.4g} ms" + self._jitter_words()
             )
         return lines
+
+    def _jitter_words(self) -> str:
+        if not self.jitters:
+            return ""
+        long, short = self._uneven
+        # What is lost shows only beyond the chance of as many long steps as short ones.
+        beyond = long - short > 2 * (long + short) ** 0.5
+        lost = f"about {long - short}" if beyond else "hardly any"
+        return (
+            f"; {long} are as long as a gap and {short} as much too short, so the clock jitters "
+            f"and {lost} samples are lost "
+            "(--resample, or data.resample, evens it)"
+        )
 
 
 def read_recording(path: Path | str) -> Recording:

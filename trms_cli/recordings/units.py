@@ -77,7 +77,7 @@ def to_si(
         target = "1" if not str(root) or str(root) == "dimensionless" else f"{root:~C}"
     if target is None:
         raise RecordingError(
-            f"column {name!r}: the unit {unit!r} does not fit; it is a {_kind(root)}",
+            f"column {name!r}: the unit {unit!r} does not fit; it is {_kind(root)}",
             where=where,
             remedy=f"{name} takes {fits} or a unit that converts to it",
         )
@@ -91,9 +91,9 @@ def _kind(root: Any) -> str:
     kinds = {
         "rad": "an angle",
         "rad/s": "an angular speed",
-        "1/s": "frequency (cycles or rad? write rpm or rad/s)",
-        "s": "time",
-        "A": "current",
-        "1": "plain number",
+        "1/s": "a frequency (cycles or rad? write rpm or rad/s)",
+        "s": "a time",
+        "A": "a current",
+        "1": "a plain number",
     }
-    return kinds.get(text, f"quantity in {text}").removeprefix("an ")
+    return kinds.get(text, f"a quantity in {text}")
