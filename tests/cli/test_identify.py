@@ -220,6 +220,8 @@ class TestInterruption:
         (["real=rig", "effect=yaw_coulomb_friction"], "has no yaw axis"),
         (["real=rig", "windows.length=-1"], "expected a number > 0"),
         (["real=rig", "data.end=0.5"], "record"),
+        (["real=rig", "method=narx", "driven=[omega_v]"], "leave driven out"),
+        (["real=rig", "method=nnoe", "free=[k_ov]"], "leave free out"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

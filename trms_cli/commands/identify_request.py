@@ -158,6 +158,8 @@ def identification_of(composition: Composition) -> Identification:
     model = model_of(config)
     data = build(config["data"], "data")
     driven = several(options.driven, "driven")
+    if not method.fits_parameters:
+        _refuse_for_networks(options, driven)
     simulated = driven_model(model, driven)
     free, idle = _free(simulated, options, method)
     loaded = load_datasets(several(options.real, "real"), model, data)
@@ -225,6 +227,23 @@ def _parts(
                 remedy="hold out less, or record longer",
             )
     return fitted, tuple(dataset for dataset in held if len(dataset) >= _FEWEST_SAMPLES)
+
+
+def _refuse_for_networks(options: IdentifyOptions, driven: Sequence[str]) -> None:
+    """Refuse what only a fit of equations can heed: a training would drop it without a word."""
+    asked = {
+        "driven": driven,
+        "free": several(options.free, "free") not in (("priors",), ["priors"]),
+        "priors": options.priors,
+        "bounds": options.bounds,
+    }
+    for key, given in asked.items():
+        if given:
+            raise ConfigurationError(
+                f"a network has no parameters of a model, and {key} is given",
+                where=key,
+                remedy=f"leave {key} out, or fit a model: method=multiple_shooting",
+            )
 
 
 def _free(
