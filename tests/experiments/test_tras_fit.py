@@ -13,9 +13,7 @@ from experiments.tras_fit.study import model_of, read_study
 from trms_cli.identification.problem import Prior, free_parameters
 
 
-def test_skips_where_there_is_no_record(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_skips_where_there_is_no_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(tmp_path)]) == 0
     assert "skipped" in capsys.readouterr().err
 

@@ -117,7 +117,7 @@ def _name_of(composition: Composition) -> str:
     node = composition.config["model"]
     path = node.get("path") if isinstance(node, Mapping) else None
     if composition.choices.get("model") == "from_file" and isinstance(path, str):
-        return Path(path).stem
+        return shown_names([path])[0]
     return str(composition.choices.get("model"))
 
 
