@@ -118,9 +118,18 @@ def test_wrong_options(module: object, argv: list[str], problem: str) -> None:
     assert "--help" in caught.value.remedy
 
 
-def test_a_log_is_not_imported(tmp_path: Path) -> None:
+def test_a_log_is_not_imported(trms: Program, tmp_path: Path, csv: Path) -> None:
+    assert trms("import", str(csv), "--out", "x.mcap").returncode == 0
     with pytest.raises(RecordingError, match="log already"):
         import_.main([str(tmp_path / "x.mcap")])
+
+
+def test_a_text_that_is_called_a_log_is_none(tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    file.write_text("t[s],u_v[V]\n", encoding="utf-8")
+    with pytest.raises(RecordingError) as caught:
+        import_.main([str(file)])
+    assert "log already" not in caught.value.problem
 
 
 @pytest.mark.parametrize("ending", ["csv", "mat"])
