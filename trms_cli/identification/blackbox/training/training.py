@@ -249,7 +249,9 @@ def train(
         )
     try:
         recorder(start, loss, float(np.linalg.norm(slope)))
-        algorithm.minimise(objective, start.copy(), recorder)
+        # A step too long is seen by its loss; NumPy's warnings would only repeat it.
+        with np.errstate(over="ignore", invalid="ignore"):
+            algorithm.minimise(objective, start.copy(), recorder)
     except TrainingStopped:
         pass
     except KeyboardInterrupt:
