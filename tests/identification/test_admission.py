@@ -24,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 from played_rig import BENCH, SIGNALS, play
 
 MODEL = Newtonian()
-SHELF = Path("/work/shared/records")
+#: Recordings of real rigs beside the checkout, where there are any.
+SHELF = Path(__file__).parents[3] / "shared" / "records"
 Change = Callable[[dict[str, np.ndarray]], object]
 
 

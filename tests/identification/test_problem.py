@@ -101,3 +101,10 @@ def test_a_value_within_a_thousandth_of_its_scale_is_on_the_bound() -> None:
         (0.01 - 0.9e-3 * scale, 1),
     ):
         assert asked.on_bounds(np.array([value])).tolist() == [wanted]
+
+
+def test_a_set_without_priors_is_not_told_to_free_them() -> None:
+    bare = ParameterSet([Parameter("k_a", 3.0, "N")])
+    with pytest.raises(ConfigurationError) as caught:
+        free_parameters(bare, ["priors"])
+    assert "no priors" in caught.value.remedy and "k_a" in caught.value.remedy

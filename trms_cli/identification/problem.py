@@ -138,7 +138,11 @@ def free_parameters(
         raise ConfigurationError(
             "no parameter is free",
             where="free",
-            remedy=f"free=[{PRIORS}] frees all that have a prior; or name some of: "
+            remedy=(
+                f"free=[{PRIORS}] frees all that have a prior; or name some of: "
+                if any(p.prior_sd is not None for p in parameters)
+                else "the set has no priors, so name what to fit, free=[NAME,…]: "
+            )
             + ", ".join(parameters.names),
         )
     for key, given in (("priors", priors), ("bounds", bounds)):
