@@ -1,0 +1,234 @@
+"""What a diagnosis says: the content of ``diagnosis.json``, as plain data between the stages.
+
+The names of fields and their nesting are the contract with programs that read the file; what is
+``None`` there could not be told. Numbers are in SI units and radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+SCHEMA = "trms.diagnosis/1"
+Verdict = Literal["effect", "parameters_only", "no_gap", "none_of_these", "undecided"]
+#: Causes that are no effect, as they stand among the ``causes``.
+NO_EFFECT = ("no_gap", "parameters_only", "none_of_these")
+#: Where a gap can lie, from the command to the sensor.
+LOCATIONS = (
+    "main_actuator",
+    "tail_actuator",
+    "main_motor",
+    "tail_motor",
+    "main_thrust",
+    "tail_thrust",
+    "pitch_moment",
+    "yaw_moment",
+    "pitch_sensor",
+    "yaw_sensor",
+    "main_tacho",
+    "tail_tacho",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """A recording that was diagnosed."""
+
+    file: str
+    sha256: str
+    duration_s: float
+    sample_time_s: float
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocationShare:
+    """How much of the gap lies at a place of the block diagram; ``ci95`` of the share."""
+
+    location: str
+    share: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionShare:
+    """Where in state space the missing force acts: the share of its energy under a condition."""
+
+    location: str
+    condition: str
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SizeEstimate:
+    """A fitted size of an effect with its standard deviation."""
+
+    value: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """One entry of the race: effects together (or one of :data:`NO_EFFECT`), calibrated."""
+
+    effects: tuple[str, ...]
+    probability: float
+    parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NotTestable:
+    """An effect on which these recordings say nothing, and why."""
+
+    effect: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detectable:
+    """The smallest size of an effect that these recordings would show."""
+
+    minimum_size: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedParameter:
+    """A nominal parameter before and after, with the cause in the model."""
+
+    prior: float
+    fitted: float
+    sd: float
+    unit: str
+    #: How many prior standard deviations it moved; far is suspicious.
+    moved: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """Root mean square of free-run errors of one channel at one horizon, on the sealed part."""
+
+    raw: float
+    refit: float
+    corrected: float
+    floor: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shrink:
+    """``1 − (corrected − floor)/(refit − floor)``; None where there is no gap to shrink."""
+
+    fraction: float | None
+    ci95: tuple[float, float] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextExperiment:
+    """What to record next, as a command that can be typed."""
+
+    why: str
+    command: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapTest:
+    """A test of the refitted model's innovations: is there a gap?"""
+
+    name: str
+    channel: str
+    statistic: float
+    p_value: float
+    #: Corrected for the number of tests.
+    p_corrected: float
+    rejected: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class RaceEntry:
+    """A competitor of the race.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Empty for the refitted model without any; ``flexible`` for a residual force without a name.
+    score : float
+        Held-out log predictive density, nats above the refitted model; ``se`` is the standard
+        error over blocks.
+    explained : float
+        Share of the gap beyond the noise floor that it closes, 0 to 1.
+    moved : float
+        Largest move of a nominal parameter, in prior standard deviations.
+    """
+
+    effects: tuple[str, ...]
+    score: float
+    se: float
+    explained: float
+    moved: float
+    parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traces:
+    """Series for the report's pictures, thinned to what a page shows.
+
+    Attributes
+    ----------
+    force_time : (k,) array
+        s.
+    force : dict of str to (k,) arrays
+        Smoothed missing force or torque at each location that is named in ``where``, and its
+        standard deviation as ``<location>.sd``.
+    explained : dict of str to (k,) array
+        What the best cause says that force is, by location; empty without a cause.
+    run_time : (n,) array
+        s, of a free run over the sealed part that shows best what was gained.
+    runs : dict of str to dict of str to (n,) array
+        Per channel: ``measured``, ``raw``, ``refit``, ``corrected``.
+    """
+
+    force_time: FloatArray
+    force: Mapping[str, FloatArray]
+    force_unit: Mapping[str, str]
+    explained: Mapping[str, FloatArray]
+    run_time: FloatArray
+    runs: Mapping[str, Mapping[str, FloatArray]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """The whole answer. Fields up to ``next_experiment`` are the contract's."""
+
+    recordings: tuple[Recorded, ...]
+    model: str
+    seed: int
+    versions: Mapping[str, str]
+    verdict: Verdict
+    where: tuple[LocationShare, ...]
+    region: tuple[RegionShare, ...]
+    causes: tuple[Cause, ...]
+    confusable: tuple[tuple[str, ...], ...]
+    not_testable: tuple[NotTestable, ...]
+    detectable: Mapping[str, Detectable]
+    parameters: Mapping[str, FittedParameter]
+    gap: Mapping[str, Mapping[str, Gap]]  #: by channel and horizon
+    shrink: Mapping[str, Mapping[str, Shrink]]  #: by channel, and "all", and horizon
+    next_experiment: NextExperiment | None
+    # Beyond the contract: what the report tells besides.
+    sentence: str  #: what a colleague would say
+    tests: tuple[GapTest, ...] = ()
+    race: tuple[RaceEntry, ...] = ()
+    description: tuple[str, ...] = ()  #: of an unnamed force: equation, region, band, memory
+    warnings: tuple[str, ...] = ()
+    worse: tuple[str, ...] = ()  #: channels that the correction made worse by over 2 %
+    effort: str = "normal"
+    seconds: Mapping[str, float] = field(default_factory=dict)  #: by stage
+    traces: Traces | None = None  #: not in the file
