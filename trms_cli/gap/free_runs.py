@@ -1,0 +1,322 @@
+"""The gap as it is told: errors of free runs, from starts that know the past only.
+
+A free run begins every `stride` seconds of a span. Its start is the end of the model's own best run
+over the :data:`HISTORY` before it, fitted to the measurements there and to nothing later; what such
+a short run leaves open (a rotor without tacho, a slow memory) is simulated from the beginning of
+the recording. So every model is measured alike, with friction, delays or modes of its own, with
+two angles or with rotor speeds. A longer history would know rates better where the model is right,
+and would bend them where it is wrong, by half of the history times what the acceleration lacks.
+
+Errors stay apart by start, with the block that a start lies in, so that blocks can be resampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.gap.problem import HORIZONS
+from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.identification.greybox.starts import estimated_starts, spreads
+from trms_cli.models.model import Model, index_of, names
+from trms_cli.simulation.rollout import Rollout
+
+#: s before a start that it is fitted to, and samples at least.
+HISTORY = 0.3
+_FEWEST = 8
+#: s between the samples at which a simulation from the beginning is put right by measurements.
+_ANCHORED = 1.0
+#: Steps of Levenberg–Marquardt, the first damping, the relative fall of the cost that is enough.
+_ITERATIONS, _FIRST_DAMPING, _ENOUGH = 10, 1e-3, 1e-3
+
+#: Number of a dataset, first sample, and the sample after the last.
+Span = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class HorizonErrors:
+    """Free runs of one channel at one horizon.
+
+    Attributes
+    ----------
+    squared : (m,) array
+        Mean of the squared errors over each run, in the channel's unit squared; infinite where
+        the model ran away.
+    block : (m,) array of int
+        Block that the run begins in, counted through all spans.
+    """
+
+    squared: FloatArray
+    block: IntArray
+
+    @property
+    def rms(self) -> float:
+        """Over all runs."""
+        return float(np.sqrt(np.mean(self.squared)))
+
+
+#: By channel and horizon.
+Errors = Mapping[str, Mapping[float, HorizonErrors]]
+
+
+def free_run_errors(
+    model: Model,
+    datasets: Sequence[Dataset],
+    parts: Sequence[Span],
+    *,
+    horizons: Sequence[float] = HORIZONS,
+    stride: float = 0.5,
+    block: float = 10.0,
+    rollout: Rollout | None = None,
+    jobs: int = 1,
+) -> dict[str, dict[float, HorizonErrors]]:
+    """Errors of free runs that lie within spans of recordings.
+
+    Parameters
+    ----------
+    model : Model
+    datasets : sequence of Dataset
+        Whole recordings of one sample time: a start may know what was before its span.
+    parts : sequence of (dataset, first, last)
+        Spans of samples, without ``last``.
+    horizons : sequence of float
+        s. One that no span holds is left out.
+    stride, block : float
+        s between two starts; length of the blocks.
+    rollout : Rollout or None
+        Of the same model at the recordings' sample time, if there is one already; the values of
+        parameters are ``model``'s.
+    jobs : int
+        Threads.
+
+    Returns
+    -------
+    dict of str to dict of float to HorizonErrors
+        By channel, then by horizon. Empty if no span holds a run.
+    """
+    step = datasets[0].sample_time
+    rollout = rollout or Rollout(model, step, jobs=jobs)
+    found: dict[str, dict[float, list[HorizonErrors]]] = {}
+    blocks = 0
+    for number, spans in groupby(sorted(parts), key=lambda part: part[0]):
+        dataset = datasets[number]
+        firsts, owners = [], []
+        for _, first, last in spans:
+            every, block_of = _firsts(dataset, first, last, (stride, block, min(horizons)))
+            firsts.append(np.stack([every, np.full(len(every), last)]))
+            owners.append(block_of + blocks)
+            blocks += int(block_of.max(initial=-1)) + 1
+        (begins, limits), block_of = np.hstack(firsts), np.concatenate(owners)
+        if not begins.size:
+            continue
+        starts = start_states(model, rollout, dataset, begins)
+        for horizon in horizons:
+            samples = max(1, round(horizon / step))
+            inside = begins + samples <= limits
+            if not inside.any():
+                continue
+            squared = _squared(model, rollout, dataset, begins[inside], samples, starts[inside])
+            for name, column in zip(names(dataset.outputs), squared.T, strict=True):
+                seen = ~np.isnan(column)
+                errors = HorizonErrors(column[seen], block_of[inside][seen])
+                found.setdefault(name, {}).setdefault(horizon, []).append(errors)
+    return {
+        name: {horizon: _joined(parts_) for horizon, parts_ in of_channel.items()}
+        for name, of_channel in found.items()
+    }
+
+
+def start_states(model: Model, rollout: Rollout, dataset: Dataset, first: IntArray) -> FloatArray:
+    """States, memory included, at samples of a recording, from what was measured before them.
+
+    Parameters
+    ----------
+    first : (m,) array of int
+        Ascending, each at least :func:`history` samples into the recording.
+
+    Returns
+    -------
+    (m, rollout.n_x) array
+    """
+    samples = history(dataset.sample_time)
+    begin, n = first - samples, model.n_x
+    # From the beginning of the recording step by step, so that slow memories follow the rig.
+    anchors = np.arange(0, begin[-1], max(1, round(_ANCHORED / dataset.sample_time)))
+    stops = np.unique(np.concatenate([anchors[~_near(anchors, begin, samples)], begin]))
+    p = model.parameters.values
+    guess = estimated_starts(rollout, dataset, stops, p).states[np.searchsorted(stops, begin)]
+    columns = [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
+    measured = dataset.measurements[begin[:, None] + np.arange(samples)]
+    present, count = ~np.isnan(measured), np.full(len(begin), samples)
+    sd = np.where(dataset.noise_sd > 0, dataset.noise_sd, 1e-9)
+    prior_sd = _prior_sd(model, dataset.sample_time)
+    shape = (len(begin), samples, len(columns))
+
+    def simulated(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Costs, residuals, their slopes in the model's states, and the ends."""
+        with np.errstate(all="ignore"):
+            now = rollout.sensitivities(dataset.commands, begin, count, x, p)
+            r = np.where(present, (measured - now.y[:, columns].reshape(shape)) / sd, 0.0)
+            slope = now.dy[:, columns, :n].reshape(*shape, n) / sd[:, None]
+            slope = np.where(present[..., None] & np.isfinite(slope), slope, 0.0)
+            gaps = (x[:, :n] - guess[:, :n]) / prior_sd
+            cost = np.sum(r**2, axis=(1, 2)) + np.sum(gaps**2, axis=1)
+        return np.where(np.isfinite(cost), cost, np.inf), np.nan_to_num(r), slope, now.ends
+
+    x = guess.copy()
+    cost, r, slope, ends = simulated(x)
+    damping = np.full(len(begin), _FIRST_DAMPING)
+    for _ in range(_ITERATIONS):
+        normal = np.einsum("jkci,jkcl->jil", slope, slope, optimize=True) + np.diag(prior_sd**-2.0)
+        right = np.einsum("jkci,jkc->ji", slope, r, optimize=True)
+        right += (guess - x)[:, :n] / prior_sd**2
+        diagonal = np.einsum("jii->ji", normal)
+        damped = normal + (damping[:, None] * diagonal)[:, :, None] * np.eye(n)
+        trial = x.copy()
+        trial[:, :n] += np.linalg.solve(damped, right[..., None])[..., 0]
+        cost_after, r_after, slope_after, ends_after = simulated(trial)
+        better = cost_after < cost
+        with np.errstate(invalid="ignore"):
+            gained = np.where(better, cost - cost_after, 0.0) / np.maximum(cost, 1.0)
+        x[better], ends[better], cost[better] = (
+            trial[better],
+            ends_after[better],
+            cost_after[better],
+        )
+        r[better], slope[better] = r_after[better], slope_after[better]
+        damping = np.where(better, damping / 10, damping * 10)
+        if np.all((gained < _ENOUGH) & (better | (damping > 1.0))):
+            break
+    return ends
+
+
+def history(sample_time: float) -> int:
+    """Samples before a start that it is fitted to."""
+    return max(_FEWEST, round(HISTORY / sample_time))
+
+
+def noise_floor(datasets: Sequence[Dataset]) -> dict[str, float]:
+    """What no model can follow: the declared noise of each channel, quanta included.
+
+    Returns
+    -------
+    dict of str to float
+        Root mean square over the recordings, in the channel's unit.
+    """
+    found: dict[str, list[float]] = {}
+    for dataset in datasets:
+        for signal, sd in zip(dataset.outputs, dataset.noise_sd, strict=True):
+            found.setdefault(signal.name, []).append(float(sd))
+    return {name: float(np.sqrt(np.mean(np.square(sds)))) for name, sds in found.items()}
+
+
+def expected_errors(
+    model: Model,
+    datasets: Sequence[Dataset],
+    parts: Sequence[Span],
+    *,
+    seed: int = 0,
+    horizons: Sequence[float] = HORIZONS,
+    stride: float = 0.5,
+    block: float = 10.0,
+    rollout: Rollout | None = None,
+    jobs: int = 1,
+) -> dict[str, dict[float, HorizonErrors]]:
+    """Errors that a right model would have: the model against its own simulation.
+
+    The floor of :func:`free_run_errors` at longer horizons, where the noise on the start has
+    grown through the model: the recordings' measurements are replaced by a simulation of the
+    model on their commands with the declared white noise. Arguments as there.
+
+    Parameters
+    ----------
+    seed : int
+        Of the noise.
+    """
+    rollout = rollout or Rollout(model, datasets[0].sample_time, jobs=jobs)
+    random = np.random.default_rng(np.random.SeedSequence([seed, 0xF100]))
+    columns = [index_of(model.outputs, s.name, "an output") for s in datasets[0].outputs]
+    p, made = model.parameters.values, []
+    for dataset in datasets:
+        start = estimated_starts(rollout, dataset, np.zeros(1, dtype=np.int64), p).states
+        y = rollout.outputs(dataset.commands, [0], [len(dataset)], start, p).y[:, columns]
+        noisy = y + dataset.noise_sd * random.standard_normal(y.shape)
+        noisy[np.isnan(dataset.measurements)] = np.nan
+        made.append(replace(dataset, measurements=noisy))
+    return free_run_errors(
+        model,
+        made,
+        parts,
+        horizons=horizons,
+        stride=stride,
+        block=block,
+        rollout=rollout,
+        jobs=jobs,
+    )
+
+
+def _firsts(
+    dataset: Dataset, first: int, last: int, times: tuple[float, float, float]
+) -> tuple[IntArray, IntArray]:
+    """Samples at which runs begin in a span, and the block of each within the span."""
+    stride, block, shortest = (max(1, round(t / dataset.sample_time)) for t in times)
+    begin = max(first, history(dataset.sample_time))
+    every = np.arange(begin, last - shortest + 1, stride, dtype=np.int64)
+    # What is left over at the end of a span belongs to its last whole block.
+    whole = max(1, (last - first) // block)
+    of_block = np.minimum((every - first) // block, whole - 1)
+    return every, of_block.astype(np.int64)
+
+
+def _squared(
+    model: Model,
+    rollout: Rollout,
+    dataset: Dataset,
+    first: IntArray,
+    samples: int,
+    starts: FloatArray,
+) -> FloatArray:
+    """Mean squared errors, (m, n_y); NaN where nothing was measured."""
+    m, n_y = len(first), len(dataset.outputs)
+    columns = [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
+    measured = dataset.measurements[first[:, None] + np.arange(samples)]
+    present = ~np.isnan(measured)
+    count = np.full(m, samples)
+    with np.errstate(all="ignore"):
+        y = rollout.outputs(dataset.commands, first, count, starts, model.parameters.values).y
+        squared = (measured - y[:, columns].reshape(m, samples, n_y)) ** 2
+        squared = np.where(np.isfinite(squared), squared, np.inf)
+        total = np.sum(np.where(present, squared, 0.0), axis=1)
+        mean: FloatArray = total / present.sum(axis=1)
+    return np.where(present.any(axis=1), mean, np.nan)
+
+
+def _near(anchors: IntArray, begin: IntArray, samples: int) -> npt.NDArray[np.bool_]:
+    """Anchors that a start stands in for: one follows within a few samples."""
+    after = np.minimum(np.searchsorted(begin, anchors), len(begin) - 1)
+    return np.abs(begin[after] - anchors) <= 2 * samples
+
+
+def _joined(errors: Sequence[HorizonErrors]) -> HorizonErrors:
+    return HorizonErrors(
+        np.concatenate([e.squared for e in errors]), np.concatenate([e.block for e in errors])
+    )
+
+
+def _prior_sd(model: Model, step: float) -> npt.NDArray[np.float64]:
+    """How far a state may lie from its first guess; one that noise drives, as far as it strays."""
+    sd = spreads(model)
+    if model.sample_time is not None:
+        return sd
+    x, u, p, w = model.symbols()
+    rate = ca.diag(ca.jacobian(model.dynamics(x, u, p, w), x))
+    of_states = ca.Function("strays", [x, u, p, w], [rate, model.noise_sd(p, step)])
+    at = (model.rest(), np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w))
+    forgets, driven = (np.array(ca.DM(v).full()).ravel() for v in of_states(*at))
+    kept = np.exp(2 * step * np.minimum(forgets, -1e-3))
+    return np.where(driven > 0, driven / np.sqrt(1 - kept), sd)
