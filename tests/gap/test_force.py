@@ -1,0 +1,245 @@
+"""What a missing force looks like, on forces that are known: of the state, from outside, noise.
+
+The rig of these tests is a few lines of its own: yaw with a cable and two rotors, pitch beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from trms_cli.gap.force import ForceRecord, exogenous, regions
+from trms_cli.gap.force.record import blocks, correlation_time, segments, thinned
+from trms_cli.gap.force.regions import all_conditions, change_time, rounded
+
+STEP, SAMPLES = 0.02, 6000
+INERTIA, DAMPING, STIFFNESS = 0.03, 0.004, 0.015  # kg m², N m s/rad, N m/rad
+
+Law = Callable[[float, float, float, float, float, float], float]
+
+#: Torques on yaw of (t, angle, rate, pitch, main speed, tail speed), N m.
+LAWS: dict[str, Law] = {
+    "coulomb": lambda t, a, r, p, wv, wh: -0.004 * np.tanh(r / 0.01),
+    "quadratic": lambda t, a, r, p, wv, wh: -0.01 * r * abs(r),
+    "stop": lambda t, a, r, p, wv, wh: -0.02 * (a - 0.8 * np.sign(a)) * (abs(a) > 0.8),
+    "cubic": lambda t, a, r, p, wv, wh: -0.01 * a**3,
+    "reverse": lambda t, a, r, p, wv, wh: 4e-8 * wh * abs(wh) * (wh < 0),
+    "reaction": lambda t, a, r, p, wv, wh: 3e-7 * wv**2 * np.cos(p),
+    "later": lambda t, a, r, p, wv, wh: -0.01 * r * (t > 61),
+}
+
+
+def coloured(rng: np.random.Generator, samples: int, time: float) -> np.ndarray:
+    """Noise of variance one that forgets itself over ``time`` [s]."""
+    keep = np.exp(-STEP / time)
+    noise = rng.normal(size=samples) * np.sqrt(1 - keep**2)
+    result = np.empty(samples)
+    result[0] = rng.normal()
+    for i in range(1, samples):
+        result[i] = keep * result[i - 1] + noise[i]
+    return result
+
+
+def moved(
+    rng: np.random.Generator,
+    law: Law | None = None,
+    outside: np.ndarray | None = None,
+    samples: int = SAMPLES,
+    noise: float = 0.2,
+) -> ForceRecord:
+    """A rig that random steps and a torque move; the torque with coloured noise on it."""
+    u_h = np.repeat(rng.uniform(-1.5, 1.5, samples // 150 + 1), 150)[:samples]
+    u_v = np.repeat(rng.uniform(0.2, 1.8, samples // 200 + 1), 200)[:samples]
+    a = r = p = q = wv = wh = 0.0
+    rows = np.empty((samples, 7))
+    for i in range(samples):
+        f = 0.0 if outside is None else float(outside[i])
+        if law is not None:
+            f += law(i * STEP, a, r, p, wv, wh)
+        rows[i] = f, a, r, p, q, wv, wh
+        wh += STEP * (u_h[i] * 200 - wh) / 0.3
+        wv += STEP * (u_v[i] * 140 - wv) / 0.8
+        thrust = 4.2e-7 * wh * abs(wh)
+        r += STEP * (thrust * np.cos(p) - DAMPING * r - STIFFNESS * a + f) / INERTIA
+        a += STEP * r
+        q += STEP * (3.75e-6 * wv * abs(wv) - 0.26 * np.sin(p + 0.62) - 0.008 * q) / 0.07
+        p += STEP * q
+    sd = noise * np.sqrt(np.mean(rows[:, 0] ** 2))
+    return ForceRecord(
+        location="yaw_moment",
+        unit="N*m",
+        time=STEP * np.arange(samples),
+        recording=np.zeros(samples, dtype=np.int64),
+        force=rows[:, 0] + sd * coloured(rng, samples, 0.1),
+        sd=np.full(samples, sd),
+        angles={"pitch": rows[:, 3], "yaw": rows[:, 1]},
+        rates={"pitch": rows[:, 4], "yaw": rows[:, 2]},
+        speeds={"main": rows[:, 5], "tail": rows[:, 6]},
+        commands={"main": u_v, "tail": u_h},
+    )
+
+
+@cache
+def under(name: str) -> ForceRecord:
+    return moved(np.random.default_rng(1), LAWS[name])
+
+
+@cache
+def still() -> ForceRecord:
+    return moved(np.random.default_rng(2))
+
+
+def from_outside(seed: int, time: float) -> ForceRecord:
+    """A force that has nothing to do with the motion, known exactly or nearly."""
+    rng = np.random.default_rng(seed)
+    force = coloured(rng, SAMPLES, time) if time > STEP else rng.normal(size=SAMPLES)
+    return replace(still(), force=4e-3 * force, sd=np.full(SAMPLES, 1e-3))
+
+
+def test_series_of_different_lengths_are_refused():
+    with pytest.raises(ValueError, match="differ in shape"):
+        replace(still(), sd=np.ones(3))
+
+
+def test_recordings_and_gaps_part_the_samples():
+    record = still().taken(np.r_[0:1000, 1500:2500, 3000:4000])
+    record = replace(record, recording=np.repeat([0, 0, 1], 1000))
+    assert [part.stop for part in segments(record)] == [1000, 2000, 3000]
+    number = blocks(record, 10.0)
+    assert number[-1] == 5 and np.all(np.diff(number) >= 0)
+    for part in segments(record):
+        assert number[part.start] != number[part.start - 1]
+    assert thinned(record, 10.0).time.size == 600
+
+
+def test_memory_of_coloured_noise():
+    record = still()
+    values = coloured(np.random.default_rng(3), SAMPLES, 0.5)
+    assert correlation_time(record, values) == pytest.approx(1.0, rel=0.4)
+
+
+@pytest.mark.parametrize(
+    ("value", "told"), [(0.4817, 0.5), (-0.317, -0.3), (123.0, 120.0), (0.0, 0.0), (9.6, 10.0)]
+)
+def test_thresholds_are_round(value, told):
+    assert rounded(value) == pytest.approx(told)
+
+
+@pytest.mark.parametrize(
+    ("name", "about"),
+    [
+        ("quadratic", "yaw moving fast"),
+        ("stop", "|alpha_h| >"),
+        ("cubic", "|alpha_h| >"),
+        ("reaction", "main rotor fast"),
+        ("later", "after t = 61"),
+    ],
+)
+def test_regions_are_found(name, about):
+    found = regions(under(name))
+    assert 1 <= len(found) <= 3
+    assert found[0].condition.startswith(about)
+    assert found[0].location == "yaw_moment"
+    assert found[0].share > 0.7
+
+
+def test_thrust_in_reverse_lies_where_the_rotor_turns_backwards():
+    rng = np.random.default_rng(11)
+    record = moved(rng, lambda t, a, r, p, wv, wh: 4e-3 * (wh < -20))
+    (first, *_) = regions(record)
+    assert first.condition == "tail rotor turning backwards" and first.share > 0.95
+
+
+@pytest.mark.parametrize("time", [0.0, 0.3, 1.0, 3.0])
+def test_a_force_from_outside_has_no_region(time):
+    found = [regions(from_outside(seed, time)) for seed in range(10)]
+    assert sum(map(bool, found)) <= 1
+
+
+def test_a_constant_force_has_no_region():
+    noise = 1e-4 * np.random.default_rng(0).normal(size=SAMPLES)
+    record = replace(still(), force=3e-3 + noise, sd=np.full(SAMPLES, 1e-4))
+    assert regions(record) == ()
+
+
+def test_noise_alone_has_no_region():
+    record = from_outside(1, 0.1)
+    assert regions(replace(record, sd=np.full(SAMPLES, 4e-3))) == ()
+
+
+def test_change_time():
+    assert change_time(under("later")) == pytest.approx(61, abs=1.5)
+    assert change_time(under("quadratic")) is None
+    assert change_time(from_outside(1, 0.3)) is None
+
+
+def test_a_recording_of_its_own_is_a_region():
+    record = from_outside(4, 0.3)
+    number = np.repeat([0, 1, 2], SAMPLES // 3)
+    record = replace(record, recording=number, force=record.force * (number == 1))
+    (found,) = regions(replace(record, sd=record.sd / 10))
+    assert found.condition == "recording 2" and found.share > 0.9
+
+
+def test_one_degree_of_freedom_without_rotor_speeds():
+    full = under("stop")
+    record = replace(
+        full,
+        angles={"yaw": full.angles["yaw"]},
+        rates={"yaw": full.rates["yaw"]},
+        speeds={},
+        commands={"tail": full.commands["tail"]},
+    )
+    assert regions(record)[0].condition.startswith("|alpha_h| >")
+    assert exogenous(record).predictable_share > 0.5
+    assert not any("alpha_v" in c.text or "main" in c.text for c in all_conditions(record))
+
+
+@pytest.mark.parametrize(
+    ("name", "of"),
+    [
+        ("coulomb", "yaw rate"),
+        ("quadratic", "yaw rate"),
+        ("cubic", "yaw angle"),
+        ("reverse", "tail rotor speed"),
+        ("reaction", "main rotor speed"),
+    ],
+)
+def test_a_function_of_the_state_is_predictable(name, of):
+    judged = exogenous(under(name))
+    low, high = judged.ci95
+    assert judged.predictable_share > 0.5 and low <= judged.predictable_share <= high
+    assert judged.p_value < 0.05
+    assert judged.from_variables[0] == of
+
+
+@pytest.mark.parametrize("time", [0.1, 1.0, 3.0])
+@pytest.mark.parametrize("size", [0.003, 0.01])
+def test_a_draught_is_not_predictable_though_it_moves_the_rig(time, size):
+    rng = np.random.default_rng(7)
+    judged = exogenous(moved(rng, outside=size * coloured(rng, SAMPLES, time)))
+    assert judged.predictable_share < 0.15
+    assert judged.ci95[0] < 0.05
+
+
+def test_a_draught_that_moves_nothing_is_not_predictable():
+    shares = [exogenous(from_outside(seed, 1.0)).predictable_share for seed in range(5)]
+    assert max(shares) < 0.15
+
+
+def test_scaling_changes_no_share():
+    record = under("cubic")
+    scaled = replace(record, force=1e3 * record.force, sd=1e3 * record.sd)
+    assert [r.condition for r in regions(scaled)] == [r.condition for r in regions(record)]
+    assert [r.share for r in regions(scaled)] == pytest.approx([r.share for r in regions(record)])
+    assert exogenous(scaled).predictable_share == pytest.approx(
+        exogenous(record).predictable_share, abs=1e-6
+    )
+
+
+def test_the_same_seed_judges_the_same():
+    assert exogenous(under("stop"), seed=3) == exogenous(under("stop"), seed=3)

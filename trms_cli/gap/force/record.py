@@ -1,0 +1,173 @@
+"""A missing force, sample by sample, with what the rig did meanwhile: plain data.
+
+The smoother of the pipeline estimates it; everything of this package reads it and nothing else.
+Several recordings of one rig stand one after another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+#: The largest part of a mean square that is taken for noise, whatever the smoother says of it.
+_MOST_NOISE = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceRecord:
+    """A smoothed force at one place of the block diagram.
+
+    Attributes
+    ----------
+    location : str
+        One of :data:`trms_cli.gap.diagnosis.LOCATIONS`.
+    unit : str
+        Of the force: N*m, V, rad, rad/s.
+    time : (k,) array
+        s, rising within a recording.
+    recording : (k,) array of int
+        Which recording a sample belongs to; the samples of one stand together.
+    force, sd : (k,) arrays
+        Smoothed estimate and its standard deviation.
+    angles, rates : dict of str to (k,) array
+        ``pitch`` and ``yaw``, rad and rad/s; an axis that the model lacks is absent.
+    speeds : dict of str to (k,) array
+        ``main`` and ``tail``, rad/s; may be absent.
+    commands : dict of str to (k,) array
+        ``main`` and ``tail``, V.
+
+    Raises
+    ------
+    ValueError
+        Series of different lengths.
+    """
+
+    location: str
+    unit: str
+    time: FloatArray
+    recording: IntArray
+    force: FloatArray
+    sd: FloatArray
+    angles: Mapping[str, FloatArray] = field(default_factory=dict)
+    rates: Mapping[str, FloatArray] = field(default_factory=dict)
+    speeds: Mapping[str, FloatArray] = field(default_factory=dict)
+    commands: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        series = [self.time, self.recording, self.force, self.sd]
+        for group in (self.angles, self.rates, self.speeds, self.commands):
+            series.extend(group.values())
+        lengths = {np.shape(values) for values in series}
+        if len(lengths) != 1 or len(next(iter(lengths))) != 1:
+            raise ValueError(f"series of a force record differ in shape: {sorted(lengths)}")
+
+    @property
+    def axis(self) -> str:
+        """Axis that a force at this place moves: ``pitch`` or ``yaw``."""
+        return {"main": "pitch", "tail": "yaw"}.get(self.side, self.side)
+
+    @property
+    def side(self) -> str:
+        """First word of the location: ``main``, ``tail``, ``pitch`` or ``yaw``."""
+        return self.location.split("_", 1)[0]
+
+    @property
+    def variables(self) -> dict[str, FloatArray]:
+        """All that the force may depend on, by the names that sentences use."""
+        return {
+            **{f"{axis} angle": values for axis, values in self.angles.items()},
+            **{f"{axis} rate": values for axis, values in self.rates.items()},
+            **{f"{rotor} rotor speed": values for rotor, values in self.speeds.items()},
+            **{f"{rotor} command": values for rotor, values in self.commands.items()},
+        }
+
+    def taken(self, rows: IntArray) -> ForceRecord:
+        """Only these samples of it."""
+
+        def of(group: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+            return {name: values[rows] for name, values in group.items()}
+
+        return replace(
+            self,
+            time=self.time[rows],
+            recording=self.recording[rows],
+            force=self.force[rows],
+            sd=self.sd[rows],
+            angles=of(self.angles),
+            rates=of(self.rates),
+            speeds=of(self.speeds),
+            commands=of(self.commands),
+        )
+
+
+def sample_time(record: ForceRecord) -> float:
+    """Median step between samples of one recording, s; 1 for a single sample."""
+    steps = np.diff(record.time)[np.diff(record.recording) == 0]
+    return float(np.median(steps)) if steps.size else 1.0
+
+
+def segments(record: ForceRecord) -> tuple[slice, ...]:
+    """Stretches without a gap: within one recording, steps under 1.5 sample times."""
+    broken = np.diff(record.time) > 1.5 * sample_time(record)
+    broken |= np.diff(record.recording) != 0
+    edges = [0, *(np.flatnonzero(broken) + 1).tolist(), record.time.size]
+    return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a)
+
+
+def thinned(record: ForceRecord, rate: float) -> ForceRecord:
+    """Every so-manieth sample, at least ``rate`` [Hz] of them; a smoothed force has no more.
+
+    Samples are picked, not averaged, so that their standard deviation stays what it is.
+    """
+    stride = max(int(1.0 / (rate * sample_time(record)) + 1e-9), 1)
+    rows = [np.arange(part.start, part.stop, stride) for part in segments(record)]
+    return record.taken(np.concatenate(rows))
+
+
+def blocks(record: ForceRecord, length: float) -> IntArray:
+    """Number of the block that each sample belongs to, rising, about ``length`` [s] each.
+
+    A stretch is cut into equal blocks, one at least.
+    """
+    step = sample_time(record)
+    number = np.empty(record.time.size, dtype=np.int64)
+    first = 0
+    for part in segments(record):
+        samples = part.stop - part.start
+        count = max(round(samples * step / length), 1)
+        number[part] = first + np.arange(samples) * count // samples
+        first += count
+    return number
+
+
+def correlation_time(record: ForceRecord, values: FloatArray) -> float:
+    """Time over which a series forgets itself, s: the integral of its autocorrelation.
+
+    Up to where that first falls below a tenth; not below one sample time.
+    """
+    step = sample_time(record)
+    longest = max((part.stop - part.start for part in segments(record)), default=1)
+    size = 1 << (2 * longest - 1).bit_length()
+    power = np.zeros(size // 2 + 1)
+    for part in segments(record):
+        power += np.abs(np.fft.rfft(values[part] - values.mean(), size)) ** 2
+    correlation = np.fft.irfft(power)[:longest]
+    if correlation[0] <= 0:
+        return step
+    correlation = correlation / correlation[0]
+    below = np.flatnonzero(correlation < 0.1)
+    end = int(below[0]) if below.size else longest
+    return float(step * max(2 * correlation[:end].sum() - 1, 1.0))
+
+
+def signal_power(record: ForceRecord, mean_square: float) -> float:
+    """A mean square of the force less that of its noise; a fifth of it is always left."""
+    noise = float(np.mean(record.sd**2))
+    return mean_square - min(noise, _MOST_NOISE * mean_square)

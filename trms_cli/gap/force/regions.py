@@ -1,0 +1,281 @@
+"""Where in state space, and when, the missing force acts.
+
+Conditions are put in an engineer's words: "|alpha_h| > 0.5 rad", "tail rotor near standstill". One
+is reported where the force's energy (noise subtracted) gathers clearly more than time does. Whether
+that is chance is asked over blocks longer than the force remembers: under the null each block's
+surplus of energy is as likely negative as positive (wild bootstrap of its sign), and the largest
+surplus over all conditions together is compared, which corrects for how many were tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.gap.diagnosis import RegionShare
+from trms_cli.gap.force.record import (
+    BoolArray,
+    FloatArray,
+    ForceRecord,
+    blocks,
+    correlation_time,
+    sample_time,
+    thinned,
+)
+
+#: How many are told at most.
+MOST = 3
+#: Chance that a force without any region is given one.
+_FALSE_ALARM = 0.02
+_DRAWS = 600
+#: Length of a block in memories of the force, and how many there are at least.
+_BLOCK, _FEWEST_BLOCKS = 1.0, 10
+#: Hz. Regions are seconds wide.
+_RATE = 10.0
+#: Shares of time that a condition may hold over.
+_RAREST, _COMMONEST = 0.03, 0.75
+#: By how much, and how many times, the share of energy must exceed that of time.
+_EXCESS, _LIFT = 0.12, 1.3
+#: Energy of the force over its mean square below which nothing can be said.
+_LEAST_ENERGY = 0.2
+#: Part of a rotor's largest speed, or of the largest command, that counts as none.
+_STANDSTILL = 0.1
+_SYMBOL = {"pitch": "alpha_v", "yaw": "alpha_h"}
+_HIGH, _LOW = (0.5, 0.7, 0.85), (0.5, 0.3, 0.15)
+_ROUND = np.array([1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """A condition in words, the variable that it is about, and where it holds, (k,)."""
+
+    text: str
+    about: str
+    holds: BoolArray
+
+
+def regions(record: ForceRecord) -> tuple[RegionShare, ...]:
+    """The most telling regions of a missing force.
+
+    Parameters
+    ----------
+    record : ForceRecord
+
+    Returns
+    -------
+    tuple of RegionShare
+        At most :data:`MOST`, the most telling first: by what is learnt of the energy's
+        whereabouts (Kullback–Leibler divergence of its share from that of time).
+    """
+    record = thinned(record, _RATE)
+    energy = record.force**2 - record.sd**2
+    total = float(energy.sum())
+    if total <= _LEAST_ENERGY * float(np.sum(record.force**2)) or total <= 0:
+        return ()
+    conditions = [
+        condition
+        for condition in all_conditions(record)
+        if _RAREST <= condition.holds.mean() <= _COMMONEST
+    ]
+    if not conditions:
+        return ()
+    holds = np.array([condition.holds for condition in conditions], dtype=np.float64)
+    in_time = holds.mean(axis=1)
+    in_energy = np.clip(holds @ energy / total, 0.0, 1.0)
+    telling = _divergence(in_energy, in_time)
+    beyond_chance = _significant(record, energy, holds - in_time[:, None])
+    clear = beyond_chance & (in_energy > in_time + _EXCESS) & (in_energy > _LIFT * in_time)
+    chosen: list[int] = []
+    for i in np.argsort(-telling):
+        if len(chosen) < MOST and clear[i] and _adds(i, chosen, conditions, energy):
+            chosen.append(int(i))
+    return tuple(
+        RegionShare(
+            location=record.location, condition=conditions[i].text, share=float(in_energy[i])
+        )
+        for i in chosen
+    )
+
+
+def change_time(record: ForceRecord) -> float | None:
+    """When the strength of the force changed for good, s; None where nothing shows it.
+
+    The time that makes two constant variances most likely. It counts if time is among the regions:
+    the states that the rig visits change too, and a force of the state with them.
+    """
+    when = ("before t", "after t", "first third", "last third")
+    if not any(region.condition.startswith(when) for region in regions(record)):
+        return None
+    return _most_likely_change(thinned(record, _RATE))
+
+
+def all_conditions(record: ForceRecord) -> tuple[Condition, ...]:
+    """All conditions that are tried, thresholds at quantiles of the recording, rounded."""
+    found: list[Condition] = []
+    for axis, values in record.angles.items():
+        found += _about_an_angle(_SYMBOL[axis], axis, values)
+    for axis, values in record.rates.items():
+        found += _about_a_rate(axis, values)
+    for rotor, values in record.speeds.items():
+        found += _about_a_rotor(rotor, values)
+    for rotor, values in record.commands.items():
+        found += _about_a_command(rotor, values, record)
+    found += _about_time(record)
+    unique = {condition.text: condition for condition in found}
+    return tuple(unique.values())
+
+
+def rounded(value: float) -> float:
+    """To the nearest of 1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8 times a power of ten."""
+    if value == 0 or not np.isfinite(value):
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(abs(value)))
+    nearest = _ROUND[np.argmin(np.abs(np.log(_ROUND * power / abs(value))))]
+    return float(f"{np.sign(value) * nearest * power:.3g}")
+
+
+def _thresholds(values: FloatArray, quantiles: tuple[float, ...]) -> Iterator[float]:
+    for quantile in np.quantile(values, quantiles):
+        yield rounded(float(quantile))
+
+
+def _about_an_angle(symbol: str, axis: str, values: FloatArray) -> Iterator[Condition]:
+    about, size = f"{axis} angle", np.abs(values)
+    for at in _thresholds(size, _HIGH):
+        yield Condition(text=f"|{symbol}| > {at:g} rad", about=about, holds=size > at)
+    for at in _thresholds(size, _LOW[1:]):
+        yield Condition(text=f"|{symbol}| < {at:g} rad", about=about, holds=size < at)
+    low, high = ("beam low: ", "beam high: ") if axis == "pitch" else ("", "")
+    for at in _thresholds(values, _HIGH):
+        yield Condition(text=f"{high}{symbol} > {at:g} rad", about=about, holds=values > at)
+    for at in _thresholds(values, _LOW):
+        yield Condition(text=f"{low}{symbol} < {at:g} rad", about=about, holds=values < at)
+
+
+def _about_a_rate(axis: str, values: FloatArray) -> Iterator[Condition]:
+    about, size = f"{axis} rate", np.abs(values)
+    for at in _thresholds(size, _LOW):
+        text = f"{axis} rate near zero (|rate| < {at:g} rad/s)"
+        yield Condition(text=text, about=about, holds=size < at)
+    for at in _thresholds(size, _HIGH):
+        text = f"{axis} moving fast (|rate| > {at:g} rad/s)"
+        yield Condition(text=text, about=about, holds=size > at)
+    yield Condition(text=f"{axis} rate positive", about=about, holds=values > 0)
+    yield Condition(text=f"{axis} rate negative", about=about, holds=values < 0)
+
+
+def _about_a_rotor(rotor: str, values: FloatArray) -> Iterator[Condition]:
+    about, size = f"{rotor} rotor speed", np.abs(values)
+    still = rounded(_STANDSTILL * float(size.max(initial=0.0)))
+    text = f"{rotor} rotor near standstill (|speed| < {still:g} rad/s)"
+    yield Condition(text=text, about=about, holds=size < still)
+    yield Condition(
+        text=f"{rotor} rotor turning backwards", about=about, holds=values < -0.3 * still
+    )
+    yield Condition(text=f"{rotor} rotor turning forwards", about=about, holds=values > 0.3 * still)
+    for at in _thresholds(size, _HIGH):
+        text = f"{rotor} rotor fast (|speed| > {at:g} rad/s)"
+        yield Condition(text=text, about=about, holds=size > at)
+    for at in _thresholds(size, _LOW):
+        text = f"{rotor} rotor slow (|speed| < {at:g} rad/s)"
+        yield Condition(text=text, about=about, holds=size < at)
+
+
+def _about_a_command(rotor: str, values: FloatArray, record: ForceRecord) -> Iterator[Condition]:
+    about, size = f"{rotor} command", np.abs(values)
+    zero = rounded(_STANDSTILL * float(size.max(initial=0.0)))
+    text = f"{rotor} command near zero (|u| < {zero:g} V)"
+    yield Condition(text=text, about=about, holds=size < zero)
+    for at in _thresholds(size, _HIGH):
+        yield Condition(text=f"{rotor} command |u| > {at:g} V", about=about, holds=size > at)
+    # A step's effect on a slow force shows for about half a second.
+    ago = max(round(0.5 / sample_time(record)), 1)
+    changed = np.zeros(values.size)
+    changed[ago:] = np.abs(values[ago:] - values[:-ago])
+    for at in _thresholds(changed, _HIGH[1:]):
+        text = f"{rotor} command changing (by over {at:g} V in 0.5 s)"
+        yield Condition(text=text, about=f"change of the {rotor} command", holds=changed > at)
+
+
+def _about_time(record: ForceRecord) -> Iterator[Condition]:
+    numbers = np.unique(record.recording)
+    if numbers.size > 1:
+        for number in numbers:
+            text = f"recording {number + 1}"
+            yield Condition(text=text, about="time", holds=record.recording == number)
+        return
+    start, end = float(record.time[0]), float(record.time[-1])
+    third = (end - start) / 3
+    first, last = record.time < start + third, record.time > end - third
+    yield Condition(text="first third of the recording", about="time", holds=first)
+    yield Condition(text="last third of the recording", about="time", holds=last)
+    change = _most_likely_change(record)
+    # The grid stands for the search; only the time that was found is put in words.
+    for after in _after(record):
+        yield after
+        text = after.text.replace("after", "before")
+        yield Condition(text=text, about="time", holds=~after.holds)
+    later = record.time >= change
+    yield Condition(text=f"after t = {change:g} s", about="time", holds=later)
+    yield Condition(text=f"before t = {change:g} s", about="time", holds=~later)
+
+
+def _after(record: ForceRecord) -> Iterator[Condition]:
+    for at in np.linspace(record.time[0], record.time[-1], 22)[2:-2]:
+        text = f"after t = {round(float(at)):g} s"
+        yield Condition(text=text, about="time", holds=record.time >= round(float(at)))
+
+
+def _most_likely_change(record: ForceRecord) -> float:
+    """Time of the one change of variance that is most likely, s, to three digits."""
+    square = record.force**2
+    samples = square.size
+    count = np.arange(1, samples)
+    before = np.cumsum(square)[:-1]
+    after = max(float(square.sum()), 1e-300) - before
+    floor = 1e-12 * float(square.mean()) + 1e-300
+    cost = count * np.log(before / count + floor)
+    cost += (samples - count) * np.log(np.maximum(after, 0.0) / (samples - count) + floor)
+    margin = max(samples // 20, 1)
+    at = margin + int(np.argmin(cost[margin:-margin])) if samples > 3 * margin else samples // 2
+    return float(f"{record.time[at]:.3g}")
+
+
+def _adds(i: int, chosen: list[int], conditions: list[Condition], energy: FloatArray) -> bool:
+    """Whether a condition gathers energy within each of the chosen ones too, and is about more."""
+    new = conditions[i]
+    for j in chosen:
+        old = conditions[j]
+        if new.about == old.about:
+            return False
+        in_time = float(new.holds[old.holds].mean())
+        in_energy = float(energy[new.holds & old.holds].sum() / energy[old.holds].sum())
+        if in_energy < max(in_time + _EXCESS, _LIFT * in_time):
+            return False
+    return True
+
+
+def _divergence(share: FloatArray, time: FloatArray) -> FloatArray:
+    def part(p: FloatArray, q: FloatArray) -> FloatArray:
+        return np.where(p > 0, p * np.log(np.maximum(p, 1e-12) / np.maximum(q, 1e-12)), 0.0)
+
+    return part(share, time) + part(1 - share, 1 - time)
+
+
+def _significant(record: ForceRecord, energy: FloatArray, surplus: FloatArray) -> BoolArray:
+    """Which rows of ``surplus`` (condition less its share of time) gather energy beyond chance."""
+    # Of the signed force: the energy of one that acts in half of the recording remembers for ever.
+    memory = correlation_time(record, record.force)
+    duration = record.time.size * sample_time(record)
+    length = min(max(1.0, _BLOCK * memory), duration / _FEWEST_BLOCKS)
+    number = blocks(record, length)
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    sums = np.add.reduceat(surplus * energy, first, axis=1)
+    scale = np.sqrt(np.sum(sums**2, axis=1)) + 1e-300
+    sums = sums / scale[:, None]
+    sign = np.random.default_rng(0).choice([-1.0, 1.0], size=(_DRAWS, sums.shape[1]))
+    largest = np.max(sign @ sums.T, axis=1)
+    found: BoolArray = sums.sum(axis=1) > np.quantile(largest, 1 - _FALSE_ALARM)
+    return found
