@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trms_cli.gap.force.held_out import held_out_errors
+from trms_cli.gap.force.held_out import PENALTIES, held_out_errors
 from trms_cli.gap.force.record import (
     BoolArray,
     FloatArray,
@@ -33,12 +33,13 @@ from trms_cli.gap.force.record import (
 from trms_cli.gap.force.response import Response, fitted_response
 
 #: Hz, of the regression, and s, of a held-out block.
-_RATE, _BLOCK = 8.0, 10.0
+_RATE, _BLOCK = 6.0, 10.0
 #: s, of the past that the force may depend on.
 _PAST = 0.3
-_SURROGATES = 59
-_RANDOM_FEATURES = 96
+_SURROGATES = 39
+_RANDOM_FEATURES = 64
 _BUMPS = 7
+_MIDDLE = PENALTIES[1:2]
 #: Samples below which nothing is asked.
 _FEWEST = 80
 #: Ridge penalty of the law that is put in place of the force, relative to the number of samples.
@@ -118,23 +119,19 @@ def exogenous(record: ForceRecord, seed: int = 0) -> Exogenous:
 def _independent_motion(record: ForceRecord, block: IntArray) -> dict[str, FloatArray]:
     """The motion as far as it does not come of a force from outside, by variable."""
     response = fitted_response(record)
-    undisturbed = response.undisturbed()
-    motion = np.empty_like(undisturbed)
     half = block % 2
-    for number in (0, 1):
-        law = _law(response, half != number)
-        motion[half == number] = response.governed(undisturbed, law)[half == number]
+    laws = [_law(response, half != number) for number in (0, 1)]
+    motion = response.governed(
+        response.undisturbed(), lambda i, state: laws[half[i]](state)
+    )
     return {name: motion[:, i] for i, name in enumerate(record.variables)}
 
 
 def _law(response: Response, rows: BoolArray) -> Callable[[FloatArray], float]:
     """A sum of smooth functions of one variable each that fits the force at these samples."""
     motion, force = response.motion, response.record.force
-    low, high = np.quantile(force, (0.005, 0.995))
-    grids = [np.linspace(*np.quantile(v, (0.002, 0.998)), _POINTS) for v in motion.T]
-    columns = [
-        _smooth(v, v, name) for name, v in zip(response.record.variables, motion.T, strict=True)
-    ]
+    names = list(response.record.variables)
+    columns = [_smooth(v, v, name) for name, v in zip(names, motion.T, strict=True)]
     phi = np.column_stack(columns)
     mean, spread = phi.mean(axis=0), phi.std(axis=0) + 1e-12
     phi = (phi - mean) / spread
@@ -142,16 +139,26 @@ def _law(response: Response, rows: BoolArray) -> Callable[[FloatArray], float]:
     gram = phi[rows].T @ phi[rows] + _PENALTY * rows.sum() * np.eye(phi.shape[1])
     weights = np.linalg.solve(gram, phi[rows].T @ (force[rows] - offset)) / spread
     offset -= float(mean @ weights)
-    tables, first = [], 0
-    for name, v, grid, own in zip(
-        response.record.variables, motion.T, grids, columns, strict=True
-    ):
-        tables.append(_smooth(grid, v, name) @ weights[first : first + own.shape[1]])
-        first += own.shape[1]
+    # Tabulated over each variable's range, since it is asked sample after sample.
+    first, last = np.quantile(motion, (0.002, 0.998), axis=0)
+    grids = np.linspace(first, last, _POINTS)
+    ends = np.cumsum([own.shape[1] for own in columns])
+    tables = np.array(
+        [
+            _smooth(grids[:, i], motion[:, i], name) @ weights[end - columns[i].shape[1] : end]
+            for i, (name, end) in enumerate(zip(names, ends, strict=True))
+        ]
+    )
+    per_point = (_POINTS - 1) / (last - first + 1e-12)
+    each = np.arange(len(names))
+    low, high = np.quantile(force, (0.005, 0.995))
 
     def law(state: FloatArray) -> float:
-        parts = [np.interp(x, g, t) for x, g, t in zip(state, grids, tables, strict=True)]
-        return float(min(max(offset + sum(parts), low), high))
+        place = np.minimum(np.maximum((state - first) * per_point, 0.0), _POINTS - 1.001)
+        point = place.astype(np.int64)
+        left = tables[each, point]
+        parts = left + (tables[each, point + 1] - left) * (place - point)
+        return float(min(max(offset + parts.sum(), low), high))
 
     return law
 
@@ -236,7 +243,7 @@ def _telling(
         return ()
     total = float(np.sum((force - force.mean()) ** 2))
     alone = {
-        name: (1 - float(held_out_errors(columns, force, block).sum()) / total) * beyond_noise
+        name: (1 - float(held_out_errors(columns, force, block, penalties=_MIDDLE).sum()) / total) * beyond_noise
         for name, columns in single.items()
     }
     ranked = sorted(alone, key=lambda name: -alone[name])

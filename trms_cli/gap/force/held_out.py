@@ -12,10 +12,15 @@ import numpy as np
 from trms_cli.gap.force.record import FloatArray, IntArray
 
 #: Ridge penalties, relative to the number of samples; features have unit variance.
-_PENALTIES = (1e-3, 1e-2, 1e-1)
+PENALTIES = (1e-3, 1e-2, 1e-1)
 
 
-def held_out_errors(features: FloatArray, targets: FloatArray, block: IntArray) -> FloatArray:
+def held_out_errors(
+    features: FloatArray,
+    targets: FloatArray,
+    block: IntArray,
+    penalties: tuple[float, ...] = PENALTIES,
+) -> FloatArray:
     """Squared errors by block of the ridge regression that does best over all blocks.
 
     Parameters
@@ -25,6 +30,8 @@ def held_out_errors(features: FloatArray, targets: FloatArray, block: IntArray) 
         Each with the penalty that suits it best.
     block : (k,) array of int
         Rising numbers; each block is left out once.
+    penalties : tuple of float
+        To choose from.
 
     Returns
     -------
@@ -40,7 +47,7 @@ def held_out_errors(features: FloatArray, targets: FloatArray, block: IntArray) 
     turned = phi @ directions
     inner = turned.T @ y
     best = np.empty((0, 0))
-    for penalty in _PENALTIES:
+    for penalty in penalties:
         weight = 1.0 / (np.maximum(power, 0.0) + penalty * block.size)
         residual = y - turned @ (weight[:, None] * inner)
         errors = np.empty((len(edges) - 1, y.shape[1]))

@@ -52,9 +52,11 @@ class Response:
         middle = np.append(force[:-1] / 2 + force[1:] / 2, 0.0)
         return self.motion - self._response(lambda i, _: middle[i])
 
-    def governed(self, undisturbed: FloatArray, law: Callable[[FloatArray], float]) -> FloatArray:
-        """The motion, (k, n), if the force followed a law of the variables, (n,) to a force."""
-        return undisturbed + self._response(lambda i, now: law(undisturbed[i] + now))
+    def governed(
+        self, undisturbed: FloatArray, law: Callable[[int, FloatArray], float]
+    ) -> FloatArray:
+        """The motion, (k, n), if the force followed a law of sample and variables, (n,)."""
+        return undisturbed + self._response(lambda i, now: law(i, undisturbed[i] + now))
 
     def _response(self, force: Callable[[int, FloatArray], float]) -> FloatArray:
         limit = _LARGEST * self.motion.std(axis=0)

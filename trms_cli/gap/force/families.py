@@ -1,0 +1,327 @@
+"""Families of laws that a missing force may follow, each as a few columns of a regression.
+
+A family is the form of an effect without its size: ``rate·|rate|`` for quadratic damping. What
+enters nonlinearly, such as the width of a dead zone, is spread over a few columns. The nuisance
+columns are what a refit of nominal parameters bends: it takes its part of a force with it, and
+only the rest of a law may be left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from trms_cli.gap.force.record import FloatArray, ForceRecord, sample_time, segments
+
+Columns = list[FloatArray]
+
+#: Parts of a rate's or a speed's spread within which its sign turns.
+_SHARP = (0.03, 0.15)
+#: rad/s, of the Stribeck range.
+_STRIBECK = (0.03, 0.1)
+#: rad, of travel after a reversal.
+_WIDTHS = (0.05, 0.1, 0.2, 0.35)
+#: s, of delays and lags.
+_DELAYS = (0.03, 0.1, 0.3)
+#: s, of the warming of a drive; zero sags at once.
+_WARMING = (0.0, 3.0, 15.0, 60.0, 300.0)
+#: Parts of the largest command.
+_DEAD = (0.01, 0.025, 0.05, 0.1)
+#: Heights of the cushion over the arm, and sin of the pitch at the table.
+_CUSHIONS, _TABLE = (0.12, 0.3, 0.8), -0.6
+#: s, of a rotor whose speed is not known, and of one between a command and a thrust.
+_ROTORS = (0.2, 0.8)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A force record as the families see it: its own axis, its rotor, the other ones."""
+
+    record: ForceRecord
+
+    @property
+    def axis(self) -> str:
+        return self.record.axis
+
+    @property
+    def rotor(self) -> str:
+        return "main" if self.axis == "pitch" else "tail"
+
+    @property
+    def other_rotor(self) -> str:
+        return "tail" if self.axis == "pitch" else "main"
+
+    @property
+    def other_axis(self) -> str:
+        return "yaw" if self.axis == "pitch" else "pitch"
+
+    @property
+    def one(self) -> FloatArray:
+        return np.ones_like(self.record.force)
+
+    def angle(self, axis: str) -> Columns:
+        """The angle of an axis, or nothing."""
+        return [self.record.angles[axis]] if axis in self.record.angles else []
+
+    def rate(self, axis: str) -> Columns:
+        """The rate of an axis, from its angle if need be, or nothing."""
+        if axis in self.record.rates:
+            return [self.record.rates[axis]]
+        return [self.slope(angle) for angle in self.angle(axis)]
+
+    def command(self, rotor: str) -> Columns:
+        return [self.record.commands[rotor]] if rotor in self.record.commands else []
+
+    def speeds(self, rotor: str) -> Columns:
+        """The speed of a rotor; in its stead the command after lags that rotors have."""
+        if rotor in self.record.speeds:
+            return [self.record.speeds[rotor]]
+        return [self.lagged(u, time) for u in self.command(rotor) for time in _ROTORS]
+
+    @property
+    def cosine(self) -> FloatArray:
+        pitch = self.angle("pitch")
+        return np.cos(pitch[0]) if pitch else self.one
+
+    @property
+    def sine(self) -> FloatArray:
+        pitch = self.angle("pitch")
+        return np.sin(pitch[0]) if pitch else 0 * self.one
+
+    @cached_property
+    def step(self) -> float:
+        return sample_time(self.record)
+
+    def slope(self, values: FloatArray) -> FloatArray:
+        """Derivative by time, within stretches."""
+        result = np.zeros_like(values)
+        for part in segments(self.record):
+            if part.stop - part.start > 1:
+                result[part] = np.gradient(values[part], self.step)
+        return result
+
+    def lagged(self, values: FloatArray, time: float) -> FloatArray:
+        """Values after a first-order lag, each stretch from its first value."""
+        from scipy.signal import lfilter
+
+        keep = float(np.exp(-self.step / time))
+        result = np.empty_like(values)
+        for part in segments(self.record):
+            start = np.array([keep * values[part.start]])
+            result[part], _ = lfilter([1 - keep], [1, -keep], values[part], zi=start)
+        return result
+
+
+def _sign(values: FloatArray, widths: tuple[float, ...] = _SHARP) -> Columns:
+    spread = float(np.sqrt(np.mean(values**2))) + 1e-12
+    return [np.tanh(values / (width * spread)) for width in widths]
+
+
+def _constant(at: Seen) -> Columns:
+    return [at.one]
+
+
+def _sign_of_rate(at: Seen) -> Columns:
+    return [column for rate in at.rate(at.axis) for column in _sign(rate)]
+
+
+def _rest(at: Seen) -> Columns:
+    """At rest friction holds against whatever drives: thrust, cable, weight."""
+    columns: Columns = []
+    for rate in at.rate(at.axis):
+        resting = np.exp(-((rate / (_SHARP[1] * float(rate.std()) + 1e-12)) ** 2))
+        drives = [speed * np.abs(speed) for speed in at.speeds(at.rotor)]
+        drives += at.angle(at.axis) if at.axis == "yaw" else [at.sine, at.cosine]
+        columns += [resting * (drive - drive.mean()) for drive in drives]
+    return columns
+
+
+def _stribeck(at: Seen) -> Columns:
+    return [
+        np.tanh(rate / (0.3 * width)) * np.exp(-((rate / width) ** 2))
+        for rate in at.rate(at.axis)
+        for width in _STRIBECK
+    ]
+
+
+def _quadratic(at: Seen) -> Columns:
+    return [rate * np.abs(rate) for rate in at.rate(at.axis)]
+
+
+def _linear_stiffness(at: Seen) -> Columns:
+    return at.angle(at.axis)
+
+
+def _cubic_stiffness(at: Seen) -> Columns:
+    return [angle**3 for angle in at.angle(at.axis)]
+
+
+def _hysteresis(at: Seen) -> Columns:
+    return [column for angle in at.angle(at.axis) for column in hysteresis(at.record, angle)]
+
+
+def hysteresis(record: ForceRecord, angle: FloatArray) -> Columns:
+    """Memory of the travel, Bouc–Wen with β = 1/2 and n = 1, for some widths."""
+    width = np.array(_WIDTHS)
+    travel = np.diff(angle, prepend=angle[0])
+    for part in segments(record):
+        travel[part.start] = 0.0
+    # Loading bends towards ±1, unloading is straight: exact over a step of one direction.
+    bent = 1 - np.exp(-np.abs(travel)[:, None] / width)
+    straight = travel[:, None] / width
+    sign = np.sign(travel)
+    memory = np.empty((angle.size, width.size))
+    now = np.zeros(width.size)
+    for i in range(angle.size):
+        loading = now * sign[i] >= 0
+        now = np.where(loading, now + (sign[i] - now) * bent[i], now + straight[i])
+        memory[i] = now
+    return list(memory.T)
+
+
+def _imbalance(at: Seen) -> Columns:
+    return [at.cosine, at.sine] if at.angle("pitch") else []
+
+
+def _inertia(at: Seen) -> Columns:
+    return [at.slope(rate) for rate in at.rate(at.axis)]
+
+
+def _reaction(at: Seen) -> Columns:
+    """Drag and acceleration of the other axis's rotor."""
+    lever = at.cosine if at.axis == "yaw" else at.one
+    columns: Columns = []
+    for speed in at.speeds(at.other_rotor):
+        columns += [lever * speed * np.abs(speed), lever * at.slope(speed)]
+    return columns
+
+
+def _gyroscopic(at: Seen) -> Columns:
+    return [
+        speed * rate * lever
+        for speed in at.speeds("main")
+        for rate in at.rate(at.other_axis)
+        for lever in (at.sine, at.cosine)
+    ]
+
+
+def _inflow(at: Seen) -> Columns:
+    return [np.abs(speed) * rate for speed in at.speeds(at.rotor) for rate in at.rate(at.axis)]
+
+
+def _thrust(at: Seen) -> Columns:
+    lever = at.cosine if at.axis == "yaw" and at.record.location.endswith("moment") else at.one
+    return [lever * speed * np.abs(speed) for speed in at.speeds(at.rotor)]
+
+
+def _thrust_exponent(at: Seen) -> Columns:
+    columns: Columns = []
+    for speed, thrust in zip(at.speeds(at.rotor), _thrust(at), strict=True):
+        largest = float(np.abs(speed).max()) + 1e-12
+        columns.append(thrust * np.log(np.maximum(np.abs(speed) / largest, 1e-3)))
+    return columns
+
+
+def _reverse_thrust(at: Seen) -> Columns:
+    return [
+        thrust * (speed < 0) for speed, thrust in zip(at.speeds(at.rotor), _thrust(at), strict=True)
+    ]
+
+
+def _near_table(at: Seen) -> Columns:
+    if at.axis != "pitch":
+        return []
+    return [
+        np.maximum(thrust, 0) * np.exp(-(at.sine - _TABLE) / cushion)
+        for thrust in _thrust(at)
+        for cushion in _CUSHIONS
+    ]
+
+
+def _rotor_friction(at: Seen) -> Columns:
+    return [column for speed in at.speeds(at.rotor) for column in _sign(speed)]
+
+
+def _dead_zone(at: Seen) -> Columns:
+    columns: Columns = []
+    for u in at.command(at.rotor):
+        widths = [part * float(np.abs(u).max()) for part in _DEAD]
+        columns += [np.clip(u, -width, width) for width in widths]
+    return _downstream(at, columns)
+
+
+def _input_change(at: Seen) -> Columns:
+    columns = [u - at.lagged(u, time) for u in at.command(at.rotor) for time in _DELAYS]
+    return _downstream(at, columns)
+
+
+def _derating(at: Seen) -> Columns:
+    columns: Columns = []
+    for u in at.command(at.rotor):
+        load = (u / (float(np.abs(u).max()) + 1e-12)) ** 2
+        columns += [u * (at.lagged(load, time) if time else load) for time in _WARMING]
+        columns.append(u * (at.record.time - at.record.time.mean()))
+    return _downstream(at, columns)
+
+
+def _downstream(at: Seen, columns: Columns) -> Columns:
+    """What volts before the motor are in the thrust: after the rotor's lag, times its speed."""
+    if at.record.location.endswith(("actuator", "motor")):
+        return columns
+    speed = at.speeds(at.rotor)
+    if not speed:
+        return []
+    return [np.abs(speed[-1]) * at.lagged(column, time) for column in columns for time in _ROTORS]
+
+
+def _spin_up(at: Seen) -> Columns:
+    return [at.lagged(at.slope(speed), 0.05) for speed in at.speeds(at.rotor)]
+
+
+def _motion(at: Seen) -> Columns:
+    """What a late angle lacks."""
+    return [c for rate in at.rate(at.axis) for c in (rate, at.slope(rate), at.lagged(rate, 0.1))]
+
+
+#: The families by name.
+FAMILIES: dict[str, Callable[[Seen], Columns]] = {
+    "constant": _constant,
+    "sign_of_rate": _sign_of_rate,
+    "rest": _rest,
+    "stribeck": _stribeck,
+    "quadratic_damping": _quadratic,
+    "stiffness": _linear_stiffness,
+    "cubic_stiffness": _cubic_stiffness,
+    "hysteresis": _hysteresis,
+    "imbalance": _imbalance,
+    "inertia": _inertia,
+    "reaction": _reaction,
+    "gyroscopic": _gyroscopic,
+    "inflow": _inflow,
+    "thrust": _thrust,
+    "thrust_exponent": _thrust_exponent,
+    "reverse_thrust": _reverse_thrust,
+    "near_table": _near_table,
+    "rotor_friction": _rotor_friction,
+    "dead_zone": _dead_zone,
+    "input_change": _input_change,
+    "derating": _derating,
+    "spin_up": _spin_up,
+    "motion": _motion,
+}
+
+
+def nuisance(at: Seen) -> FloatArray:
+    """Columns that a refit of nominal parameters bends, (k, p)."""
+    columns = [at.one, *at.angle(at.axis), *at.rate(at.axis)]
+    if at.axis == "pitch":
+        columns += [at.sine, at.cosine]
+    for rotor in ("main", "tail"):
+        columns += [speed * np.abs(speed) for speed in at.speeds(rotor)]
+        columns += at.speeds(rotor) if rotor == at.rotor else []
+    if at.record.location.endswith(("actuator", "motor")):
+        columns += at.command(at.rotor)
+    return np.column_stack(columns)
