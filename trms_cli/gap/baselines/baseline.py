@@ -1,0 +1,120 @@
+"""What a baseline is, and what all of them share: the parts of the data, the form of an answer."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+import trms_cli
+from trms_cli.gap.baselines.shrinkage import Measured
+from trms_cli.gap.candidates import Suspect
+from trms_cli.gap.diagnosis import (
+    Cause,
+    Diagnosis,
+    FittedParameter,
+    LocationShare,
+    Recorded,
+    Verdict,
+)
+from trms_cli.gap.free_runs import Span
+from trms_cli.gap.problem import GapProblem
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import names
+
+
+@runtime_checkable
+class Baseline(Protocol):
+    """Another way to diagnose."""
+
+    name: ClassVar[str]
+
+    def answer(self, problem: GapProblem) -> Diagnosis:
+        """Diagnose; the same problem and seed give the same answer."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """What is fitted, and what is only looked at in the end.
+
+    Attributes
+    ----------
+    fitted : tuple of Dataset
+    sealed : tuple of (dataset, first, last)
+        Spans of samples of the problem's recordings.
+    """
+
+    fitted: tuple[Dataset, ...]
+    sealed: tuple[Span, ...]
+
+
+def split(problem: GapProblem) -> Split:
+    """The end of each recording is sealed: its share in whole blocks, where there are enough."""
+    fitted, sealed = [], []
+    for number, dataset in enumerate(problem.datasets):
+        block = max(1, round(problem.block / dataset.sample_time))
+        samples = round(problem.sealed_share * len(dataset))
+        if len(dataset) >= 4 * block:
+            samples = max(1, round(samples / block)) * block
+        samples = int(np.clip(samples, 1, len(dataset) - 1))
+        fitted.append(dataset.part(0, len(dataset) - samples))
+        sealed.append((number, len(dataset) - samples, len(dataset)))
+    return Split(tuple(fitted), tuple(sealed))
+
+
+def diagnosis(
+    problem: GapProblem,
+    verdict: Verdict,
+    causes: Sequence[Cause],
+    measured: Measured,
+    *,
+    where: Sequence[LocationShare] = (),
+    parameters: Mapping[str, FittedParameter] | None = None,
+    sentence: str = "",
+    description: Sequence[str] = (),
+    seconds: Mapping[str, float] | None = None,
+) -> Diagnosis:
+    """An answer; what is not given is left empty."""
+    return Diagnosis(
+        recordings=tuple(
+            Recorded(
+                file=d.source,
+                sha256=d.sha256,
+                duration_s=d.duration,
+                sample_time_s=d.sample_time,
+                channels=names(d.outputs),
+            )
+            for d in problem.datasets
+        ),
+        model=problem.model_name,
+        seed=problem.seed,
+        versions={"trms": trms_cli.__version__, "python": platform.python_version()},
+        verdict=verdict,
+        where=tuple(where),
+        region=(),
+        causes=tuple(causes),
+        confusable=(),
+        not_testable=(),
+        detectable={},
+        parameters=parameters or {},
+        gap=measured.gap,
+        shrink=measured.shrink,
+        next_experiment=None,
+        sentence=sentence,
+        description=tuple(description),
+        warnings=problem.warnings,
+        worse=measured.worse,
+        effort=problem.effort,
+        seconds=seconds or {},
+    )
+
+
+def places(suspects: Sequence[Suspect], share: float) -> tuple[LocationShare, ...]:
+    """Where named effects act, each with an equal part of a share of the gap."""
+    named = list(dict.fromkeys(place for suspect in suspects for place in suspect.locations))
+    return tuple(
+        LocationShare(location=p, share=share / len(named), ci95=(0.0, 1.0)) for p in named
+    )

@@ -1,0 +1,127 @@
+"""Fits of the nominal parameters, alone and with effects, that the baselines share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trms_cli.gap.baselines.baseline import Split
+from trms_cli.gap.candidates import Suspect, joint
+from trms_cli.gap.diagnosis import FittedParameter, SizeEstimate
+from trms_cli.gap.problem import GapProblem
+from trms_cli.identification.dataset import FloatArray
+from trms_cli.identification.judgement import with_values
+from trms_cli.identification.method import Unwatched
+from trms_cli.identification.multiple_shooting import MultipleShooting
+from trms_cli.identification.problem import PRIORS, FitProblem, FreeParameter, free_parameters
+from trms_cli.models.model import Model
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    model : Model
+        With the fitted values.
+    free : tuple of FreeParameter
+    theta, sd : (n_f,) arrays
+        Their values and standard deviations.
+    """
+
+    model: Model
+    free: tuple[FreeParameter, ...]
+    theta: FloatArray
+    sd: FloatArray
+
+    @property
+    def values(self) -> dict[str, float]:
+        """By name."""
+        return {p.name: float(v) for p, v in zip(self.free, self.theta, strict=True)}
+
+    def nominal(self) -> dict[str, FittedParameter]:
+        """The nominal parameters as a diagnosis tells them."""
+        return {
+            p.name: FittedParameter(
+                prior=p.prior_mean,
+                fitted=float(value),
+                sd=float(sd),
+                unit=p.unit,
+                moved=float(abs(value - p.prior_mean) / p.scale),
+            )
+            for p, value, sd in zip(self.free, self.theta, self.sd, strict=True)
+            if not is_size(p.name)
+        }
+
+    def sizes(self) -> dict[str, SizeEstimate]:
+        """Sizes of the effects as a diagnosis tells them."""
+        return {
+            p.name: SizeEstimate(value=float(value), sd=float(sd), unit=p.unit)
+            for p, value, sd in zip(self.free, self.theta, self.sd, strict=True)
+            if is_size(p.name)
+        }
+
+
+def is_size(name: str) -> bool:
+    """Whether a parameter is an effect's."""
+    return "." in name
+
+
+def nominal_free(model: Model) -> tuple[FreeParameter, ...]:
+    """All that has a prior; empty for a model without."""
+    if all(p.prior_sd is None for p in model.parameters):
+        return ()
+    return free_parameters(model.parameters, [PRIORS])
+
+
+def fit_problem(
+    problem: GapProblem,
+    parts: Split,
+    chosen: Sequence[Suspect] = (),
+    starts: Mapping[str, float] | None = None,
+    **settings: object,
+) -> FitProblem:
+    """The nominal parameters and the sizes of some effects, to be fitted together.
+
+    Parameters
+    ----------
+    chosen : sequence of Suspect
+    starts : dict of str to float or None
+        Where a search begins instead of at the prior's centre or the typical size.
+    """
+    model = with_values(joint(problem.model, chosen), starts or {})
+    priors = {p.name: p for p in nominal_free(problem.model)}
+    priors |= {p.name: p for suspect in chosen for p in suspect.free}
+    free = tuple(_started(priors[p.name], p.value) for p in model.parameters if p.name in priors)
+    return FitProblem(
+        model=model,
+        datasets=parts.fitted,
+        free=free,
+        window_length=problem.block,
+        seed=problem.seed,
+        jobs=problem.jobs,
+        **settings,  # type: ignore[arg-type]
+    )
+
+
+def map_fit(asked: FitProblem, starts: int = 2) -> Fit:
+    """Maximum a posteriori by multiple shooting from several starts."""
+    if not asked.free:
+        return Fit(asked.model, (), np.zeros(0), np.zeros(0))
+    found = MultipleShooting(starts=starts).fit(asked, Unwatched())
+    n = len(asked.free)
+    covariance = np.full((n, n), np.nan) if found.covariance is None else found.covariance
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return Fit(with_values(asked.model, found.values), asked.free, found.theta, sd)
+
+
+def refit(problem: GapProblem, parts: Split) -> Fit:
+    """The nominal parameters alone."""
+    return map_fit(fit_problem(problem, parts))
+
+
+def _started(parameter: FreeParameter, value: float) -> FreeParameter:
+    return replace(parameter, start=float(np.clip(value, parameter.lower, parameter.upper)))

@@ -1,0 +1,36 @@
+"""The parameters did it: a refit within the priors, and nothing else."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import ClassVar
+
+from trms_cli.gap.baselines.baseline import diagnosis, split
+from trms_cli.gap.baselines.fits import refit
+from trms_cli.gap.baselines.shrinkage import measure
+from trms_cli.gap.diagnosis import Cause, Diagnosis
+from trms_cli.gap.problem import GapProblem
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterRefit:
+    """Maximum a posteriori fit of the nominal parameters; there is never an effect."""
+
+    name: ClassVar[str] = "parameter_refit"
+
+    def answer(self, problem: GapProblem) -> Diagnosis:
+        """See :class:`~trms_cli.gap.baselines.baseline.Baseline`."""
+        begun = time.perf_counter()
+        parts = split(problem)
+        fit = refit(problem, parts)
+        measured = measure(problem, parts.sealed, problem.model, fit.model, fit.model)
+        return diagnosis(
+            problem,
+            "parameters_only",
+            [Cause(effects=("parameters_only",), probability=1.0)],
+            measured,
+            parameters=fit.nominal(),
+            sentence="The nominal parameters were refitted; nothing else was considered.",
+            seconds={"all": time.perf_counter() - begun},
+        )

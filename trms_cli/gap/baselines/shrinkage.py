@@ -1,0 +1,124 @@
+"""How far a gap shrank on the sealed part, with intervals over resampled blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.gap.diagnosis import Gap, Shrink
+from trms_cli.gap.free_runs import Errors, Span, expected_errors, free_run_errors
+from trms_cli.gap.problem import GapProblem
+from trms_cli.identification.dataset import FloatArray, IntArray
+from trms_cli.models.model import Model
+
+#: Resamples of blocks, and how far a refit has to stand above the floor for a gap to shrink.
+_RESAMPLES, _LEAST_GAP = 400, 1.05
+#: A channel that loses more than this of its error is worse.
+_WORSE = 1.02
+#: s. The horizon at which a channel is judged worse.
+_TOLD_AT = 2.0
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Fields of a diagnosis that say how far.
+
+    Attributes
+    ----------
+    gap : dict of str to dict of str to Gap
+        By channel and horizon.
+    shrink : dict of str to dict of str to Shrink
+        By channel, and ``all``, and horizon.
+    worse : tuple of str
+        Channels that the correction made worse at 2 s.
+    """
+
+    gap: Mapping[str, Mapping[str, Gap]]
+    shrink: Mapping[str, Mapping[str, Shrink]]
+    worse: tuple[str, ...]
+
+
+def measure(
+    problem: GapProblem, sealed: Sequence[Span], raw: Model, refit: Model, corrected: Model
+) -> Measured:
+    """Free runs of three models on the sealed part.
+
+    The floor is what the corrected model would leave of its own simulation, seen through the
+    declared noise.
+    """
+    options = {"block": problem.block, "jobs": problem.jobs}
+
+    def runs(model: Model) -> Errors:
+        return free_run_errors(model, problem.datasets, sealed, **options)  # type: ignore[arg-type]
+
+    before, after = runs(refit), runs(refit)
+    if corrected is not refit:
+        after = runs(corrected)
+    errors = {"raw": runs(raw), "refit": before, "corrected": after}
+    right = expected_errors(
+        corrected,
+        problem.datasets,
+        sealed,
+        seed=problem.seed,
+        **options,  # type: ignore[arg-type]
+    )
+    units = {s.name: s.unit for d in problem.datasets for s in d.outputs}
+    gap: dict[str, dict[str, Gap]] = {}
+    shrink: dict[str, dict[str, Shrink]] = {}
+    pooled: dict[str, list[tuple[FloatArray, IntArray]]] = {}
+    for channel, by_horizon in before.items():
+        for horizon, reference in by_horizon.items():
+            key = repr(float(horizon))
+            floor = right[channel][horizon].rms
+            figures = {name: e[channel][horizon].rms for name, e in errors.items()}
+            gap.setdefault(channel, {})[key] = Gap(**figures, floor=floor, unit=units[channel])
+            squares = np.stack([reference.squared, after[channel][horizon].squared])
+            pooled.setdefault(key, []).append((squares / floor**2, reference.block))
+            shrunk = _shrink(squares / floor**2, reference.block, problem.seed)
+            shrink.setdefault(channel, {})[key] = shrunk
+    shrink[ALL] = {key: _pooled(parts, problem.seed) for key, parts in pooled.items()}
+    told = repr(_TOLD_AT)
+    worse = tuple(
+        channel
+        for channel, table in gap.items()
+        if told in table and table[told].corrected > _WORSE * table[told].refit
+    )
+    return Measured(gap, shrink, worse)
+
+
+def _shrink(squares: FloatArray, block: IntArray, seed: int) -> Shrink:
+    """Of one channel; squares (2, m) before and after, in floors squared."""
+    return _pooled([(squares, block)], seed)
+
+
+def _pooled(parts: Sequence[tuple[FloatArray, IntArray]], seed: int) -> Shrink:
+    """Of channels together, each in units of its floor, blocks resampled in all at once."""
+    blocks = np.unique(np.concatenate([block for _, block in parts]))
+    sums = np.zeros((len(parts), len(blocks), 2))
+    counts = np.zeros((len(parts), len(blocks)))
+    for i, (squares, block) in enumerate(parts):
+        at = np.searchsorted(blocks, block)
+        counts[i] = np.bincount(at, minlength=len(blocks))
+        for k in range(2):
+            sums[i, :, k] = np.bincount(at, squares[k], len(blocks))
+
+    def fraction(weights: FloatArray) -> float:
+        with np.errstate(all="ignore"):
+            means = (weights @ sums) / (counts @ weights)[:, None]
+            refit, corrected = np.sqrt(np.mean(means, axis=0))
+            return float(1 - (corrected - 1) / (refit - 1)) if refit > _LEAST_GAP else np.nan
+
+    whole = fraction(np.ones(len(blocks)))
+    if not np.isfinite(whole):
+        return Shrink(fraction=None, ci95=None)
+    random = np.random.default_rng(np.random.SeedSequence([seed, 0x5412]))
+    drawn = random.multinomial(len(blocks), np.full(len(blocks), 1 / len(blocks)), _RESAMPLES)
+    found = np.array([fraction(w.astype(float)) for w in drawn])
+    found = found[np.isfinite(found)]
+    if len(blocks) < 2 or len(found) < _RESAMPLES / 2:
+        return Shrink(fraction=whole, ci95=None)
+    low, high = np.quantile(found, [0.025, 0.975])
+    return Shrink(fraction=whole, ci95=(float(low), float(high)))
