@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.gap.blind.rig import Driver
+
 FloatArray = npt.NDArray[np.float64]
 
 #: V. Commands of the main rotor lie around that which holds the beam a little below level.
@@ -31,8 +33,22 @@ class OpenLoop:
         return self._commands[:, k]
 
 
-def rich_excitation(seeds: list[int], samples: int, sample_time: float) -> FloatArray:
+def rich_excitation(
+    seeds: list[int],
+    samples: int,
+    sample_time: float,
+    *,
+    centre: float = MAIN_CENTRE,
+    amplitude: float = 1.0,
+) -> FloatArray:
     """Sums of sines with random phases and held random levels; the tail rotor turns round often.
+
+    Parameters
+    ----------
+    centre : float
+        V, of the main rotor.
+    amplitude : float
+        Of both rotors; with 1 the yaw axis comes near its stops.
 
     Returns
     -------
@@ -43,18 +59,20 @@ def rich_excitation(seeds: list[int], samples: int, sample_time: float) -> Float
     for seed in seeds:
         random = np.random.default_rng(seed)
         columns = []
-        for centre, waves, levels in ((MAIN_CENTRE, 0.25, 0.2), (0.0, 0.45, 0.45)):
+        for middle, waves, levels in ((centre, 0.25, 0.2), (0.0, 0.45, 0.45)):
             lines = np.exp(random.uniform(np.log(_BAND[0]), np.log(_BAND[1]), _LINES))
             phases = random.uniform(0, 2 * np.pi, _LINES)
             tones = np.sin(2 * np.pi * np.outer(time, lines) + phases).sum(axis=1)
             held = _levels(random, samples, sample_time)
             scale = waves / np.sqrt(_LINES / 2)
-            columns.append(centre + scale * tones + levels * held)
+            columns.append(middle + amplitude * (scale * tones + levels * held))
         tables.append(np.stack(columns, axis=1))
     return np.array(tables)
 
 
-def poor_excitation(seeds: list[int], samples: int, sample_time: float) -> FloatArray:
+def poor_excitation(
+    seeds: list[int], samples: int, sample_time: float, *, centre: float = MAIN_CENTRE
+) -> FloatArray:
     """Hardly any: the main rotor near one speed, the tail rotor forward only, both slowly."""
     time = sample_time * np.arange(samples)
     tables = []
@@ -62,7 +80,7 @@ def poor_excitation(seeds: list[int], samples: int, sample_time: float) -> Float
         random = np.random.default_rng(seed)
         phases = random.uniform(0, 2 * np.pi, 2)
         slow = [np.sin(2 * np.pi * 0.03 * time + phase) for phase in phases]
-        tables.append(np.stack([MAIN_CENTRE + 0.08 * slow[0], 0.5 + 0.1 * slow[1]], axis=1))
+        tables.append(np.stack([centre + 0.08 * slow[0], 0.5 + 0.1 * slow[1]], axis=1))
     return np.array(tables)
 
 
@@ -75,6 +93,26 @@ def _levels(random: np.random.Generator, samples: int, sample_time: float) -> Fl
         values[at : at + length] = random.uniform(-1, 1)
         at += length
     return values
+
+
+class Mixed:
+    """Each rig by a driver of its own, so that all run at once.
+
+    Parameters
+    ----------
+    parts : list of (array of int, Driver)
+        Which rigs, and what commands them; each rig once.
+    """
+
+    def __init__(self, parts: list[tuple[npt.NDArray[np.int64], Driver]]) -> None:
+        self._parts = parts
+
+    def command(self, k: int, time: float, measured: FloatArray) -> FloatArray:
+        """See :class:`trms_cli.gap.blind.rig.Driver`."""
+        commands = np.empty((len(measured), 2))
+        for rigs, driver in self._parts:
+            commands[rigs] = driver.command(k, time, measured[rigs])
+        return commands
 
 
 class CascadedPid:

@@ -60,7 +60,7 @@ class Nuisances:
 
     Attributes
     ----------
-    jitter : float
+    jitter : float or (n,) array
         s, standard deviation of the sampling instants.
     drift : float
         Share by which a drive's gain wanders over a recording, standard deviation.
@@ -68,7 +68,7 @@ class Nuisances:
         Share of the deflection of a stiff mode that the encoders see.
     """
 
-    jitter: float = 2e-4
+    jitter: float | FloatArray = 2e-4
     drift: float = 0.01
     flexibility: float = 0.3
 
@@ -290,6 +290,8 @@ class _Run:
             u = u * (1 - size(f"{rotor}_supply_derating", "depth") * self.warmth[i])
             wander = np.sin(2 * np.pi * self.time / self.drift_period[i] + self.drift_phase[i])
             self.v[i] = u * (1 + np.sqrt(2) * self.rigs.nuisances.drift * wander)
+        load = (command[:, 0] / COMMAND_LIMIT) ** 2  # of the main drive on a supply for both
+        self.v[1] *= 1 - size("shared_supply_sag", "depth") * load
 
     def _held_torques(self) -> FloatArray:
         """Torques on pitch and yaw that are constant over an integration step."""
