@@ -93,26 +93,47 @@ def compiled_library(functions: Sequence[ca.Function], driver: str) -> ctypes.CD
     return None if library is None else ctypes.CDLL(str(library))
 
 
-def _library(functions: Sequence[ca.Function], driver: str, program: str) -> Path | None:
+@functools.cache
+def compiled_source(name: str, source: str) -> ctypes.CDLL | None:
+    """C code of our own as a loaded library; None without a compiler.
+
+    Parameters
+    ----------
+    name : str
+        A valid C identifier, for the file in the cache.
+    source : str
+        Needs nothing but libm.
+    """
+    program = compiler()
+    library = None if program is None else _library([], source, program, name)
+    return None if library is None else ctypes.CDLL(str(library))
+
+
+def _library(
+    functions: Sequence[ca.Function], driver: str, program: str, name: str = ""
+) -> Path | None:
     """File of the compiled functions, built if need be; None where that cannot be done."""
+    name = name or functions[0].name()
     content = [*(function.serialize() for function in functions), driver]
     key = hashlib.sha256(
         "\n".join([*content, ca.__version__, program, *COMPILER_FLAGS]).encode()
     ).hexdigest()[:32]
-    library = cache_folder() / f"{functions[0].name()}_{key}.so"
+    library = cache_folder() / f"{name}_{key}.so"
     if not library.exists():
         try:
             library.parent.mkdir(parents=True, exist_ok=True)
-            _build(functions, driver, program, library)
+            _build(functions, driver, program, library, name)
         except (OSError, subprocess.CalledProcessError):
             # An unwritable cache or a broken compiler costs speed, never the run.
             return None
     return library
 
 
-def _build(functions: Sequence[ca.Function], driver: str, program: str, library: Path) -> None:
+def _build(
+    functions: Sequence[ca.Function], driver: str, program: str, library: Path, name: str
+) -> None:
     with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
-        source = Path(scratch) / f"{functions[0].name()}.c"
+        source = Path(scratch) / f"{name}.c"
         generator = ca.CodeGenerator(source.name)
         for function in functions:
             generator.add(function)

@@ -124,6 +124,14 @@ class Effect(ABC):
     def check(self, model: Model) -> None:
         """Raise :class:`ModelError` if the model lacks what the effect acts on."""
 
+    @property
+    def locations(self) -> tuple[str, ...]:
+        """Where in the rig's block diagram it acts (``main_thrust``, ``yaw_moment``…).
+
+        Empty: whoever asks reads it from what the effect overrides.
+        """
+        return ()
+
     def states(self) -> tuple[Signal, ...]:
         """Further continuous states."""
         return ()

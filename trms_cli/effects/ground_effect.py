@@ -39,6 +39,10 @@ class GroundEffect(Effect):
     scale: Annotated[float, Meta(ge=_THINNEST)]
     level_height: Annotated[float, Meta(ge=0)]
 
+    @property
+    def locations(self) -> tuple[str, ...]:
+        return ("main_thrust",)
+
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             Parameter(

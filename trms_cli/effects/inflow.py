@@ -40,6 +40,10 @@ class Inflow(Effect):
     rotor: Literal["main", "tail"]
     coefficient: Annotated[float, Meta(ge=0)]
 
+    @property
+    def locations(self) -> tuple[str, ...]:
+        return (f"{self.rotor}_thrust",)
+
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             Parameter(

@@ -45,6 +45,10 @@ class ThrustCurve(Effect):
     reverse: Annotated[float, Meta(ge=-1, le=1)]
     reference: Annotated[float, Meta(gt=0)]
 
+    @property
+    def locations(self) -> tuple[str, ...]:
+        return (f"{self.rotor}_thrust",)
+
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             Parameter(

@@ -59,6 +59,8 @@ class Windows:
     with_parameters : bool
         Whether slopes in the free parameters are wanted; without them only those in the starts
         are computed, which is what a search without gradients needs.
+    rollout : Rollout or None
+        Of the problem's model, free parameters and sample time, made before; None: make it.
 
     Attributes
     ----------
@@ -82,6 +84,7 @@ class Windows:
         *,
         length: float | None = None,
         with_parameters: bool = True,
+        rollout: Rollout | None = None,
     ) -> None:
         self.problem = problem
         self.datasets = problem.datasets if datasets is None else datasets
@@ -89,7 +92,7 @@ class Windows:
         model = problem.model
         self.sample_time = self.datasets[0].sample_time
         free = problem.names if with_parameters else ()
-        self.rollout = Rollout(
+        self.rollout = rollout or Rollout(
             model, self.sample_time, free=free, substeps=problem.substeps, jobs=problem.jobs
         )
         length = problem.window_length if length is None else length
@@ -137,6 +140,33 @@ class Windows:
     def starts(self, p: FloatArray) -> FloatArray:
         """Estimated starts of the windows, shape (m, n_x)."""
         return np.vstack([s[:, : self.n_x] for s, _ in self._estimated(p)])
+
+    def with_memory(self, p: FloatArray, starts: FloatArray) -> FloatArray:
+        """Full states (m, n): some starts of the model's states, and the memory at them."""
+        return self._with_memory(p, starts)[0]
+
+    def command(self, j: int, k: int) -> FloatArray:
+        """The command at sample ``k`` of window ``j``, (n_u,); past its end that of the last."""
+        sample = self.first[j] + min(k, self.count[j] - 1)
+        command: FloatArray = self._commands[sample]
+        return command
+
+    @property
+    def commands(self) -> FloatArray:
+        """Commands of all windows, (m, c, n_u), the last repeated past a window's end."""
+        k = np.minimum(np.arange(self._index.shape[1]), self.count[:, None] - 1)
+        commands: FloatArray = self._commands[self.first[:, None] + k]
+        return commands
+
+    @property
+    def inside(self) -> npt.NDArray[np.bool_]:
+        """Which samples belong to a window, (m, c)."""
+        return self._index
+
+    @property
+    def target(self) -> FloatArray:
+        """What was measured, (m, c, n_y), NaN where there is nothing."""
+        return self._target
 
     def residuals(self, p: FloatArray, starts: FloatArray, *, slopes: bool = False) -> Residuals:
         """Simulate.

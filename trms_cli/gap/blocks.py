@@ -1,0 +1,131 @@
+"""Which part of the recordings is fitted and compared, and which stays sealed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.identification.dataset import Dataset
+
+#: s. Recordings that are sampled faster are thinned: no effect of the library needs more, and a
+#: filter's cost goes with the number of samples.
+_FINEST = 0.0095
+#: s. A sealed part shorter than this cannot show a free run of ten seconds.
+_LEAST_SEALED = 12.0
+#: An angle beyond this share of its mechanical range touches the stop.
+_AT_STOP = 0.995
+#: From so many recordings on, whole ones are sealed.
+_SEVERAL = 3
+#: Blocks that must be left to fit: fewer cannot be compared in pairs.
+_FEWEST_BLOCKS = 4
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Recordings, divided.
+
+    Attributes
+    ----------
+    fitted : tuple of Dataset
+        Everything is fitted, chosen and compared on these, block by block.
+    whole : tuple of Dataset
+        As they were given, thinned.
+    sealed : tuple of (recording, first, last)
+        Spans of ``whole`` that are opened once.
+    block : float
+        s.
+    """
+
+    fitted: tuple[Dataset, ...]
+    whole: tuple[Dataset, ...]
+    sealed: tuple[tuple[int, int, int], ...]
+    block: float
+
+
+def divide(
+    datasets: Sequence[Dataset], block: float, share: float, stops: Mapping[str, float]
+) -> Parts:
+    """Seal the end of each recording, or the last recordings where there are several.
+
+    Parameters
+    ----------
+    datasets : sequence of Dataset
+    block : float
+        s; shortened for short recordings.
+    share : float
+        Of the time, to be sealed.
+    stops : dict of str to float
+        Mechanical range of angles, rad: from a contact with a stop to the end of its block nothing
+        is compared, for no model of free motion follows there.
+
+    Raises
+    ------
+    ConfigurationError
+        If hardly anything would be left.
+    """
+    whole = tuple(thinned(dataset) for dataset in datasets)
+    total = sum(dataset.duration for dataset in whole)
+    if len(whole) >= _SEVERAL:
+        count = max(1, round(share * len(whole)))
+        kept = len(whole) - count
+        fitted = whole[:kept]
+        sealed = tuple((i, 0, len(whole[i])) for i in range(kept, len(whole)))
+    else:
+        parts, spans = [], []
+        for i, dataset in enumerate(whole):
+            length = max(share * dataset.duration, min(_LEAST_SEALED, dataset.duration / 3))
+            cut = round((dataset.duration - length) / dataset.sample_time)
+            parts.append(dataset.part(0, cut))
+            spans.append((i, cut, len(dataset)))
+        fitted, sealed = tuple(parts), tuple(spans)
+    left = sum(dataset.duration for dataset in fitted)
+    block = min(block, left / _FEWEST_BLOCKS)
+    if block < 2.0:
+        raise ConfigurationError(
+            f"{total:.3g} s of recording are too short to fit, compare and seal",
+            where="real",
+            remedy="record at least 20 s, better 120 s; or give several recordings of the rig",
+        )
+    fitted = tuple(_without_contacts(dataset, block, stops) for dataset in fitted)
+    return Parts(fitted, whole, sealed, block)
+
+
+def _without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]) -> Dataset:
+    samples = max(2, round(block / dataset.sample_time))
+    touching = np.zeros(len(dataset), dtype=bool)
+    for i, signal in enumerate(dataset.outputs):
+        if signal.name in stops:
+            touching |= np.abs(dataset.measurements[:, i]) >= _AT_STOP * stops[signal.name]
+    if not touching.any():
+        return dataset
+    measurements = dataset.measurements.copy()
+    for first in range(0, len(dataset), samples):
+        hits = np.flatnonzero(touching[first : first + samples])
+        if len(hits):
+            measurements[first + hits[0] : first + samples] = np.nan
+    lost = float(np.mean(np.isnan(measurements).all(axis=1)))
+    remark = f"{100 * lost:.0f} % of the samples left out, from contacts with a stop on"
+    return replace(dataset, measurements=measurements, remarks=(*dataset.remarks, remark))
+
+
+def thinned(dataset: Dataset) -> Dataset:
+    """Every few samples of a fast recording; commands are averaged over the new step.
+
+    Not every effect stands a coarse step: a delay does, for the commands' average moves with it.
+    """
+    factor = int(np.ceil(_FINEST / dataset.sample_time - 1e-9))
+    if factor < 2:
+        return dataset
+    n = len(dataset) // factor * factor
+    commands = dataset.commands[:n].reshape(-1, factor, dataset.commands.shape[1]).mean(axis=1)
+    return replace(
+        dataset,
+        sample_time=dataset.sample_time * factor,
+        time=dataset.time[:n:factor],
+        commands=np.ascontiguousarray(commands),
+        measurements=np.ascontiguousarray(dataset.measurements[:n:factor]),
+        remarks=(*dataset.remarks, f"every {factor}th sample is used, commands averaged between"),
+    )

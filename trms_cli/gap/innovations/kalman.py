@@ -1,0 +1,287 @@
+"""Time-varying Kalman filters over windows: gains, whitened columns, smoothed states.
+
+    x⁺ = F x + ω,  cov ω = Q          y = H x + ν,  cov ν = diag(r)
+
+Whitening a residual this way is the innovations form of its likelihood (Kailath 1968, IEEE Trans.
+Autom. Control 13): the whitened rows are independent with unit variance if the model's errors are
+of the kind assumed, and slopes in parameters are whitened by the same linear operation. The loop
+over samples is C (``kalman.c``); without a compiler NumPy runs it over all windows at once.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.compilation import compiled_source
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """A linear system along a trajectory, stacked over windows of equal length m × c samples.
+
+    Attributes
+    ----------
+    f : (m, c, n, n) array
+    h : (m, c, n_y, n) array
+    seen : (m, c, n_y) array of bool
+        Where an output was measured.
+    r : (n_y,) array
+        Variance of each output's noise.
+    start : (n, n) array
+        Covariance of the state at each window's first sample.
+    """
+
+    f: FloatArray
+    h: FloatArray
+    seen: BoolArray
+    r: FloatArray
+    start: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("f", "h", "r", "start"):  # the compiled loop reads them as they lie
+            object.__setattr__(self, name, _c(getattr(self, name)))
+
+
+class Gains(NamedTuple):
+    """A filter that is ready to run.
+
+    Attributes
+    ----------
+    k : (m, c, n, n_y) array
+    root : (m, c, n_y, n_y) array
+        Inverse of the lower Cholesky factor of the innovations' covariance.
+    logdet : (m,) array
+        Of the innovations' covariances of each window.
+    p : (m, c, n, n) array or None
+        Covariance of each prediction.
+    """
+
+    k: FloatArray
+    root: FloatArray
+    logdet: FloatArray
+    p: FloatArray | None
+
+
+def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> Gains:
+    """Riccati's recursion.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    q : (n, n) array
+    covariances : bool
+        Whether those of the predictions are wanted.
+
+    Raises
+    ------
+    FloatingPointError
+        If a covariance is no longer positive.
+    """
+    m, c, n_y, n = system.h.shape
+    k, root, logdet = np.empty((m, c, n, n_y)), np.empty((m, c, n_y, n_y)), np.empty(m)
+    p = np.empty((m, c, n, n)) if covariances else None
+    library = _library()
+    if library is None:
+        return _gains_of_arrays(system, q, p)
+    seen = np.ascontiguousarray(system.seen, dtype=np.uint8)
+    failed = library.trms_gains(
+        *_sizes(m, c),
+        n,
+        n_y,
+        *map(_pointer, (system.f, system.h, seen, system.r, _c(q), system.start, k, root, logdet)),
+        None if p is None else _pointer(p),
+    )
+    if failed:
+        raise FloatingPointError("a covariance of the filter is not positive")
+    return Gains(k, root, logdet, p)
+
+
+def whiten(system: LinearSystem, filter_: Gains, columns: FloatArray) -> FloatArray:
+    """Innovations of columns, over their standard deviation.
+
+    Parameters
+    ----------
+    columns : (m, c, n_y, k) array
+
+    Returns
+    -------
+    (m, c, n_y, k) array
+        Zero where nothing was measured.
+    """
+    m, c, n_y, count = columns.shape
+    n = system.f.shape[-1]
+    columns = _c(columns)
+    out = np.empty_like(columns)
+    library = _library()
+    if library is None:
+        return _whitened_arrays(system, filter_, columns)
+    seen = np.ascontiguousarray(system.seen, dtype=np.uint8)
+    library.trms_whiten(
+        *_sizes(m, c),
+        n,
+        n_y,
+        count,
+        *map(_pointer, (system.f, system.h, seen, filter_.k, filter_.root, columns, out)),
+    )
+    return out
+
+
+def scores(system: LinearSystem, filter_: Gains, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What the likelihood's slope in the size of each state's disturbance is made of.
+
+    ``∂ log p/∂ log q_i = ½ q_i (squares_i − variances_i)`` (Koopman & Shephard 1992): at the most
+    likely sizes the two are equal.
+
+    Parameters
+    ----------
+    z : (m, c, n_y) array
+        Whitened innovations.
+
+    Returns
+    -------
+    squares, variances : (n,) arrays
+    """
+    m, c, n_y, n = system.h.shape
+    e = np.linalg.solve(filter_.root, z[..., None])[..., 0]
+    library = _library()
+    if library is None:
+        return _scores_of_arrays(system, filter_, e)
+    squares, variances = np.empty(n), np.empty(n)
+    seen = np.ascontiguousarray(system.seen, dtype=np.uint8)
+    arrays = (system.f, system.h, seen, filter_.k, filter_.root, _c(e), squares, variances)
+    library.trms_scores(*_sizes(m, c), n, n_y, *map(_pointer, arrays))
+    return squares, variances
+
+
+def _scores_of_arrays(
+    system: LinearSystem, filter_: Gains, e: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    m, c, _, n = system.h.shape
+    h = system.h * system.seen[..., None]
+    precision = np.swapaxes(filter_.root, -1, -2) @ filter_.root
+    back, spread = np.zeros((m, n)), np.zeros((m, n, n))
+    squares, variances = np.zeros(n), np.zeros(n)
+    for t in range(c - 1, -1, -1):
+        squares += (back**2).sum(axis=0)
+        variances += np.einsum("mii->i", spread)
+        turned = np.swapaxes(h[:, t], 1, 2)
+        carry = system.f[:, t] @ (np.eye(n) - filter_.k[:, t] @ h[:, t])
+        over = np.swapaxes(carry, 1, 2)
+        back = _times(turned, _times(precision[:, t], e[:, t])) + _times(over, back)
+        spread = turned @ precision[:, t] @ h[:, t] + over @ spread @ carry
+    return squares, variances
+
+
+def smooth(system: LinearSystem, filter_: Gains, r: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """States given all of a window, by the backward recursion of Durbin and Koopman.
+
+    (Time Series Analysis by State Space Methods, 2nd ed., section 4.4.)
+
+    Parameters
+    ----------
+    filter_ : Gains
+        With covariances.
+    r : (m, c, n_y) array
+        What is observed of the linear system.
+
+    Returns
+    -------
+    x : (m, c, n) array
+    variance : (m, c, n) array
+        Diagonal of the smoothed covariance.
+    """
+    assert filter_.p is not None
+    m, c, _, n = system.h.shape
+    h = system.h * system.seen[..., None]
+    x, predicted = np.zeros((m, n)), np.empty((m, c, n))
+    e = np.empty((m, c, h.shape[2]))
+    for t in range(c):
+        predicted[:, t] = x
+        e[:, t] = np.where(system.seen[:, t], r[:, t], 0.0) - _times(h[:, t], x)
+        x = _times(system.f[:, t], x + _times(filter_.k[:, t], e[:, t]))
+    precision = np.swapaxes(filter_.root, -1, -2) @ filter_.root
+    back, spread = np.zeros((m, n)), np.zeros((m, n, n))
+    smoothed, variance = np.empty((m, c, n)), np.empty((m, c, n))
+    identity = np.eye(n)
+    for t in range(c - 1, -1, -1):
+        turned = np.swapaxes(h[:, t], 1, 2)
+        carry = system.f[:, t] @ (identity - filter_.k[:, t] @ h[:, t])
+        over = np.swapaxes(carry, 1, 2)
+        back = _times(turned, _times(precision[:, t], e[:, t])) + _times(over, back)
+        spread = turned @ precision[:, t] @ h[:, t] + over @ spread @ carry
+        p = filter_.p[:, t]
+        smoothed[:, t] = predicted[:, t] + _times(p, back)
+        variance[:, t] = np.einsum("mii->mi", p) - np.einsum("mij,mjk,mki->mi", p, spread, p)
+    return smoothed, np.maximum(variance, 0.0)
+
+
+def _gains_of_arrays(system: LinearSystem, q: FloatArray, p_out: FloatArray | None) -> Gains:
+    m, c, n_y, n = system.h.shape
+    k, root, logdet = np.empty((m, c, n, n_y)), np.empty((m, c, n_y, n_y)), np.zeros(m)
+    p = np.broadcast_to(system.start, (m, n, n))
+    for t in range(c):
+        if p_out is not None:
+            p_out[:, t] = p
+        seen = system.seen[:, t]
+        h = system.h[:, t] * seen[..., None]
+        crossed = p @ np.swapaxes(h, 1, 2)
+        noise = np.where(seen, system.r, 1.0)
+        s = h @ crossed + noise[:, None] * np.eye(n_y)
+        try:
+            lower = np.linalg.cholesky(s)
+        except np.linalg.LinAlgError:
+            raise FloatingPointError("a covariance of the filter is not positive") from None
+        root[:, t] = np.linalg.inv(lower)
+        diagonal = np.einsum("mii->mi", lower)
+        logdet += 2 * np.where(seen, np.log(diagonal), 0.0).sum(axis=1)
+        w = crossed @ np.swapaxes(root[:, t], 1, 2)
+        k[:, t] = w @ root[:, t]
+        left = p - w @ np.swapaxes(w, 1, 2)
+        p = system.f[:, t] @ left @ np.swapaxes(system.f[:, t], 1, 2) + q
+    return Gains(k, root, logdet, p_out)
+
+
+def _whitened_arrays(system: LinearSystem, filter_: Gains, columns: FloatArray) -> FloatArray:
+    m, c, _, count = columns.shape
+    out = np.empty_like(columns)
+    x = np.zeros((m, system.f.shape[-1], count))
+    for t in range(c):
+        seen = system.seen[:, t][..., None]
+        e = np.where(seen, columns[:, t] - system.h[:, t] @ x, 0.0)
+        out[:, t] = np.where(seen, filter_.root[:, t] @ e, 0.0)
+        x = system.f[:, t] @ (x + filter_.k[:, t] @ e)
+    return out
+
+
+def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    product: FloatArray = np.einsum("mij,mj->mi", matrix, vector)
+    return product
+
+
+def _library() -> ctypes.CDLL | None:
+    source = Path(__file__).with_name("kalman.c").read_text(encoding="utf-8")
+    return compiled_source("trms_kalman", source)
+
+
+def _sizes(m: int, c: int) -> tuple[Any, Any]:
+    counts = np.full(m, c, dtype=np.int64)
+    return ctypes.c_longlong(m), _pointer(counts)
+
+
+def _pointer(array: npt.NDArray[Any]) -> ctypes.c_void_p:
+    pointer: ctypes.c_void_p = array.ctypes.data_as(ctypes.c_void_p)  # keeps the array alive
+    return pointer
+
+
+def _c(array: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(array, dtype=np.float64)

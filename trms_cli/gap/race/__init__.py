@@ -1,0 +1,1 @@
+"""The race of causes: every suspect fitted jointly with the parameters, compared by prediction."""

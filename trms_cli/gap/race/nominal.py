@@ -1,0 +1,179 @@
+"""The nominal model refitted within its priors, and how much its equations still err."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import TrmsError
+from trms_cli.gap.fitting.contestant import Contestant, Fit
+from trms_cli.gap.fitting.metric import Metric
+from trms_cli.gap.innovations.discrepancy import Discrepancy, equation_channels
+from trms_cli.gap.innovations.sizes import FLOOR, likely_shares
+from trms_cli.gap.innovations.trajectory import Linearisation
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.problem import FreeParameter, free_parameters
+from trms_cli.models.model import Model
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Sizes of the discrepancy at which the first fits are made, from generous to tight: a wide one
+#: leads the search past what a tight one would stumble over.
+_FIRST_SHARES = (0.3, 0.05)
+#: Prior of a parameter of which the set says nothing, as a share of its value.
+_UNTOLD = 0.05
+
+
+@dataclass(frozen=True)
+class Refit:
+    """The nominal model, before and after.
+
+    Attributes
+    ----------
+    contestant : Contestant
+        Without effects beyond the model's own.
+    raw : Fit
+        With the parameters as they were, in the metric of the refit.
+    fit : Fit
+    metric : Metric
+        With the most likely discrepancies of the refit.
+    centres : (m, n_x) array
+        Of the priors of the windows' starts.
+    """
+
+    contestant: Contestant
+    raw: Fit
+    fit: Fit
+    metric: Metric
+    centres: FloatArray
+
+
+def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:
+    """Parameters that a refit may move, with their priors.
+
+    Those that have a prior; where a set tells none at all, each that acts, within five percent.
+    """
+    names = [p.name for p in model.parameters if p.prior_sd is not None and p.value != 0.0]
+    if names:
+        return free_parameters(model.parameters, names)
+    known = [p for p in model.parameters if "." not in p.name and p.value != 0.0]
+    try:
+        from trms_cli.identification.judgement import acting_parameters
+        from trms_cli.identification.problem import Prior
+
+        used = acting_parameters(model)
+        chosen = [p.name for p in known if p.name in used and p.name != "g"]
+        return free_parameters(
+            model.parameters, chosen, priors={n: Prior(relative_sd=_UNTOLD) for n in chosen}
+        )
+    except TrmsError:
+        return ()
+
+
+def refit(
+    model: Model,
+    free: Sequence[FreeParameter],
+    datasets: Sequence[Dataset],
+    block: float,
+    *,
+    robust: float | None = 4.0,
+) -> Refit:
+    """Fit the nominal model and the size of its discrepancy in turn.
+
+    The equations are linearised about the states that a smoother reads from the data, with forces
+    large enough to follow them: about the model's own simulation they would be those of another
+    motion where the gap is large.
+    """
+    contestant = Contestant(model, free, (), datasets, block)
+    windows = contestant.windows
+    linearisation = Linearisation(windows)
+    theta = contestant.theta({})
+    p = contestant.problem.all_values(theta)
+    centres = windows.starts(p)
+    channels = equation_channels(model)
+    count = len(channels)
+    first = Discrepancy(windows, linearisation.along(p, centres), channels)
+    trajectory = linearisation.through(p, _followed(first, centres, p))
+    fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
+    starts = centres
+    for share in _FIRST_SHARES:
+        metric = Metric(fitting, np.full(count, share), robust)
+        fit = contestant.fit(
+            metric, [(theta, starts)], centres=centres, tolerance=0.5, with_evidence=False
+        )
+        theta, starts = fit.theta, fit.starts
+    followed = _followed(
+        replace(
+            first, trajectory=linearisation.along(contestant.problem.all_values(theta), starts)
+        ),
+        starts,
+        contestant.problem.all_values(theta),
+    )
+    trajectory = linearisation.through(contestant.problem.all_values(theta), followed)
+    fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
+    shares = np.full(count, _FIRST_SHARES[-1])
+    for _ in range(3):
+        before = shares
+        shares = likely_shares(fitting, contestant.residuals(fit), shares)
+        metric = Metric(fitting, shares, robust)
+        fit = contestant.fit(metric, [(fit.theta, fit.starts)], centres=centres)
+        if np.max(np.abs(np.log(shares / before))) < 0.1:
+            break
+    return Refit(contestant, unfitted(contestant, fit, metric, centres), fit, metric, centres)
+
+
+def unfitted(contestant: Contestant, fit: Fit, metric: Metric, centres: FloatArray) -> Fit:
+    """The model with its parameters as they were: only the windows' starts are fitted."""
+    theta = contestant.theta({})
+    held = replace_bounds(contestant, theta)
+    return held.fit(metric, [(theta, fit.starts), (theta, centres)], centres=centres)
+
+
+def replace_bounds(contestant: Contestant, theta: FloatArray) -> Contestant:
+    """The contestant with its parameters held."""
+    import copy
+
+    held = copy.copy(contestant)
+    free = tuple(
+        replace(p, lower=float(v), upper=float(v))
+        for p, v in zip(contestant.problem.free, theta, strict=True)
+    )
+    held.problem = replace(contestant.problem, free=free)
+    return held
+
+
+def own_metric(
+    contestant: Contestant, fit: Fit, metric: Metric, centres: FloatArray
+) -> tuple[Fit, Metric]:
+    """A contestant refitted with the discrepancy that is most likely for itself."""
+    for _ in range(2):
+        shares = likely_shares(metric.discrepancy, contestant.residuals(fit), metric.shares)
+        change = np.max(np.abs(np.log(shares / metric.shares)))
+        metric = Metric(metric.discrepancy, shares, metric.robust)
+        fit = contestant.fit(
+            metric, [(fit.theta, fit.starts)], centres=centres, iterations=6, tolerance=0.2
+        )
+        if change < 0.1:
+            break
+    return fit, metric
+
+
+def ideal(metric: Metric) -> float:
+    """Log density that a model would be expected to reach if nothing but the floor were left."""
+    floor = Metric(metric.discrepancy, np.full(len(metric.shares), FLOOR), metric.robust)
+    count = metric.discrepancy.windows.measured.sum()
+    return float(-0.5 * count - floor.normalisation.sum())
+
+
+def _followed(discrepancy: Discrepancy, starts: FloatArray, p: FloatArray) -> FloatArray:
+    """States that follow the data, (m, c, n)."""
+    r = discrepancy.windows.target - discrepancy.trajectory.y
+    r = np.where(np.isfinite(r), r, 0.0)
+    shares = np.full(len(discrepancy.channels), 0.5)
+    x, _ = discrepancy.smoothed(shares, r)
+    n = discrepancy.trajectory.x.shape[-1]
+    followed: FloatArray = discrepancy.trajectory.x + x[..., :n]
+    return followed
