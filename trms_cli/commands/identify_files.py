@@ -55,7 +55,7 @@ def origin_of(composition: Composition) -> ModelOrigin | None:
     """
     node = composition.config["model"]
     effects = {name: dict(n) for name, n in (composition.config.get("effect") or {}).items()}
-    own = {name: _effect_arguments(name, n) for name, n in effects.items()}
+    own = {name: effect_arguments(name, n) for name, n in effects.items()}
     if "path" in node:  # model=FILE
         content = parameter_file(str(node["path"]))
         return ModelOrigin(
@@ -116,7 +116,7 @@ def source_words(asked: Identification) -> str:
     return f"fitted to {words}{driven}"
 
 
-def _effect_arguments(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
+def effect_arguments(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
     """An effect's arguments; without its class if the library has it under this name."""
     library = config_folder() / "effect" / f"{name}.yaml"
     arguments = dict(node)

@@ -10,7 +10,8 @@ parameter set (:class:`trms_cli.models.parameters.ParameterFile`)::
     effects:                         # optional: options of configs/effect, with their sizes
       yaw_coulomb_friction: {torque: 0.004}
 
-An effect that is not in the library gives its class by ``_target_``, and all its arguments.
+An effect that is not in the library gives its class by ``_target_``, and all its arguments. So
+does a model that is none of the options: ``model: {_target_: own_lab.OwnModel, …}``.
 
 A trained network stands for a model too; see :mod:`trms_cli.models.narx_file` for its form.
 """
@@ -27,7 +28,7 @@ from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.model import Model
 from trms_cli.models.narx_file import is_network_file, narx_of, read_narx_file
-from trms_cli.models.parameters import ParameterFile, parameter_file
+from trms_cli.models.parameters import ParameterFile, ParameterSet, parameter_file
 
 
 def load_model(
@@ -88,8 +89,10 @@ def _flat(
 
 
 def _nominal(content: ParameterFile, path: str) -> Model:
-    """The built-in model with the file's parameters."""
+    """The model with the file's parameters."""
     where = f"{path}: model"
+    if not isinstance(content.model, str):
+        return _plugin(content, content.model, where)
     node = dict(_option("model", content.model, where))
     if "parameter_set" not in node:
         raise ModelError(
@@ -101,6 +104,25 @@ def _nominal(content: ParameterFile, path: str) -> Model:
     model = _built(node, where, content.parameters)
     if not isinstance(model, Model):
         raise ModelError(f"{content.model!r} is not a model", where=where)
+    return model
+
+
+def _plugin(content: ParameterFile, node: Mapping[str, Any], where: str) -> Model:
+    """A model that is no option, with what the file says of its parameters."""
+    model = _built(node, where, content.parameters)
+    if not isinstance(model, Model):
+        raise ModelError(f"{node.get(TARGET)!r} is not a model", where=where)
+    given = {parameter.name: parameter for parameter in content.parameter_set()}
+    for name in given:
+        if name not in model.parameters:
+            raise ModelError(
+                f"model {model.name!r} has no parameter {name!r}",
+                where=f"{where.removesuffix('model')}parameters.{name}",
+                remedy=nearest(name, model.parameters.names),
+            )
+    model.parameters = ParameterSet(
+        (given.get(parameter.name, parameter) for parameter in model.parameters), content.name
+    )
     return model
 
 
@@ -119,6 +141,9 @@ def _built(node: Mapping[str, Any], where: str, parameters: Mapping[str, Any]) -
 
 def _check_parameters(content: ParameterFile, model: Model, path: str) -> None:
     """Refuse a file whose parameters are not those of the built-in model."""
+    if not isinstance(content.model, str):
+        _check_ranges(model, path)
+        return
     option = _option("model", content.model, path)
     reference = build(option, path).parameters
     # A set may serve several models: what its kin has and this one does not, it may give.
@@ -138,6 +163,10 @@ def _check_parameters(content: ParameterFile, model: Model, path: str) -> None:
                 remedy=f"give its value in {reference[name].unit or '1'}, "
                 f"for instance {reference[name].value:g}",
             )
+    _check_ranges(model, path)
+
+
+def _check_ranges(model: Model, path: str) -> None:
     for parameter in model.parameters:
         if not parameter.lower <= parameter.value <= parameter.upper:  # also refuses NaN
             raise ModelError(

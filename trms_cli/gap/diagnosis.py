@@ -231,4 +231,6 @@ class Diagnosis:
     worse: tuple[str, ...] = ()  #: channels that the correction made worse by over 2 %
     effort: str = "normal"
     seconds: Mapping[str, float] = field(default_factory=dict)  #: by stage
+    #: Parameters of the nominal model refitted without any cause, for ``refit_model.yaml``.
+    refit: Mapping[str, float] = field(default_factory=dict)
     traces: Traces | None = None  #: not in the file

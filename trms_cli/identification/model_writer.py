@@ -32,15 +32,16 @@ class ModelOrigin:
 
     Attributes
     ----------
-    option : str
-        The option of ``configs/model`` that the values belong to.
+    option : str or dict
+        The option of ``configs/model`` that the values belong to; of a model that is none, its
+        class and arguments.
     limits : dict of str to float
     effects : dict of str to dict
         Arguments of each effect that are no size of it, ``_target_`` among them if the effect
         is not in the library.
     """
 
-    option: str
+    option: str | Mapping[str, Any]
     limits: Mapping[str, float] = field(default_factory=dict)
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -91,7 +92,8 @@ def model_document(
         }
         for name, effect in effects.items()
     }
-    document: dict[str, Any] = {"name": name, "model": origin.option, "source": source}
+    option = origin.option if isinstance(origin.option, str) else dict(origin.option)
+    document: dict[str, Any] = {"name": name, "model": option, "source": source}
     document["parameters"] = parameters
     if origin.limits:
         document["limits"] = dict(origin.limits)

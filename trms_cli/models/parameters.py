@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -150,6 +151,10 @@ def _range_of(parameter: Parameter) -> str:
     return ", " + " and ".join(words) + "," if words else ""
 
 
+#: Keys of a parameter file that are text whatever stands there.
+_TEXTS = ("name", "source")
+
+
 class _Entry(msgspec.Struct, forbid_unknown_fields=True):
     value: float
     unit: str = ""
@@ -162,13 +167,13 @@ class _Entry(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
-    """The content of a parameter or model file."""
+    """The content of a parameter or model file; a model of one's own stands there as a plugin."""
 
     name: str
-    model: str
+    model: str | dict[str, Any]
     parameters: dict[str, _Entry]
     limits: dict[str, float] = {}
-    effects: dict[str, dict[str, float | str]] = {}
+    effects: dict[str, dict[str, Any]] = {}
     source: str = ""
 
     def parameter_set(self) -> ParameterSet:
@@ -232,7 +237,10 @@ def parse_parameter_file(text: str, source: str) -> ParameterFile:
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        content = _numbers(yaml.load(text, loader))
+        content = yaml.load(text, loader)
+        if isinstance(content, dict):
+            # A rig may be called 7, or 1e5.
+            content = {k: str(v) if k in _TEXTS else _numbers(v) for k, v in content.items()}
         return msgspec.convert(content, ParameterFile)
     except yaml.YAMLError as error:
         raise ModelError(

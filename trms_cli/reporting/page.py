@@ -117,6 +117,10 @@ class Page:
         marked = [item if isinstance(item, Marked) else Marked(item) for item in items]
         self._add("points", {"items": [(str(item.value), item.mark) for item in marked]})
 
+    def command(self, text: str) -> None:
+        """A line to be typed, in a box of its own."""
+        self._add("command", {"text": text})
+
     def table(
         self,
         columns: Sequence[str],

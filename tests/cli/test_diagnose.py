@@ -1,0 +1,443 @@
+"""``trms diagnose`` as a person types it; what it finds is put in by hand."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import functools
+import io
+import json
+import os
+import re
+import sys
+import types
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from tests.gap.diagnosis_case import FRICTION, diagnosis
+from trms_cli.cli import main
+from trms_cli.gap.diagnosis import Cause, Diagnosis, FittedParameter, SizeEstimate
+from trms_cli.gap.problem import GapProblem
+
+RECORD = ("controller=open_loop", "observer=full_state", "picture=false", "sim.duration=45")
+EXCITED = (
+    *("signal@controller.u_v=multilevel", "controller.u_v.amplitude=0.5"),
+    *("controller.u_v.offset=0.9", "signal@controller.u_h=multilevel"),
+    *("controller.u_h.amplitude=0.8", "controller.u_h.seed=5"),
+)
+
+
+@dataclass
+class Done:
+    """What a command left."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def in_process(folder: Path, *argv: str) -> Done:
+    """The program without its start-up, in a folder."""
+    out, err, before = io.StringIO(), io.StringIO(), Path.cwd()
+    os.chdir(folder)
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = main(argv)
+    finally:
+        os.chdir(before)
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recording of a rig: the log ``rig``, and ``rig.csv``."""
+    folder = tmp_path_factory.mktemp("lab")
+    done = in_process(folder, "run", *RECORD, *EXCITED, f"effect={FRICTION}", "out=rig")
+    assert done.returncode == 0, done.stderr
+    done = in_process(folder, "export", "rig/run.mcap", "--out", "rig.csv")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trms(lab: Path) -> Callable[..., Done]:
+    return functools.partial(in_process, lab)
+
+
+@pytest.fixture
+def found(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], list[GapProblem]]:
+    """Let the pipeline find what it is told; gives the problems that it was asked."""
+
+    def tell(answer: Diagnosis) -> list[GapProblem]:
+        asked: list[GapProblem] = []
+
+        def diagnose(problem: GapProblem, progress: object) -> Diagnosis:
+            asked.append(problem)
+            progress.update(0.1, 1.0, "refit: start 1 of 2")  # type: ignore[attr-defined]
+            progress.save({"refit": [1.0]})  # type: ignore[attr-defined]
+            return answer
+
+        module = types.ModuleType("trms_cli.gap.diagnose")
+        module.diagnose = diagnose  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, "trms_cli.gap.diagnose", module)
+        return asked
+
+    return tell
+
+
+def read(file: Path) -> dict:
+    content: dict = json.loads(file.read_text(encoding="utf-8"))
+    return content
+
+
+class TestDiagnosis:
+    def test_leaves_what_the_contract_names(self, found, trms, lab):
+        asked = found(diagnosis())
+        done = trms("diagnose", "real=rig.csv", "out=d", "seed=3", "effort=quick")
+        assert done.returncode == 0, done.stderr
+        document = read(lab / "d" / "diagnosis.json")
+        assert document["verdict"] == "effect" and document["versions"]["trms"]
+        assert diagnosis().sentence in " ".join(done.stdout.split())
+        for name in ("diagnosis.json", "corrected_model.yaml", "report.html"):
+            assert (lab / "d" / name).is_file() and f"d/{name}" in done.stdout
+        assert "refit" in (lab / "d" / "log.txt").read_text(encoding="utf-8")
+        assert not (lab / "d" / "diagnose-state.json").exists()
+        (problem,) = asked
+        assert (problem.seed, problem.effort, problem.model_name) == (3, "quick", "newtonian")
+        assert len(problem.datasets[0]) == 45 / 0.02 and len(problem.candidates) > 30
+
+    def test_screen_says_what_the_file_says(self, found, trms, lab):
+        found(diagnosis())
+        done = trms("diagnose", "real=rig.csv", "out=screen", "page=false")
+        assert len(done.stdout.splitlines()) <= 40
+        document = read(lab / "screen" / "diagnosis.json")
+        for cause in document["causes"][:3]:
+            assert f"{100 * cause['probability']:.0f} %" in done.stdout
+        refit = document["gap"]["alpha_h"]["2.0"]["refit"]
+        assert re.search(rf"alpha_h \[mrad\] .* {1e3 * refit:.3g} ", done.stdout)
+        assert document["next_experiment"]["command"] in done.stdout
+        assert not (lab / "screen" / "report.html").exists()
+
+    def test_several_recordings_and_part_of_the_suspects(self, found, trms, lab):
+        (lab / "second.csv").write_bytes((lab / "rig.csv").read_bytes())
+        asked = found(diagnosis())
+        done = trms(
+            "diagnose", "real=[rig.csv,second.csv]", 'candidates=[yaw_*,"!yaw_disturbance"]',
+            "data.channels=[alpha_v,alpha_h]", "page=false", "out=several",
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        (problem,) = asked
+        assert [d.name for d in problem.datasets] == ["rig", "second"]
+        assert FRICTION in problem.candidates and "yaw_disturbance" not in problem.candidates
+        assert all(name.startswith("yaw_") for name in problem.candidates)
+        assert [s.name for s in problem.datasets[0].outputs] == ["alpha_v", "alpha_h"]
+
+    def test_a_model_of_one_axis_gets_the_suspects_that_it_can_carry(self, found, trms, lab):
+        asked = found(diagnosis(verdict="no_gap"))
+        done = trms(
+            "diagnose", "real=rig.csv", "model=newtonian_horizontal", "page=false", "out=axis"
+        )
+        assert done.returncode == 0, done.stderr
+        names = set(asked[0].candidates)
+        assert FRICTION in names and not any(name.startswith("pitch_") for name in names)
+
+    def test_an_effect_that_the_model_has_is_no_suspect(self, found, trms):
+        asked = found(diagnosis(verdict="no_gap"))
+        done = trms("diagnose", "real=rig.csv", f"effect={FRICTION}", "page=false", "out=known")
+        assert done.returncode == 0, done.stderr
+        assert FRICTION not in asked[0].candidates
+        assert f"{FRICTION}.torque" in asked[0].model.parameters
+
+
+OWN_EFFECT = '''
+from dataclasses import dataclass
+
+from trms_cli.effects.quadratic_damping import QuadraticDamping
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sail(QuadraticDamping):
+    """Damping of a sail."""
+
+    patches: int = 2
+'''
+
+
+class TestOwnEffect:
+    @pytest.fixture
+    def mine(self, lab: Path) -> Path:
+        folder = lab / "mine"
+        (folder / "effect").mkdir(parents=True, exist_ok=True)
+        (folder / "effect" / "sail.yaml").write_text(
+            "# a sail on the beam\nsail:\n  _target_: sail_of_diagnose.Sail\n  axis: yaw\n"
+            "  coefficient: 0.01  # N m s^2\n  patches: 3\n",
+            encoding="utf-8",
+        )
+        (folder / "sail_of_diagnose.py").write_text(OWN_EFFECT, encoding="utf-8")
+        return folder
+
+    def test_enters_the_race_and_the_corrected_model(self, found, trms, lab, mine):
+        size = SizeEstimate(value=0.0123, sd=0.001, unit="N*m*s^2/rad^2")
+        cause = Cause(effects=("sail",), probability=0.9, parameters={"sail.coefficient": size})
+        asked = found(diagnosis(causes=(cause,), parameters={}))
+        done = trms("diagnose", "real=rig.csv", "--config-dir", str(mine), "page=false", "out=own")
+        assert done.returncode == 0, done.stderr
+        assert "sail" in asked[0].candidates
+        content = yaml.safe_load((lab / "own" / "corrected_model.yaml").read_text("utf-8"))
+        assert content["effects"]["sail"] == {
+            "_target_": "sail_of_diagnose.Sail", "axis": "yaw", "coefficient": 0.0123, "patches": 3,
+        }  # fmt: skip
+        again = trms("run", "model=own/corrected_model.yaml", "sim.duration=0.2", "picture=false")
+        assert again.returncode == 0, again.stderr
+
+
+def fitted(**values: float) -> dict[str, FittedParameter]:
+    return {n: FittedParameter(prior=v, fitted=v, sd=v / 100, unit="") for n, v in values.items()}
+
+
+class TestModels:
+    """The corrected model is taken everywhere, whatever its effects."""
+
+    @pytest.mark.parametrize(
+        ("effects", "sizes"),
+        [
+            ((FRICTION,), {f"{FRICTION}.torque": 0.0041}),
+            pytest.param(
+                ("main_input_delay",), {"main_input_delay.delay": 0.031}, marks=pytest.mark.slow
+            ),
+            pytest.param(
+                ("pitch_coulomb_friction", "tail_actuator_lag", "yaw_sensor_delay"),
+                {
+                    "pitch_coulomb_friction.torque": 0.003,
+                    "tail_actuator_lag.time_constant": 0.05,
+                    "yaw_sensor_delay.delay": 0.05,
+                },
+                marks=pytest.mark.slow,
+            ),
+        ],
+        ids=lambda v: v[0] if isinstance(v, tuple) else "",
+    )
+    def test_runs_with_controller_and_observer(self, found, trms, lab, effects, sizes, request):
+        parameters = {n: SizeEstimate(value=v, sd=v / 20, unit="") for n, v in sizes.items()}
+        cause = Cause(effects=effects, probability=0.9, parameters=parameters)
+        found(diagnosis(causes=(cause,), parameters=fitted(k_fvp=1.7e-5, k_oh=0.011)))
+        out = f"models-{len(effects)}-{effects[0]}"
+        done = trms("diagnose", "real=rig.csv", "page=false", f"out={out}")
+        assert done.returncode == 0, done.stderr
+        file = f"{out}/corrected_model.yaml"
+        content = yaml.safe_load((lab / file).read_text("utf-8"))
+        assert set(content["effects"]) == set(effects)
+        for name, value in sizes.items():
+            effect, _, size = name.partition(".")
+            assert content["effects"][effect][size] == value
+        assert content["parameters"]["k_fvp"]["value"] == 1.7e-5
+        done = trms(
+            "run", f"model={file}", "controller=newton_mpc", "observer=ukf", "sim.duration=0.6",
+            "picture=false", f"out={out}-run",
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+
+    def test_is_validated(self, found, trms, lab):
+        found(diagnosis(parameters={}))
+        assert trms("diagnose", "real=rig.csv", "page=false", "out=v").returncode == 0
+        done = trms(
+            "validate", "real=rig.csv", "model=v/corrected_model.yaml", "data.end=20",
+            "page=false", "out=v-validated",
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        document = read(lab / "v-validated" / "validation.json")
+        assert set(document["error"]["alpha_h"]) == {"0.1", "0.5", "2.0", "10.0"}
+        assert document["fit_percent"]["alpha_h"] > 50
+
+    @pytest.mark.parametrize(
+        ("verdict", "k_oh"),
+        [("no_gap", None), ("parameters_only", 0.0151), ("none_of_these", 0.0151),
+         ("undecided", 0.0151)],
+    )  # fmt: skip
+    def test_without_a_cause_nothing_is_added(self, found, trms, lab, verdict, k_oh):
+        found(diagnosis(verdict=verdict))
+        assert trms("diagnose", "real=rig.csv", "page=false", f"out={verdict}").returncode == 0
+        text = (lab / verdict / "corrected_model.yaml").read_text(encoding="utf-8")
+        content = yaml.safe_load(text)
+        assert not content.get("effects")
+        nominal = yaml.safe_load((Path("configs/parameters/bench.yaml")).read_text("utf-8"))
+        expected = k_oh or nominal["parameters"]["k_oh"]["value"]
+        assert content["parameters"]["k_oh"]["value"] == expected
+        if verdict == "undecided":
+            assert FRICTION in text.splitlines()[1]
+
+    def test_the_refit_has_its_own_parameters(self, found, trms, lab):
+        case = diagnosis()
+        found(case)
+        assert trms("diagnose", "real=rig.csv", "page=false", "out=refit").returncode == 0
+        for name, value in (("refit_model", 1.78e-5), ("corrected_model", 1.79e-5)):
+            content = yaml.safe_load((lab / "refit" / f"{name}.yaml").read_text("utf-8"))
+            assert content["parameters"]["k_fvp"]["value"] == value
+            assert bool(content.get("effects")) == (name == "corrected_model")
+
+    def test_a_recording_may_be_called_by_a_number(self, found, trms, lab):
+        (lab / "7.csv").write_bytes((lab / "rig.csv").read_bytes())
+        found(diagnosis(parameters={}))
+        assert trms("diagnose", "real=7.csv", "page=false", "out=number").returncode == 0
+        done = trms("run", "model=number/corrected_model.yaml", "sim.duration=0.2", "picture=false")
+        assert done.returncode == 0, done.stderr
+
+
+class TestResume:
+    def test_goes_on_after_an_interruption(self, trms, lab, monkeypatch):
+        seen: list[object] = []
+
+        def diagnose(problem: GapProblem, progress: object) -> Diagnosis:
+            state = progress.saved()  # type: ignore[attr-defined]
+            seen.append(state)
+            if state is None:
+                progress.save({"refit": [0.1, 2.0]})  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+            return diagnosis()
+
+        module = types.ModuleType("trms_cli.gap.diagnose")
+        module.diagnose = diagnose  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, "trms_cli.gap.diagnose", module)
+        done = trms("diagnose", "real=rig.csv", "page=false", "out=stopped")
+        assert done.returncode == 130 and "diagnose resume=stopped" in done.stderr
+        assert not (lab / "stopped" / "diagnosis.json").exists()
+        refused = trms("diagnose", "resume=stopped", "seed=4")
+        assert refused.returncode == 2 and "seed=4 given" in refused.stderr
+        done = trms("diagnose", "resume=stopped")
+        assert done.returncode == 0, done.stderr
+        assert seen == [None, {"refit": [0.1, 2.0]}]
+        assert (lab / "stopped" / "diagnosis.json").is_file()
+        over = trms("diagnose", "resume=stopped")
+        assert over.returncode == 2 and "is finished" in over.stderr
+
+    def test_refuses_another_recording_under_the_name(self, trms, lab, monkeypatch):
+        def diagnose(problem: GapProblem, progress: object) -> Diagnosis:
+            if progress.saved() is None:  # type: ignore[attr-defined]
+                progress.save({})  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+            return diagnosis()
+
+        module = types.ModuleType("trms_cli.gap.diagnose")
+        module.diagnose = diagnose  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, "trms_cli.gap.diagnose", module)
+        rows = (lab / "rig.csv").read_text(encoding="utf-8").splitlines()
+        (lab / "changing.csv").write_text("\n".join(rows), encoding="utf-8")
+        assert trms("diagnose", "real=changing.csv", "out=changed").returncode == 130
+        (lab / "changing.csv").write_text("\n".join(rows[:-100]), encoding="utf-8")
+        done = trms("diagnose", "resume=changed")
+        assert done.returncode == 2 and "has changed since" in done.stderr
+
+
+def rewritten(lab: Path, name: str, change: Callable[[dict[str, np.ndarray]], None]) -> str:
+    """The recording with its columns changed, under another name."""
+    with (lab / "rig.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.reader(file) if not row[0].startswith("#")]
+    heads = rows[0]
+    columns = {
+        head.partition("[")[0]: np.array([float(row[i]) if row[i] else np.nan for row in rows[1:]])
+        for i, head in enumerate(heads)
+    }
+    change(columns)
+    table = np.column_stack(list(columns.values()))
+    body = "\n".join(",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in table)
+    (lab / name).write_text(f"{','.join(heads)}\n{body}\n", encoding="utf-8")
+    return name
+
+
+def swap(columns: dict[str, np.ndarray]) -> None:
+    columns["u_v"], columns["u_h"] = columns["u_h"], columns["u_v"]
+
+
+def turn(columns: dict[str, np.ndarray]) -> None:
+    columns["alpha_v"] = -columns["alpha_v"]
+
+
+def hold(columns: dict[str, np.ndarray]) -> None:
+    columns["alpha_h"] = np.full_like(columns["alpha_h"], 0.1)
+
+
+def as_degrees(columns: dict[str, np.ndarray]) -> None:
+    columns["alpha_h"] = np.degrees(columns["alpha_h"]) * 3
+
+
+def cut(columns: dict[str, np.ndarray]) -> None:
+    for name in columns:
+        columns[name] = columns[name][:600]
+
+
+class TestBadInput:
+    """A sentence, and exit code 2, before anything is fitted."""
+
+    @pytest.mark.parametrize(
+        ("words", "says"),
+        [
+            (("real=nowhere.csv",), "nowhere.csv"),
+            (("real=rig.csv", "effort=fast"), "quick"),
+            (("real=rig.csv", "candidates=[yaw_coulomb]"), "did you mean yaw_coulomb_friction"),
+            (("real=rig.csv", "block=0"), "block"),
+            (("real=rig.csv", "sealed_share=1.5"), "sealed_share"),
+            (("real=rig.csv", "seed=-1"), "seed"),
+            (("real=rig.csv", "model=quanser_aero"), "is quanser_aero the model of this rig?"),
+            (("real=rig.csv", "model=narx_2dof"), "only steps from sample to sample"),
+            (("real=rig.csv", "speed=3"), "speed"),
+            ((), "real"),
+        ],
+    )
+    def test_of_the_command_line(self, found, trms, words, says):
+        asked = found(diagnosis())
+        done = trms("diagnose", *words)
+        assert done.returncode == 2, done.stdout
+        assert says in done.stderr and "Traceback" not in done.stderr
+        assert not asked and len(done.stderr.splitlines()) < 25
+
+    @pytest.mark.parametrize(
+        ("change", "says"),
+        [
+            (swap, "u_v and u_h are in each other's place"),
+            (turn, "alpha_v"),
+            (hold, "alpha_h is constant"),
+            (as_degrees, "alpha_h"),
+            (cut, "blocks"),
+        ],
+    )
+    def test_of_the_recording(self, found, trms, lab, change, says):
+        asked = found(diagnosis())
+        name = rewritten(lab, f"{change.__name__}.csv", change)
+        done = trms("diagnose", f"real={name}")
+        assert done.returncode == 2, done.stdout
+        assert says in done.stderr and "Traceback" not in done.stderr
+        assert not asked
+
+    def test_unlike_rates_are_named(self, found, trms, lab):
+        found(diagnosis())
+
+        def thin(columns: dict[str, np.ndarray]) -> None:
+            for name in columns:
+                columns[name] = columns[name][::2]
+
+        name = rewritten(lab, "thin.csv", thin)
+        done = trms("diagnose", f"real=[rig.csv,{name}]")
+        assert done.returncode == 2 and "data.resample=0.04" in done.stderr
+
+    def test_what_is_a_matter_of_degree_stands_in_the_file(self, found, trms, lab):
+        def lose(columns: dict[str, np.ndarray]) -> None:
+            columns["alpha_h"][:1600] = np.nan
+
+        found(diagnosis(warnings=()))
+        name = rewritten(lab, "gapped.csv", lose)
+        done = trms("diagnose", f"real={name}", "page=false", "out=degree")
+        assert done.returncode == 0, done.stderr
+        document = read(lab / "degree" / "diagnosis.json")
+        assert any("alpha_h is missing" in warning for warning in document["warnings"])
+        assert "alpha_h is missing" in done.stdout
+
+
+def test_versions_of_a_pipeline_are_kept(found, trms, lab):
+    found(replace(diagnosis(), versions={"trms": "of the pipeline"}))
+    assert trms("diagnose", "real=rig.csv", "page=false", "out=versions").returncode == 0
+    assert read(lab / "versions" / "diagnosis.json")["versions"] == {"trms": "of the pipeline"}

@@ -1,0 +1,134 @@
+"""The models that a diagnosis leaves: refitted, and corrected by the cause that was found."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from trms_cli.commands.catalogue import config_folder
+from trms_cli.commands.composition import Composition
+from trms_cli.commands.diagnose_request import Asked
+from trms_cli.commands.identify_files import effect_arguments, origin_of
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.extended_model import extended
+from trms_cli.gap.diagnosis import Cause, Diagnosis
+from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
+from trms_cli.identification.problem import FreeParameter, free_parameters
+from trms_cli.models.model import Model
+
+CORRECTED_NAME, REFIT_NAME = "corrected_model.yaml", "refit_model.yaml"
+
+
+def write_models(
+    asked: Asked, origin: ModelOrigin, diagnosis: Diagnosis, folder: Path
+) -> tuple[Path, Path]:
+    """Write the corrected model, and the nominal one refitted without a cause.
+
+    Returns
+    -------
+    corrected, refit : Path
+    """
+    cause = applied_cause(diagnosis)
+    refit = {} if diagnosis.verdict == "no_gap" else dict(diagnosis.refit)
+    deviations: dict[str, float | None] = {n: p.sd for n, p in diagnosis.parameters.items()}
+    if cause is None and not refit and diagnosis.verdict != "no_gap":
+        refit = {name: p.fitted for name, p in diagnosis.parameters.items()}
+    values = refit if cause is None else {n: p.fitted for n, p in diagnosis.parameters.items()}
+    corrected_path, refit_path = folder / CORRECTED_NAME, folder / REFIT_NAME
+    _write(asked, origin, cause, values, deviations, corrected_path, corrected_words(diagnosis))
+    words = "the nominal model with its parameters refitted, and nothing added"
+    if diagnosis.verdict == "no_gap":
+        words = "the nominal model: there is no gap, so nothing was refitted"
+    spread = deviations if cause is None else {}
+    _write(asked, origin, None, refit, spread, refit_path, words)
+    return corrected_path, refit_path
+
+
+def applied_cause(diagnosis: Diagnosis) -> Cause | None:
+    """The cause that the corrected model has: the first one, where the verdict is an effect."""
+    if diagnosis.verdict != "effect":
+        return None
+    return best_cause(diagnosis)
+
+
+def best_cause(diagnosis: Diagnosis) -> Cause | None:
+    """The likeliest cause that consists of effects, whatever the verdict."""
+    from trms_cli.gap.diagnosis import NO_EFFECT
+
+    named = [c for c in diagnosis.causes if c.effects and not set(c.effects) & set(NO_EFFECT)]
+    return max(named, key=lambda cause: cause.probability, default=None)
+
+
+def corrected_words(diagnosis: Diagnosis) -> str:
+    """What the corrected model is, for the comment in its file."""
+    best = best_cause(diagnosis)
+    named = "" if best is None else f"{' with '.join(best.effects)} (p = {best.probability:.2f})"
+    refit = "the nominal model with its parameters refitted"
+    return {
+        "effect": f"the nominal model refitted together with {named}",
+        "no_gap": "the nominal model as it was: no gap was found",
+        "parameters_only": f"{refit}: other parameters explain the gap, and no effect is needed",
+        "none_of_these": f"{refit}: no effect of the library explains what is left of the gap",
+        "undecided": f"{refit}; undecided, so no effect was added"
+        + (f", and {named} is the likeliest" if named else ""),
+    }[diagnosis.verdict]
+
+
+def model_origin(composition: Composition, asked: Asked) -> ModelOrigin:
+    """What the models' files say besides values; a model of one's own goes in as a plugin."""
+    try:
+        return origin_of(composition) or ModelOrigin(option="")
+    except ConfigurationError:
+        effects = composition.config.get("effect") or {}
+        node = {key: _plain(value) for key, value in composition.config["model"].items()}
+        if (config_folder() / "model" / f"{composition.choices['model']}.yaml").is_file():
+            node.pop("parameters", None)  # they stand in the file
+        return ModelOrigin(
+            option=node, effects={name: effect_arguments(name, n) for name, n in effects.items()}
+        )
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    return list(map(_plain, value)) if isinstance(value, (list, tuple)) else value
+
+
+def _write(
+    asked: Asked,
+    origin: ModelOrigin,
+    cause: Cause | None,
+    values: Mapping[str, float],
+    deviations: Mapping[str, float | None],
+    path: Path,
+    words: str,
+) -> None:
+    model, effects = asked.problem.model, dict(origin.effects)
+    free = _known(model, values)
+    if cause is not None:
+        suspects = asked.suspects
+        model = extended(model, {name: suspects.effects[name] for name in cause.effects})
+        for name in cause.effects:
+            effects[name] = effect_arguments(name, suspects.nodes[name])
+        values = dict(values) | {name: size.value for name, size in cause.parameters.items()}
+    files = {d.source: d.sha256 for d in asked.problem.datasets}
+    document = model_document(
+        asked.problem.datasets[0].name,
+        model,
+        ModelOrigin(option=origin.option, limits=origin.limits, effects=effects),
+        values=values,
+        deviations=deviations,
+        free=free,
+        source="diagnosed on "
+        + ", ".join(f"{Path(f).name} (sha256 {digest[:16]})" for f, digest in files.items()),
+    )
+    write_model(document, path, f"{shlex.join(['trms', *sys.argv[1:]])}\n{words}")
+
+
+def _known(model: Model, values: Mapping[str, float]) -> tuple[FreeParameter, ...]:
+    """What was known of the fitted parameters before."""
+    fitted = [name for name in values if name in model.parameters]
+    return free_parameters(model.parameters, fitted) if fitted else ()

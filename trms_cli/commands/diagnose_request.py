@@ -1,0 +1,202 @@
+"""From a composed configuration to what is to be diagnosed: model, recordings, suspects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
+
+from trms_cli.commands.composition import Composition
+from trms_cli.commands.diagnose_candidates import Suspects, suspects_of
+from trms_cli.commands.recording_request import model_of, several
+from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.plugins import TARGET, build
+from trms_cli.gap.problem import GapProblem
+from trms_cli.identification.admission import admit
+from trms_cli.identification.admission_issue import Admission
+from trms_cli.identification.data import DataOptions, load_datasets
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import Model
+
+#: Keys of the configuration that are plugins of their own.
+_GROUPS = ("model", "effect", "data")
+#: Checks of an admission that hold a recording against the model.
+_BY_MODEL = {"unit", "sign", "swapped", "speed", "zero", "sample time"}
+#: Blocks that a recording must hold: some to fit, some to choose by, one that is sealed.
+_FEWEST_BLOCKS = 4
+#: Samples that a block must hold to be worth one.
+_FEWEST_SAMPLES = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseOptions:
+    """The keys of ``configs/diagnose.yaml`` that are no group.
+
+    Attributes
+    ----------
+    real : str or tuple of str
+    candidates : str or tuple of str
+    effort : {"quick", "normal", "thorough"}
+    block : float
+        s.
+    sealed_share : float
+    seed, jobs : int
+    out : str or None
+    page : bool
+    """
+
+    real: str | tuple[str, ...]
+    candidates: str | tuple[str, ...] = ("all",)
+    effort: Literal["quick", "normal", "thorough"] = "normal"
+    block: Annotated[float, Meta(gt=0)] = 10.0
+    sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25
+    seed: Annotated[int, Meta(ge=0)] = 0
+    jobs: Annotated[int, Meta(ge=1)] = 2
+    out: str | None = None
+    page: bool = True
+
+
+@dataclass(frozen=True)
+class Asked:
+    """All that a diagnosis needs.
+
+    Attributes
+    ----------
+    options : DiagnoseOptions
+    problem : GapProblem
+    suspects : Suspects
+    remarks : tuple of str
+        What was found in the recordings and what was done to them.
+    """
+
+    options: DiagnoseOptions
+    problem: GapProblem
+    suspects: Suspects
+    remarks: tuple[str, ...]
+
+    @property
+    def fingerprint(self) -> str:
+        """Of all that the result depends on, hexadecimal."""
+        problem = self.problem
+        parts = [
+            problem.model_name,
+            *(f"{p.name} {p.value!r} {p.prior_sd!r}" for p in problem.model.parameters),
+            repr(self.suspects.nodes),
+            repr((problem.block, problem.sealed_share, problem.effort, problem.seed)),
+        ]
+        digest = sha256("\n".join(parts).encode())
+        for dataset in problem.datasets:
+            for values in (dataset.time, dataset.commands, dataset.measurements, dataset.noise_sd):
+                digest.update(values.tobytes())
+        return digest.hexdigest()
+
+
+def diagnosis_asked(composition: Composition) -> Asked:
+    """Build what a configuration asks for.
+
+    Raises
+    ------
+    TrmsError
+        For the first key, recording or effect that is wrong.
+    """
+    config = composition.config
+    own = {key: value for key, value in config.items() if key not in _GROUPS}
+    options = build({TARGET: f"{__name__}.DiagnoseOptions", **own})
+    assert isinstance(options, DiagnoseOptions)
+    data = build(config["data"], "data")
+    assert isinstance(data, DataOptions)
+    model = model_of(config)
+    _require_equations(model)
+    words = several(options.candidates, "candidates")
+    suspects = suspects_of(words, model, composition.config_dirs)
+    datasets = tuple(load_datasets(several(options.real, "real"), model, data))
+    admission = admit(datasets, model, len(_with_prior(model)))
+    _require(admission, name_of_model(composition))
+    _require_one_rate(datasets)
+    _require_blocks(datasets, options)
+    problem = GapProblem(
+        model=model,
+        model_name=name_of_model(composition),
+        datasets=datasets,
+        candidates=suspects.effects,
+        block=options.block,
+        sealed_share=options.sealed_share,
+        effort=options.effort,
+        seed=options.seed,
+        jobs=options.jobs,
+        warnings=tuple(str(issue) for issue in admission.warnings),
+    )
+    remarks = dict.fromkeys(remark for dataset in datasets for remark in dataset.remarks)
+    return Asked(options, problem, suspects, tuple(remarks))
+
+
+def name_of_model(composition: Composition) -> str:
+    """What the nominal model is called: its option, or its file as it was typed."""
+    node: Mapping[str, Any] = composition.config["model"]
+    path = node.get("path")
+    if composition.choices.get("model") == "from_file" and isinstance(path, str):
+        return path
+    return str(composition.choices.get("model"))
+
+
+def _with_prior(model: Model) -> list[str]:
+    return [p.name for p in model.parameters if p.prior_sd is not None]
+
+
+def _require(admission: Admission, model: str) -> None:
+    """Refuse what makes every answer wrong; what does not fit a model may be of another rig."""
+    try:
+        admission.require()
+    except RecordingError as error:
+        if {issue.check for issue in admission.errors} & _BY_MODEL:
+            error.remedy += f"\nif the file is right: is {model} the model of this rig?"
+        raise
+
+
+def _require_equations(model: Model) -> None:
+    """A network steps from sample to sample: nothing in it is a place where a force could miss."""
+    if model.sample_time is not None:
+        raise ConfigurationError(
+            f"model {model.name!r} only steps from sample to sample: a gap has no place in it",
+            where="model",
+            remedy="diagnose a model with equations of motion, as newtonian; `trms validate` tells "
+            "how good a network is",
+        )
+
+
+def _require_one_rate(datasets: tuple[Dataset, ...]) -> None:
+    steps = sorted({round(d.sample_time, 9) for d in datasets})
+    if len(steps) > 1:
+        raise ConfigurationError(
+            f"the recordings have sample times of {', '.join(f'{s:g}' for s in steps)} s",
+            where="real",
+            remedy=f"bring them to one: data.resample={steps[-1]:g}",
+        )
+
+
+def _require_blocks(datasets: tuple[Dataset, ...], options: DiagnoseOptions) -> None:
+    """Some blocks to fit, some to choose by, and one at least that is sealed."""
+    step = datasets[0].sample_time
+    if options.block < _FEWEST_SAMPLES * step:
+        raise ConfigurationError(
+            f"a block of {options.block:g} s holds {options.block / step:.0f} samples",
+            where="block",
+            remedy=f"give at least {_FEWEST_SAMPLES * step:g} s; 5 to 15 s suit most rigs",
+        )
+    whole = sum(int(d.duration / options.block + 1e-6) for d in datasets)
+    if whole < _FEWEST_BLOCKS:
+        length = sum(d.duration for d in datasets)
+        raise ConfigurationError(
+            f"{length:g} s recorded hold {whole} blocks of {options.block:g} s, and "
+            f"{_FEWEST_BLOCKS} are needed: to fit, to choose by, and to be sealed",
+            where="real",
+            remedy=f"record at least {_FEWEST_BLOCKS * options.block:g} s, better 120 s"
+            + (
+                f"; or shorter blocks: block={length / _FEWEST_BLOCKS:.3g}"
+                if length / _FEWEST_BLOCKS >= max(5.0, _FEWEST_SAMPLES * step)
+                else ""
+            ),
+        )

@@ -1,0 +1,156 @@
+"""The rig's block diagram with the shares of a gap drawn on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
+
+from trms_cli.gap.diagnosis import LocationShare
+from trms_cli.reporting.diagnosis_words import percent
+from trms_cli.reporting.style import GREY, INK, PALE, PALETTE, house_style, new_figure
+
+#: Size of a box, and the pitch of columns and rows, in units of the drawing.
+_WIDE, _HIGH, _ACROSS = 1.42, 0.86, 1.95
+#: Rows: the main rotor and pitch above, the tail rotor and yaw below; tachos outside of them.
+_ROWS = {"main": 0.85, "tail": -0.85}
+_TACHO = 1.28
+_FULL = PALETTE["vermilion"]
+#: Share from which on a box is filled as far as it goes.
+_DARKEST = 0.9
+
+
+@dataclass(frozen=True)
+class _Box:
+    """A place of the diagram: its centre, and the lines of its name."""
+
+    x: float
+    y: float
+    title: str
+
+
+def _boxes() -> dict[str, _Box]:
+    boxes = {}
+    for rotor, axis in (("main", "pitch"), ("tail", "yaw")):
+        y = _ROWS[rotor]
+        chain = (
+            (f"{rotor}_actuator", f"{rotor} actuator"),
+            (f"{rotor}_motor", f"{rotor} motor"),
+            (f"{rotor}_thrust", f"{rotor} thrust"),
+            (f"{axis}_moment", f"{axis} moment"),
+            (f"{axis}_sensor", f"{axis} sensor"),
+        )
+        for i, (name, title) in enumerate(chain):
+            boxes[name] = _Box(_ACROSS * i, y, title)
+        out = _TACHO if y > 0 else -_TACHO
+        boxes[f"{rotor}_tacho"] = _Box(_ACROSS * 1.5, y + out, f"{rotor} tacho")
+    return boxes
+
+
+def diagram(where: tuple[LocationShare, ...] | list[LocationShare]) -> Figure:
+    """From the commands to the sensors, each place with its share of the gap.
+
+    A place is filled the darker the more of the gap lies in it; a dashed one was not asked about,
+    as nothing was measured that would tell.
+    """
+    shares = {place.location: place for place in where}
+    with house_style():
+        figure = new_figure(9.2, 4.5)
+        panel = figure.subplots()
+        panel.set_axis_off()
+        panel.set_aspect("equal")
+        boxes = _boxes()
+        _wires(panel, boxes)
+        for name, box in boxes.items():
+            _draw(panel, box, shares.get(name))
+        panel.set_xlim(-1.62, 4 * _ACROSS + 1.55)
+        panel.set_ylim(_ROWS["tail"] - _TACHO - 0.6, _ROWS["main"] + _TACHO + 0.6)
+        return figure
+
+
+def _draw(panel: Axes, box: _Box, place: LocationShare | None) -> None:
+    share = 0.0 if place is None else max(0.0, min(1.0, place.share))
+    fill = _mixed(share / _DARKEST)
+    strong = share >= 0.5
+    panel.add_patch(
+        FancyBboxPatch(
+            (box.x - _WIDE / 2, box.y - _HIGH / 2),
+            _WIDE,
+            _HIGH,
+            boxstyle="round,pad=0,rounding_size=0.09",
+            facecolor=fill,
+            edgecolor=INK if place is not None else GREY,
+            linewidth=1.8 if strong else 0.9,
+            linestyle="-" if place is not None else (0, (3, 2)),
+            zorder=3,
+        )
+    )
+    ink = "#ffffff" if share > 0.6 else (INK if place is not None else GREY)
+    if place is None:
+        panel.text(box.x, box.y, box.title, ha="center", va="center", color=ink, size=8, zorder=4)
+        return
+    panel.text(
+        box.x, box.y + 0.24, box.title, ha="center", va="center", color=ink, size=8, zorder=4
+    )
+    panel.text(
+        box.x, box.y - 0.02, percent(place.share), ha="center", va="center", color=ink,
+        size=11, weight="bold" if share >= 0.1 else "normal", zorder=4,
+    )  # fmt: skip
+    low, high = place.ci95
+    panel.text(
+        box.x, box.y - 0.28, f"{100 * low:.0f}–{100 * high:.0f} %", ha="center", va="center",
+        color=ink, size=7, zorder=4,
+    )  # fmt: skip
+
+
+def _mixed(part: float) -> tuple[float, float, float]:
+    """From white to the full colour."""
+    part = max(0.0, min(1.0, part)) ** 0.8
+    full = to_rgb(_FULL)
+    return (1 - part * (1 - full[0]), 1 - part * (1 - full[1]), 1 - part * (1 - full[2]))
+
+
+def _wires(panel: Axes, boxes: Mapping[str, _Box]) -> None:
+    for (rotor, axis), command, angle, speed in (
+        (("main", "pitch"), "$u_v$", r"$\alpha_v$", r"$\omega_v$"),
+        (("tail", "yaw"), "$u_h$", r"$\alpha_h$", r"$\omega_h$"),
+    ):
+        chain = [boxes[f"{rotor}_{part}"] for part in ("actuator", "motor", "thrust")]
+        chain += [boxes[f"{axis}_{part}"] for part in ("moment", "sensor")]
+        y = chain[0].y
+        for left, right in pairwise(chain):
+            _arrow(panel, (left.x + _WIDE / 2, y), (right.x - _WIDE / 2, y))
+        _arrow(panel, (chain[0].x - _WIDE / 2 - 0.42, y), (chain[0].x - _WIDE / 2, y))
+        _word(panel, chain[0].x - _WIDE / 2 - 0.62, y, command)
+        end = chain[-1].x + _WIDE / 2
+        _arrow(panel, (end, y), (end + 0.42, y))
+        _word(panel, end + 0.62, y, angle)
+        tacho = boxes[f"{rotor}_tacho"]
+        branch = (chain[1].x + chain[2].x) / 2
+        inner = tacho.y - _HIGH / 2 if tacho.y > 0 else tacho.y + _HIGH / 2
+        panel.plot([branch], [y], marker="o", ms=3.5, color=GREY, zorder=2)
+        _arrow(panel, (branch, y), (branch, inner))
+        _arrow(panel, (tacho.x + _WIDE / 2, tacho.y), (tacho.x + _WIDE / 2 + 0.42, tacho.y))
+        _word(panel, tacho.x + _WIDE / 2 + 0.64, tacho.y, speed)
+    x = boxes["pitch_moment"].x
+    for side, up in ((-0.16, True), (0.16, False)):
+        ends = (_ROWS["main"] - _HIGH / 2, _ROWS["tail"] + _HIGH / 2)
+        start, stop = ends if not up else ends[::-1]
+        _arrow(panel, (x + side, start), (x + side, stop), colour=PALE)
+    panel.text(x + 0.3, 0.0, "cross\ncoupling", ha="left", va="center", color=GREY, size=7)
+
+
+def _arrow(
+    panel: Axes, start: tuple[float, float], end: tuple[float, float], colour: str = GREY
+) -> None:
+    style = {"arrowstyle": "-|>", "color": colour, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
+    panel.annotate("", xy=end, xytext=start, arrowprops=style, zorder=2)
+
+
+def _word(panel: Axes, x: float, y: float, text: str) -> None:
+    panel.text(x, y, text, ha="center", va="center", color=INK, size=10)
