@@ -1,13 +1,10 @@
-"""What a baseline is, and what all of them share: the parts of the data, the form of an answer."""
+"""What a baseline is, and the form of an answer."""
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
-
-import numpy as np
 
 import trms_cli
 from trms_cli.gap.baselines.shrinkage import Measured
@@ -20,9 +17,7 @@ from trms_cli.gap.diagnosis import (
     Recorded,
     Verdict,
 )
-from trms_cli.gap.free_runs import Span
 from trms_cli.gap.problem import GapProblem
-from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import names
 
 
@@ -34,35 +29,6 @@ class Baseline(Protocol):
 
     def answer(self, problem: GapProblem) -> Diagnosis:
         """Diagnose; the same problem and seed give the same answer."""
-
-
-@dataclass(frozen=True)
-class Split:
-    """What is fitted, and what is only looked at in the end.
-
-    Attributes
-    ----------
-    fitted : tuple of Dataset
-    sealed : tuple of (dataset, first, last)
-        Spans of samples of the problem's recordings.
-    """
-
-    fitted: tuple[Dataset, ...]
-    sealed: tuple[Span, ...]
-
-
-def split(problem: GapProblem) -> Split:
-    """The end of each recording is sealed: its share in whole blocks, where there are enough."""
-    fitted, sealed = [], []
-    for number, dataset in enumerate(problem.datasets):
-        block = max(1, round(problem.block / dataset.sample_time))
-        samples = round(problem.sealed_share * len(dataset))
-        if len(dataset) >= 4 * block:
-            samples = max(1, round(samples / block)) * block
-        samples = int(np.clip(samples, 1, len(dataset) - 1))
-        fitted.append(dataset.part(0, len(dataset) - samples))
-        sealed.append((number, len(dataset) - samples, len(dataset)))
-    return Split(tuple(fitted), tuple(sealed))
 
 
 def diagnosis(

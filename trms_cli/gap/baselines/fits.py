@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trms_cli.gap.baselines.baseline import Split
+from trms_cli.gap.blocks import Parts, divide
 from trms_cli.gap.candidates import Suspect, joint
 from trms_cli.gap.diagnosis import FittedParameter, SizeEstimate
 from trms_cli.gap.problem import GapProblem
@@ -65,6 +65,11 @@ class Fit:
         }
 
 
+def parts_of(problem: GapProblem) -> Parts:
+    """What is fitted and what stays sealed: as the diagnosis divides it."""
+    return divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
+
+
 def is_size(name: str) -> bool:
     """Whether a parameter is an effect's."""
     return "." in name
@@ -79,7 +84,7 @@ def nominal_free(model: Model) -> tuple[FreeParameter, ...]:
 
 def fit_problem(
     problem: GapProblem,
-    parts: Split,
+    parts: Parts,
     chosen: Sequence[Suspect] = (),
     starts: Mapping[str, float] | None = None,
     **settings: object,
@@ -100,7 +105,7 @@ def fit_problem(
         model=model,
         datasets=parts.fitted,
         free=free,
-        window_length=problem.block,
+        window_length=parts.block,
         seed=problem.seed,
         jobs=problem.jobs,
         **settings,  # type: ignore[arg-type]
@@ -118,7 +123,7 @@ def map_fit(asked: FitProblem, starts: int = 2) -> Fit:
     return Fit(with_values(asked.model, found.values), asked.free, found.theta, sd)
 
 
-def refit(problem: GapProblem, parts: Split) -> Fit:
+def refit(problem: GapProblem, parts: Parts) -> Fit:
     """The nominal parameters alone."""
     return map_fit(fit_problem(problem, parts))
 

@@ -12,8 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from trms_cli.gap.baselines.baseline import diagnosis, places, split
-from trms_cli.gap.baselines.fits import fit_problem, map_fit, refit
+from trms_cli.gap.baselines.baseline import diagnosis, places
+from trms_cli.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
 from trms_cli.gap.baselines.shrinkage import measure
 from trms_cli.gap.baselines.white_noise import compete
 from trms_cli.gap.candidates import suspects
@@ -38,7 +38,7 @@ class Oracle:
     def answer(self, problem: GapProblem) -> Diagnosis:
         """See :class:`~trms_cli.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
-        parts = split(problem)
+        parts = parts_of(problem)
         plain = refit(problem, parts)
         found, _ = suspects(problem.model, problem.candidates)
         chosen = [found[name] for name in self.effects if name in found]
@@ -57,7 +57,7 @@ class Oracle:
             problem,
             verdict,
             [Cause(effects=effects, probability=1.0, parameters=fit.sizes())],
-            measure(problem, parts.sealed, problem.model, plain.model, fit.model),
+            measure(problem, parts, problem.model, plain.model, fit.model),
             where=places(chosen, 1.0),
             parameters=fit.nominal(),
             sentence="The effects were told, and fitted.",

@@ -6,8 +6,8 @@ import time
 from dataclasses import dataclass
 from typing import ClassVar
 
-from trms_cli.gap.baselines.baseline import diagnosis, split
-from trms_cli.gap.baselines.fits import refit
+from trms_cli.gap.baselines.baseline import diagnosis
+from trms_cli.gap.baselines.fits import parts_of, refit
 from trms_cli.gap.baselines.shrinkage import measure
 from trms_cli.gap.diagnosis import Cause, Diagnosis
 from trms_cli.gap.problem import GapProblem
@@ -22,9 +22,9 @@ class ParameterRefit:
     def answer(self, problem: GapProblem) -> Diagnosis:
         """See :class:`~trms_cli.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
-        parts = split(problem)
+        parts = parts_of(problem)
         fit = refit(problem, parts)
-        measured = measure(problem, parts.sealed, problem.model, fit.model, fit.model)
+        measured = measure(problem, parts, problem.model, fit.model, fit.model)
         return diagnosis(
             problem,
             "parameters_only",

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trms_cli.gap.blocks import Parts
 from trms_cli.gap.diagnosis import Gap, Shrink
-from trms_cli.gap.free_runs import Errors, Span, expected_errors, free_run_errors
+from trms_cli.gap.free_runs import Errors, expected_errors, free_run_errors
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import FloatArray, IntArray
 from trms_cli.models.model import Model
@@ -42,17 +43,17 @@ class Measured:
 
 
 def measure(
-    problem: GapProblem, sealed: Sequence[Span], raw: Model, refit: Model, corrected: Model
+    problem: GapProblem, parts: Parts, raw: Model, refit: Model, corrected: Model
 ) -> Measured:
     """Free runs of three models on the sealed part.
 
     The floor is what the corrected model would leave of its own simulation, seen through the
     declared noise.
     """
-    options = {"block": problem.block, "jobs": problem.jobs}
+    options = {"block": parts.block, "jobs": problem.jobs}
 
     def runs(model: Model) -> Errors:
-        return free_run_errors(model, problem.datasets, sealed, **options)  # type: ignore[arg-type]
+        return free_run_errors(model, parts.whole, parts.sealed, **options)  # type: ignore[arg-type]
 
     before, after = runs(refit), runs(refit)
     if corrected is not refit:
@@ -60,12 +61,12 @@ def measure(
     errors = {"raw": runs(raw), "refit": before, "corrected": after}
     right = expected_errors(
         corrected,
-        problem.datasets,
-        sealed,
+        parts.whole,
+        parts.sealed,
         seed=problem.seed,
         **options,  # type: ignore[arg-type]
     )
-    units = {s.name: s.unit for d in problem.datasets for s in d.outputs}
+    units = {s.name: s.unit for d in parts.whole for s in d.outputs}
     gap: dict[str, dict[str, Gap]] = {}
     shrink: dict[str, dict[str, Shrink]] = {}
     pooled: dict[str, list[tuple[FloatArray, IntArray]]] = {}

@@ -10,12 +10,13 @@ standard deviation of each output is the residuals' own, as maximum likelihood h
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trms_cli.gap.baselines.baseline import Split
 from trms_cli.gap.baselines.fits import Fit, fit_problem
+from trms_cli.gap.blocks import Parts
 from trms_cli.gap.candidates import Suspect
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import FloatArray
@@ -29,7 +30,7 @@ from trms_cli.identification.judgement import with_values
 from trms_cli.identification.problem import FitProblem
 
 #: Steps from each start, then from the better one, and the reduction (nats) that ends a search.
-_FIRST_STEPS, _LAST_STEPS, _TOLERANCE = 5, 6, 0.1
+_FIRST_STEPS, _LAST_STEPS, _TOLERANCE = 4, 6, 0.5
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,9 @@ class Competitor:
     ----------
     chosen : tuple of Suspect
     fit : Fit
+        Without standard deviations.
+    starts : (m, n_x) array
+        Of the windows.
     residual_sd : (n_y,) array
         Root mean square of the residuals of each output.
     log_likelihood : float
@@ -50,6 +54,7 @@ class Competitor:
 
     chosen: tuple[Suspect, ...]
     fit: Fit
+    starts: FloatArray
     residual_sd: FloatArray
     log_likelihood: float
     parameters: int
@@ -63,7 +68,7 @@ class Competitor:
 
 def compete(
     problem: GapProblem,
-    parts: Split,
+    parts: Parts,
     chosen: Sequence[Suspect],
     nominal: Competitor | None,
     *,
@@ -82,25 +87,24 @@ def compete(
     windows = Windows(asked)
     sd = windows.declared[0] if nominal is None else nominal.residual_sd
     bounds = (asked.starts, asked.starts) if held else asked.bounds
-    best: tuple[float, Point, FloatArray] | None = None
-    for theta in _starting_points(asked, windows, chosen, nominal, sd):
-        found = _search(windows, theta, bounds, sd, 0 if held else _FIRST_STEPS)
-        if best is None or found[0] > best[0]:
-            best = found
-    assert best is not None
-    if not held:
-        rounds = 3 if nominal is None else 1
-        for _ in range(rounds):
-            found = _search(windows, best[1].theta, bounds, best[2], _LAST_STEPS, best[1].starts)
-            best = max(best, found, key=lambda item: item[0])
+    begins: list[tuple[FloatArray, FloatArray | None]] = [(asked.starts, None)]
+    if nominal is not None and not held:
+        begins = _beginnings(asked, windows, chosen, nominal)
+    found = [
+        _search(windows, theta, bounds, sd, 0 if held else _FIRST_STEPS, starts)
+        for theta, starts in begins
+    ]
+    best = max(found, key=lambda item: item[0])
+    for _ in range(0 if held else 3 if nominal is None else 1):
+        again = _search(windows, best[1].theta, bounds, best[2], _LAST_STEPS, best[1].starts)
+        best = max(best, again, key=lambda item: item[0])
     log_likelihood, point, sd = best
-    objective = _objective(windows, point.theta, sd)
-    known = information(objective, point.theta, point.starts)
-    spread = np.sqrt(np.maximum(np.diag(known.covariance(asked.on_bounds(point.theta) != 0)), 0))
     values = dict(zip(asked.names, point.theta.tolist(), strict=True))
+    unknown = np.full(len(asked.free), np.nan)
     return Competitor(
         tuple(chosen),
-        Fit(with_values(asked.model, values), asked.free, point.theta, spread),
+        Fit(with_values(asked.model, values), asked.free, point.theta, unknown),
+        point.starts,
         sd,
         log_likelihood,
         0 if held else len(asked.free),
@@ -108,31 +112,33 @@ def compete(
     )
 
 
-def _starting_points(
-    asked: FitProblem,
-    windows: Windows,
-    chosen: Sequence[Suspect],
-    nominal: Competitor | None,
-    sd: FloatArray,
-) -> list[FloatArray]:
+def with_deviations(competitor: Competitor, problem: GapProblem, parts: Parts) -> Competitor:
+    """The same with the standard deviations of its parameters."""
+    asked = fit_problem(problem, parts, competitor.chosen, robust=None, discrepancy="none")
+    windows, theta = Windows(asked), competitor.fit.theta
+    objective = _objective(windows, theta, competitor.residual_sd)
+    known = information(objective, theta, competitor.starts)
+    sd = np.sqrt(np.maximum(np.diag(known.covariance(asked.on_bounds(theta) != 0)), 0.0))
+    return replace(competitor, fit=replace(competitor.fit, sd=sd))
+
+
+def _beginnings(
+    asked: FitProblem, windows: Windows, chosen: Sequence[Suspect], nominal: Competitor
+) -> list[tuple[FloatArray, FloatArray | None]]:
     """The nominal optimum and the priors' centre, with the likeliest of the effects' sizes."""
-    centre = asked.starts
-    if nominal is None:
-        return [centre]
-    known = nominal.fit.values
+    centre, known = asked.starts.copy(), nominal.fit.values
     at = np.array([known.get(name, v) for name, v in zip(asked.names, centre, strict=True)])
+    objective = _objective(windows, at, nominal.residual_sd)
+    starts = objective.centres.copy()
+    starts[:, : nominal.starts.shape[1]] = nominal.starts
     for suspect in chosen:
         columns = [asked.names.index(p.name) for p in suspect.free]
         costs = []
         for sizes in suspect.variants:
-            tried = at.copy()
-            tried[columns] = sizes
-            objective = _objective(windows, tried, sd)
-            costs.append(objective.cost(tried, objective.centres))
-        at[columns] = suspect.variants[int(np.argmin(costs))]
-        centre = centre.copy()
-        centre[columns] = at[columns]
-    return [at, centre]
+            at[columns] = sizes
+            costs.append(objective.cost(at, starts))
+        at[columns] = centre[columns] = suspect.variants[int(np.argmin(costs))]
+    return [(at, starts), (centre, None)]
 
 
 def _search(
@@ -150,9 +156,12 @@ def _search(
     else:
         point = Point(theta, starts, objective.cost(theta, starts))
     if steps and np.isfinite(point.cost):
-        point = minimise(
-            objective, point, bounds=bounds, iterations=steps, tolerance=_TOLERANCE
-        ).point
+        # Slopes may overflow where the simulation does not: the search ends where it began.
+        with suppress(np.linalg.LinAlgError):
+            search = minimise(
+                objective, point, bounds=bounds, iterations=steps, tolerance=_TOLERANCE
+            )
+            point = search.point
     return _likelihood(windows, point)
 
 

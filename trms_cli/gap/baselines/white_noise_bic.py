@@ -8,9 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from trms_cli.gap.baselines.baseline import diagnosis, places, split
+from trms_cli.gap.baselines.baseline import diagnosis, places
+from trms_cli.gap.baselines.fits import parts_of
 from trms_cli.gap.baselines.shrinkage import measure
-from trms_cli.gap.baselines.white_noise import Competitor, compete
+from trms_cli.gap.baselines.white_noise import Competitor, compete, with_deviations
 from trms_cli.gap.candidates import suspects
 from trms_cli.gap.diagnosis import Cause, Diagnosis, Verdict
 from trms_cli.gap.problem import GapProblem
@@ -32,7 +33,7 @@ class WhiteNoiseBic:
     def answer(self, problem: GapProblem) -> Diagnosis:
         """See :class:`~trms_cli.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
-        parts = split(problem)
+        parts = parts_of(problem)
         nominal = compete(problem, parts, (), None)
         field: dict[tuple[str, ...], Competitor] = {
             ("no_gap",): compete(problem, parts, (), nominal, held=True),
@@ -47,7 +48,8 @@ class WhiteNoiseBic:
         ranked = sorted(field.items(), key=lambda item: item[1].bic)
         weights = np.exp([-(entry.bic - ranked[0][1].bic) / 2 for _, entry in ranked])
         probability = (weights / weights.sum()).tolist()
-        best, winner = ranked[0]
+        best, winner = ranked[0][0], with_deviations(ranked[0][1], problem, parts)
+        ranked[0] = (best, winner)
         share = 1 - float(np.mean((winner.residual_sd / nominal.residual_sd) ** 2))
         return diagnosis(
             problem,
@@ -57,7 +59,7 @@ class WhiteNoiseBic:
                 for (effects, entry), p in zip(ranked, probability, strict=True)
                 if p > _TOLD
             ],
-            measure(problem, parts.sealed, problem.model, nominal.fit.model, winner.fit.model),
+            measure(problem, parts, problem.model, nominal.fit.model, winner.fit.model),
             where=places(winner.chosen, float(np.clip(share, 0.0, 1.0))),
             parameters=winner.fit.nominal(),
             sentence=f"{', '.join(best)} has the lowest BIC on white-noise simulation error.",
