@@ -1,0 +1,143 @@
+"""``trms blind score``: the key opened, diagnoses judged, the table printed and written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from msgspec import Meta
+
+from trms_cli.commands.composition import Composition
+from trms_cli.core.errors import EXIT_OK, ConfigurationError
+from trms_cli.core.plugins import TARGET, build, nearest
+
+if TYPE_CHECKING:
+    from trms_cli.gap.blind.measures import Table
+
+DOCUMENT_NAME, PAGE_NAME = "score.json", "score.md"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreOptions:
+    """The keys of ``configs/blind_score.yaml``; see there."""
+
+    source: str
+    diagnoses: str | tuple[str, ...]
+    key: str | None = None
+    oracle: str | None = None
+    fresh: bool = True
+    bootstrap: Annotated[int, Meta(ge=100)] = 2000
+    seed: Annotated[int, Meta(ge=0)] = 0
+    jobs: Annotated[int, Meta(ge=1)] = 2
+    out: str | None = None
+
+
+def perform(composition: Composition) -> int:
+    """Judge what a configuration asks for."""
+    from trms_cli.commands.blind_make import key_folder_of
+    from trms_cli.commands.run_folder import new_folder, write_document
+    from trms_cli.core.whole_file import replace_whole
+    from trms_cli.gap.blind.measures import table
+    from trms_cli.gap.blind.sealing import open_key
+    from trms_cli.gap.blind.verdicts import document_of, judge, markdown, with_fresh
+
+    keys = dict(composition.config)
+    options = build({TARGET: f"{__name__}.ScoreOptions", "source": keys.pop("in"), **keys})
+    assert isinstance(options, ScoreOptions)
+    source = Path(options.source).expanduser()
+    methods = methods_of(options.diagnoses)
+    if options.oracle is not None and options.oracle not in methods:
+        raise ConfigurationError(
+            f"none of the diagnoses is called {options.oracle!r}",
+            where="oracle",
+            remedy=nearest(options.oracle, methods),
+        )
+    key = open_key(key_folder_of(source, options.key), source)
+    judged = {name: judge(key, folder) for name, folder in methods.items()}
+    if options.fresh and key.fresh is not None:
+        judged = {
+            name: with_fresh(found, methods[name], key.fresh, options.jobs)
+            for name, found in judged.items()
+        }
+    oracle = {j.name: j for j in judged[options.oracle]} if options.oracle else None
+    tables = {
+        name: table(found, oracle, draws=options.bootstrap, seed=options.seed)
+        for name, found in judged.items()
+    }
+    document = document_of(key, tables, judged)
+    folder = new_folder(options.out, "blind")
+    write_document(document, folder / DOCUMENT_NAME)
+    replace_whole(folder / PAGE_NAME, markdown(document).encode())
+    _print(tables, document, folder)
+    return EXIT_OK
+
+
+def methods_of(diagnoses: str | Sequence[str]) -> dict[str, Path]:
+    """Folders of diagnoses by name; a folder without one is called by its own.
+
+    Raises
+    ------
+    ConfigurationError
+        If a folder does not exist, or two have one name.
+    """
+    found: dict[str, Path] = {}
+    for text in [diagnoses] if isinstance(diagnoses, str) else diagnoses:
+        name, equals, place = text.partition("=")
+        folder = Path(place if equals else text).expanduser()
+        if not equals or "/" in name:
+            folder = Path(text).expanduser()
+            name = folder.name
+        if not folder.is_dir():
+            raise ConfigurationError(
+                f"there is no folder {str(folder)!r}",
+                where="diagnoses",
+                remedy="diagnoses=FOLDER, or 'diagnoses=[NAME=FOLDER, NAME=FOLDER]'",
+            )
+        if name in found:
+            raise ConfigurationError(
+                f"{name!r} is given twice", where="diagnoses", remedy="give each a name of its own"
+            )
+        found[name] = folder
+    return found
+
+
+def _print(tables: Mapping[str, Table], document: Mapping[str, Any], folder: Path) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table as Printed
+
+    from trms_cli.gap.blind.verdicts import reach, shown
+
+    console = Console()
+    console.print(
+        f"set {document['set']}, {document['cases']} rigs, seed {document['seed']}; the key is "
+        f"the one that was told, {document['commitment'][:16]}…",
+        highlight=False,
+    )
+    for name, table in tables.items():
+        method = document["methods"][name]
+        printed = Printed(box=SIMPLE_HEAD, pad_edge=False)
+        printed.add_column(name, header_style="bold cyan")
+        for column in ("", "95 %", "cases", "reach"):
+            printed.add_column(column, justify="right", no_wrap=True)
+        for row in table.rows:
+            e, style = row.estimate, {True: "green", False: "bold red", None: ""}[row.reached]
+            interval = "" if e.low is None else f"{shown(e.low, row.unit)} … "
+            interval += "" if e.high is None else shown(e.high, row.unit)
+            cells = (shown(e.value, row.unit), interval, str(e.count), reach(row.target, row.unit))
+            printed.add_row(row.measure, *cells, style=style if e.count else "dim")
+        console.print(printed)
+        if method["diagnosed"] < document["cases"]:
+            missing = document["cases"] - method["diagnosed"]
+            console.print(f"  {missing} rigs are not diagnosed", style="yellow")
+        told = table.reliability
+        if told.calibration_error is not None:
+            console.print(
+                f"  calibration error {told.calibration_error:.3f}, Brier {told.brier:.3f}"
+                + ("" if table.seconds is None else f"; {table.seconds:.1f} s a diagnosis"),
+                highlight=False,
+            )
+        console.print()
+    console.print(f"written: {folder / DOCUMENT_NAME}, {folder / PAGE_NAME}", highlight=False)
