@@ -26,7 +26,6 @@ from trms_cli.reporting.diagnosis_words import tests_words as words_of_tests
 
 from .diagnosis_case import FRICTION, diagnosis, traces
 
-
 #: Without most of the pictures, which take their time.
 PLAIN: dict = {"traces": None, "race": ()}
 
@@ -78,7 +77,8 @@ def test_the_gap_is_told_in_numbers_of_the_document() -> None:
         {"verdict": "no_gap", "causes": (Cause(effects=("no_gap",), probability=0.97),), "race": (),
          "confusable": (), "traces": None, "region": (), "next_experiment": None},
         {"verdict": "parameters_only", **PLAIN, "where": (), "gap": {}, "shrink": {}},
-        {"verdict": "none_of_these", **PLAIN, "description": ("acts on yaw", "below 1 Hz"), "tests": ()},
+        {"verdict": "none_of_these", **PLAIN, "description": ("acts on yaw", "below 1 Hz"),
+         "tests": ()},
         {"verdict": "undecided", "causes": (), "detectable": {}, "not_testable": ()},
     ],
     ids=lambda changes: changes["verdict"],

@@ -76,7 +76,11 @@ def _facts(diagnosis: Diagnosis) -> dict[str, str]:
 def _causes(page: Page, diagnosis: Diagnosis) -> None:
     if not diagnosis.causes:
         return
-    page.section("Which cause", "Probabilities of all answers; they sum to one.")
+    page.section(
+        "Which cause",
+        "Probabilities of all answers; they sum to one. How the race turns into probabilities is "
+        "set by rigs whose truth is known, built by other code than the models.",
+    )
     kept = [c for c in diagnosis.causes if c.probability >= 0.005][:_MOST_CAUSES]
     sure = diagnosis.verdict != "undecided"
     rows: list[list[Cell | Marked]] = []
