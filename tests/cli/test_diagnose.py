@@ -21,6 +21,7 @@ import yaml
 
 from tests.gap.diagnosis_case import FRICTION, diagnosis
 from trms_cli.cli import main
+from trms_cli.effects.model_file import load_model
 from trms_cli.gap.diagnosis import Cause, Diagnosis, FittedParameter, SizeEstimate
 from trms_cli.gap.problem import GapProblem
 
@@ -194,6 +195,35 @@ class TestOwnEffect:
         }  # fmt: skip
         again = trms("run", "model=own/corrected_model.yaml", "sim.duration=0.2", "picture=false")
         assert again.returncode == 0, again.stderr
+
+
+class TestOwnModel:
+    def test_its_corrected_model_names_its_class(self, found, trms, lab):
+        folder = lab / "ours"
+        (folder / "model").mkdir(parents=True)
+        (folder / "model" / "our_rig.yaml").write_text(
+            "# our rig\n_target_: our_rig_of_diagnose.OurRig\nparameter_set: bench\n", "utf-8"
+        )
+        (folder / "our_rig_of_diagnose.py").write_text(
+            "from trms_cli.models.newtonian import Newtonian\n\n\nclass OurRig(Newtonian):\n"
+            '    """Ours."""\n',
+            encoding="utf-8",
+        )
+        found(diagnosis(parameters=fitted(k_fvp=1.7e-5)))
+        done = trms(
+            "diagnose", "real=rig.csv", "--config-dir", str(folder), "model=our_rig",
+            "page=false", "out=ours-out",
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        file = "ours-out/corrected_model.yaml"
+        content = yaml.safe_load((lab / file).read_text("utf-8"))
+        assert content["model"]["_target_"] == "our_rig_of_diagnose.OurRig"
+        model = load_model(str(lab / file))
+        assert type(model.base).__name__ == "OurRig" and model.effect_name == FRICTION
+        assert model.parameters["k_fvp"].value == 1.7e-5
+        assert model.parameters["k_fvp"].prior_sd is not None
+        done = trms("run", f"model={file}", "sim.duration=0.2", "picture=false")
+        assert done.returncode == 0, done.stderr
 
 
 def fitted(**values: float) -> dict[str, FittedParameter]:

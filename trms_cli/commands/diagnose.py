@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from trms_cli.commands.composition import Composition, Outcome, execute
-from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.errors import EXIT_OK, EXIT_TERMINATED, Terminated
 
 if TYPE_CHECKING:
     from trms_cli.commands.diagnose_request import Asked
@@ -98,6 +98,8 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
             diagnosis = completed(diagnose(asked.problem, progress), asked)
     except KeyboardInterrupt:
         screen.say_stopped()
+        if progress.exit_code == EXIT_TERMINATED:
+            raise Terminated from None
         raise
     write_document(document_of(diagnosis), folder / DOCUMENT_NAME)
     corrected, _ = write_models(asked, origin, diagnosis, folder)
