@@ -13,6 +13,7 @@ from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.record import (
     FloatArray,
     ForceRecord,
+    IntArray,
     blocks,
     correlation_time,
     sample_time,
@@ -21,7 +22,7 @@ from trms_cli.gap.force.record import (
     thinned,
 )
 from trms_cli.gap.force.regions import change_time, regions
-from trms_cli.gap.force.signatures import signatures
+from trms_cli.gap.force.signatures import Judge
 
 #: t-value of what is told, from about a dozen blocks or more.
 _TOLD = 4.0
@@ -31,6 +32,8 @@ _OFFSET = 0.1
 _NOTHING = 1.15
 #: Width of a band over its middle under which it is an oscillation.
 _NARROW = 0.5
+#: Width under which it is an oscillation at one frequency.
+_LINE = 0.1
 #: Predictable share from which a force is the rig's own, and up to which it is from outside.
 _OWN, _OUTSIDE = 0.5, 0.15
 #: Share from which a family's form is called the closest.
@@ -121,6 +124,8 @@ def _band(record: ForceRecord) -> str:
     low, high = (float(frequency[np.searchsorted(below, share)]) for share in (0.1, 0.9))
     middle = (low + high) / 2
     if high - low < _NARROW * middle and low > 3 / (longest * step):
+        if high - low < _LINE * middle:
+            return f"It oscillates at {middle:.2g} Hz."
         return f"It oscillates: 80 % of its power lies between {low:.2g} and {high:.2g} Hz."
     memory = correlation_time(record, record.force)
     return f"90 % of its power lies below {high:.2g} Hz; it forgets itself over {memory:.2g} s."
@@ -157,6 +162,8 @@ def _trend(record: ForceRecord) -> str:
     if np.any(record.recording != record.recording[0]):
         return ""
     number, first = _blocks_of(record)
+    if first.size < 6:
+        return ""
     count = np.diff([*first, number.size])
     clock = np.add.reduceat(record.time, first) / count
     force = np.add.reduceat(record.force, first) / count
@@ -194,23 +201,27 @@ def _origin(record: ForceRecord, seed: int) -> str:
     if judged.predictable_share > _OUTSIDE or high > _OWN:
         of = f" ({', '.join(judged.from_variables)})" if judged.from_variables else ""
         return f"What the rig does{of} predicts {share} on held-out data: part may be from outside."
-    return f"It comes from outside, or from what is not measured: what the rig does predicts {share}."
+    return (
+        f"It comes from outside, or from what is not measured: what the rig does predicts {share}."
+    )
 
 
 def _closest_form(record: ForceRecord) -> str:
-    marks = signatures(record)
+    judge = Judge(record)
+    marks = {name: judge.share_of_variation(name) for name in _FORM}
     best = max(_FORM, key=lambda name: marks[name])
     if marks[best] < _CLOSE:
         return "No known form comes near it."
     form = _FORM[best].format(axis=record.axis)
-    return f"The closest known form is {form}: {marks[best]:.0%} of its energy."
+    return f"The closest known form is {form}: {marks[best]:.0%} of its variance."
 
 
-def _blocks_of(record: ForceRecord) -> tuple[FloatArray, FloatArray]:
+def _blocks_of(record: ForceRecord) -> tuple[IntArray, IntArray]:
+    """Block of each sample, and the first sample of each block; blocks forget each other."""
     memory = correlation_time(record, record.force)
     duration = record.time.size * sample_time(record)
     number = blocks(record, min(max(1.0, 2 * memory), duration / 12))
-    return number, np.flatnonzero(np.diff(number, prepend=-1))
+    return number, np.flatnonzero(np.diff(number, prepend=-1)).astype(np.int64)
 
 
 def _block_t(record: ForceRecord, values: FloatArray) -> float:

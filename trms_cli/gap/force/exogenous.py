@@ -1,8 +1,8 @@
 """Whether the missing force comes from outside, or is a function of what the rig does.
 
-A flexible regression on angles, rates, rotor speeds, commands and their last 0.3 s predicts the
-force on blocks that were held out. A draught leaves nothing to predict; friction, a cable, a thrust
-curve do.
+A flexible regression on angles, rates, rotor speeds, commands, their last 0.3 s and the path of the
+angles (hysteresis) predicts the force on blocks that were held out. A draught leaves nothing to
+predict; friction, a cable, a thrust curve do.
 
 The states themselves will not do: they contain the response to the force, and so a draught too
 could be read off them. What is used instead is the motion without that response (see
@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trms_cli.gap.force.families import hysteresis
 from trms_cli.gap.force.held_out import PENALTIES, held_out_errors
 from trms_cli.gap.force.record import (
     BoolArray,
@@ -85,15 +86,14 @@ def exogenous(record: ForceRecord, seed: int = 0) -> Exogenous:
     Notes
     -----
     In closed loop the controller's answer to a draught is removed only as far as it is linear in
-    angles and rates; the share is then an upper bound.
+    angles and rates; the share is then an upper bound. A law that changes with time counts as from
+    outside in part: time is no variable of the regression.
     """
     rng = np.random.default_rng(seed)
     record = thinned(record, _RATE)
     variance = float(np.var(record.force))
     if not record.variables or variance == 0 or record.time.size < _FEWEST:
-        return Exogenous(
-            predictable_share=0.0, ci95=(0.0, 1.0), p_value=1.0, from_variables=()
-        )
+        return Exogenous(predictable_share=0.0, ci95=(0.0, 1.0), p_value=1.0, from_variables=())
     block = blocks(record, _BLOCK)
     if block[-1] < 3:
         block = blocks(record, float(np.ptp(record.time)) / 4)
@@ -121,9 +121,7 @@ def _independent_motion(record: ForceRecord, block: IntArray) -> dict[str, Float
     response = fitted_response(record)
     half = block % 2
     laws = [_law(response, half != number) for number in (0, 1)]
-    motion = response.governed(
-        response.undisturbed(), lambda i, state: laws[half[i]](state)
-    )
+    motion = response.governed(response.undisturbed(), lambda i, state: laws[half[i]](state))
     return {name: motion[:, i] for i, name in enumerate(record.variables)}
 
 
@@ -177,8 +175,10 @@ def _smooth(at: FloatArray, values: FloatArray, name: str) -> FloatArray:
 
 
 def _alone(record: ForceRecord, name: str, values: FloatArray) -> FloatArray:
-    """Smooth functions of one variable, and how it changed a short time ago: (k, p)."""
+    """Smooth functions of one variable, of how it changed, and of its path: (k, p)."""
     columns = [_smooth(values, values, name)]
+    if name.endswith("angle"):
+        columns += [memory[:, None] for memory in hysteresis(record, values)]
     step = float(np.median(np.diff(record.time)))
     for ago in (max(round(_PAST / 2 / step), 1), max(round(_PAST / step), 2)):
         columns.append((values - _earlier(record, values, ago))[:, None])
@@ -242,9 +242,9 @@ def _telling(
     if share < 0.1:
         return ()
     total = float(np.sum((force - force.mean()) ** 2))
-    alone = {
-        name: (1 - float(held_out_errors(columns, force, block, penalties=_MIDDLE).sum()) / total) * beyond_noise
-        for name, columns in single.items()
-    }
+    alone = {}
+    for name, columns in single.items():
+        left = float(held_out_errors(columns, force, block, penalties=_MIDDLE).sum())
+        alone[name] = (1 - left / total) * beyond_noise
     ranked = sorted(alone, key=lambda name: -alone[name])
     return tuple(name for name in ranked if alone[name] > _TELLING * share)

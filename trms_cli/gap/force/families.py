@@ -26,6 +26,8 @@ _STRIBECK = (0.03, 0.1)
 _WIDTHS = (0.05, 0.1, 0.2, 0.35)
 #: s, of delays and lags.
 _DELAYS = (0.03, 0.1, 0.3)
+#: s, standard deviations of kernels as a smoother has them.
+_SMOOTHERS = (0.04, 0.1, 0.2)
 #: s, of the warming of a drive; zero sags at once.
 _WARMING = (0.0, 3.0, 15.0, 60.0, 300.0)
 #: Parts of the largest command.
@@ -112,6 +114,16 @@ class Seen:
         for part in segments(self.record):
             start = np.array([keep * values[part.start]])
             result[part], _ = lfilter([1 - keep], [1, -keep], values[part], zi=start)
+        return result
+
+    def smoothed(self, values: FloatArray, sd: float) -> FloatArray:
+        """Values under a Gaussian kernel, within stretches."""
+        reach = int(np.ceil(3 * sd / self.step))
+        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * self.step / sd) ** 2)
+        result = np.empty_like(values)
+        for part in segments(self.record):
+            padded = np.pad(values[part], reach, mode="edge")
+            result[part] = np.convolve(padded, kernel / kernel.sum(), mode="valid")
         return result
 
 
@@ -221,7 +233,8 @@ def _thrust_exponent(at: Seen) -> Columns:
     columns: Columns = []
     for speed, thrust in zip(at.speeds(at.rotor), _thrust(at), strict=True):
         largest = float(np.abs(speed).max()) + 1e-12
-        columns.append(thrust * np.log(np.maximum(np.abs(speed) / largest, 1e-3)))
+        part = np.abs(speed) / largest
+        columns += [thrust * np.log(np.maximum(part, 1e-3)), thrust * part]
     return columns
 
 
@@ -242,7 +255,7 @@ def _near_table(at: Seen) -> Columns:
 
 
 def _rotor_friction(at: Seen) -> Columns:
-    return [column for speed in at.speeds(at.rotor) for column in _sign(speed)]
+    return _downstream(at, [column for speed in at.speeds(at.rotor) for column in _sign(speed)])
 
 
 def _dead_zone(at: Seen) -> Columns:
@@ -254,7 +267,9 @@ def _dead_zone(at: Seen) -> Columns:
 
 
 def _input_change(at: Seen) -> Columns:
+    """As a lag leaves it, and as a smoother that looks both ways shows it: on both sides."""
     columns = [u - at.lagged(u, time) for u in at.command(at.rotor) for time in _DELAYS]
+    columns += [at.smoothed(at.slope(u), sd) for u in at.command(at.rotor) for sd in _SMOOTHERS]
     return _downstream(at, columns)
 
 
@@ -319,9 +334,7 @@ def nuisance(at: Seen) -> FloatArray:
     columns = [at.one, *at.angle(at.axis), *at.rate(at.axis)]
     if at.axis == "pitch":
         columns += [at.sine, at.cosine]
-    for rotor in ("main", "tail"):
-        columns += [speed * np.abs(speed) for speed in at.speeds(rotor)]
-        columns += at.speeds(rotor) if rotor == at.rotor else []
+    columns += [speed * np.abs(speed) for speed in at.speeds(at.rotor)]
     if at.record.location.endswith(("actuator", "motor")):
-        columns += at.command(at.rotor)
+        columns += [*at.speeds(at.rotor), *at.command(at.rotor)]
     return np.column_stack(columns)

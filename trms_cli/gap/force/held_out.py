@@ -7,6 +7,8 @@ fit to everything, the residuals of block ``b`` when it was left out are ``(I âˆ
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from trms_cli.gap.force.record import FloatArray, IntArray
@@ -51,7 +53,7 @@ def held_out_errors(
         weight = 1.0 / (np.maximum(power, 0.0) + penalty * block.size)
         residual = y - turned @ (weight[:, None] * inner)
         errors = np.empty((len(edges) - 1, y.shape[1]))
-        for b, (first, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for b, (first, end) in enumerate(pairwise(edges)):
             rows = turned[first:end]
             own = np.eye(end - first) - (rows * weight) @ rows.T
             errors[b] = np.sum(np.linalg.solve(own, residual[first:end]) ** 2, axis=0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -118,7 +119,7 @@ def segments(record: ForceRecord) -> tuple[slice, ...]:
     broken = np.diff(record.time) > 1.5 * sample_time(record)
     broken |= np.diff(record.recording) != 0
     edges = [0, *(np.flatnonzero(broken) + 1).tolist(), record.time.size]
-    return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a)
+    return tuple(slice(a, b) for a, b in pairwise(edges) if b > a)
 
 
 def thinned(record: ForceRecord, rate: float) -> ForceRecord:
@@ -147,24 +148,26 @@ def blocks(record: ForceRecord, length: float) -> IntArray:
     return number
 
 
-def correlation_time(record: ForceRecord, values: FloatArray) -> float:
+def correlation_time(record: ForceRecord, values: FloatArray, power: int = 1) -> float:
     """Time over which a series forgets itself, s: the integral of its autocorrelation.
 
-    Up to where that first falls below a tenth; not below one sample time.
+    Up to where that first falls below a tenth; not below one sample time. With ``power`` 2, of the
+    autocorrelation's square: what decides how much of one series another explains by chance when
+    both remember alike (Bartlett 1946).
     """
     step = sample_time(record)
     longest = max((part.stop - part.start for part in segments(record)), default=1)
     size = 1 << (2 * longest - 1).bit_length()
-    power = np.zeros(size // 2 + 1)
+    spectrum = np.zeros(size // 2 + 1)
     for part in segments(record):
-        power += np.abs(np.fft.rfft(values[part] - values.mean(), size)) ** 2
-    correlation = np.fft.irfft(power)[:longest]
+        spectrum += np.abs(np.fft.rfft(values[part] - values.mean(), size)) ** 2
+    correlation = np.fft.irfft(spectrum)[:longest]
     if correlation[0] <= 0:
         return step
     correlation = correlation / correlation[0]
     below = np.flatnonzero(correlation < 0.1)
     end = int(below[0]) if below.size else longest
-    return float(step * max(2 * correlation[:end].sum() - 1, 1.0))
+    return float(step * max(2 * np.sum(correlation[:end] ** power) - 1, 1.0))
 
 
 def signal_power(record: ForceRecord, mean_square: float) -> float:

@@ -30,6 +30,8 @@ _RATE = 25.0
 FAST = 1.5
 #: Largest part of an energy that is taken for noise.
 _MOST_NOISE = (0.8, 0.8, 0.5)
+#: Largest share that is put down to chance: a list that is generous rather keeps.
+_MOST_CHANCE = 0.4
 #: Relative ridge that keeps columns that say the same from an exact tie.
 _RIDGE = 1e-7
 #: Of an effect none of whose places has a record: neither for it nor against it.
@@ -54,7 +56,7 @@ class _Reading:
         gram = self.gram[np.ix_(columns, columns)]
         product = self.product[columns]
         explained = product @ np.linalg.solve(gram + _RIDGE * np.eye(len(columns)), product)
-        chance = min(self.chance * len(columns), 0.9)
+        chance = min(self.chance * len(columns), _MOST_CHANCE)
         share = (explained / self.energy - chance) / (1 - chance)
         return float(np.clip(share / (1 - self.noise), 0.0, 1.0))
 
@@ -89,7 +91,7 @@ class Judge:
         energy = float(force @ force)
         noise = float(np.sum(self.record.sd**2))
         duration = force.size * sample_time(self.record)
-        memory = correlation_time(self.record, force)
+        memory = correlation_time(self.record, force, power=2)
         return _Reading(
             gram=unit.T @ unit,
             product=unit.T @ force,
@@ -103,6 +105,11 @@ class Judge:
         columns = [column for name in families for column in self._of[name]]
         return max(reading.share(columns) for reading in self._readings)
 
+    def share_of_variation(self, *families: str) -> float:
+        """The same of the variation about the mean alone."""
+        columns = [column for name in families for column in self._of[name]]
+        return self._readings[1].share(columns)
+
     def t_value(self, family: str) -> float:
         """Of a family's first column beside the nuisance ones; its sign is the coefficient's."""
         reading, own = self._readings[2], self._of[family][:1]
@@ -114,11 +121,11 @@ class Judge:
 
     def fast_share(self) -> float:
         """Share of the energy above :data:`FAST`, the noise apart."""
-        force, step = self.record.force - self.record.force.mean(), self.record
+        force = self.record.force - self.record.force.mean()
         fast = total = 0.0
         for part in segments(self.record):
             power = np.abs(np.fft.rfft(force[part])) ** 2
-            frequency = np.fft.rfftfreq(part.stop - part.start, sample_time(step))
+            frequency = np.fft.rfftfreq(part.stop - part.start, sample_time(self.record))
             fast, total = fast + power[frequency > FAST].sum(), total + power.sum()
         noise = self._readings[1].noise
         if total <= 0:
@@ -163,7 +170,9 @@ def shortlist(records: Mapping[str, ForceRecord]) -> dict[str, float]:
     -------
     dict of str to float
         0 to 1 by canonical name, the largest over the places at which the effect shows.
-        :data:`UNSEEN` where none of them has a record. Scores overlap; none is a probability.
+        :data:`UNSEEN` where none of them has a record, and at least that for quantisation. Under
+        a force from outside scores stay below about 0.25, but for a disturbance and a flexible
+        mode. They overlap; none is a probability.
     """
     judges = {place: Judge(record) for place, record in records.items()}
 
@@ -187,14 +196,18 @@ def shortlist(records: Mapping[str, ForceRecord]) -> dict[str, float]:
             f"{rotor}_actuator_lag": best(drive, "input_change"),
             f"{rotor}_dead_zone": best(drive, "dead_zone"),
             f"{rotor}_supply_derating": best(drive, "derating"),
-            f"{rotor}_rotor_friction": best(drive[:2], "rotor_friction"),
+            f"{rotor}_rotor_friction": best(drive, "rotor_friction"),
             f"{rotor}_thrust_curve": best(moment, "thrust", "thrust_exponent", "reverse_thrust"),
             f"{rotor}_inflow": best(moment, "inflow"),
             f"{axis}_sensor_bias": best((*sensor, moment[0]), "constant", "imbalance"),
             f"{axis}_sensor_delay": best(sensor, "motion"),
-            f"{axis}_quantisation": fast(sensor),
+            # Rounding is white; a smoothed force shows little of it.
+            f"{axis}_quantisation": max(fast(sensor), UNSEEN),
             f"{rotor}_tacho_lag": best((f"{rotor}_tacho",), "spin_up"),
-            f"{axis}_flexible_mode": fast((*sensor, *moment)),
+            # It rings, and lags behind accelerations.
+            f"{axis}_flexible_mode": max(
+                fast((*sensor, *moment)), best((*sensor, moment[0]), "inertia")
+            ),
             f"{axis}_disturbance": max(
                 (judges[place].above_noise() for place in moment if place in judges),
                 default=UNSEEN,

@@ -1,0 +1,263 @@
+"""Marks of known laws, the short list, and the sentences: each on forces whose law is known.
+
+The motion is one free run of a little rig; the forces are formulas of that motion with noise. What
+a refit of nominal parameters would take away is taken away too, where that leaves something.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from trms_cli.gap.force import ForceRecord, description, shortlist, signatures
+from trms_cli.gap.force.families import Seen, hysteresis, nuisance
+from trms_cli.gap.force.signatures import UNSEEN
+
+STEP, SAMPLES = 0.02, 5000
+#: Score above which a caller keeps an effect, and below which all of them stay under the null.
+KEPT = 0.3
+
+
+def coloured(rng: np.random.Generator, time: float) -> np.ndarray:
+    keep = np.exp(-STEP / time)
+    noise = rng.normal(size=SAMPLES) * np.sqrt(1 - keep**2)
+    result = np.empty(SAMPLES)
+    result[0] = rng.normal()
+    for i in range(1, SAMPLES):
+        result[i] = keep * result[i - 1] + noise[i]
+    return result
+
+
+def lag(values: np.ndarray, time: float) -> np.ndarray:
+    result, now = np.empty_like(values), values[0]
+    for i, value in enumerate(values):
+        result[i] = now
+        now += STEP * (value - now) / time
+    return result
+
+
+@cache
+def motion() -> ForceRecord:
+    """Both axes and both rotors under random steps; no force yet."""
+    rng = np.random.default_rng(5)
+    u_h = np.repeat(rng.uniform(-1.5, 1.5, SAMPLES // 100), 100)
+    u_v = np.repeat(rng.uniform(-0.4, 1.8, SAMPLES // 125), 125)
+    wh, wv = lag(200 * u_h, 0.3), lag(140 * u_v, 0.8)
+    a = r = p = q = 0.0
+    rows = np.empty((SAMPLES, 4))
+    for i in range(SAMPLES):
+        rows[i] = a, r, p, q
+        r += STEP * (4.2e-7 * wh[i] * abs(wh[i]) * np.cos(p) - 0.008 * r - 0.015 * a) / 0.03
+        a += STEP * r
+        q += STEP * (3.75e-6 * wv[i] * abs(wv[i]) - 0.26 * np.sin(p + 0.62) - 0.02 * q) / 0.07
+        p += STEP * q
+    return ForceRecord(
+        location="yaw_moment",
+        unit="N*m",
+        time=STEP * np.arange(SAMPLES),
+        recording=np.zeros(SAMPLES, dtype=np.int64),
+        force=np.zeros(SAMPLES),
+        sd=np.zeros(SAMPLES),
+        angles={"pitch": rows[:, 2], "yaw": rows[:, 0]},
+        rates={"pitch": rows[:, 3], "yaw": rows[:, 1]},
+        speeds={"main": wv, "tail": wh},
+        commands={"main": u_v, "tail": u_h},
+    )
+
+
+def of(location: str, force: np.ndarray, *, refitted: bool = False, seed: int = 0) -> ForceRecord:
+    """A force at a place, smoothed by 0.1 s, with noise of a third of it."""
+    kernel = np.exp(-0.5 * (np.arange(-15, 16) / 5) ** 2)
+    force = np.convolve(force, kernel / kernel.sum(), mode="same")
+    record = replace(motion(), location=location)
+    if refitted:
+        columns = nuisance(Seen(record))
+        level, _ = np.linalg.qr(columns / np.linalg.norm(columns, axis=0))
+        force = force - level @ (level.T @ force)
+    sd = 0.3 * float(np.sqrt(np.mean(force**2)))
+    noise = sd * coloured(np.random.default_rng(seed), 0.2)
+    return replace(record, force=force + noise, sd=np.full(SAMPLES, sd))
+
+
+def forces() -> dict[str, tuple[str, np.ndarray, bool]]:
+    """Effect, its place, its force, and whether a refit leaves something of it."""
+    m = motion()
+    a, p = m.angles["yaw"], m.angles["pitch"]
+    r, q = m.rates["yaw"], m.rates["pitch"]
+    wv, wh = m.speeds["main"], m.speeds["tail"]
+    u_v, u_h = m.commands["main"], m.commands["tail"]
+    late = np.concatenate([np.full(2, u_h[0]), u_h[:-2]])
+    return {
+        "yaw_coulomb_friction": ("yaw_moment", -np.tanh(r / 5e-3), True),
+        "pitch_coulomb_friction": ("pitch_moment", -np.tanh(q / 5e-3), True),
+        "yaw_stribeck_friction": (
+            "yaw_moment",
+            -np.tanh(r / 5e-3) * (1 + np.exp(-((r / 0.05) ** 2))),
+            True,
+        ),
+        "yaw_quadratic_damping": ("yaw_moment", -r * np.abs(r), True),
+        "pitch_quadratic_damping": ("pitch_moment", -q * np.abs(q), True),
+        "yaw_cable_stiffness": ("yaw_moment", -a - a**3, True),
+        "yaw_cable_hysteresis": ("yaw_moment", -hysteresis(m, a)[2], True),
+        "pitch_mass_imbalance": ("pitch_moment", np.cos(p), False),
+        "main_input_delay": (
+            "main_actuator",
+            np.concatenate([np.full(3, u_v[0]), u_v[:-3]]) - u_v,
+            True,
+        ),
+        "tail_input_delay": ("tail_actuator", late - u_h, True),
+        "tail_actuator_lag": ("tail_actuator", lag(u_h, 0.06) - u_h, True),
+        "tail_dead_zone": ("tail_actuator", -np.clip(u_h, -0.12, 0.12), True),
+        "main_supply_derating": ("main_actuator", -u_v * lag((u_v / 2.5) ** 2, 40.0), True),
+        "tail_rotor_friction": ("tail_motor", -np.sign(wh), True),
+        "tail_thrust_curve": ("tail_thrust", wh * np.abs(wh) ** 1.2, True),
+        "main_thrust_curve": ("main_thrust", wv * np.abs(wv) * (wv < 0), True),
+        "main_reaction_on_yaw": ("yaw_moment", wv * np.abs(wv) * np.cos(p), True),
+        "tail_reaction_on_pitch": ("pitch_moment", wh * np.abs(wh), True),
+        "gyroscopic_coupling": ("pitch_moment", wv * r * np.sin(p + 0.1), True),
+        "main_inflow": ("main_thrust", -np.abs(wv) * q, True),
+        "tail_inflow": ("yaw_moment", -np.abs(wh) * r * np.cos(p), True),
+        "ground_effect": (
+            "main_thrust",
+            np.maximum(wv, 0) ** 2 * np.exp(-(np.sin(p) + 0.6) / 0.25),
+            True,
+        ),
+        "yaw_sensor_bias": ("yaw_sensor", np.ones(SAMPLES), False),
+        "yaw_sensor_delay": ("yaw_sensor", -r, False),
+        "pitch_sensor_delay": ("pitch_sensor", -q, False),
+        "yaw_flexible_mode": ("yaw_sensor", np.sin(2 * np.pi * 3 * m.time), True),
+        "main_tacho_lag": ("main_tacho", -np.gradient(wv, STEP), True),
+        "yaw_disturbance": ("yaw_moment", coloured(np.random.default_rng(2), 1.0), True),
+    }
+
+
+FORCES = forces()
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_the_short_list_keeps_the_cause(name):
+    location, force, _ = FORCES[name]
+    assert shortlist({location: of(location, force)})[name] > 0.7
+
+
+@pytest.mark.parametrize("name", [name for name, (*_, left) in FORCES.items() if left])
+def test_the_short_list_keeps_the_cause_after_a_refit(name):
+    location, force, _ = FORCES[name]
+    assert shortlist({location: of(location, force, refitted=True)})[name] > 0.5
+
+
+@pytest.mark.parametrize("name", ["tail_input_delay", "tail_dead_zone"])
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_cause_in_the_drive_shows_in_the_moment(name, measured):
+    """As torque of the thrust that the changed command makes, also without rotor speeds."""
+    _, change, _ = FORCES[name]
+    record = motion()
+    speed = lag(200 * (record.commands["tail"] + change), 0.3)
+    nominal = record.speeds["tail"]
+    found = of("yaw_moment", speed * np.abs(speed) - nominal * np.abs(nominal))
+    found = found if measured else replace(found, speeds={})
+    assert shortlist({"yaw_moment": found})[name] > 0.7
+
+
+@pytest.mark.parametrize("location", ["yaw_moment", "pitch_moment", "tail_actuator"])
+@pytest.mark.parametrize("time", [0.1, 1.0])
+def test_a_force_from_outside_puts_no_law_on_the_list(location, time):
+    for seed in range(3):
+        record = of(location, coloured(np.random.default_rng(seed), time), seed=seed + 10)
+        scores = shortlist({location: record})
+        kept = {name for name, score in scores.items() if score > KEPT and score != UNSEEN}
+        assert {name.split("_", 1)[1] for name in kept} <= {"disturbance", "flexible_mode"}
+
+
+def test_every_effect_of_the_library_is_scored():
+    scores = shortlist({"yaw_moment": of("yaw_moment", FORCES["tail_inflow"][1])})
+    assert set(FORCES) <= set(scores) and len(scores) == 39
+    assert all(0 <= score <= 1 for score in scores.values())
+    assert scores["pitch_coulomb_friction"] == UNSEEN
+    assert scores["yaw_quantisation"] == UNSEEN  # which a smoothed force cannot tell
+    assert set(shortlist({}).values()) == {UNSEEN}
+
+
+def test_marks_of_friction():
+    marks = signatures(of("yaw_moment", FORCES["yaw_coulomb_friction"][1]))
+    assert marks["sign_of_rate"] > 0.9 and marks["sign_of_rate_t"] < -8
+    assert marks["sign_of_rate"] > max(marks["quadratic_damping"], marks["stiffness"])
+    null = signatures(of("yaw_moment", coloured(np.random.default_rng(1), 0.5)))
+    assert abs(null["sign_of_rate_t"]) < 3 and null["sign_of_rate"] < 0.1
+
+
+def test_scaling_changes_no_mark():
+    record = of("yaw_moment", FORCES["yaw_quadratic_damping"][1])
+    scaled = replace(record, force=1e-4 * record.force, sd=1e-4 * record.sd)
+    assert signatures(scaled) == pytest.approx(signatures(record), abs=1e-6)
+    assert shortlist({"yaw_moment": scaled}) == pytest.approx(
+        shortlist({"yaw_moment": record}), abs=1e-6
+    )
+
+
+def test_hysteresis_stays_within_one_and_forgets_the_start():
+    memory = np.array(hysteresis(motion(), motion().angles["yaw"]))
+    assert np.abs(memory).max() <= 1 + 1e-12
+    # Rising steadily by many widths it ends at one.
+    ramp = np.linspace(0, 5, SAMPLES)
+    assert hysteresis(motion(), ramp)[0][-1] == pytest.approx(1, abs=1e-6)
+
+
+def told(record: ForceRecord) -> str:
+    return "\n".join(description(record))
+
+
+def test_friction_is_described():
+    text = told(of("yaw_moment", 4e-3 * FORCES["yaw_coulomb_friction"][1]))
+    assert "opposes the motion" in text and "±0.004 N*m" in text
+    assert "the rig's own doing: yaw rate" in text
+    assert "dry friction" in text
+    assert "constant offset" not in text and "drifts" not in text and "changes for good" not in text
+
+
+def test_offset_drift_and_oscillation_are_described():
+    m, noise = motion(), 1e-4 * coloured(np.random.default_rng(3), 0.3)
+    plain = replace(m, force=noise, sd=np.full(SAMPLES, 1e-5))
+    assert "constant offset of 0.003 N*m" in told(replace(plain, force=3e-3 + noise))
+    assert "drifts by 0.002 N*m per minute" in told(
+        replace(plain, force=noise + 2e-3 * m.time / 60)
+    )
+    assert "oscillates at 4 Hz" in told(
+        replace(plain, force=noise + 3e-3 * np.sin(8 * np.pi * m.time))
+    )
+
+
+def test_a_change_is_described():
+    force = coloured(np.random.default_rng(4), 0.3) * (motion().time > 40)
+    assert "changes for good at t = 4" in told(of("yaw_moment", force))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_draught_is_described_as_one(seed):
+    text = told(of("yaw_moment", 4e-3 * coloured(np.random.default_rng(seed), 0.5), seed=seed + 5))
+    assert "comes from outside" in text and "No known form" in text
+    for absent in ("opposes", "goes with", "offset", "drifts", "changes", "energy lies where"):
+        assert absent not in text
+
+
+def test_noise_is_called_noise():
+    record = of("yaw_moment", coloured(np.random.default_rng(0), 0.5))
+    (sentence,) = description(replace(record, sd=np.full(SAMPLES, record.force.std())))
+    assert sentence.startswith("Nothing stands out of the noise at yaw_moment")
+
+
+@pytest.mark.parametrize("samples", [1, 3, 20, 100])
+def test_short_records_are_answered(samples):
+    record = of("yaw_moment", FORCES["yaw_coulomb_friction"][1]).taken(np.arange(samples))
+    assert len(description(record)) >= 1
+    assert all(np.isfinite(value) for value in signatures(record).values())
+
+
+def test_without_any_motion_nothing_fails():
+    record = of("yaw_moment", FORCES["yaw_coulomb_friction"][1])
+    bare = replace(record, angles={}, rates={}, speeds={}, commands={})
+    assert "part may be from outside" in told(bare)
+    assert all(np.isfinite(value) for value in signatures(bare).values())
