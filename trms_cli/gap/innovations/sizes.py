@@ -25,8 +25,9 @@ def likely_shares(
     *,
     moving: npt.NDArray[np.bool_] | None = None,
     iterations: int = 8,
+    least: FloatArray | float = FLOOR,
 ) -> FloatArray:
-    """Most likely sizes of the forces, no smaller than :data:`FLOOR`.
+    """Most likely sizes of the forces.
 
     Each iteration multiplies the variances by the ratio of the two parts of the likelihood's
     slope, which are equal where it is greatest.
@@ -40,8 +41,10 @@ def likely_shares(
         Where to begin.
     moving : (n_d,) array of bool or None
         Those that are to be found; None: all.
+    least : (n_d,) array or float
+        No size is smaller.
     """
-    shares = np.maximum(np.asarray(shares, dtype=float), FLOOR)
+    shares = np.maximum(np.asarray(shares, dtype=float), least)
     n = discrepancy.trajectory.x.shape[-1]
     chosen = np.ones(len(shares), dtype=bool) if moving is None else moving
     for _ in range(iterations):
@@ -50,7 +53,7 @@ def likely_shares(
         squares, variances = scores(discrepancy.system, filter_, z)
         ratio = squares[n:] / np.maximum(variances[n:], 1e-300)
         # the size is the root of the variance; half of the rest of the way is taken at a time
-        after = np.clip(shares * np.clip(np.sqrt(ratio), 0.3, 4.0), FLOOR, _MOST)
+        after = np.clip(shares * np.clip(np.sqrt(ratio), 0.3, 4.0), least, _MOST)
         after = np.where(chosen, after, shares)
         settled = np.max(np.abs(np.log(after / shares))) < _SETTLED
         shares = after

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TypeVar
+from threading import Lock
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -90,6 +91,44 @@ class Contest:
     joint: tuple[Entry, ...] = field(default=())
 
 
+class Ledger:
+    """Where searches ended, so that an interrupted diagnosis goes on instead of beginning again.
+
+    Parameters
+    ----------
+    kept : mapping or None
+        What an interrupted diagnosis had kept.
+    keep : callable
+        Told everything whenever something is added, as JSON has it.
+    """
+
+    def __init__(
+        self,
+        kept: Mapping[str, Any] | None = None,
+        keep: Callable[[Mapping[str, Any]], None] = lambda everything: None,
+    ) -> None:
+        self._points: dict[str, Any] = dict(kept or {})
+        self._keep = keep
+        self._lock = Lock()
+
+    def point(self, key: str) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Parameters, starts and sizes of the discrepancy under a key; None: not there yet."""
+        known = self._points.get(key)
+        if known is None:
+            return None
+        return tuple(np.array(known[name]) for name in ("theta", "starts", "shares"))  # type: ignore[return-value]
+
+    def add(self, key: str, fit: Fit, metric: Metric) -> None:
+        """Note where a search ended."""
+        with self._lock:
+            self._points[key] = {
+                "theta": fit.theta.tolist(),
+                "starts": fit.starts.tolist(),
+                "shares": metric.shares.tolist(),
+            }
+            self._keep(self._points)
+
+
 class Stable:
     """Makes each contestant once.
 
@@ -126,6 +165,7 @@ def contest(
     stable: Stable,
     effort: Effort,
     *,
+    ledger: Ledger | None = None,
     jobs: int = 1,
     watch: Callable[[float, str], bool] = lambda fraction, message: True,
 ) -> Contest:
@@ -140,12 +180,15 @@ def contest(
         Of all suspects about the refit.
     stable : Stable
     effort : Effort
+    ledger : Ledger or None
+        Of fits that an interrupted race had finished.
     jobs : int
         Threads.
     watch : callable
         Told the share that is done and what is being done; False stops with what there is.
     """
     nominal = refit.contestant
+    ledger = ledger or Ledger()
     shares = np.maximum(FLOOR, refit.metric.shares / _TIGHTER)
     tight = Metric(refit.metric.discrepancy, shares, refit.metric.robust)
     wide_signs = projected(nominal, refit.fit, refit.metric, refit.centres, found)
@@ -160,8 +203,12 @@ def contest(
     def single(name: str) -> Entry:
         suspect = suspects[name]
         contestant = stable.of(suspect)
+        known = ledger.point(f"single {name}")
+        if known is not None:
+            return Entry(contestant, _again(contestant, middle, known, refit), middle)
         points = _points(contestant, suspect, refit, (tight_signs, wide_signs))
         fit = contestant.fit(middle, points, centres=refit.centres, iterations=12, tolerance=0.5)
+        ledger.add(f"single {name}", fit, middle)
         return Entry(contestant, fit, middle)
 
     alone = nominal.fit(
@@ -173,6 +220,16 @@ def contest(
     finals = entries[: effort.finalists]
 
     def final(entry: Entry) -> Entry:
+        key = "final " + "+".join(entry.names)
+        known = ledger.point(key)
+        if known is not None:
+            metric = Metric(refit.metric.discrepancy, known[2], refit.metric.robust)
+            return Entry(entry.contestant, _again(entry.contestant, metric, known, refit), metric)
+        made = assessed(entry)
+        ledger.add(key, made.fit, made.metric)
+        return made
+
+    def assessed(entry: Entry) -> Entry:
         if entry.fit.score < refit_score + _ENTRANCE / 2:
             # it explains nothing: the discrepancy that it leaves is the refit's
             point = (entry.fit.theta, entry.fit.starts)
@@ -192,7 +249,15 @@ def contest(
         partners = _partners(best, refit, found, suspects, effort.pairs)
 
         def pair(name: str, base: Entry = best) -> Entry:
-            return _paired(base, suspects[name], refit, found, stable)
+            key = "joint " + "+".join((*base.names, name))
+            known = ledger.point(key)
+            if known is not None:
+                contestant = stable.of(*base.contestant.effects, suspects[name])
+                metric = Metric(refit.metric.discrepancy, known[2], refit.metric.robust)
+                return Entry(contestant, _again(contestant, metric, known, refit), metric)
+            made = _paired(base, suspects[name], refit, found, stable)
+            ledger.add(key, made.fit, made.metric)
+            return made
 
         made = _each(pair, partners, jobs, watch, 0.75, 0.95, "beside " + "+".join(best.names))
         if not made:
@@ -205,6 +270,16 @@ def contest(
     everyone = finals + joint
     everyone.sort(key=lambda e: -e.fit.score)
     return Contest(refit, tuple(everyone), wide_signs, tight_signs, tuple(joint))
+
+
+def _again(
+    contestant: Contestant,
+    metric: Metric,
+    known: tuple[FloatArray, FloatArray, FloatArray],
+    refit: Refit,
+) -> Fit:
+    """A fit that had been made, without searching again."""
+    return contestant.fit(metric, [known[:2]], centres=refit.centres, iterations=0)
 
 
 def short_list(

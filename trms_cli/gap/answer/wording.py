@@ -1,0 +1,99 @@
+"""What is said in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from trms_cli.gap.answer.belief import Believed
+from trms_cli.gap.baselines.shrinkage import Measured
+from trms_cli.gap.candidates import Suspect
+from trms_cli.gap.diagnosis import Cause, FittedParameter, LocationShare
+from trms_cli.gap.race.contest import Contest
+
+#: s. The horizon that a sentence tells.
+_TOLD_AT = "2.0"
+
+
+def sentence(
+    believed: Believed,
+    causes: Sequence[Cause],
+    where: Sequence[LocationShare],
+    measured: Measured,
+    parameters: Mapping[str, FittedParameter],
+) -> str:
+    """What a colleague would say."""
+    top = causes[0]
+    place = _readable(where[0].location) if where else "no single place"
+    if believed.verdict == "no_gap":
+        return (
+            "The model as it is explains these recordings down to their noise: no gap was found, "
+            f"with probability {top.probability:.2f}."
+        )
+    if believed.verdict == "parameters_only":
+        moved = sorted(
+            (name for name, p in parameters.items() if p.moved is not None),
+            key=lambda name: -abs(parameters[name].moved or 0.0),
+        )
+        return (
+            "No effect is missing: other values of the parameters explain these recordings, with "
+            f"probability {top.probability:.2f}; {', '.join(moved[:3])} moved most."
+        )
+    if believed.verdict == "none_of_these":
+        return (
+            f"Something is missing that is none of the effects known here, with probability "
+            f"{top.probability:.2f}; it acts mostly on the {place}."
+        )
+    if believed.verdict == "undecided":
+        listed = ", ".join(
+            f"{_joined(c.effects)} ({c.probability:.2f})"
+            for c in causes[:3]
+            if c.probability > 0.05
+        )
+        return f"These recordings do not decide what causes the gap: {listed}."
+    sizes = ", ".join(
+        f"{key.split('.', 1)[1]} {size.value:.3g} ± {size.sd:.1g} {size.unit}"
+        for key, size in list(top.parameters.items())[:3]
+    )
+    text = (
+        f"The gap lies in the {place}, and {_joined(top.effects)} causes it, with probability "
+        f"{top.probability:.2f}" + (f" ({sizes})" if sizes else "")
+    )
+    shrink = measured.shrink.get("all", {}).get(_TOLD_AT)
+    if shrink is not None and shrink.fraction is not None:
+        text += f"; adding it closes {100 * shrink.fraction:.0f} % of the gap at 2 s"
+        if shrink.ci95 is not None:
+            text += f" ({100 * shrink.ci95[0]:.0f} to {100 * shrink.ci95[1]:.0f} %)"
+    others = sorted({n for g in believed.confusable for n in g} - set(top.effects))
+    if others:
+        text += f". These recordings do not tell it from {_joined(others, 'or')}"
+    return text + "."
+
+
+def why_not_testable(raced: Contest, suspect: Suspect) -> str:
+    """Why recordings say nothing on an effect."""
+    signs = raced.signatures
+    rows = signs.rows(suspect.name)
+    raw = float(np.sqrt(np.max(signs.energy[rows])))
+    absorbed = signs.absorbed(suspect.name)
+    if raw < 5.0:
+        return (
+            "what it does was not excited: at several times its typical size it would change the "
+            f"outputs by {raw:.1f} standard deviations of the noise"
+        )
+    return (
+        f"the nominal parameters can do {100 * absorbed:.1f} % of what it does within their "
+        "priors, and the rest is below the noise"
+    )
+
+
+def _readable(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _joined(names: Sequence[str], word: str = "and") -> str:
+    readable = [_readable(name) for name in names]
+    if len(readable) < 2:
+        return "".join(readable)
+    return f"{', '.join(readable[:-1])} {word} {readable[-1]}"

@@ -1,0 +1,177 @@
+"""The diagnosis: nine stages in a row, each of which hands plain data to the next.
+
+    admit → divide → refit → separate → is there a gap? → where → which → how far → how sure
+
+See ``docs/diagnose.md`` for what each stage does and why.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from trms_cli.gap import answer
+from trms_cli.gap.blocks import Parts, divide
+from trms_cli.gap.candidates import Suspect, suspects
+from trms_cli.gap.confidence import calibration
+from trms_cli.gap.diagnosis import Diagnosis
+from trms_cli.gap.existence import innovation_tests
+from trms_cli.gap.fitting.metric import Metric
+from trms_cli.gap.innovations.discrepancy import Discrepancy
+from trms_cli.gap.location import locate, smoothed_forces
+from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.race.contest import EFFORTS, Contest, Ledger, Stable, contest
+from trms_cli.gap.race.nominal import Refit, nominal_parameters, refit
+from trms_cli.gap.separability import Traces, traces
+from trms_cli.identification.method import Progress, Unwatched
+
+#: Where on the way each stage begins, as a share of the whole.
+_BEGINS = {
+    "refit": 0.0,
+    "separability": 0.08,
+    "race": 0.3,
+    "where": 0.85,
+    "tests": 0.9,
+    "how far": 0.93,
+    "advice": 0.98,
+}
+
+
+class _Watch:
+    """Tells the progress where the diagnosis is, and keeps the time of each stage."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self.seconds: dict[str, float] = {}
+        self._stage, self._begun = "", time.perf_counter()
+        self.ledger = Ledger(progress.saved(), progress.save)
+
+    def enter(self, stage: str) -> None:
+        self.leave()
+        self._stage, self._begun = stage, time.perf_counter()
+        self.tell(0.0, "")
+
+    def leave(self) -> None:
+        if self._stage:
+            self.seconds[self._stage] = time.perf_counter() - self._begun
+
+    def tell(self, share: float, message: str) -> bool:
+        """Note how far the stage is; an answer of no ends the diagnosis as Ctrl-C does."""
+        names = list(_BEGINS)
+        at = names.index(self._stage)
+        low = _BEGINS[self._stage]
+        high = _BEGINS[names[at + 1]] if at + 1 < len(names) else 1.0
+        text = f"{self._stage}: {message}" if message else self._stage
+        if not self._progress.update(low + (high - low) * share, float("nan"), text):
+            raise KeyboardInterrupt
+        return True
+
+
+def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis:
+    """Say where the gap lies, which effect causes it, and how far it shrinks.
+
+    Parameters
+    ----------
+    problem : GapProblem
+    progress : Progress or None
+
+    Raises
+    ------
+    ConfigurationError
+        For recordings that are too short.
+    KeyboardInterrupt
+        If the progress asks to stop; what is finished has been saved with it.
+    """
+    watch = _Watch(progress or Unwatched())
+    watch.enter("refit")
+    parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
+    free = nominal_parameters(problem.model)
+    nominal = refit(problem.model, free, parts.fitted, parts.block)
+    found, left_out = suspects(problem.model, problem.candidates)
+    simulated = {
+        name: s
+        for name, s in found.items()
+        if not s.stochastic and not name.endswith("quantisation")
+    }
+    stable = Stable(nominal, parts.block)
+    watch.enter("separability")
+    seen = _traces(nominal, simulated, stable, problem.jobs, watch)
+    watch.enter("race")
+    raced = contest(
+        nominal,
+        simulated,
+        seen,
+        stable,
+        EFFORTS[problem.effort],
+        ledger=watch.ledger,
+        jobs=problem.jobs,
+        watch=watch.tell,
+    )
+    return _answered(problem, parts, found, left_out, raced, seen, stable, watch)
+
+
+def _answered(
+    problem: GapProblem,
+    parts: Parts,
+    found: Mapping[str, Suspect],
+    left_out: Mapping[str, str],
+    raced: Contest,
+    seen: Traces,
+    stable: Stable,
+    watch: _Watch,
+) -> Diagnosis:
+    constants = calibration()
+    nominal = raced.refit
+    channels = nominal.metric.discrepancy.channels
+    usual = {c.location: constants.usual(c.location) for c in channels}
+    watch.enter("where")
+    place = locate(nominal.contestant, nominal.fit, nominal.metric.discrepancy, usual)
+    following = Discrepancy(
+        nominal.contestant.windows, nominal.metric.discrepancy.trajectory, channels
+    )
+    forces = smoothed_forces(nominal.contestant, nominal.fit, following, nominal.metric.shares)
+    watch.enter("tests")
+    calm = Metric(nominal.metric.discrepancy, np.array(list(usual.values())))
+    tests = innovation_tests(
+        nominal.contestant, nominal.fit, calm, nominal.centres, seed=problem.seed
+    )
+    believed = answer.believe(problem, raced, found, forces, place, constants)
+    watch.enter("how far")
+    far = answer.how_far(problem, parts, raced, believed)
+    watch.enter("advice")
+    told: dict[str, Any] = answer.told(
+        problem, parts, raced, believed, far, place, forces, found, left_out, stable
+    )
+    watch.leave()
+    return Diagnosis(
+        **told,
+        tests=tests,
+        effort=problem.effort,
+        seconds={name: round(value, 3) for name, value in watch.seconds.items()},
+    )
+
+
+def _traces(
+    nominal: Refit, simulated: Mapping[str, Suspect], stable: Stable, jobs: int, watch: _Watch
+) -> Traces:
+    """Traces of all suspects; their models are compiled side by side, which takes longest."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    chosen = list(simulated.values())
+    with ThreadPoolExecutor(max(1, jobs)) as pool:
+        for k, _ in enumerate(pool.map(stable.of, chosen)):
+            try:
+                watch.tell(0.7 * (k + 1) / len(chosen), chosen[k].name)
+            except KeyboardInterrupt:
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
+    return traces(
+        nominal.contestant,
+        nominal.fit,
+        chosen,
+        stable.of,
+        watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(chosen), 1), "traces"),
+    )

@@ -1,0 +1,164 @@
+"""Where the gap lies: one generalised disturbance at a time on every equation and sensor.
+
+Each place in turn may err as much as is most likely, all others only as much as those of rigs
+without a gap; the share of the likelihood that a place gains, of what all of them together gain,
+is its share of the gap. Places that move the same equation alike (a drive and its motor, a thrust
+and the moment that it makes) have one disturbance; which of them it is follows from the causes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.gap.fitting.contestant import Contestant, Fit
+from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.innovations.discrepancy import (
+    Channel,
+    Discrepancy,
+    equation_channels,
+    sensor_channels,
+)
+from trms_cli.gap.innovations.sizes import likely_shares, log_likelihood
+from trms_cli.models.model import Model, names
+
+FloatArray = npt.NDArray[np.float64]
+
+#: A sensor of a rig without a gap errs by this share of what it reads.
+_SENSOR_FLOOR = 1e-4
+#: Size at which the search for a disturbance begins, and how often it is improved.
+_FIRST, _ITERATIONS = 0.1, 4
+
+
+@dataclass(frozen=True)
+class Location:
+    """What each place closes of the gap.
+
+    Attributes
+    ----------
+    locations : tuple of str
+    gains : (k, m) array
+        Nats by which each place raises the likelihood of each block.
+    together : (m,) array
+        The same of all places.
+    shares : (k,) array
+        Most likely size of each disturbance, as a share of what acts there.
+    """
+
+    locations: tuple[str, ...]
+    gains: FloatArray
+    together: FloatArray
+    shares: FloatArray
+
+    def share(self, blocks: npt.NDArray[np.int64] | None = None) -> dict[str, float]:
+        """Share of the gap by place, from some blocks (with repetition); None: from all."""
+        chosen = slice(None) if blocks is None else blocks
+        total = max(float(self.together[chosen].sum()), 1e-9)
+        gains = np.clip(self.gains[:, chosen].sum(axis=1) / total, 0.0, 1.0)
+        return dict(zip(self.locations, gains.tolist(), strict=True))
+
+
+def locate(
+    contestant: Contestant, fit: Fit, discrepancy: Discrepancy, usual: Mapping[str, float]
+) -> Location:
+    """Try every equation and every measured sensor.
+
+    Parameters
+    ----------
+    contestant : Contestant
+        The nominal model.
+    fit : Fit
+        Its refit.
+    discrepancy : Discrepancy
+        Along the recording.
+    usual : dict of str to float
+        Share by which each equation errs on rigs without a gap.
+    """
+    model = contestant.problem.model
+    channels: tuple[Channel, ...] = (
+        *equation_channels(model),
+        *sensor_channels(model, contestant.windows.measured),
+    )
+    every = replace(discrepancy, channels=channels)
+    floor = np.array(
+        [_SENSOR_FLOOR if c.kind == "output" else usual.get(c.location, 0.03) for c in channels]
+    )
+    r = contestant.residuals(fit)
+    none = log_likelihood(every, r, floor)
+    gains, shares = [], []
+    for i in range(len(channels)):
+        moving = np.arange(len(channels)) == i
+        first = np.where(
+            moving, np.maximum(floor, _FIRST if channels[i].kind != "output" else 0.01), floor
+        )
+        found = likely_shares(every, r, first, moving=moving, iterations=_ITERATIONS, least=floor)
+        gains.append(log_likelihood(every, r, found) - none)
+        shares.append(found[i])
+    start = np.maximum(floor, np.array(shares) * 0.7)
+    both = likely_shares(every, r, start, iterations=_ITERATIONS, least=floor)
+    together = log_likelihood(every, r, both) - none
+    return Location(
+        tuple(c.location for c in channels), np.array(gains), together, np.array(shares)
+    )
+
+
+def smoothed_forces(
+    contestant: Contestant, fit: Fit, discrepancy: Discrepancy, shares: FloatArray
+) -> dict[str, ForceRecord]:
+    """The force that each equation lacks, read by a smoother from what a fit left over.
+
+    Parameters
+    ----------
+    shares : (n_d,) array
+        Sizes of the forces of ``discrepancy``.
+    """
+    model, windows = contestant.problem.model, contestant.windows
+    r = contestant.residuals(fit)
+    x, variance = discrepancy.smoothed(shares, r)
+    n = discrepancy.trajectory.x.shape[-1]
+    inside = windows.inside
+    states = discrepancy.trajectory.x[..., : model.n_x]
+    time = windows.first[:, None] * windows.sample_time + windows.sample_time * np.arange(
+        inside.shape[1]
+    )
+    starts = np.cumsum([0, *(len(d) for d in contestant.problem.datasets)])
+    recording = np.searchsorted(starts, windows.first, side="right") - 1
+    motion = _motion(model, states, windows.commands, windows.sample_time)
+    records = {}
+    for i, channel in enumerate(discrepancy.channels):
+        if channel.kind != "disturbance":
+            continue
+        records[channel.location] = ForceRecord(
+            location=channel.location,
+            unit=channel.unit,
+            time=time[inside]
+            - starts[recording][:, None].repeat(inside.shape[1], 1)[inside] * windows.sample_time,
+            recording=np.broadcast_to(recording[:, None], inside.shape)[inside],
+            force=x[..., n + i][inside],
+            sd=np.sqrt(variance[..., n + i][inside]),
+            **{kind: {k: v[inside] for k, v in group.items()} for kind, group in motion.items()},
+        )
+    return records
+
+
+def _motion(
+    model: Model, states: FloatArray, commands: FloatArray, sample_time: float
+) -> dict[str, dict[str, FloatArray]]:
+    """Angles, rates, speeds and commands by the names that a force record has."""
+    from trms_cli.models.dry_friction import SPEEDS
+
+    angles, rates = {}, {}
+    for name, axis in model.axes.items():
+        angles[name] = states[..., model.state_index(axis.angle)]
+        rates[name] = np.gradient(angles[name], sample_time, axis=1)
+    inputs = names(model.inputs)
+    speeds = {
+        rotor: states[..., model.state_index(SPEEDS[rotor])]
+        for rotor in model.rotors
+        if SPEEDS.get(rotor) in model.state_names
+    }
+    of_rotors = {rotor: commands[..., inputs.index(name)] for rotor, name in model.rotors.items()}
+    return {"angles": angles, "rates": rates, "speeds": speeds, "commands": of_rotors}
