@@ -10,13 +10,18 @@ READY := $(VENV)/.ready
 RECORDS ?= tras
 # jobs of the test run
 JOBS ?= 2
+# folder of the blind sets, and their seed
+BLIND ?= outputs/blind
+SEED ?= 1
+# what a diagnosis is compared with on the full set
+BASELINES ?= parameter_refit sparse_regression white_noise_bic classifier flexible_residual
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test slow lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 coverage tras-fit docs-figures lock clean
+	chapter2 chapter3 chapter4 coverage tras-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -82,6 +87,21 @@ coverage: $(READY) ## study: do the intervals of a fit hold the truth? (half an 
 
 tras-fit: $(READY) ## study: a fit to the real TRAS (RECORDS=folder with closed_loop.csv)
 	@$(BIN)/python -m experiments.tras_fit '$(RECORDS)' $(ARGS)
+
+blind: $(READY) ## proof, small: 24 sealed rigs made, diagnosed and judged (ARGS="effort=quick" is faster)
+	@test -f $(BLIND)/small/commitment.json || $(BIN)/trms blind make set=small seed=$(SEED) out=$(BLIND)/small
+	@$(BIN)/trms blind run in=$(BLIND)/small out=$(BLIND)/small.found $(ARGS)
+	@$(BIN)/trms blind score in=$(BLIND)/small diagnoses=$(BLIND)/small.found
+
+blind-full: $(READY) ## proof, whole: 300 sealed rigs, with baselines; hours, and called again it goes on
+	@test -f $(BLIND)/final/commitment.json || $(BIN)/trms blind make set=final seed=$(SEED) out=$(BLIND)/final
+	@$(BIN)/trms blind run in=$(BLIND)/final out=$(BLIND)/final.found $(ARGS)
+	@for method in $(BASELINES); do $(BIN)/python -m trms_cli.gap.baselines method=$$method in=$(BLIND)/final out=$(BLIND)/final.$$method || exit; done
+	@$(BIN)/python -m trms_cli.gap.baselines method=oracle key=$(BLIND)/final.key in=$(BLIND)/final out=$(BLIND)/final.oracle
+	@$(BIN)/trms blind score in=$(BLIND)/final oracle=oracle "diagnoses=[trms=$(BLIND)/final.found,$(foreach method,$(BASELINES),$(method)=$(BLIND)/final.$(method),)oracle=$(BLIND)/final.oracle]"
+
+blind-severity: $(READY) ## how large effects have to be for gaps of 1.3, 2 and 4 times the floor (ten minutes)
+	@$(BIN)/python -m trms_cli.gap.blind.severity
 
 docs-figures: $(READY) ## draw the figures of docs/ with the program itself
 	@$(BIN)/python -m docs.figures
