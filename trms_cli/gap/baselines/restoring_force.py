@@ -1,0 +1,182 @@
+"""The force that a model lacks, sample by sample, from smoothed derivatives of what was measured.
+
+Angles and speeds are differentiated by local polynomials (Savitzky & Golay 1964, Anal. Chem. 36),
+momenta follow by the model's own kinematics, and the generalised disturbance that makes the
+model's derivative the measured one is solved for (the restoring-force method of Masri & Caughey
+1979, J. Appl. Mech. 46). What is not measured is simulated from the beginning of the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.identification.greybox.starts import estimated_starts
+from trms_cli.models.model import Model
+from trms_cli.observers.state_kinds import kinds_of_states
+from trms_cli.simulation.rollout import Rollout
+
+#: s, over which a polynomial of the third degree is laid; and the fewest samples of it.
+_REACH, _FEWEST, _DEGREE = 0.3, 7, 3
+#: s between the samples at which a simulation of what is not measured is put right.
+_ANCHORED = 0.2
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smoothed motion of a rig, with what a model lacks to follow it.
+
+    Attributes
+    ----------
+    x : (n, n_x) array
+    u : (n, n_u) array
+        Smoothed by the same polynomials.
+    force : (n, n_w) array
+        In the disturbances' units.
+    of_parameters : (n, n_w, n_f) array
+        What a unit of each free parameter adds to the force.
+    block : (n,) array of int
+        Blocks of time, for cross-validation.
+    step : float
+        s between two samples of one recording.
+    breaks : (k,) array of int
+        Samples at which a recording begins.
+    """
+
+    x: FloatArray
+    u: FloatArray
+    force: FloatArray
+    of_parameters: FloatArray
+    block: IntArray
+    step: float
+    breaks: IntArray
+
+    @property
+    def independent(self) -> float:
+        """How many samples the smoothed force is worth."""
+        return len(self.force) / max(_FEWEST, round(_REACH / self.step))
+
+
+def motion(model: Model, datasets: Sequence[Dataset], free: Sequence[str], block: float) -> Motion:
+    """Of all recordings, one after another; the ends of each, where derivatives are poor, left out.
+
+    Parameters
+    ----------
+    free : sequence of str
+        Parameters whose forces are wanted.
+    block : float
+        s.
+    """
+    step = datasets[0].sample_time
+    rollout = Rollout(model, step)
+    equations = _Equations(model, free)
+    parts: list[tuple[FloatArray, ...]] = []
+    blocks, breaks = 0, []
+    for dataset in datasets:
+        x, u, derivative, good = _smoothed(model, rollout, equations, dataset)
+        force, slopes = equations.force(x, u, derivative)
+        good &= np.isfinite(force).all(axis=1)
+        of_block = np.arange(len(dataset)) * step // block + blocks
+        blocks = int(of_block[-1]) + 1
+        breaks.append(sum(len(p[0]) for p in parts))
+        parts.append(tuple(a[good] for a in (x, u, force, slopes, of_block)))
+    x, u, force, slopes, of_block = (np.concatenate(a) for a in zip(*parts, strict=True))
+    return Motion(x, u, force, slopes, of_block.astype(np.int64), step, np.array(breaks))
+
+
+def savgol(values: FloatArray, step: float, order: int) -> FloatArray:
+    """A derivative of each column by local polynomials."""
+    from scipy.signal import savgol_filter
+
+    reach = max(_FEWEST, round(_REACH / step)) // 2 * 2 + 1
+    found: FloatArray = savgol_filter(values, reach, _DEGREE, deriv=order, delta=step, axis=0)
+    return found
+
+
+def _smoothed(
+    model: Model, rollout: Rollout, equations: _Equations, dataset: Dataset
+) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """States, commands, the states' derivatives, and where these can be believed."""
+    n, step = len(dataset), dataset.sample_time
+    hop = max(1, round(_ANCHORED / step))
+    anchors = np.arange(0, n, hop, dtype=np.int64)
+    known = estimated_starts(rollout, dataset, anchors, model.parameters.values).states
+    x = np.empty((n, model.n_x))
+    for i in range(model.n_x):
+        x[:, i] = np.interp(np.arange(n), anchors, known[:, i])
+    derivative = savgol(x, step, 1)
+    good = np.ones(n, dtype=bool)
+    edge = max(_FEWEST, round(_REACH / step))
+    good[:edge] = good[n - edge :] = False
+    rates = {}
+    for column, signal in zip(dataset.measurements.T, dataset.outputs, strict=True):
+        present = np.isfinite(column)
+        if signal.name not in model.state_names or not present.any():
+            continue
+        filled = np.interp(np.arange(n), np.flatnonzero(present), column[present])
+        lost = np.convolve(~present, np.ones(edge), "same") > 0.5
+        good &= ~lost
+        i = model.state_index(signal.name)
+        x[:, i], derivative[:, i] = savgol(filled, step, 0), savgol(filled, step, 1)
+        rates[i] = derivative[:, i]
+    # A command acts from its sample on: at the sample itself it has changed by half.
+    before = np.vstack([dataset.commands[:1], dataset.commands[:-1]])
+    u = savgol((before + dataset.commands) / 2, step, 0)
+    moved = equations.momenta(x, u, rates)
+    derivative[:, moved] = savgol(x[:, moved], step, 1)
+    return x, u, derivative, good
+
+
+class _Equations:
+    """A model's equations of motion at many samples at once."""
+
+    def __init__(self, model: Model, free: Sequence[str]) -> None:
+        self._model = model
+        x, u, p, w = model.symbols()
+        f = model.dynamics(x, u, p, w)
+        columns = [model.parameters.names.index(name) for name in free]
+        pushes = ca.densify(ca.jacobian(f, w))
+        of_p = ca.densify(ca.jacobian(f, p)[:, columns]) if columns else ca.SX(model.n_x, 0)
+        self._f = ca.Function("f", [x, u, p, w], [f, pushes, of_p])
+        kinds = kinds_of_states(model)
+        self._angles = [i for i, kind in enumerate(kinds) if kind == "angle"]
+        self._momenta = [i for i, kind in enumerate(kinds) if kind == "momentum"]
+        rate = f[self._angles]
+        slope = ca.densify(ca.jacobian(rate, x)[:, self._momenta])
+        self._rate = ca.Function("rate", [x, u, p, w], [rate, slope])
+
+    def _at(self, function: ca.Function, x: FloatArray, u: FloatArray) -> list[FloatArray]:
+        """Results at each sample, (n, rows, columns)."""
+        n = len(x)
+        p = np.repeat(self._model.parameters.values[:, None], n, axis=1)
+        results = function.map(n)(x.T, u.T, p, np.zeros((self._model.n_w, n)))
+        shaped = []
+        for i, result in enumerate(results):
+            rows, columns = function.size_out(i)
+            flat = np.array(ca.DM(result).full()).reshape(rows, n, columns)
+            shaped.append(np.swapaxes(flat, 0, 1))
+        return shaped
+
+    def momenta(self, x: FloatArray, u: FloatArray, rates: dict[int, FloatArray]) -> list[int]:
+        """Put in the momenta at which measured angles change as they do; which those are."""
+        rows = [k for k, i in enumerate(self._angles) if i in rates]
+        if not rows or not self._momenta:
+            return []
+        rate, slope = self._at(self._rate, x, u)
+        wanted = np.stack([rates[self._angles[k]] for k in rows], axis=1) - rate[:, rows, 0]
+        x[:, self._momenta] += np.einsum("nij,nj->ni", np.linalg.pinv(slope[:, rows]), wanted)
+        return self._momenta
+
+    def force(
+        self, x: FloatArray, u: FloatArray, derivative: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Disturbances (n, n_w), and what parameters add to them (n, n_w, n_f)."""
+        f, pushes, of_p = self._at(self._f, x, u)
+        inverse = np.linalg.pinv(pushes)
+        force = np.einsum("nwi,ni->nw", inverse, derivative - f[:, :, 0])
+        return force, np.einsum("nwi,nif->nwf", inverse, of_p)
