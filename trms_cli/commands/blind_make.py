@@ -20,7 +20,21 @@ _STEP = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class MakeOptions:
-    """The keys of ``configs/blind_make.yaml``; see there."""
+    """The keys of ``configs/blind_make.yaml``.
+
+    Attributes
+    ----------
+    set, out : str
+        What the set holds; folder of the recordings.
+    seed : int
+    cases : int or None
+        None: as many as the set has.
+    duration, sample_time, fresh : float
+        s; ``fresh`` is the length of the second recordings.
+    jobs : int
+    key : str or None
+        Folder of the key.
+    """
 
     set: str
     out: str

@@ -29,7 +29,20 @@ EXIT_SOME_FAILED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """The keys of ``configs/blind_run.yaml``; see there."""
+    """The keys of ``configs/blind_run.yaml``.
+
+    Attributes
+    ----------
+    source, out : str
+        Folders of the set (``in``) and of the diagnoses.
+    overrides : tuple of str
+        Of each diagnosis (``with``).
+    effort : {"quick", "normal", "thorough"}
+    jobs : int
+        Recordings at once.
+    cases : int or None
+        None: all.
+    """
 
     source: str
     out: str

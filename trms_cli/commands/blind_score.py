@@ -21,7 +21,23 @@ DOCUMENT_NAME, PAGE_NAME = "score.json", "score.md"
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreOptions:
-    """The keys of ``configs/blind_score.yaml``; see there."""
+    """The keys of ``configs/blind_score.yaml``.
+
+    Attributes
+    ----------
+    source : str
+        Folder of the set (``in``).
+    diagnoses : str or tuple of str
+        FOLDER or NAME=FOLDER.
+    key : str or None
+    oracle : str or None
+        Name of the one that was told the effects.
+    fresh : bool
+        Whether models run on the second recordings.
+    bootstrap, seed : int
+    jobs : int
+    out : str or None
+    """
 
     source: str
     diagnoses: str | tuple[str, ...]

@@ -25,7 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 COLUMNS = ("u_v[V]", "u_h[V]", "alpha_v[rad]", "alpha_h[rad]", "omega_v[rad/s]", "omega_h[rad/s]")
 _FORMAT = ("%.3f", "%.5f", "%.5f", "%.6f", "%.6f", "%.4f", "%.4f")
 #: A rig that comes so near a stop (rad) is driven again, with so much less.
-_NEAR_STOP, _LESS, _TRIES = 0.02, 0.7, 4
+_NEAR_STOP, _LESS, _TRIES = 0.02, 0.6, 4
 _SETTLING = 10.0  # s
 
 
