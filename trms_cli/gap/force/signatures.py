@@ -28,8 +28,10 @@ from trms_cli.gap.force.record import (
 _RATE = 25.0
 #: Hz above which lie flexible modes and quanta.
 FAST = 1.5
-#: Largest part of an energy that is taken for noise.
-_MOST_NOISE = (0.8, 0.8, 0.5)
+#: Largest part of an energy that is taken for noise: of the whole, and of what a refit leaves.
+_MOST_NOISE, _MOST_NOISE_LEFT = 0.8, 0.5
+#: s, of kernels that the columns may be put through, as the force was.
+_SMOOTHERS = (0.1, 0.25)
 #: Largest share that is put down to chance: a list that is generous rather keeps.
 _MOST_CHANCE = 0.4
 #: Relative ridge that keeps columns that say the same from an exact tie.
@@ -75,14 +77,23 @@ class Judge:
             columns += own
         phi = np.column_stack(columns)
         force = self.record.force
-        level, _ = np.linalg.qr(_unit(nuisance(at)))
         self._readings = [
-            self._reading(phi, force, _MOST_NOISE[0]),
-            self._reading(phi - phi.mean(axis=0), force - force.mean(), _MOST_NOISE[1]),
-            self._reading(
-                phi - level @ (level.T @ phi), force - level @ (level.T @ force), _MOST_NOISE[2]
-            ),
+            self._reading(phi, force, _MOST_NOISE),
+            self._reading(phi - phi.mean(axis=0), force - force.mean(), _MOST_NOISE),
+            self._beside_nuisance(phi, nuisance(at)),
         ]
+        # Little may be left beside the nuisance columns; what a smoother did to them shows then.
+        self._readings += [
+            self._beside_nuisance(_all_smoothed(at, phi, sd), _all_smoothed(at, nuisance(at), sd))
+            for sd in _SMOOTHERS
+        ]
+
+    def _beside_nuisance(self, phi: FloatArray, level: FloatArray) -> _Reading:
+        level, _ = np.linalg.qr(level / (np.linalg.norm(level, axis=0) + 1e-300))
+        force = self.record.force
+        return self._reading(
+            phi - level @ (level.T @ phi), force - level @ (level.T @ force), _MOST_NOISE_LEFT
+        )
 
     def _reading(self, phi: FloatArray, force: FloatArray, most_noise: float) -> _Reading:
         size = np.linalg.norm(phi, axis=0)
@@ -137,8 +148,8 @@ class Judge:
         return 1 - self._readings[0].noise if self._readings[0].energy > 0 else 0.0
 
 
-def _unit(columns: FloatArray) -> FloatArray:
-    return columns / (np.linalg.norm(columns, axis=0) + 1e-300)
+def _all_smoothed(at: Seen, columns: FloatArray, sd: float) -> FloatArray:
+    return np.column_stack([at.smoothed(column, sd) for column in columns.T])
 
 
 def signatures(record: ForceRecord) -> dict[str, float]:
