@@ -1,0 +1,89 @@
+"""``python -m experiments.gap``: does a diagnosed effect make the controller's model better?"""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import process_time
+
+from trms_cli.cli import describe_error
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study, print its tables, write them into the documentation on request."""
+    given = _parser().parse_args(argv)
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    try:
+        return _study(given)
+    except TrmsError as error:
+        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
+        return error.exit_code
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments.gap", description=__doc__)
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="effects: 'yaw_*'")
+    parser.add_argument("--without-separation", action="store_true", help="tracking alone")
+    parser.add_argument(
+        "--publish",
+        action="store_true",
+        help="put tables and figures into docs/closing-the-loop.md",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("outputs/closing_loop"),
+        help="folder of recordings, diagnoses and runs; what it holds is not made again",
+    )
+    return parser
+
+
+def _study(given: argparse.Namespace) -> int:
+    from experiments.gap import page
+    from experiments.gap.closing_loop import control, diagnose, record, rigs_of
+    from experiments.gap.rigs import read_study
+    from experiments.gap.separation import separate
+
+    study = read_study()
+    study["effects"] = {
+        name: sizes
+        for name, sizes in study["effects"].items()
+        if fnmatch.fnmatchcase(name, given.only)
+    }
+    begin = process_time()
+    rigs = rigs_of(study)
+    record(rigs, study, given.out, _tell)
+    verdicts = []
+    for i, rig in enumerate(rigs, start=1):
+        _tell(f"diagnosing {i} of {len(rigs)}: {rig.name}")
+        verdicts.append(diagnose(rig, study["diagnose"], given.out))
+    runs = control(rigs, study["tasks"], study["models"], study, given.out, _tell)
+    separations = [] if given.without_separation else separate(study, given.out, _tell)
+    found = page.Findings(runs, verdicts, separations, process_time() - begin)
+    _tell("")
+    page.print_tables(found)
+    page.write_out(found, given.out, given.out)
+    if given.publish:
+        page.publish(found, given.out)
+    print(f"{found.seconds:.0f} s of processor time; tables and figures: {given.out}")
+    return EXIT_OK
+
+
+def _tell(words: str) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\033[K{words}")
+        sys.stderr.flush()
+    elif words:
+        sys.stderr.write(f"{words}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

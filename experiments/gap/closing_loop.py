@@ -1,0 +1,255 @@
+"""Tracking of rigs that have an effect which the nominal model lacks, model by model.
+
+Each rig is recorded in open loop, diagnosed from that recording, and then controlled by newton_mpc
+and the UKF with the nominal model, the refitted one, the corrected one and the true one.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.gap.driver import Loop, ModelBased, loop_of
+from experiments.gap.models import DIAGNOSED, NOMINAL, REFIT, TOLD, TRUE, diagnosed, identified
+from experiments.gap.rigs import Rig, driven, gentle_excitation, rig_of, write_csv
+from trms_cli.effects.model_file import load_model
+from trms_cli.gap.blind.drivers import OpenLoop
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian
+
+FloatArray = npt.NDArray[np.float64]
+Told = Callable[[str], None]
+
+RECORDING = "recording.csv"
+AXES = ("pitch", "yaw")
+#: s for which a reference has to stand still before an axis counts as settled.
+_SETTLED_AFTER = 4.0
+#: s, of the brakes before a recording.
+_SETTLING = 20.0
+#: Of noise and drift: of the recordings, and of the controlled runs.
+_RECORDING_SEED, _RUN_SEED = 11, 12
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """One controlled run.
+
+    Attributes
+    ----------
+    rig, effect, task, model : str
+    seed : int
+    rmse : dict of str to float
+        Measured angle less reference, by axis, rad.
+    settled : dict of str to float
+        The same where the reference stood still for some seconds, rad; NaN without such samples.
+    effort : dict of str to float
+        Root mean square of the command, by axis, V.
+    movement : dict of str to float
+        Sum of the absolute changes of the command over time, by axis, V/s.
+    """
+
+    rig: str
+    effect: str
+    seed: int
+    task: str
+    model: str
+    rmse: Mapping[str, float]
+    settled: Mapping[str, float]
+    effort: Mapping[str, float]
+    movement: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a diagnosis said of a rig.
+
+    Attributes
+    ----------
+    rig, effect, verdict : str
+    effects : tuple of str
+        The first cause.
+    probability : float
+        Of the first cause.
+    seconds : float
+        That the diagnosis took.
+    """
+
+    rig: str
+    effect: str
+    verdict: str
+    effects: tuple[str, ...]
+    probability: float
+    seconds: float
+
+
+def rigs_of(study: Mapping[str, Any]) -> list[Rig]:
+    """The rigs of the study."""
+    return [
+        rig_of(effect, sizes, seed, study["scatter"])
+        for effect, sizes in study["effects"].items()
+        for seed in study["seeds"]
+    ]
+
+
+def record(rigs: Sequence[Rig], study: Mapping[str, Any], out: Path, told: Told) -> None:
+    """Recordings for the diagnosis, of all rigs at once; earlier ones are taken."""
+    if all((out / rig.name / RECORDING).exists() for rig in rigs):
+        return
+    told(f"recording {len(rigs)} rigs")
+    duration, step = study["record"]["duration"], study["record"]["sample_time"]
+    commands = {seed: gentle_excitation(seed, duration, step) for seed in {r.seed for r in rigs}}
+    driver = OpenLoop(np.stack([commands[rig.seed] for rig in rigs]))
+    recorded = driven(rigs, driver, duration, step, settling=_SETTLING, seed=_RECORDING_SEED)
+    for i, rig in enumerate(rigs):
+        (out / rig.name).mkdir(parents=True, exist_ok=True)
+        write_csv(recorded, i, out / rig.name / RECORDING)
+
+
+def diagnose(rig: Rig, words: Sequence[str], out: Path) -> Verdict:
+    """Diagnose a rig from its recording; an earlier diagnosis is taken."""
+    folder = diagnosed([out / rig.name / RECORDING], out / rig.name / DIAGNOSED, words)
+    return verdict_of(rig, folder)
+
+
+def verdict_of(rig: Rig, folder: Path) -> Verdict:
+    """What the diagnosis in a folder says."""
+    said = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    first = said["causes"][0]
+    return Verdict(
+        rig.name,
+        rig.effect,
+        said["verdict"],
+        tuple(first["effects"]),
+        float(first["probability"]),
+        float(sum((said.get("seconds") or {}).values())),
+    )
+
+
+def model_of(rig: Rig, model: str, out: Path) -> Model:
+    """What a controller of the rig is given."""
+    folder = out / rig.name
+    if model == NOMINAL:
+        return Newtonian()
+    paths = {
+        REFIT: lambda: folder / DIAGNOSED / "refit_model.yaml",
+        DIAGNOSED: lambda: folder / DIAGNOSED / "corrected_model.yaml",
+        TOLD: lambda: identified(folder / RECORDING, folder / TOLD, rig.effect),
+        TRUE: lambda: rig.write_true_model(folder / "true_model.yaml"),
+    }
+    return load_model(str(paths[model]()))
+
+
+def control(
+    rigs: Sequence[Rig],
+    tasks: Mapping[str, Sequence[str]],
+    models: Sequence[str],
+    study: Mapping[str, Any],
+    out: Path,
+    told: Told,
+) -> list[Tracking]:
+    """Control every rig in every task with every model; runs that are there already are taken.
+
+    All copies of a rig meet the same noise and drift.
+    """
+    missing = [
+        (task, model)
+        for task in tasks
+        for model in models
+        if not all(_file(rig, task, model, out).exists() for rig in rigs)
+    ]
+    if missing:
+        told(f"controlling {len(rigs) * len(missing)} rigs: models and loops")
+        loops = {task: loop_of(words) for task, words in tasks.items()}
+        _control(rigs, missing, loops, study, out, told)
+    return [
+        Tracking(**json.loads(_file(rig, task, model, out).read_text(encoding="utf-8")))
+        for task in tasks
+        for model in models
+        for rig in rigs
+    ]
+
+
+def _control(
+    rigs: Sequence[Rig],
+    combinations: Sequence[tuple[str, str]],
+    loops: Mapping[str, Loop],
+    study: Mapping[str, Any],
+    out: Path,
+    told: Told,
+) -> None:
+    duration, step = study["run"]["duration"], study["record"]["sample_time"]
+    made = {model: [model_of(rig, model, out) for rig in rigs] for _, model in combinations}
+    driver = ModelBased(
+        [loops[task] for task, _ in combinations for _ in rigs],
+        [m for _, model in combinations for m in made[model]],
+        round(duration / step),
+        step,
+    )
+    told(f"controlling {len(rigs) * len(combinations)} rigs for {duration:g} s")
+    recorded = driven(rigs, driver, duration, step, copies=len(combinations), seed=_RUN_SEED)
+    for k, (task, model) in enumerate(combinations):
+        for i, rig in enumerate(rigs):
+            at = k * len(rigs) + i
+            angles, commands = recorded.measured[at, :, :2], recorded.commands[at]
+            references = driver.references[at]
+            run = tracking(rig, task, model, references, angles, commands, step, study)
+            file = _file(rig, task, model, out)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            traces = {"time": recorded.time, "reference": references, "angle": angles}
+            np.savez_compressed(file.with_suffix(".npz"), command=commands, **traces)
+            file.write_text(json.dumps(asdict(run)), encoding="utf-8")
+
+
+def tracking(
+    rig: Rig,
+    task: str,
+    model: str,
+    references: FloatArray,
+    angles: FloatArray,
+    commands: FloatArray,
+    step: float,
+    study: Mapping[str, Any],
+) -> Tracking:
+    """Figures of a run.
+
+    Parameters
+    ----------
+    references, angles : (n, 2) arrays
+        rad.
+    commands : (n, 2) array
+        V.
+    """
+    first, waited = round(study["run"]["from"] / step), round(_SETTLED_AFTER / step)
+    error = angles - references
+    counted = np.arange(len(error)) >= first
+    rmse, settled, effort, movement = {}, {}, {}, {}
+    for i, axis in enumerate(AXES):
+        moved = np.diff(references[:, i], prepend=references[0, i]) != 0
+        count = np.concatenate([np.zeros(waited), np.cumsum(moved)])
+        still = counted & (count[waited:] == count[:-waited])
+        rmse[axis] = _rms(error[counted, i])
+        settled[axis] = _rms(error[still, i])
+        effort[axis] = _rms(commands[counted, i])
+        changed = float(np.abs(np.diff(commands[first:, i])).sum())
+        movement[axis] = changed / (step * np.count_nonzero(counted))
+    return Tracking(rig.name, rig.effect, rig.seed, task, model, rmse, settled, effort, movement)
+
+
+def traces_of(rig: str, task: str, model: str, out: Path) -> dict[str, FloatArray]:
+    """``time``, ``reference``, ``angle``, ``command`` of a run that was made."""
+    with np.load(out / rig / f"{task}-{model}.npz") as kept:
+        return {name: np.asarray(kept[name], dtype=float) for name in kept.files}
+
+
+def _file(rig: Rig, task: str, model: str, out: Path) -> Path:
+    return out / rig.name / f"{task}-{model}.json"
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

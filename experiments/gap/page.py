@@ -1,0 +1,298 @@
+"""Tables and figures of the study: printed, as JSON, and in ``docs/closing-the-loop.md``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from experiments.gap.closing_loop import AXES, Tracking, Verdict, traces_of
+from experiments.gap.models import DIAGNOSED, NOMINAL, TRUE
+from experiments.gap.separation import Separation
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE, FIGURES = ROOT / "docs" / "closing-the-loop.md", ROOT / "docs" / "figures" / "closing_loop"
+SCHEMA = "trms.closing_loop/1"
+#: Share by which the nominal model's error has to exceed the true one's for a share to be told.
+_SUFFERS = 0.2
+
+
+@dataclass
+class Findings:
+    """All that came out.
+
+    Attributes
+    ----------
+    runs : list of Tracking
+    verdicts : list of Verdict
+    separations : list of Separation
+    seconds : float
+        Of the processor, without what had been done before.
+    """
+
+    runs: list[Tracking]
+    verdicts: list[Verdict]
+    separations: list[Separation] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def tables(found: Findings) -> dict[str, list[list[str]]]:
+    """Tables by name, each with its head in the first row."""
+    made = {"diagnoses": _diagnoses(found.verdicts)}
+    for task in dict.fromkeys(run.task for run in found.runs):
+        made[task] = _tracking([run for run in found.runs if run.task == task])
+    made["separation"] = _separation(found.separations)
+    return {name: rows for name, rows in made.items() if len(rows) > 1}
+
+
+def document(found: Findings) -> dict[str, Any]:
+    """``trms.closing_loop/1``; what could not be counted is null."""
+    content = {
+        "schema": SCHEMA,
+        "seconds": round(found.seconds, 1),
+        "diagnoses": [asdict(verdict) for verdict in found.verdicts],
+        "runs": [asdict(run) for run in found.runs],
+        "separations": [asdict(separation) for separation in found.separations],
+    }
+    cleaned: dict[str, Any] = _finite(content)
+    return cleaned
+
+
+def print_tables(found: Findings) -> None:
+    """For a person."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=140)
+    for name, rows in tables(found).items():
+        table = Table(title=name, title_justify="left", box=SIMPLE_HEAD)
+        for i, head in enumerate(rows[0]):
+            table.add_column(head, justify="left" if i < 2 else "right")
+        for row in rows[1:]:
+            table.add_row(*row)
+        console.print(table)
+
+
+def write_out(found: Findings, folder: Path, runs: Path) -> None:
+    """Tables as JSON and Markdown, and figures, into a folder.
+
+    Parameters
+    ----------
+    runs : Path
+        Where the runs' traces lie.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(document(found), indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "closing_loop.json").write_text(text + "\n", encoding="utf-8")
+    blocks = [f"## {name}\n\n{markdown(rows)}\n" for name, rows in tables(found).items()]
+    (folder / "closing_loop.md").write_text("\n".join(blocks), encoding="utf-8")
+    draw(found, folder, runs)
+
+
+def publish(found: Findings, runs: Path, page: Path = PAGE, figures: Path = FIGURES) -> None:
+    """Rewrite the page between its marks, and its figures.
+
+    Raises
+    ------
+    ValueError
+        If the page has no marks for a table.
+    """
+    text = page.read_text(encoding="utf-8")
+    for name, rows in tables(found).items():
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, mark, rest = text.partition(begin)
+        _, close, after = rest.partition(end)
+        if not (mark and close):
+            raise ValueError(f"{page} has no {begin} … {end}")
+        text = f"{before}{begin}\n{markdown(rows)}\n{end}{after}"
+    page.write_text(text, encoding="utf-8")
+    figures.mkdir(parents=True, exist_ok=True)
+    draw(found, figures, runs)
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """A table."""
+    lines = ["| " + " | ".join(rows[0]) + " |", "|" + "---|" * len(rows[0])]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows[1:]])
+
+
+def mean_and_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Mean over rigs, and half the width of its 95 % interval by Student's t; NaN for one rig."""
+    n = len(values)
+    if n < 2:
+        return float(np.mean(values)), float("nan")
+    half = stats.t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n)
+    return float(np.mean(values)), float(half)
+
+
+def recovered(runs: Sequence[Tracking]) -> float | None:
+    """Share of the squared error that the corrected model takes away of what the true one would.
+
+    Over both axes and all rigs of an effect. None where the nominal model's error is hardly above
+    the true one's, so that there is nothing to recover.
+    """
+
+    def squared(model: str) -> float:
+        return sum(run.rmse[axis] ** 2 for run in runs if run.model == model for axis in AXES)
+
+    nominal, corrected, true = (squared(model) for model in (NOMINAL, DIAGNOSED, TRUE))
+    if not true or not corrected or np.sqrt(nominal / true) < 1 + _SUFFERS:
+        return None
+    return (nominal - corrected) / (nominal - true)
+
+
+def _tracking(runs: Sequence[Tracking]) -> list[list[str]]:
+    models = list(dict.fromkeys(run.model for run in runs))
+    heads = [f"{model} [mrad]" for model in models]
+    rows = [["effect", "axis", *heads, *(f"{m} [V/s]" for m in models), "recovered"]]
+    for effect in dict.fromkeys(run.effect for run in runs):
+        of = [run for run in runs if run.effect == effect]
+        share = recovered(of)
+        for axis in AXES:
+            row = ["`" + effect + "`" if axis == AXES[0] else "", axis]
+            for model in models:
+                row.append(_spread([1e3 * run.rmse[axis] for run in of if run.model == model]))
+            for model in models:
+                movement = np.mean([run.movement[axis] for run in of if run.model == model])
+                row.append(f"{movement:.2f}")
+            told = "hardly suffers" if share is None else f"{100 * share:.0f} %"
+            rows.append([*row, told if axis == AXES[0] else ""])
+    return rows
+
+
+def _diagnoses(verdicts: Sequence[Verdict]) -> list[list[str]]:
+    rows = [["rig", "verdict", "first cause", "probability", "time [s]"]]
+    for v in verdicts:
+        cause = ", ".join(f"`{name}`" for name in v.effects)
+        rows.append([f"`{v.rig}`", v.verdict, cause, f"{v.probability:.2f}", f"{v.seconds:.0f}"])
+    return rows
+
+
+def _separation(separations: Sequence[Separation]) -> list[list[str]]:
+    rows = [
+        ["rig", "recordings", "verdict", "true", "rival", "delay and lag", "declared confusable"]
+    ]
+    for s in separations:
+        for label, at in (("first", s.before), ("first and advised", s.after)):
+            rows.append(
+                [
+                    f"`{s.rig}`" if at is s.before else "",
+                    label,
+                    at.verdict,
+                    f"{at.true:.2f}",
+                    f"{at.rival:.2f}",
+                    f"{at.both:.2f}",
+                    "yes" if at.confusable else "no",
+                ]
+            )
+    return rows
+
+
+def _spread(values: Sequence[float]) -> str:
+    mean, half = mean_and_interval(values)
+    return f"{mean:.1f}" if np.isnan(half) else f"{mean:.1f} ± {half:.1f}"
+
+
+def _finite(content: Any) -> Any:
+    """NaN as null."""
+    if isinstance(content, Mapping):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [_finite(value) for value in content]
+    if isinstance(content, float) and not np.isfinite(content):
+        return None
+    return content
+
+
+def draw(found: Findings, folder: Path, runs: Path) -> None:
+    """All figures, as PNG."""
+    from trms_cli.reporting.style import house_style, save_png
+
+    with house_style():
+        for task in dict.fromkeys(run.task for run in found.runs):
+            of = [run for run in found.runs if run.task == task]
+            save_png(_errors(of), folder / f"{task}.png")
+        worst = _worst([run for run in found.runs if run.task == found.runs[0].task])
+        save_png(_traces(worst, found.runs, runs), folder / "traces.png")
+
+
+def _worst(runs: Sequence[Tracking]) -> Tracking:
+    """The run with the true model on the rig where the nominal one loses most against it."""
+    lost = {run.rig: -sum(run.rmse.values()) for run in runs if run.model == TRUE}
+    for run in runs:
+        if run.model == NOMINAL:
+            lost[run.rig] += sum(run.rmse.values())
+    rig = max(lost, key=lambda name: lost[name])
+    return next(run for run in runs if run.rig == rig and run.model == TRUE)
+
+
+def _errors(runs: Sequence[Tracking]) -> Any:
+    """Root mean square errors by effect and model, a point a rig, a bar for the mean."""
+    from trms_cli.reporting.style import legend_above, new_figure
+
+    figure = new_figure(9.5, 4.6)
+    panels = figure.subplots(2, 1, sharex=True)
+    effects = list(dict.fromkeys(run.effect for run in runs))
+    models = list(dict.fromkeys(run.model for run in runs))
+    for panel, axis in zip(panels, AXES, strict=True):
+        for j, model in enumerate(models):
+            for i, effect in enumerate(effects):
+                values = [
+                    1e3 * r.rmse[axis] for r in runs if r.effect == effect and r.model == model
+                ]
+                at = i + 0.2 * (j - (len(models) - 1) / 2)
+                label = model if i == 0 else None
+                panel.bar(at, np.mean(values), 0.17, color=_colour(model, models), label=label)
+                panel.plot([at] * len(values), values, ".", color="#222222", ms=3)
+        panel.set_ylabel(f"{axis} RMSE [mrad]")
+    legend_above(panels[0])
+    panels[-1].set_xticks(range(len(effects)), [effect.replace("_", "\n", 1) for effect in effects])
+    return figure
+
+
+def _traces(one: Tracking, all_runs: Sequence[Tracking], runs: Path) -> Any:
+    """Tracking error over time of one rig with every model."""
+    from trms_cli.reporting.style import legend_above, new_figure
+
+    figure = new_figure(9.5, 4.6)
+    panels = figure.subplots(3, 1, sharex=True)
+    models = list(dict.fromkeys(run.model for run in all_runs))
+    for model in models:
+        traces = traces_of(one.rig, one.task, model, runs)
+        if model == models[0]:
+            for i, axis in enumerate(AXES):
+                style = ("-", "--")[i]
+                panels[0].plot(
+                    traces["time"], traces["reference"][:, i], style, color="#777777", label=axis
+                )
+        error = 1e3 * (traces["angle"] - traces["reference"])
+        for i in range(2):
+            colour = _colour(model, models)
+            panels[1 + i].plot(traces["time"], error[:, i], color=colour, lw=1.0, label=model)
+    panels[0].set_ylabel("reference [rad]")
+    for i, axis in enumerate(AXES):
+        panels[1 + i].set_ylabel(f"{axis} error [mrad]")
+        settled = [
+            1e3 * np.abs(t["angle"][:, i] - t["reference"][:, i])[t["time"] >= 10].max()
+            for t in (traces_of(one.rig, one.task, m, runs) for m in models)
+        ]
+        panels[1 + i].set_ylim(-1.1 * max(settled), 1.1 * max(settled))
+    legend_above(panels[0])
+    legend_above(panels[1])
+    panels[-1].set_xlabel("time [s]")
+    figure.suptitle(f"{one.effect}, {one.task}", x=0.01, ha="left", fontsize=10)
+    return figure
+
+
+def _colour(model: str, models: Sequence[str]) -> str:
+    from trms_cli.reporting.style import COLOURS, GREY
+
+    return GREY if model == NOMINAL else COLOURS[(models.index(model) - 1) % len(COLOURS)]
