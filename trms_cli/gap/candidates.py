@@ -12,6 +12,7 @@ import numpy.typing as npt
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extended
+from trms_cli.effects.quantisation import Quantisation
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
@@ -51,9 +52,10 @@ class Suspect:
     variants: FloatArray
     stochastic: bool
 
-    def model(self, nominal: Model) -> Model:
-        """The nominal model with the effect."""
-        return extended(nominal, {self.name: self.effect})
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulation with slopes shows it: neither noise nor rounding has a slope."""
+        return not self.stochastic and not isinstance(self.effect, Quantisation)
 
 
 def suspects(

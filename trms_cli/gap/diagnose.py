@@ -134,7 +134,9 @@ def _answered(
     )
     forces = smoothed_forces(nominal.contestant, nominal.fit, following, nominal.metric.shares)
     watch.enter("tests")
-    calm = Metric(nominal.metric.discrepancy, np.array(list(usual.values())))
+    # errors that are smaller than usual are no gap either
+    shares = np.minimum(nominal.metric.shares, np.array(list(usual.values())))
+    calm = Metric(nominal.metric.discrepancy, shares)
     tests = innovation_tests(
         nominal.contestant, nominal.fit, calm, nominal.centres, seed=problem.seed
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -233,4 +233,6 @@ class Diagnosis:
     seconds: Mapping[str, float] = field(default_factory=dict)  #: by stage
     #: Parameters of the nominal model refitted without any cause, for ``refit_model.yaml``.
     refit: Mapping[str, float] = field(default_factory=dict)
+    #: What the probabilities were made of, for the calibration.
+    evidence: Mapping[str, Any] = field(default_factory=dict)
     traces: Traces | None = None  #: not in the file

@@ -1,11 +1,11 @@
 """Is there a gap? Tests of the refitted model's innovations.
 
 Under the hypothesis that nothing but the usual error of the equations is left, innovations in that
-metric are white, have unit variance and know nothing of the inputs. Sensors round, and fitting takes
-something out, so that textbook limits are wrong in both directions: every statistic is compared
-with its distribution over recordings that are drawn (a parametric bootstrap): the linearised model
-moves about the recording with noise on its equations, its sensors round as the real ones do, and
-what a fit would have taken is taken out. p-values are corrected by Holm (1979).
+metric are white, have unit variance and know nothing of the inputs. Sensors round, and fitting
+takes something out, so that textbook limits are wrong in both directions: every statistic is
+compared with its distribution over recordings that are drawn (a parametric bootstrap): the
+linearised model moves about the recording with noise on its equations, its sensors round as the
+real ones do, and what a fit would have taken is taken out. p-values are corrected by Holm (1979).
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def _portmanteau(
     *,
     zero: bool = False,
 ) -> float:
-    """Sum of squared correlations at positive lags of the second behind the first (closed loops)."""
+    """Sum of squared correlations; the first lags behind the second (closed loops)."""
     crossed = np.fft.irfft(one * np.conj(other), axis=1)[:, : lags + 1].sum(axis=0) / count
     chosen = crossed if zero else crossed[1:]
     return float(count * np.sum(chosen**2) / max(scale, 1e-300))

@@ -30,7 +30,7 @@ FloatArray = npt.NDArray[np.float64]
 #: A sensor of a rig without a gap errs by this share of what it reads.
 _SENSOR_FLOOR = 1e-4
 #: Size at which the search for a disturbance begins, and how often it is improved.
-_FIRST, _ITERATIONS = 0.1, 4
+_FIRST, _FIRST_OF_SENSORS, _ITERATIONS = 0.1, 0.01, 4
 
 
 @dataclass(frozen=True)

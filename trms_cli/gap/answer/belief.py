@@ -68,11 +68,16 @@ class Believed:
     outside: str = ""
 
 
-def features_of(raced: Contest, constants: Calibration, blocks: IntArray | None = None) -> Features:
-    """Scores of all, from some blocks; None: from all."""
+def features_of(
+    raced: Contest,
+    constants: Calibration,
+    blocks: IntArray | None = None,
+    calm: FloatArray | None = None,
+) -> Features:
+    """Scores of all, from some blocks; None: from all. ``calm`` as of :func:`without_gap`."""
     refit = raced.refit
     chosen: slice | IntArray = slice(None) if blocks is None else blocks
-    free = _without_gap(refit, constants)[chosen].sum()
+    free = (without_gap(refit, constants) if calm is None else calm)[chosen].sum()
     own = _scores(refit.fit)[chosen].sum()
     raw = _scores(refit.raw)[chosen].sum()
     scores = np.array([_scores(e.fit)[chosen].sum() for e in raced.entries])
@@ -111,8 +116,9 @@ def believe(
     probabilities = _with_coarse_sensor(probabilities, problem, found)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
     m = len(raced.refit.contestant.windows)
+    calm = without_gap(raced.refit, constants)
     resampled = tuple(
-        beliefs(features_of(raced, constants, random.integers(0, m, m)), constants)
+        beliefs(features_of(raced, constants, random.integers(0, m, m), calm), constants)
         for _ in range(_RESAMPLES)
     )
     entries = {e.names: e for e in raced.entries}
@@ -149,7 +155,7 @@ def _scores(fit: object) -> FloatArray:
     return predictive
 
 
-def _without_gap(refit: Refit, constants: Calibration) -> FloatArray:
+def without_gap(refit: Refit, constants: Calibration) -> FloatArray:
     """Log density by block that a model is expected to reach on a rig without a gap."""
     from trms_cli.gap.fitting.metric import Metric
 

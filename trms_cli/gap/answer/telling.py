@@ -54,11 +54,12 @@ def told(
     stable: Stable,
 ) -> dict[str, Any]:
     """Fields by name."""
-    where = _where(believed, place, found, raced)
+    nothing = believed.verdict in ("no_gap", "parameters_only")
+    where = () if nothing else _where(believed, place, found, raced)
     main = [w.location for w in where[:2] if w.location in forces] or _strongest(place, forces)
     region: list[RegionShare] = []
     words: list[str] = []
-    if believed.verdict not in ("no_gap", "parameters_only"):
+    if not nothing:
         for location in main:
             region += regions(forces[location])
         words = [w for location in main[:1] for w in description(forces[location])]
@@ -98,6 +99,17 @@ def told(
         "warnings": (*problem.warnings, *_remarks(parts, raced)),
         "worse": far.measured.worse,
         "refit": refit.contestant.values(refit.fit.theta),
+        "evidence": {
+            **believed.features.as_json(),
+            "shares": dict(
+                zip(
+                    (c.location for c in refit.metric.discrepancy.channels),
+                    refit.metric.shares.tolist(),
+                    strict=True,
+                )
+            ),
+            "outside": believed.outside,
+        },
         "traces": series(problem, parts, raced, believed, far, forces, [w.location for w in where]),
     }
 
@@ -277,7 +289,7 @@ def _not_testable(
     rows = [NotTestable(effect=name, reason=reason) for name, reason in left_out.items()]
     known = set(raced.signatures.names)
     for name, suspect in found.items():
-        if suspect.stochastic or name.endswith("quantisation"):
+        if not suspect.simulated:
             continue
         if name not in known:
             rows.append(NotTestable(effect=name, reason="no simulation with it stays finite"))
