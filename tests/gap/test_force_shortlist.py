@@ -6,6 +6,7 @@ a refit of nominal parameters would take away is taken away too, where that leav
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -16,7 +17,7 @@ from trms_cli.gap.force import ForceRecord, description, shortlist, signatures
 from trms_cli.gap.force.families import Seen, hysteresis, nuisance
 from trms_cli.gap.force.signatures import UNSEEN
 
-STEP, SAMPLES = 0.02, 5000
+STEP, SAMPLES = 0.02, 4000
 #: Score above which a caller keeps an effect, and below which all of them stay under the null.
 KEPT = 0.3
 
@@ -137,7 +138,7 @@ def forces() -> dict[str, tuple[str, np.ndarray, bool]]:
 FORCES = forces()
 
 
-@pytest.mark.parametrize("name", FORCES)
+@pytest.mark.parametrize("name", [name for name, (*_, left) in FORCES.items() if not left])
 def test_the_short_list_keeps_the_cause(name):
     location, force, _ = FORCES[name]
     assert shortlist({location: of(location, force)})[name] > 0.7
@@ -168,7 +169,7 @@ def test_a_cause_in_the_drive_shows_in_the_moment(name, measured):
 @pytest.mark.parametrize("location", ["yaw_moment", "pitch_moment", "tail_actuator"])
 @pytest.mark.parametrize("time", [0.1, 1.0])
 def test_a_force_from_outside_puts_no_law_on_the_list(location, time):
-    for seed in range(3):
+    for seed in range(2):
         record = of(location, coloured(np.random.default_rng(seed), time), seed=seed + 10)
         scores = shortlist({location: record})
         kept = {name for name, score in scores.items() if score > KEPT and score != UNSEEN}
@@ -235,10 +236,11 @@ def test_offset_drift_and_oscillation_are_described():
 
 def test_a_change_is_described():
     force = coloured(np.random.default_rng(4), 0.3) * (motion().time > 40)
-    assert "changes for good at t = 4" in told(of("yaw_moment", force))
+    found = re.search(r"changes for good at t = ([\d.]+) s", told(of("yaw_moment", force)))
+    assert found is not None and float(found[1]) == pytest.approx(40, abs=1.5)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_draught_is_described_as_one(seed):
     text = told(of("yaw_moment", 4e-3 * coloured(np.random.default_rng(seed), 0.5), seed=seed + 5))
     assert "comes from outside" in text and "No known form" in text
