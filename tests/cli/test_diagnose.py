@@ -292,20 +292,31 @@ class TestModels:
 
     @pytest.mark.parametrize(
         ("verdict", "k_oh"),
-        [("no_gap", None), ("parameters_only", 0.0151), ("none_of_these", 0.0151),
-         ("undecided", 0.0151)],
-    )  # fmt: skip
+        [("no_gap", None), ("parameters_only", 0.0151), ("none_of_these", 0.0151)],
+    )
     def test_without_a_cause_nothing_is_added(self, found, trms, lab, verdict, k_oh):
         found(diagnosis(verdict=verdict))
         assert trms("diagnose", "real=rig.csv", "page=false", f"out={verdict}").returncode == 0
-        text = (lab / verdict / "corrected_model.yaml").read_text(encoding="utf-8")
-        content = yaml.safe_load(text)
+        content = yaml.safe_load((lab / verdict / "corrected_model.yaml").read_text("utf-8"))
         assert not content.get("effects")
         nominal = yaml.safe_load((Path("configs/parameters/bench.yaml")).read_text("utf-8"))
         expected = k_oh or nominal["parameters"]["k_oh"]["value"]
         assert content["parameters"]["k_oh"]["value"] == expected
-        if verdict == "undecided":
-            assert FRICTION in text.splitlines()[1]
+
+    def test_the_likeliest_of_an_undecided_is_added_and_called_so(self, found, trms, lab):
+        found(diagnosis(verdict="undecided"))
+        assert trms("diagnose", "real=rig.csv", "page=false", "out=undecided").returncode == 0
+        text = (lab / "undecided" / "corrected_model.yaml").read_text(encoding="utf-8")
+        assert list(yaml.safe_load(text)["effects"]) == [FRICTION]
+        assert "undecided: this is the likeliest cause" in text.splitlines()[1]
+
+    def test_a_cause_that_was_not_fitted_is_not_added(self, found, trms, lab):
+        draught = Cause(effects=("yaw_disturbance",), probability=0.9)
+        found(diagnosis(causes=(draught,)))
+        assert trms("diagnose", "real=rig.csv", "page=false", "out=draught").returncode == 0
+        text = (lab / "draught" / "corrected_model.yaml").read_text(encoding="utf-8")
+        assert not yaml.safe_load(text).get("effects")
+        assert "yaw_disturbance was not fitted" in text.splitlines()[1]
 
     def test_the_refit_has_its_own_parameters(self, found, trms, lab):
         case = diagnosis()

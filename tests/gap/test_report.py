@@ -120,9 +120,18 @@ class TestDiagram:
         for i, name in enumerate(LOCATIONS):
             assert name.replace("_", " ") in said and f"{7 * i:.0f} %" in said
 
-    def test_a_place_that_was_not_asked_about_has_none(self) -> None:
+    def test_a_place_with_nothing_has_no_figure(self) -> None:
         said = drawn(diagram([LocationShare(location="yaw_moment", share=1.0, ci95=(1.0, 1.0))]))
         assert sum("%" in text for text in said) == 2 and "main tacho" in said
+
+    def test_a_sensor_that_was_not_recorded_is_dashed(self) -> None:
+        panel = diagram([], ["u_v", "u_h", "alpha_v", "alpha_h", "omega_v"]).axes[0]
+        dashed = [patch for patch in panel.patches if patch.get_linestyle() != "-"]
+        assert len(panel.patches) == 12 and len(dashed) == 1
+
+    def test_a_rig_of_one_axis_has_one_row(self) -> None:
+        said = drawn(diagram([], ["u_h", "alpha_h", "omega_h"]))
+        assert "yaw moment" in said and "pitch moment" not in said and "main tacho" not in said
 
     def test_the_larger_the_share_the_darker(self) -> None:
         where = [
@@ -153,6 +162,16 @@ class TestRace:
         low, high = figures.race_figure(race, ()).axes[0].get_xlim()
         assert low > -0.3 * high
 
+    def test_the_likeliest_cause_is_the_one_in_bold(self) -> None:
+        case = diagnosis()
+        best = ("yaw_stribeck_friction",)
+        panel = figures.race_figure(case.race, case.confusable, best).axes[0]
+        bold = [t.get_text() for t in panel.get_yticklabels() if t.get_fontweight() == "bold"]
+        assert bold == ["yaw Stribeck friction"]
+        swapped = diagnosis(causes=(Cause(effects=best, probability=0.9), *case.causes[:1]))
+        assert race_words(swapped).startswith("Yaw Stribeck friction foretells")
+        assert "Above it is yaw Coulomb friction by 30 nats" in race_words(swapped)
+
     def test_words_warn_of_something_that_has_no_name(self) -> None:
         entries = [replace(e, score=9000.0) if e.effects == ("flexible",) else e
                    for e in diagnosis().race]  # fmt: skip
@@ -163,12 +182,15 @@ class TestRace:
 class TestWords:
     def test_confidence(self) -> None:
         first, second = confidence_words(diagnosis())
-        assert first.startswith("**Likely**") and "88 %" in first and "8 %" in first
+        assert first.startswith("**Sure**")
+        assert "**88 %**, **96 %** together with yaw Stribeck friction" in first
+        assert "next is none of these with 3 %" in first
         assert "yaw Coulomb friction and yaw Stribeck friction apart" in second
 
     def test_a_pair_that_is_not_the_answer_is_not_brought_up(self) -> None:
         pair = (("main_input_delay", "main_actuator_lag"),)
-        assert len(confidence_words(diagnosis(confusable=pair))) == 1
+        (words,) = confidence_words(diagnosis(confusable=pair))
+        assert words.startswith("**Likely**") and "next is yaw Stribeck friction with 8 %" in words
 
     def test_a_place_that_is_not_certain(self) -> None:
         near = (

@@ -14,7 +14,7 @@ from trms_cli.commands.diagnose_request import Asked
 from trms_cli.commands.identify_files import effect_arguments, origin_of
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.extended_model import extended
-from trms_cli.gap.diagnosis import Cause, Diagnosis
+from trms_cli.gap.diagnosis import NO_EFFECT, Cause, Diagnosis
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import FreeParameter, free_parameters
 from trms_cli.models.model import Model
@@ -48,33 +48,37 @@ def write_models(
 
 
 def applied_cause(diagnosis: Diagnosis) -> Cause | None:
-    """The cause that the corrected model has: the first one, where the verdict is an effect."""
-    if diagnosis.verdict != "effect":
+    """The cause that the corrected model has, and that the figures of the sealed part are of.
+
+    The likeliest, where it is an effect that was fitted: a torque from outside is estimated, not
+    simulated, and has no sizes.
+    """
+    first = likeliest(diagnosis)
+    if first is None or not first.parameters or set(first.effects) & set(NO_EFFECT):
         return None
-    return best_cause(diagnosis)
+    return first if diagnosis.verdict in ("effect", "undecided") else None
 
 
-def best_cause(diagnosis: Diagnosis) -> Cause | None:
-    """The likeliest cause that consists of effects, whatever the verdict."""
-    from trms_cli.gap.diagnosis import NO_EFFECT
-
-    named = [c for c in diagnosis.causes if c.effects and not set(c.effects) & set(NO_EFFECT)]
-    return max(named, key=lambda cause: cause.probability, default=None)
+def likeliest(diagnosis: Diagnosis) -> Cause | None:
+    """The cause with the largest probability."""
+    return max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
 
 
 def corrected_words(diagnosis: Diagnosis) -> str:
     """What the corrected model is, for the comment in its file."""
-    best = best_cause(diagnosis)
-    named = "" if best is None else f"{' with '.join(best.effects)} (p = {best.probability:.2f})"
+    applied, first = applied_cause(diagnosis), likeliest(diagnosis)
     refit = "the nominal model with its parameters refitted"
+    if applied is not None:
+        named = f"{' with '.join(applied.effects)} (p = {applied.probability:.2f})"
+        open_ = "; undecided: this is the likeliest cause" if diagnosis.verdict != "effect" else ""
+        return f"the nominal model refitted together with {named}{open_}"
+    if diagnosis.verdict == "effect" and first is not None:
+        return f"{refit}: {' with '.join(first.effects)} was not fitted, so it is not added"
     return {
-        "effect": f"the nominal model refitted together with {named}",
         "no_gap": "the nominal model as it was: no gap was found",
         "parameters_only": f"{refit}: other parameters explain the gap, and no effect is needed",
         "none_of_these": f"{refit}: no effect of the library explains what is left of the gap",
-        "undecided": f"{refit}; undecided, so no effect was added"
-        + (f", and {named} is the likeliest" if named else ""),
-    }[diagnosis.verdict]
+    }.get(diagnosis.verdict, f"{refit}; undecided, so no effect was added")
 
 
 def model_origin(composition: Composition, asked: Asked) -> ModelOrigin:

@@ -13,7 +13,12 @@ from trms_cli.commands.diagnose_request import Asked
 from trms_cli.commands.invocation import program
 from trms_cli.gap.diagnosis import Cause, Diagnosis, Gap
 from trms_cli.gap.document import horizon_key
-from trms_cli.reporting.diagnosis_words import cause_words, interval_words, percent
+from trms_cli.reporting.diagnosis_words import (
+    cause_words,
+    interval_words,
+    percent,
+    size_words,
+)
 
 #: Causes, places and warnings that are printed; the report has all.
 _MOST_CAUSES, _MOST_PLACES, _MOST_WARNINGS = 5, 3, 4
@@ -156,11 +161,7 @@ def _bar(share: float) -> str:
 def _cause(cause: Cause) -> str:
     """A cause in words, with its sizes."""
     names = cause_words(cause.effects)
-    units = {name: size.unit.replace("*", " ") for name, size in cause.parameters.items()}
-    sizes = ", ".join(
-        f"{name.split('.')[-1]} {size.value:.3g} ± {size.sd:.2g} {units[name]}".rstrip()
-        for name, size in cause.parameters.items()
-    )
+    sizes = size_words(cause.parameters)
     return f"{names}  ({sizes})" if sizes else names
 
 

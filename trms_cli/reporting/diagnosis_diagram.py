@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -20,6 +20,14 @@ _WIDE, _HIGH, _ACROSS = 1.42, 0.86, 1.95
 #: Rows: the main rotor and pitch above, the tail rotor and yaw below; tachos outside of them.
 _ROWS = {"main": 0.85, "tail": -0.85}
 _TACHO = 1.28
+#: The letter that channels of a rotor and its axis end in, and the channel of each sensor.
+_SIDES = {"main": "_v", "tail": "_h"}
+_CHANNELS = {
+    "pitch_sensor": "alpha_v",
+    "yaw_sensor": "alpha_h",
+    "main_tacho": "omega_v",
+    "tail_tacho": "omega_h",
+}
 _FULL = PALETTE["vermilion"]
 #: Share from which on a box is filled as far as it goes.
 _DARKEST = 0.9
@@ -32,6 +40,7 @@ class _Box:
     x: float
     y: float
     title: str
+    side: str
 
 
 def _boxes() -> dict[str, _Box]:
@@ -46,47 +55,57 @@ def _boxes() -> dict[str, _Box]:
             (f"{axis}_sensor", f"{axis} sensor"),
         )
         for i, (name, title) in enumerate(chain):
-            boxes[name] = _Box(_ACROSS * i, y, title)
+            boxes[name] = _Box(_ACROSS * i, y, title, rotor)
         out = _TACHO if y > 0 else -_TACHO
-        boxes[f"{rotor}_tacho"] = _Box(_ACROSS * 1.5, y + out, f"{rotor} tacho")
+        boxes[f"{rotor}_tacho"] = _Box(_ACROSS * 1.5, y + out, f"{rotor} tacho", rotor)
     return boxes
 
 
-def diagram(where: tuple[LocationShare, ...] | list[LocationShare]) -> Figure:
+def diagram(where: Sequence[LocationShare], channels: Collection[str] = ()) -> Figure:
     """From the commands to the sensors, each place with its share of the gap.
 
-    A place is filled the darker the more of the gap lies in it; a dashed one was not asked about,
-    as nothing was measured that would tell.
+    A place is filled the darker the more of the gap lies in it.
+
+    Parameters
+    ----------
+    where : sequence of LocationShare
+        A place that is not in it has next to nothing.
+    channels : collection of str
+        What was recorded; a sensor that was not is dashed, and a rotor with its axis of which
+        nothing was is left out. Empty: everything.
     """
     shares = {place.location: place for place in where}
+    known = set(channels) or set(_CHANNELS.values()) | {"u_v", "u_h"}
+    sides = [side for side, letter in _SIDES.items() if any(c.endswith(letter) for c in known)]
     with house_style():
-        figure = new_figure(9.2, 4.5)
+        boxes = {name: box for name, box in _boxes().items() if box.side in sides}
+        low = min(box.y for box in boxes.values()) - 0.6
+        high = max(box.y for box in boxes.values()) + 0.6
+        figure = new_figure(9.2, 0.3 + 0.93 * (high - low))
         panel = figure.subplots()
         panel.set_axis_off()
         panel.set_aspect("equal")
-        boxes = _boxes()
-        _wires(panel, boxes)
+        _wires(panel, boxes, sides)
         for name, box in boxes.items():
-            _draw(panel, box, shares.get(name))
+            seen = _CHANNELS.get(name, "") in known or name not in _CHANNELS
+            _draw(panel, box, shares.get(name), seen)
         panel.set_xlim(-1.62, 4 * _ACROSS + 1.55)
-        panel.set_ylim(_ROWS["tail"] - _TACHO - 0.6, _ROWS["main"] + _TACHO + 0.6)
+        panel.set_ylim(low, high)
         return figure
 
 
-def _draw(panel: Axes, box: _Box, place: LocationShare | None) -> None:
+def _draw(panel: Axes, box: _Box, place: LocationShare | None, seen: bool) -> None:
     share = 0.0 if place is None else max(0.0, min(1.0, place.share))
-    fill = _mixed(share / _DARKEST)
-    strong = share >= 0.5
     panel.add_patch(
         FancyBboxPatch(
             (box.x - _WIDE / 2, box.y - _HIGH / 2),
             _WIDE,
             _HIGH,
             boxstyle="round,pad=0,rounding_size=0.09",
-            facecolor=fill,
+            facecolor=_mixed(share / _DARKEST),
             edgecolor=INK if place is not None else GREY,
-            linewidth=1.8 if strong else 0.9,
-            linestyle="-" if place is not None else (0, (3, 2)),
+            linewidth=1.8 if share >= 0.5 else 0.9,
+            linestyle="-" if seen or place is not None else (0, (3, 2)),
             zorder=3,
         )
     )
@@ -115,11 +134,13 @@ def _mixed(part: float) -> tuple[float, float, float]:
     return (1 - part * (1 - full[0]), 1 - part * (1 - full[1]), 1 - part * (1 - full[2]))
 
 
-def _wires(panel: Axes, boxes: Mapping[str, _Box]) -> None:
+def _wires(panel: Axes, boxes: Mapping[str, _Box], sides: Sequence[str]) -> None:
     for (rotor, axis), command, angle, speed in (
         (("main", "pitch"), "$u_v$", r"$\alpha_v$", r"$\omega_v$"),
         (("tail", "yaw"), "$u_h$", r"$\alpha_h$", r"$\omega_h$"),
     ):
+        if rotor not in sides:
+            continue
         chain = [boxes[f"{rotor}_{part}"] for part in ("actuator", "motor", "thrust")]
         chain += [boxes[f"{axis}_{part}"] for part in ("moment", "sensor")]
         y = chain[0].y
@@ -137,6 +158,8 @@ def _wires(panel: Axes, boxes: Mapping[str, _Box]) -> None:
         _arrow(panel, (branch, y), (branch, inner))
         _arrow(panel, (tacho.x + _WIDE / 2, tacho.y), (tacho.x + _WIDE / 2 + 0.42, tacho.y))
         _word(panel, tacho.x + _WIDE / 2 + 0.64, tacho.y, speed)
+    if len(sides) < 2:
+        return
     x = boxes["pitch_moment"].x
     for side, up in ((-0.16, True), (0.16, False)):
         ends = (_ROWS["main"] - _HIGH / 2, _ROWS["tail"] + _HIGH / 2)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from trms_cli.gap.diagnosis import Gap, RaceEntry, Traces
-from trms_cli.reporting.diagnosis_words import effect_words, percent
+from trms_cli.reporting.diagnosis_words import effect_words, is_suspect, percent
 from trms_cli.reporting.style import (
     GREY,
     INK,
@@ -45,58 +45,69 @@ def shown_unit(unit: str) -> tuple[str, float]:
 
 def entry_name(effects: Sequence[str]) -> str:
     """A competitor in words."""
-    if not effects:
-        return "parameters only"
-    if tuple(effects) == ("flexible",):
-        return "a force without a name"
+    plain = {
+        (): "parameters only",
+        ("flexible",): "a force without a name",
+        ("no_gap",): "the model as it was",
+        ("none_of_these",): "none of these",
+    }
+    if tuple(effects) in plain:
+        return plain[tuple(effects)]
     return " + ".join(effect_words(name) for name in effects)
 
 
-def race_figure(race: Sequence[RaceEntry], confusable: Collection[Sequence[str]]) -> Figure:
+def race_figure(
+    race: Sequence[RaceEntry],
+    confusable: Collection[Sequence[str]],
+    best: Sequence[str] = (),
+) -> Figure:
     """Bars of the held-out score of each competitor above the refitted model's.
 
     Parameters
     ----------
     confusable : collection of sequences of str
         Groups of effects that these recordings do not tell apart; those with the best are marked.
+    best : sequence of str
+        Effects of the likeliest cause; none: of the best score.
     """
     entries = sorted(race, key=lambda entry: -entry.score)
     kept = entries[:_MOST_BARS]
-    kept += [e for e in entries[_MOST_BARS:] if not e.effects or e.effects == ("flexible",)]
-    named = [e for e in kept if e.effects and e.effects != ("flexible",)]
-    best = named[0].effects if named else ()
+    kept += [e for e in entries[_MOST_BARS:] if not is_suspect(e.effects)]
+    named = [e for e in kept if is_suspect(e.effects)]
+    best = tuple(best) or (named[0].effects if named else ())
     group = {name for g in confusable if set(best) & set(g) for name in g}
     with house_style():
-        figure = new_figure(_WIDTH, 0.75 + 0.27 * len(kept))
+        figure = new_figure(_WIDTH, 0.8 + 0.27 * len(kept))
         panel = figure.subplots()
-        top = max([e.score + e.se for e in kept if np.isfinite(e.score)] + [1.0])
-        low = min(0.0, max(min(e.score - e.se for e in kept), -0.25 * top))
+        tops = [e.score + e.se for e in kept if np.isfinite(e.score) and is_suspect(e.effects)]
+        top = max([*tops, *(e.score for e in kept if np.isfinite(e.score)), 1.0])
+        low = min(0.0, max(min(e.score for e in kept), -0.25 * top))
         for i, entry in enumerate(kept):
             alike = bool(group & set(entry.effects)) and entry.effects != best
-            colour = _bar_colour(entry, best, alike)
             score = max(entry.score, low)
-            panel.barh(i, score, height=0.62, color=colour, zorder=2)
-            panel.errorbar(score, i, xerr=entry.se, color=INK, lw=1.0, capsize=2.5, zorder=3)
-            words = percent(max(entry.explained, 0.0)) + ("   confusable" if alike else "")
+            panel.barh(i, score, height=0.62, color=_bar_colour(entry, best, alike), zorder=2)
+            if is_suspect(entry.effects) and entry.score >= low:
+                panel.errorbar(score, i, xerr=entry.se, color=INK, lw=1.0, capsize=2.5, zorder=3)
+            words = f"{percent(max(entry.explained, 0.0))}" + ("   confusable" if alike else "")
             panel.text(1.01, i, words, transform=panel.get_yaxis_transform(), va="center", size=8)
         panel.set_yticks(range(len(kept)), [entry_name(e.effects) for e in kept])
         for tick, entry in zip(panel.get_yticklabels(), kept, strict=True):
             tick.set_fontweight("bold" if entry.effects == best and best else "normal")
-            tick.set_fontstyle("normal" if entry.effects not in ((), ("flexible",)) else "italic")
-        panel.invert_yaxis()
+            tick.set_fontstyle("normal" if is_suspect(entry.effects) else "italic")
+        panel.set_ylim(len(kept) - 0.5, -0.5)
         panel.grid(axis="y", visible=False)
         panel.axvline(0.0, color=GREY, lw=0.8)
         panel.set_xlim(1.05 * low, 1.04 * top)
         panel.set_xlabel("held-out log density above the refitted model [nats], ± standard error")
         panel.text(
-            1.01, -0.85, "of the gap", transform=panel.get_yaxis_transform(), va="center", size=8,
+            1.01, -0.8, "of the gap", transform=panel.get_yaxis_transform(), va="center", size=8,
             color=GREY,
         )  # fmt: skip
         return figure
 
 
-def _bar_colour(entry: RaceEntry, best: tuple[str, ...], alike: bool) -> str:
-    if entry.effects in ((), ("flexible",)):
+def _bar_colour(entry: RaceEntry, best: Sequence[str], alike: bool) -> str:
+    if not is_suspect(entry.effects):
         return "#b8b8b8"
     if entry.effects == best:
         return PALETTE["blue"]

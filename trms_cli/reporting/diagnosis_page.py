@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
-from trms_cli.gap.diagnosis import Cause, Diagnosis, Shrink
+from trms_cli.gap.diagnosis import Cause, Diagnosis, GapTest, Shrink
 from trms_cli.gap.document import horizon_key
 from trms_cli.reporting import diagnosis_figures as figures
 from trms_cli.reporting.diagnosis_diagram import diagram
@@ -13,13 +12,16 @@ from trms_cli.reporting.diagnosis_words import (
     FAR,
     cause_words,
     confidence_words,
+    effect_words,
     force_words,
     gap_words,
     interval_words,
     percent,
     race_words,
+    size_words,
     tests_words,
     where_words,
+    winner,
 )
 from trms_cli.reporting.page import Cell, Mark, Marked, Page
 from trms_cli.reporting.style import LABELS
@@ -32,7 +34,9 @@ VERDICTS = {
     "undecided": "undecided",
 }
 #: Rows of tables; the JSON has all.
-_MOST_CAUSES, _MOST_TESTS, _MOST_PARAMETERS = 8, 14, 14
+_MOST_CAUSES, _MOST_PARAMETERS = 8, 12
+#: Probabilities below which digits mean nothing.
+_SMALLEST = 1e-6
 
 
 def diagnosis_page(diagnosis: Diagnosis, remarks: Sequence[str] = ()) -> Page:
@@ -60,7 +64,7 @@ def diagnosis_page(diagnosis: Diagnosis, remarks: Sequence[str] = ()) -> Page:
 
 
 def _facts(diagnosis: Diagnosis) -> dict[str, str]:
-    files = [Path(r.file).name for r in diagnosis.recordings]
+    files = [r.file for r in diagnosis.recordings]
     length = sum(r.duration_s for r in diagnosis.recordings)
     facts = {
         "verdict": f"**{VERDICTS[diagnosis.verdict]}**",
@@ -91,30 +95,15 @@ def _causes(page: Page, diagnosis: Diagnosis) -> None:
                 cause_words(cause.effects),
                 Marked(percent(cause.probability), mark),
                 _bar(cause.probability),
-                _sizes(cause),
+                size_words(cause.parameters),
                 _confused_with(cause, diagnosis),
             ]
         )
     page.table(["cause", "probability", "", "size", "not told apart from"], rows)
-    if diagnosis.description:
-        page.text("What the missing force is like:")
-        page.points(list(diagnosis.description))
 
 
 def _bar(share: float) -> str:
     return "█" * round(16 * share)
-
-
-def _sizes(cause: Cause) -> str:
-    return "; ".join(
-        f"{name.split('.', 1)[-1]} {_with_sd(size.value, size.sd)} {size.unit.replace('*', ' ')}"
-        for name, size in cause.parameters.items()
-    )
-
-
-def _with_sd(value: float, sd: float) -> str:
-    shown = Marked(value, sd=sd).text
-    return f"{shown} ± {sd:.2g}"
 
 
 def _confused_with(cause: Cause, diagnosis: Diagnosis) -> str:
@@ -126,7 +115,7 @@ def _confused_with(cause: Cause, diagnosis: Diagnosis) -> str:
         for name in group
         if name not in mine
     ]
-    return ", ".join(dict.fromkeys(others))
+    return ", ".join(effect_words(name) for name in dict.fromkeys(others))
 
 
 def _where(page: Page, diagnosis: Diagnosis) -> None:
@@ -134,9 +123,9 @@ def _where(page: Page, diagnosis: Diagnosis) -> None:
         return
     page.section("Where the gap lies", where_words(diagnosis))
     page.figure(
-        diagram(diagnosis.where),
-        "From the commands to the sensors: share of the gap that a free force or signal at each "
-        "place closes, with its 95 % interval. Dashed: nothing was measured that would tell.",
+        diagram(diagnosis.where, {c for r in diagnosis.recordings for c in r.channels}),
+        "From the commands to the sensors: the share of the gap that lies at each place, with its "
+        "95 % interval. Without a figure: next to nothing. Dashed: was not recorded.",
     )
     if diagnosis.region:
         page.table(
@@ -151,23 +140,28 @@ def _where(page: Page, diagnosis: Diagnosis) -> None:
 def _race(page: Page, diagnosis: Diagnosis) -> None:
     if not diagnosis.race:
         return
+    best = winner(diagnosis)
     page.section("The race of the suspects", race_words(diagnosis))
     page.figure(
-        figures.race_figure(diagnosis.race, diagnosis.confusable),
+        figures.race_figure(diagnosis.race, diagnosis.confusable, best.effects if best else ()),
         "How much better each suspect, fitted together with the model's parameters, foretells "
         "blocks that it was not fitted to. On the right: the share of the gap that it closes.",
     )
 
 
 def _force(page: Page, diagnosis: Diagnosis) -> None:
-    if diagnosis.traces is None:
+    figure = None
+    if diagnosis.traces is not None:
+        order = [place.location for place in diagnosis.where if place.share >= 0.02]
+        order += [name for name in diagnosis.traces.explained if name not in order]
+        figure = figures.force_figure(diagnosis.traces, order)
+    if figure is None and not diagnosis.description:
         return
-    order = [place.location for place in diagnosis.where if place.share >= 0.02]
-    order += [name for name in diagnosis.traces.explained if name not in order]
-    figure = figures.force_figure(diagnosis.traces, order)
+    page.section("The missing force", force_words(diagnosis))
     if figure is not None:
-        page.section("The missing force", force_words(diagnosis))
         page.figure(figure, "Below: the shaded part, enlarged.")
+    if diagnosis.description:
+        page.points(list(diagnosis.description))
 
 
 def _before_and_after(page: Page, diagnosis: Diagnosis) -> None:
@@ -232,26 +226,30 @@ def _closed(shrink: Shrink | None) -> list[Cell | Marked]:
 
 
 def _tests(page: Page, diagnosis: Diagnosis) -> None:
+    """A row a test, a column an output: the probability that noise alone does that."""
     if not diagnosis.tests:
         return
     page.section("Is there a gap at all?", tests_words(diagnosis))
-    ordered = sorted(diagnosis.tests, key=lambda test: (not test.rejected, test.p_corrected))
+    channels = list(dict.fromkeys(test.channel for test in diagnosis.tests))
+    found = {(test.name, test.channel): test for test in diagnosis.tests}
+    rows: list[list[Cell | Marked]] = []
+    for name in dict.fromkeys(test.name for test in diagnosis.tests):
+        row: list[Cell | Marked] = [name]
+        for channel in channels:
+            test = found.get((name, channel))
+            row.append("" if test is None else _probability(test))
+        rows.append(row)
     page.table(
-        ["test", "output", "statistic", "p", "p, corrected for their number", ""],
-        [
-            [
-                test.name,
-                LABELS.get(test.channel, test.channel),
-                test.statistic,
-                test.p_value,
-                test.p_corrected,
-                Marked("gap", "bad") if test.rejected else Marked("none seen", "good"),
-            ]
-            for test in ordered[:_MOST_TESTS]
-        ],
-        _more(len(ordered) - _MOST_TESTS, "tests"),
-        heads=2,
+        ["test", *(LABELS.get(channel, channel) for channel in channels)],
+        rows,
+        "Probability that noise alone does that, corrected for the number of tests; red: a gap.",
     )
+
+
+def _probability(test: GapTest) -> Marked:
+    small = test.p_corrected < _SMALLEST
+    return Marked("< 1e−6" if small else f"{test.p_corrected:.2g}".replace("-", "−"),
+                  "bad" if test.rejected else "good")  # fmt: skip
 
 
 def _more(count: int, what: str) -> str:
@@ -276,7 +274,7 @@ def _parameters(page: Page, diagnosis: Diagnosis) -> None:
     for name in names[:_MOST_PARAMETERS]:
         p = diagnosis.parameters[name]
         mark: Mark = "doubtful" if p.moved is not None and abs(p.moved) > FAR else ""
-        moved = None if p.moved is None else f"{p.moved:+.1f} sd"
+        moved = None if p.moved is None else f"{p.moved:+.1f} sd".replace("-", "−")
         rows.append(
             [name, p.prior, Marked(p.fitted, sd=p.sd), p.sd, p.unit or "1", Marked(moved, mark)]
         )
@@ -324,7 +322,7 @@ def _recordings(page: Page, diagnosis: Diagnosis, remarks: Sequence[str]) -> Non
         ["file", "length [s]", "rate [Hz]", "outputs", "SHA-256"],
         [
             [
-                Path(r.file).name,
+                r.file,
                 r.duration_s,
                 round(1 / r.sample_time_s, 3),
                 ", ".join(r.channels),

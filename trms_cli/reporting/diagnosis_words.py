@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
-from trms_cli.gap.diagnosis import Cause, Diagnosis
+from trms_cli.gap.diagnosis import NO_EFFECT, Cause, Diagnosis, RaceEntry, SizeEstimate
 from trms_cli.gap.document import horizon_key
 
 #: Prior standard deviations from which a parameter has moved far.
 FAR = 2.5
 #: s; the horizon that stands for all.
 _TOLD = 2.0
+#: nats within which two competitors are level.
+_LEVEL = 3.0
 #: Probability from which an answer is called sure, and likely.
 _SURE, _LIKELY = 0.9, 0.7
 
@@ -41,20 +43,29 @@ def cause_words(effects: Sequence[str]) -> str:
     return " with ".join(named.get(name, effect_words(name)) for name in effects)
 
 
+def size_words(sizes: Mapping[str, SizeEstimate]) -> str:
+    """Sizes of a cause with their deviations; one without any was held where it is."""
+    words = []
+    for name, size in sizes.items():
+        unit = "" if size.unit == "1" else size.unit.replace("*", " ")
+        spread = f" ± {size.sd:.2g}" if size.sd > 0 else ""
+        words.append(f"{name.split('.', 1)[-1]} {size.value:.3g}{spread} {unit}".rstrip())
+    return ", ".join(words)
+
+
 def confidence_words(diagnosis: Diagnosis) -> list[str]:
     """How sure the verdict is, and what it leaves open."""
     words = []
     first = max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
     if first is not None:
-        how = (
-            "Sure" if first.probability >= _SURE
-            else "Likely" if first.probability >= _LIKELY
-            else "Open"
-        )  # fmt: skip
-        words.append(
-            f"**{how}**: {cause_words(first.effects)} has a probability of "
-            f"**{percent(first.probability)}**{_runner_up(diagnosis, first)}."
-        )
+        alike = _not_told_from(diagnosis, first)
+        together = first.probability + sum(cause.probability for cause in alike)
+        how = "Sure" if together >= _SURE else "Likely" if together >= _LIKELY else "Open"
+        said = f"{cause_words(first.effects)} has a probability of **{percent(first.probability)}**"
+        if alike:
+            names = _listed([cause_words(cause.effects) for cause in alike], "or")
+            said += f", **{percent(together)}** together with {names}"
+        words.append(f"**{how}**: {said}{_runner_up(diagnosis, (first, *alike))}.")
     words += [
         f"These recordings do not tell {_effects(group)} apart; the next experiment below does."
         if diagnosis.next_experiment is not None
@@ -67,8 +78,15 @@ def confidence_words(diagnosis: Diagnosis) -> list[str]:
     return words
 
 
-def _runner_up(diagnosis: Diagnosis, first: Cause) -> str:
-    others = [c for c in diagnosis.causes if c is not first]
+def _not_told_from(diagnosis: Diagnosis, first: Cause) -> list[Cause]:
+    """Causes that these recordings do not tell from the first one."""
+    groups = [set(g) for g in diagnosis.confusable if set(g) & set(first.effects)]
+    alike = set(first.effects).union(*groups)
+    return [c for c in diagnosis.causes if c is not first and set(c.effects) <= alike]
+
+
+def _runner_up(diagnosis: Diagnosis, before: Sequence[Cause]) -> str:
+    others = [c for c in diagnosis.causes if all(c is not b for b in before)]
     second = max(others, key=lambda cause: cause.probability, default=None)
     if second is None or second.probability < 0.01:
         return ""
@@ -85,9 +103,9 @@ def _effects(names: Sequence[str]) -> str:
     return _listed([effect_words(name) for name in names])
 
 
-def _listed(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str], word: str = "and") -> str:
     names = list(names)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
 def where_words(diagnosis: Diagnosis) -> str:
@@ -111,23 +129,42 @@ def where_words(diagnosis: Diagnosis) -> str:
     return words
 
 
+def winner(diagnosis: Diagnosis) -> RaceEntry | None:
+    """The competitor that is the likeliest cause; the best score where none of them is."""
+    named = [e for e in diagnosis.race if is_suspect(e.effects)]
+    for cause in sorted(diagnosis.causes, key=lambda cause: -cause.probability):
+        for entry in named:
+            if entry.effects == cause.effects:
+                return entry
+    return max(named, key=lambda entry: entry.score, default=None)
+
+
+def is_suspect(effects: Sequence[str]) -> bool:
+    """Whether a competitor of the race consists of effects."""
+    return bool(effects) and not set(effects) & {"flexible", *NO_EFFECT}
+
+
 def race_words(diagnosis: Diagnosis) -> str:
     """Who won, by how much, and whether a force without a name did better."""
-    entries = sorted(diagnosis.race, key=lambda entry: -entry.score)
-    named = [e for e in entries if e.effects and e.effects != ("flexible",)]
-    flexible = next((e for e in entries if e.effects == ("flexible",)), None)
-    if not named:
+    best = winner(diagnosis)
+    if best is None:
         return "No suspect ran."
-    best = named[0]
+    flexible = next((e for e in diagnosis.race if tuple(e.effects) == ("flexible",)), None)
     words = (
-        f"{cause_words(best.effects)} is first, {best.score:.0f} ± {best.se:.0f} nats above the "
-        f"refitted model, and closes {percent(max(best.explained, 0.0))} of the gap."
+        f"{cause_words(best.effects)} foretells held-out blocks by {best.score:.0f} ± "
+        f"{best.se:.0f} nats better than the refitted model."
     )
-    if len(named) > 1:
-        second = named[1]
-        words += (
-            f" Second is {cause_words(second.effects)}, {best.score - second.score:.0f} nats below."
-        )
+    words = words[0].upper() + words[1:]
+    others = [e for e in diagnosis.race if is_suspect(e.effects) and e is not best]
+    second = max(others, key=lambda entry: entry.score, default=None)
+    if second is not None:
+        name, apart = cause_words(second.effects), best.score - second.score
+        if abs(apart) < _LEVEL:
+            words += f" Level with it is {name}."
+        elif apart > 0:
+            words += f" Next is {name}, {apart:.0f} nats below."
+        else:
+            words += f" Above it is {name} by {-apart:.0f} nats, which has more to adjust."
     if flexible is not None:
         if flexible.score > best.score + 2 * (flexible.se + best.se):
             words += " **A force without a name does clearly better**: something else is missing."
