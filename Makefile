@@ -21,7 +21,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test slow lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 coverage tras-fit blind blind-full blind-severity docs-figures lock clean
+	chapter2 chapter3 chapter4 coverage tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -102,6 +102,9 @@ blind-full: $(READY) ## proof, whole: 300 sealed rigs, with baselines; hours, an
 
 blind-severity: $(READY) ## how large effects have to be for gaps of 1.3, 2 and 4 times the floor (ten minutes)
 	@$(BIN)/python -m trms_cli.gap.blind.severity
+
+aero-fit: $(READY) ## study: the normal state of a real Quanser Aero (RECORDS=folder with nominal_a.csv)
+	@$(BIN)/python -m experiments.aero '$(RECORDS)' $(ARGS)
 
 docs-figures: $(READY) ## draw the figures of docs/ with the program itself
 	@$(BIN)/python -m docs.figures

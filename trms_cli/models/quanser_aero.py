@@ -1,18 +1,23 @@
 """Quanser Aero: two rotors on one beam, another maker's rig.
 
-Equations and values are those that the recorders of public recordings give (master's thesis, NTNU
-2025, repository finnferdinand/orbital-stabilization-quanser-aero), with one thing added: their
-rotors follow the command at once, here with a lag of first order::
+The equations are those that the recorders of public recordings give (master's thesis, NTNU 2025,
+repository finnferdinand/orbital-stabilization-quanser-aero) with what their recordings show beyond
+them: rotors that lag, their reaction on the beam, dry friction, and angles behind a filter::
 
     τ ω̇ = k_u sat(u) − ω + w_motor τ/J_r                     each rotor
-    I_b θ̈ + I_b ψ̇² sin θ cos θ + d_x g m_e sin θ + d_1 θ̇
-        = d_t (K_mθ ω_m|ω_m| + K_tθ ω_t|ω_t|) + w_pitch
-    (I_f + I_b cos²θ) ψ̈ − 2 I_b θ̇ ψ̇ sin θ cos θ + d_2 ψ̇
-        = d_t cos θ (K_tψ ω_t|ω_t| − K_mψ ω_m|ω_m|) + w_yaw
+    I_b θ̈ + I_b ψ̇² sin θ cos θ + d_x g m_e sin θ + d_1 θ̇ + F_1 sgn θ̇
+        = d_t (K_mθ ω_m|ω_m| + K_tθ ω_t|ω_t|) + J_r (ω̇_t + e_m ω̇_m) + w_pitch
+    (I_f + I_b cos²θ) ψ̈ − 2 I_b θ̇ ψ̇ sin θ cos θ + d_2 ψ̇ + F_2 sgn ψ̇
+        = cos θ [d_t (K_tψ ω_t|ω_t| − K_mψ ω_m|ω_m|) + J_r (e_t ω̇_t − ω̇_m)] + w_yaw
+    y = [θ − τ_y θ̇, ψ − τ_y ψ̇]
     I_b = 2 (m_pa + m_e) d_t² + m_e d_x² + m_rod l_t²/12      I_f = m_y r_y²/2
 
-θ is the pitch α_v, ψ the yaw α_h; S are the angular rates. Either rotor turns both axes. Commands
-beyond the amplifier's limit act as the limit itself: recordings hold such commands.
+θ is the pitch α_v, ψ the yaw α_h; S are the angular rates. Either rotor turns both axes: its own by
+thrust, the other by the drag of its blades (K_tθ, K_mψ) and by what speeds it up (J_r); e are the
+small angles by which the rotors' axes stand off upright (main) and off the pitch axis (tail). Dry
+friction F is set-valued at rest. Commands beyond the amplifier's limit act as the limit itself:
+recordings hold such commands. ``τ_y`` is the delay at low frequency of the filter that the angles
+passed before they were recorded; a motion that is slow for it is all that it is meant for.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 
+from trms_cli.models.dry_friction import resisted
 from trms_cli.models.model import Axis, FloatArray, Model, Signal
 from trms_cli.models.parameters import parameter_file
 
@@ -32,7 +38,7 @@ class QuanserAero(Model):
     Parameters
     ----------
     parameter_set : str
-        A built-in set (``quanser_aero``) or the path of a parameter file.
+        A built-in set (``quanser_aero``, ``quanser_aero_record``) or the path of a parameter file.
     parameters : mapping
         Other values for some parameters, in SI.
     rotor_speeds : bool
@@ -88,7 +94,16 @@ class QuanserAero(Model):
         return self._equations(x, u, p, w)[0]
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        return ca.vertcat(*(x[self.state_index(signal.name)] for signal in self.outputs))
+        lag = p[self.parameters.names.index("tau_y")]
+        shown = {"alpha_v": x[5] - lag * x[4], "alpha_h": x[2] - lag * x[1]}
+        return ca.vertcat(*(shown.get(s.name, x[self.state_index(s.name)]) for s in self.outputs))
+
+    def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
+        """Dry friction of both axes."""
+        for axis, torque in (("pitch", "F_1"), ("yaw", "F_2")):
+            size = p[self.parameters.names.index(torque)]
+            x = resisted(self, (x, u, p, w), axis, size, duration)
+        return x
 
     def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
         return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
@@ -117,25 +132,29 @@ class QuanserAero(Model):
             + c["m_rod"] * c["l_t"] ** 2 / 12
         )
         inertia_h = c["m_y"] * c["r_y"] ** 2 / 2 + beam * cosine**2
+        speeding_v = (c["k_uv"] * drive[0] - omega_v) / c["tau_v"] + w[2] / c["J_r"]
+        speeding_h = (c["k_uh"] * drive[1] - omega_h) / c["tau_h"] + w[3] / c["J_r"]
         gravity = -c["d_x"] * c["g"] * c["m_e"] * sine
         moment_v = (
             c["d_t"] * (c["K_mp"] * square_v + c["K_tp"] * square_h)
+            + c["J_r"] * (speeding_h + c["e_m"] * speeding_v)
             + gravity
             - beam * rate_h**2 * sine * cosine
             - c["d_1"] * rate_v
             + w[0]
         )
         moment_h = (
-            c["d_t"] * cosine * (c["K_ty"] * square_h - c["K_my"] * square_v)
+            cosine * c["d_t"] * (c["K_ty"] * square_h - c["K_my"] * square_v)
+            + cosine * c["J_r"] * (c["e_t"] * speeding_h - speeding_v)
             + 2 * beam * rate_v * rate_h * sine * cosine
             - c["d_2"] * rate_h
             + w[1]
         )
         rows = ca.vertcat(
-            (c["k_uh"] * drive[1] - omega_h) / c["tau_h"] + w[3] / c["J_r"],
+            speeding_h,
             moment_h / inertia_h,
             rate_h,
-            (c["k_uv"] * drive[0] - omega_v) / c["tau_v"] + w[2] / c["J_r"],
+            speeding_v,
             moment_v / beam,
             rate_v,
         )

@@ -1,0 +1,1 @@
+"""The Quanser Aero's normal state: fitted to one closed-loop recording, judged on another."""

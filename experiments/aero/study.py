@@ -1,0 +1,143 @@
+"""The fit of the Aero's normal state, and the free runs and residuals that judge it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from trms_cli.identification.data import DataOptions, load_datasets
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.judgement import with_values
+from trms_cli.identification.method import FitResult, Unwatched
+from trms_cli.identification.multiple_shooting import MultipleShooting
+from trms_cli.identification.problem import FitProblem, Prior, free_parameters
+from trms_cli.identification.validation.options import ValidationOptions, WindowOptions
+from trms_cli.identification.validation.validate import ModelValidation, validate_all
+from trms_cli.models.quanser_aero import QuanserAero
+
+STUDY = Path(__file__).with_name("study.yaml")
+_CHANNELS = ("alpha_v", "alpha_h")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit of the study.
+
+    Attributes
+    ----------
+    problem : FitProblem
+    model : QuanserAero
+        With the fitted values.
+    result : FitResult
+    """
+
+    problem: FitProblem
+    model: QuanserAero
+    result: FitResult
+
+
+def read_study(path: Path = STUDY) -> dict[str, Any]:
+    """The study's settings."""
+    settings: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return settings
+
+
+def problem_of(
+    datasets: tuple[Dataset, ...],
+    settings: Mapping[str, Any],
+    without: Mapping[str, float] | None = None,
+    jobs: int = 2,
+) -> FitProblem:
+    """What is fitted; parameters in ``without`` stay at the values given there."""
+    held = {**settings["values"], **(without or {})}
+    given = {name: Prior(**prior) for name, prior in settings["free"].items() if name not in held}
+    means = {name: prior.mean for name, prior in given.items() if prior.mean is not None}
+    model = QuanserAero(
+        parameter_set=settings["set"], parameters={**means, **held}, rotor_speeds=False
+    )
+    return FitProblem(
+        model=model,
+        datasets=datasets,
+        free=free_parameters(model.parameters, list(given), priors=given),
+        window_length=settings["window"],
+        seed=settings["seed"],
+        jobs=jobs,
+    )
+
+
+def recording(folder: Path, file: str, settings: Mapping[str, Any]) -> Dataset:
+    """A recording of the folder, resampled."""
+    model = QuanserAero(parameter_set=settings["set"], rotor_speeds=False)
+    options = DataOptions(
+        quantum=settings["quantum"],
+        noise_sd=settings["noise_sd"],
+        resample=settings["sample_time"],
+    )
+    (dataset,) = load_datasets(str(folder / file), model, options)
+    return dataset
+
+
+def parts_of(dataset: Dataset, settings: Mapping[str, Any]) -> tuple[Dataset, Dataset]:
+    """What is fitted, and what is held out."""
+    (a, b), (c, d) = (
+        [round(at / dataset.sample_time) for at in settings[name]] for name in ("part", "held_out")
+    )
+    return dataset.part(a, b), dataset.part(c, min(d, len(dataset)))
+
+
+def fitted(problem: FitProblem, settings: Mapping[str, Any]) -> Fitted:
+    """Fit it."""
+    result = MultipleShooting(starts=settings["starts"]).fit(problem, Unwatched())
+    model = with_values(problem.model, result.values)
+    assert isinstance(model, QuanserAero)
+    return Fitted(problem, model, result)
+
+
+def errors(
+    models: Mapping[str, QuanserAero], dataset: Dataset, settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """By model and output: RMS of free runs by horizon, and the residuals' autocorrelation."""
+    options = ValidationOptions(
+        horizons=tuple(settings["horizons"]),
+        windows=WindowOptions(
+            start="moving_horizon", history=settings["history"], stride=settings["stride"]
+        ),
+    )
+    found = validate_all(models, dict.fromkeys(models, (dataset,)), options)
+    return {judged.name: _of_model(judged) for judged in found}
+
+
+def _of_model(judged: ModelValidation) -> dict[str, Any]:
+    told: dict[str, Any] = {}
+    for channel in _CHANNELS:
+        free = {
+            f"{horizon:g}": float(np.sqrt(np.nanmean(judged.pooled(channel, horizon) ** 2)))
+            for horizon in judged.horizons
+        }
+        unchanged = {
+            f"{h:g}": float(np.sqrt(np.nanmean(judged.pooled(channel, h, "unchanged") ** 2)))
+            for h in judged.horizons
+        }
+        tests = judged.tests.of(channel)
+        told[channel] = {
+            "free_runs": free,
+            "unchanged": unchanged,
+            "autocorrelation": _first_autocorrelation(judged, channel),
+            "tests_failed": [test.name for test in tests if test.failed(judged.tests.level)],
+            "tests": len(tests),
+        }
+    return told
+
+
+def _first_autocorrelation(judged: ModelValidation, channel: str) -> float:
+    """Of the one-step errors at a lag of one sample; 0 for a model that leaves white noise."""
+    (step,) = judged.one_steps
+    error = step.errors[:, step.channels.index(channel)]
+    error = error[np.isfinite(error)]
+    error = error - error.mean()
+    return float(np.dot(error[1:], error[:-1]) / np.dot(error, error))

@@ -1,0 +1,69 @@
+"""The study on the Quanser Aero: it finds a rig that is known, and runs without the record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("experiments.aero", reason="the studies are in the checkout only")
+
+from experiments.aero.__main__ import main
+from experiments.aero.study import fitted, parts_of, problem_of, read_study, recording
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.quanser_aero import QuanserAero
+
+
+def test_skips_where_there_is_no_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path)]) == 0
+    assert "skipped" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, QuanserAero]:
+    """A recording in the shape of the real one, of a rig whose parameters are known."""
+    truth = QuanserAero(
+        parameter_set="quanser_aero_record",
+        parameters={"F_1": 0.002, "F_2": 0.004, "J_r": 2.2e-5, "d_x": 0.014},
+        rotor_speeds=False,
+    )
+    t = 0.002 * np.arange(6001)
+    on = t >= 5.0
+    u = np.column_stack([9.5 * on - 28 * (on & (t < 5.4)), 12.0 * on + 24 * (on & (t < 5.15))])
+    u[t >= 6.5] -= [1.0, 4.0]
+    discrete = discretise(truth, 0.002)
+    x, p, rows = (
+        np.zeros(6),
+        truth.parameters.values,
+        ["t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"],
+    )
+    for time, command in zip(t, u, strict=True):
+        y = np.asarray(discrete.measurement(x, command, p)).ravel()
+        rows.append(f"{time:.3f},{command[0]:.4f},{command[1]:.4f},{y[0]:.6f},{y[1]:.6f}")
+        x = np.asarray(discrete.step(x, command, p, np.zeros(4))).ravel()
+    folder = tmp_path_factory.mktemp("aero")
+    (folder / "nominal_a.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return folder, truth
+
+
+def test_it_finds_what_made_a_recording(rig: tuple[Path, QuanserAero]) -> None:
+    folder, truth = rig
+    settings = {**read_study(), "starts": 1}
+    first, rest = parts_of(recording(folder, "nominal_a.csv", settings), settings)
+    assert first.duration == pytest.approx(4.0, abs=0.02)
+    assert rest.duration == pytest.approx(4.0, abs=0.02)
+    found = fitted(problem_of((first,), settings), settings)
+    assert {p.name for p in found.problem.free} == set(settings["free"])
+    assert found.result.covariance is not None
+    sd = dict(
+        zip(
+            [p.name for p in found.problem.free],
+            np.diag(found.result.covariance) ** 0.5,
+            strict=True,
+        )
+    )
+    for name in ("J_r", "F_2", "tau_v", "d_x"):
+        true = truth.parameters[name].value
+        assert abs(found.result.values[name] - true) < 3 * sd[name], name
+    assert sd["J_r"] < 0.1 * truth.parameters["J_r"].value
