@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extended
 from trms_cli.gap.blind.cases import Case
+from trms_cli.gap.blind.drivers import rich_excitation
+from trms_cli.gap.blind.fresh import on_fresh
 from trms_cli.gap.blind.judging import Answer, Judged, OnFresh, answer_of
 from trms_cli.gap.blind.measures import Table, Target, table
+from trms_cli.gap.blind.nominal import nominal
+from trms_cli.gap.blind.recording import csv_of
 from trms_cli.gap.blind.statistics import quantile, reliability, share
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.simulation.rollout import Rollout
 
 DELAY, LAG, FRICTION = "main_input_delay", "main_actuator_lag", "yaw_coulomb_friction"
 SIZES = {DELAY: {"delay": 0.04}, LAG: {"time_constant": 0.04}, FRICTION: {"torque": 0.004}}
@@ -162,8 +172,6 @@ def test_intervals_of_shares_are_wilsons() -> None:
 
 
 def test_intervals_of_quantiles_hold_the_truth_as_often_as_they_say() -> None:
-    import numpy as np
-
     random = np.random.default_rng(0)
     held = 0
     for trial in range(200):
@@ -226,3 +234,44 @@ def test_a_document_is_read() -> None:
 def test_what_is_no_diagnosis_is_refused(broken: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"schema|Error"):
         answer_of(broken)
+
+
+def _model_file(path: Path, effects: str) -> None:
+    values = nominal()
+    lines = [f"  {name}: {{value: {value!r}}}" for name, value in values.items()]
+    text = "\n".join(["name: x", "model: newtonian", "parameters:", *lines, effects])
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten seconds of a rig with friction of yaw, from the library's own code."""
+    model = extended(Newtonian(), {FRICTION: CoulombFriction(axis="yaw", torque=0.003)})
+    n, step = 500, 0.02
+    commands = rich_excitation([3], n, step, amplitude=0.6)[0]
+    rollout = Rollout(model, step)
+    start = rollout.initial(model.rest(), commands[0])
+    y = rollout.outputs(commands, [0], [n], start[None]).y
+    file = tmp_path_factory.mktemp("fresh") / "c001.csv"
+    file.write_text(csv_of(Case(kind="single"), step * np.arange(n), commands, y))
+    return file
+
+
+@pytest.mark.parametrize(("better", "worse"), [(True, ()), (False, ("alpha_h",))])
+def test_models_run_on_a_recording_that_nobody_saw(
+    recording: Path, tmp_path: Path, better: bool, worse: tuple[str, ...]
+) -> None:
+    effect = "effects: {yaw_coulomb_friction: {torque: 0.003}}"
+    _model_file(tmp_path / "corrected_model.yaml", effect if better else "")
+    _model_file(tmp_path / "refit_model.yaml", "" if better else effect)
+    floors = {"alpha_v": 5e-4, "alpha_h": 5e-4, "omega_v": 1.6, "omega_h": 1.6}
+    found = on_fresh(answer(FRICTION, floors=floors), tmp_path, recording)
+    assert found is not None
+    assert set(found.worse) >= set(worse)
+    assert bool(found.worse) != better
+    if better:
+        assert found.shrink is not None
+        assert found.shrink > 0.9
+    nothing = answer("no_gap", verdict="no_gap")
+    assert on_fresh(nothing, tmp_path, recording) == OnFresh(shrink=None, worse=())
+    assert on_fresh(answer(FRICTION), tmp_path / "none", recording) is None

@@ -87,7 +87,7 @@ def _of_axis(axis: str) -> dict[str, Truth]:
         f"{axis}_flexible_mode": Truth(
             sizes={"share": 1.0, "frequency": 3.0, "damping": 0.02},
             grows=("share",),
-            locations=(*sensor, *moment),
+            locations=sensor,
             variants=({"frequency": 4.5}, {"frequency": 2.2, "damping": 0.04}),
         ),
         f"{axis}_disturbance": Truth(
