@@ -185,6 +185,7 @@ def projected(
     residuals = windows.residuals(problem.all_values(fit.theta), fit.starts, slopes=True)
     base, slopes = residuals.r, residuals.j
     assert slopes is not None
+    slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     scales = np.concatenate([windows.spread, problem.scales])
     n, n_f, count = windows.n_x, len(fit.theta), len(found.names)
     total = np.zeros((n_f + count + 1, n_f + count + 1))

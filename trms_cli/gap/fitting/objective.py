@@ -13,6 +13,9 @@ from trms_cli.identification.greybox.windows import Residuals, Windows
 
 FloatArray = npt.NDArray[np.float64]
 
+#: Slopes per scaled unit beyond this say nothing; in the outputs' units.
+_STEEPEST = 1e8
+
 
 @dataclass
 class InnovationObjective:
@@ -82,6 +85,8 @@ class InnovationObjective:
         """Whitened slopes in scaled starts and parameters, then the residual, (m, c, n_y, k)."""
         assert residuals.j is not None
         scaled = residuals.j * np.concatenate([self.windows.spread, self.scales])
+        # where a simulation bounces its slopes may run away though itself it does not
+        scaled = np.where(np.abs(scaled) < _STEEPEST, scaled, 0.0)
         return self.metric.whitened(np.concatenate([scaled, residuals.r[..., None]], axis=-1))
 
     def _quadratic(

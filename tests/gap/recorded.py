@@ -1,0 +1,78 @@
+"""Recordings of simulated rigs for the tests of the diagnosis: a model, effects, sensors' noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import yaml
+
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import extended
+from trms_cli.gap.blind.drivers import rich_excitation
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import Model, names
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.simulation.rollout import Rollout
+
+STEP = 0.02  # s
+QUANTUM = 2 * np.pi / 4096  # rad
+SPEED_NOISE = 1.6  # rad/s
+
+
+def effect(name: str, **sizes: float) -> Effect:
+    """An effect of the library, at other sizes."""
+    text = (config_folder() / "effect" / f"{name}.yaml").read_text(encoding="utf-8")
+    made = build({**yaml.safe_load(text)[name], **sizes}, name)
+    assert isinstance(made, Effect)
+    return made
+
+
+def recording(
+    effects: Mapping[str, Effect] | None = None,
+    *,
+    model: Model | None = None,
+    values: Mapping[str, float] | None = None,
+    seconds: float = 40.0,
+    seed: int = 1,
+    outputs: tuple[str, ...] | None = None,
+) -> Dataset:
+    """What a rig records in open loop, its sensors as those of the bench."""
+    nominal = model or Newtonian()
+    rig = extended(nominal, dict(effects or {}))
+    if values:
+        rig.parameters = rig.parameters.replaced(dict(values))
+    count = round(seconds / STEP)
+    settling = round(10.0 / STEP)
+    commands = 0.7 * rich_excitation([seed], count, STEP)[0]
+    commands[:, 0] += 0.35
+    commands = commands[:, : nominal.n_u]
+    held = np.repeat(commands[:1], settling, axis=0)
+    rollout = Rollout(rig, STEP)
+    start = rollout.initial(rig.rest(), commands[0])
+    y = rollout.outputs(np.vstack([held, commands]), [0], [settling + count], start[None]).y
+    y = y[settling:]
+    random = np.random.default_rng(seed)
+    sd = np.empty(y.shape[1])
+    for i, name in enumerate(names(rig.outputs)):
+        if name.startswith("alpha"):
+            y[:, i] = QUANTUM * np.round(y[:, i] / QUANTUM)
+            sd[i] = QUANTUM / np.sqrt(12)
+        else:
+            y[:, i] += SPEED_NOISE * random.standard_normal(len(y))
+            sd[i] = SPEED_NOISE
+    kept = [i for i, s in enumerate(rig.outputs) if outputs is None or s.name in outputs]
+    return Dataset(
+        name="rig",
+        source="rig.csv",
+        sha256="0" * 64,
+        sample_time=STEP,
+        time=STEP * np.arange(count),
+        inputs=nominal.inputs,
+        outputs=tuple(rig.outputs[i] for i in kept),
+        commands=np.ascontiguousarray(commands),
+        measurements=np.ascontiguousarray(y[:, kept]),
+        noise_sd=sd[kept],
+    )

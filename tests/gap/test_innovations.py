@@ -1,0 +1,189 @@
+"""The filter that makes residuals white: compiled and not, against what theory says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trms_cli.gap.innovations import kalman
+from trms_cli.gap.innovations.discrepancy import Discrepancy, equation_channels
+from trms_cli.gap.innovations.kalman import LinearSystem
+from trms_cli.gap.innovations.sizes import FLOOR, likely_shares, log_likelihood
+from trms_cli.gap.innovations.trajectory import Linearisation
+from trms_cli.identification.greybox.windows import Windows
+from trms_cli.identification.problem import FitProblem
+
+from .recorded import recording
+
+
+def random_system(seed: int = 0, m: int = 3, c: int = 40, n: int = 4, n_y: int = 2) -> LinearSystem:
+    random = np.random.default_rng(seed)
+    f = 0.6 * np.eye(n) + 0.15 * random.standard_normal((m, c, n, n))
+    h = random.standard_normal((m, c, n_y, n))
+    seen = random.random((m, c, n_y)) > 0.1
+    start = np.diag(random.uniform(0.5, 2.0, n))
+    return LinearSystem(f, h, seen, random.uniform(0.1, 0.5, n_y), start)
+
+
+Q = np.diag([0.3, 0.1, 0.2, 0.05])
+
+
+def simulated(system: LinearSystem, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    m, c, n_y, n = system.h.shape
+    x = random.standard_normal((m, n)) @ np.sqrt(system.start)
+    y = np.empty((m, c, n_y))
+    for t in range(c):
+        noise = np.sqrt(system.r) * random.standard_normal((m, n_y))
+        y[:, t] = np.einsum("myn,mn->my", system.h[:, t], x) + noise
+        x = np.einsum("mij,mj->mi", system.f[:, t], x)
+        x += random.standard_normal((m, n)) @ np.sqrt(Q)
+    return y
+
+
+def dense(system: LinearSystem, j: int) -> np.ndarray:
+    """Covariance of all measured outputs of a window, by the definition."""
+    _, c, n_y, n = system.h.shape
+    states = np.zeros((c * n, c * n))
+    blocks = [system.start]
+    for t in range(1, c):
+        blocks.append(system.f[j, t - 1] @ blocks[-1] @ system.f[j, t - 1].T + Q)
+    for t in range(c):
+        carried = blocks[t]
+        for s in range(t, c):
+            states[s * n : (s + 1) * n, t * n : (t + 1) * n] = carried
+            states[t * n : (t + 1) * n, s * n : (s + 1) * n] = carried.T
+            carried = system.f[j, s] @ carried
+    h = np.zeros((c * n_y, c * n))
+    for t in range(c):
+        h[t * n_y : (t + 1) * n_y, t * n : (t + 1) * n] = system.h[j, t]
+    seen = system.seen[j].ravel()
+    return (h @ states @ h.T + np.diag(np.tile(system.r, c)))[np.ix_(seen, seen)]
+
+
+def test_innovations_have_the_density_of_the_whole_covariance():
+    system = random_system()
+    y = simulated(system, 1)
+    filter_ = kalman.gains(system, Q)
+    z = kalman.whiten(system, filter_, y[..., None])[..., 0]
+    for j in range(3):
+        covariance = dense(system, j)
+        seen = y[j].ravel()[system.seen[j].ravel()]
+        assert np.sum(z[j] ** 2) == pytest.approx(seen @ np.linalg.solve(covariance, seen))
+        assert filter_.logdet[j] == pytest.approx(np.linalg.slogdet(covariance)[1])
+
+
+def test_compiled_and_plain_loops_agree(monkeypatch):
+    system = random_system(2)
+    y = simulated(system, 3)[..., None]
+    compiled = kalman.gains(system, Q, covariances=True)
+    z = kalman.whiten(system, compiled, y)
+    scores = kalman.scores(system, compiled, z[..., 0])
+    monkeypatch.setattr(kalman, "_library", lambda: None)
+    plain = kalman.gains(system, Q, covariances=True)
+    for one, other in zip(compiled, plain, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(kalman.whiten(system, plain, y), z, rtol=1e-8, atol=1e-10)
+    for one, other in zip(kalman.scores(system, plain, z[..., 0]), scores, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-8)
+
+
+def test_scores_are_the_likelihoods_slope():
+    system = random_system(4)
+    y = simulated(system, 5)
+
+    def likelihood(q: np.ndarray) -> float:
+        filter_ = kalman.gains(system, q)
+        z = kalman.whiten(system, filter_, y[..., None])
+        return float(-0.5 * np.sum(z**2) - 0.5 * filter_.logdet.sum())
+
+    filter_ = kalman.gains(system, Q)
+    z = kalman.whiten(system, filter_, y[..., None])[..., 0]
+    squares, variances = kalman.scores(system, filter_, z)
+    for i in range(4):
+        step = np.zeros((4, 4))
+        step[i, i] = 1e-5
+        slope = (likelihood(Q + step) - likelihood(Q - step)) / 2e-5
+        assert 0.5 * (squares[i] - variances[i]) == pytest.approx(slope, rel=1e-4, abs=1e-3)
+
+
+def test_the_smoother_is_the_conditional_mean():
+    system = random_system(6, m=1, c=12)
+    y = simulated(system, 7)
+    filter_ = kalman.gains(system, Q, covariances=True)
+    x, variance = kalman.smooth(system, filter_, y)
+    # the mean is the state that one measurement more of it, infinitely vague, would not move
+    n = system.f.shape[-1]
+    exact = LinearSystem(
+        system.f,
+        np.concatenate([system.h, np.broadcast_to(np.eye(n), (1, 12, n, n))], axis=2),
+        np.concatenate([system.seen, np.zeros((1, 12, n), dtype=bool)], axis=2),
+        np.concatenate([system.r, np.full(n, 1e-8)]),
+        system.start,
+    )
+    seen = exact.seen.copy()
+    seen[0, 5, 2:] = True
+    pinned = LinearSystem(exact.f, exact.h, seen, exact.r, exact.start)
+
+    def density(state: np.ndarray) -> float:
+        data = np.concatenate([y, np.zeros((1, 12, n))], axis=2)
+        data[0, 5, 2:] = state
+        z = kalman.whiten(pinned, kalman.gains(pinned, Q), data[..., None])
+        return float(-0.5 * np.sum(z**2))
+
+    best = density(x[0, 5])
+    for i in range(n):
+        away = np.zeros(n)
+        away[i] = np.sqrt(variance[0, 5, i])
+        assert density(x[0, 5] + away) < best
+        assert density(x[0, 5] - away) < best
+
+
+@pytest.fixture(scope="module")
+def windows() -> Windows:
+    dataset = recording(seconds=20.0)
+    from trms_cli.models.newtonian import Newtonian
+
+    model = Newtonian()
+    return Windows(FitProblem(model=model, datasets=(dataset,), window_length=10.0, jobs=1))
+
+
+def test_a_rig_without_a_gap_has_white_innovations_and_no_discrepancy(windows):
+    model = windows.problem.model
+    p = model.parameters.values
+    starts = windows.starts(p)
+    trajectory = Linearisation(windows).along(p, starts)
+    discrepancy = Discrepancy(windows, trajectory, equation_channels(model))
+    r = np.where(windows.measured, windows.target - trajectory.y, 0.0)
+    filter_ = discrepancy.filter(np.full(4, FLOOR))
+    z = discrepancy.whitened(filter_, r[..., None])[..., 0]
+    assert np.all(np.mean(z**2, axis=(0, 1)) < 1.15)
+    assert np.all(np.mean(z**2, axis=(0, 1)) > 0.75)
+    assert np.all(likely_shares(discrepancy, r, np.full(4, 0.1)) < 0.03)
+
+
+def test_a_force_that_is_missing_is_found_on_its_equation(windows):
+    model = windows.problem.model
+    p = model.parameters.values
+    starts = windows.starts(p)
+    trajectory = Linearisation(windows).along(p, starts)
+    discrepancy = Discrepancy(windows, trajectory, equation_channels(model))
+    r = np.where(windows.measured, windows.target - trajectory.y, 0.0)
+    # a sine of 30 percent of what acts on yaw, through the linear system itself
+    system, n = discrepancy.system, trajectory.x.shape[-1]
+    x = np.zeros((len(windows), n + 4))
+    for t in range(r.shape[1]):
+        r[:, t] += np.einsum("myn,mn->my", system.h[:, t], x)
+        x[:, n:] = 0.0
+        x[:, n + 1] = 0.3 * np.sin(2 * np.pi * 0.4 * t * 0.02)
+        x = np.einsum("mij,mj->mi", system.f[:, t], x)
+    shares = likely_shares(discrepancy, r, np.full(4, 0.05))
+    assert shares[1] > 0.1
+    assert np.all(shares[[0, 2, 3]] < 0.04)
+    assert log_likelihood(discrepancy, r, shares).sum() > (
+        log_likelihood(discrepancy, r, np.full(4, FLOOR)).sum() + 50
+    )
+    smoothed, _ = discrepancy.smoothed(shares, r)
+    wave = np.sin(2 * np.pi * 0.4 * 0.02 * np.arange(r.shape[1]))
+    force = smoothed[0, :, n + 1] / discrepancy.scales[1]
+    assert np.corrcoef(force[50:-50], wave[50:-50])[0, 1] > 0.9
