@@ -1,0 +1,162 @@
+"""Advice on the next experiment: what it promises, and that its command can be typed."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.identification.greybox.rigs import recording
+from trms_cli.gap.advice import advise, experiments
+from trms_cli.gap.advice.imagined import imagined
+from trms_cli.gap.advice.separation import between, visibility, with_rows
+from trms_cli.gap.candidates import Suspect, suspects
+from trms_cli.gap.race.nominal import Refit, refit
+from trms_cli.identification.problem import free_parameters
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.reporting.effect_scenes import library_effect
+from trms_cli.simulation.rollout import Rollout
+
+MODEL = Newtonian()
+EFFECTS = (
+    "main_input_delay",
+    "main_actuator_lag",
+    "tail_dead_zone",
+    "tail_rotor_friction",
+    "tail_thrust_curve",
+    "yaw_disturbance",
+)
+FITTED = {
+    "main_input_delay.delay": 0.04,
+    "main_actuator_lag.time_constant": 0.04,
+    "tail_dead_zone.width": 0.05,
+}
+FAST, SLOW = "fast switching between two levels", "slow rises and falls through zero"
+SHARES = np.full(4, 0.01)
+
+
+@pytest.fixture(scope="module")
+def known() -> dict[str, Suspect]:
+    found, _ = suspects(MODEL, {name: library_effect(name) for name in EFFECTS})
+    return found
+
+
+@pytest.fixture(scope="module")
+def plain() -> Refit:
+    """Of a recording in which the tail rotor never stops."""
+    dataset, _ = recording(MODEL, seconds=24.0, ranges=[(1.0, 1.4), (0.4, 0.9)], substeps=1)
+    free = free_parameters(MODEL.parameters, ["k_uv", "k_fvp"])
+    return refit(MODEL, free, [dataset], 8.0)
+
+
+@pytest.fixture(scope="module")
+def recordings(plain: Refit) -> dict:
+    return {e.words: r for e, r in imagined(plain, SHARES, "newtonian")}
+
+
+def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(
+    recordings: dict, known: dict
+) -> None:
+    pair = [with_rows(known[name], FITTED) for name in EFFECTS[:2]]
+    fast, slow = (
+        between(recordings[words].signatures(pair), *EFFECTS[:2], EFFECTS[:2])
+        for words in (FAST, SLOW)
+    )
+    assert fast > 5 * slow
+    assert fast > 3
+
+
+def test_crossing_zero_tells_a_dead_zone_from_rotor_friction(plain: Refit, known: dict) -> None:
+    advice = advise(
+        refit=plain,
+        suspects=known,
+        model_name="newtonian",
+        apart=["tail_dead_zone", "tail_rotor_friction"],
+        shares=SHARES,
+    )
+    assert advice is not None
+    assert "tail_dead_zone from tail_rotor_friction by" in advice.why
+    assert "no nats in the 24 s recorded" in advice.why
+
+
+def test_a_thrust_in_reverse_becomes_visible(plain: Refit, recordings: dict, known: dict) -> None:
+    name = "tail_thrust_curve"
+    curve = known[name]
+    reverse = replace(curve, variants=curve.variants[curve.variants[:, 1] != 0])
+    seen = {w: visibility(r.signatures([reverse]), name) for w, r in recordings.items()}
+    assert seen["random levels with rotors that reverse"] > 12.5
+    advice = advise(
+        refit=plain,
+        suspects={name: reverse},
+        model_name="newtonian",
+        untested=[name],
+        shares=SHARES,
+    )
+    assert advice is not None
+    assert "makes visible" in advice.why
+    assert f"{name} " in advice.why and "against no nats in what is recorded" in advice.why
+
+
+def test_the_angles_stay_within_their_bounds(recordings: dict) -> None:
+    assert len(recordings) == 6
+    for recording_ in recordings.values():
+        windows = recording_.contestant.windows
+        angles = np.abs(windows.target[..., :2])
+        assert (np.nanmax(angles, axis=(0, 1)) < [0.8 * 1.05, 0.8 * 2.8]).all()
+
+
+def test_noise_from_outside_is_told_by_what_does_not_repeat(plain: Refit, known: dict) -> None:
+    advice = advise(
+        refit=plain,
+        suspects=known,
+        model_name="newtonian",
+        apart=["tail_dead_zone", "yaw_disturbance"],
+    )
+    assert advice is not None
+    assert "excitation.periods=4" in advice.command
+
+
+def test_nothing_is_advised_where_nothing_is_known(plain: Refit) -> None:
+    assert advise(refit=plain, suspects={}, model_name="newtonian") is None
+
+
+@pytest.mark.parametrize("name", ["newtonian_horizontal", "tras", "quanser_aero"])
+def test_other_models_have_experiments(name: str) -> None:
+    import yaml
+
+    from trms_cli.core.plugins import build
+    from trms_cli.core.resources import config_folder
+
+    text = (config_folder() / "model" / f"{name}.yaml").read_text(encoding="utf-8")
+    model = build(yaml.safe_load(text), "model")
+    rollout = Rollout(model, 0.02)
+    made = list(experiments.experiments(rollout, [model.parameters.values], 0.02, name))
+    limits = [model.input_limits[signal.name] for signal in model.inputs]
+    assert made
+    for experiment in made:
+        assert experiment.commands.shape == (2000, model.n_u)
+        assert (np.abs(experiment.commands) <= limits).all()
+        assert f"model={name}" in experiment.command
+
+
+def test_a_command_makes_the_commands_that_were_predicted(tmp_path: Path) -> None:
+    from trms_cli.commands.excite import main
+
+    rollout = Rollout(MODEL, 0.02)
+    made = experiments.experiments(rollout, [MODEL.parameters.values], 0.02, "newtonian")
+    for k, experiment in enumerate(made):
+        program, command, *words = shlex.split(experiment.command)
+        assert program == "trms"
+        if "prbs" not in experiment.command and "reversals" not in experiment.command:
+            continue  # one about an operating point, in a band of its own, and one about zero
+        assert command == "excite"
+        out = tmp_path / str(k)
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert main([*words, f"out={out}", "picture=false", "rigs=0"]) == 0
+        table = np.loadtxt(out / "excitation.csv", delimiter=",", skiprows=4)
+        assert np.allclose(table[:, 1:], experiment.commands, atol=1e-5)
