@@ -94,13 +94,17 @@ class Seen:
         return np.sin(pitch[0]) if pitch else 0 * self.one
 
     @cached_property
+    def parts(self) -> tuple[slice, ...]:
+        return segments(self.record)
+
+    @cached_property
     def step(self) -> float:
         return sample_time(self.record)
 
     def slope(self, values: FloatArray) -> FloatArray:
         """Derivative by time, within stretches."""
         result = np.zeros_like(values)
-        for part in segments(self.record):
+        for part in self.parts:
             if part.stop - part.start > 1:
                 result[part] = np.gradient(values[part], self.step)
         return result
@@ -111,7 +115,7 @@ class Seen:
 
         keep = float(np.exp(-self.step / time))
         result = np.empty_like(values)
-        for part in segments(self.record):
+        for part in self.parts:
             start = np.array([keep * values[part.start]])
             result[part], _ = lfilter([1 - keep], [1, -keep], values[part], zi=start)
         return result
@@ -121,7 +125,7 @@ class Seen:
         reach = int(np.ceil(3 * sd / self.step))
         kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * self.step / sd) ** 2)
         result = np.empty_like(values)
-        for part in segments(self.record):
+        for part in self.parts:
             padded = np.pad(values[part], reach, mode="edge")
             result[part] = np.convolve(padded, kernel / kernel.sum(), mode="valid")
         return result
@@ -181,17 +185,19 @@ def hysteresis(record: ForceRecord, angle: FloatArray) -> Columns:
     travel = np.diff(angle, prepend=angle[0])
     for part in segments(record):
         travel[part.start] = 0.0
-    # Loading bends towards ±1, unloading is straight: exact over a step of one direction.
-    bent = 1 - np.exp(-np.abs(travel)[:, None] / width)
-    straight = travel[:, None] / width
-    sign = np.sign(travel)
-    memory = np.empty((angle.size, width.size))
-    now = np.zeros(width.size)
-    for i in range(angle.size):
-        loading = now * sign[i] >= 0
-        now = np.where(loading, now + (sign[i] - now) * bent[i], now + straight[i])
-        memory[i] = now
-    return list(memory.T)
+    # Loading bends towards ±1, unloading is straight: exact over a step of one direction. Plain
+    # numbers, since each step needs the one before it.
+    bent = (1 - np.exp(-np.abs(travel) / width[:, None])).tolist()
+    straight = (travel / width[:, None]).tolist()
+    sign = np.sign(travel).tolist()
+    columns: Columns = []
+    for bends, steps in zip(bent, straight, strict=True):
+        now, memory = 0.0, []
+        for towards, bend, step in zip(sign, bends, steps, strict=True):
+            now += (towards - now) * bend if now * towards >= 0 else step
+            memory.append(now)
+        columns.append(np.array(memory))
+    return columns
 
 
 def _imbalance(at: Seen) -> Columns:

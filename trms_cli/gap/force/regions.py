@@ -49,7 +49,17 @@ _ROUND = np.array([1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10])
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """A condition in words, the variable that it is about, and where it holds, (k,)."""
+    """A condition on what the rig does.
+
+    Attributes
+    ----------
+    text : str
+        In an engineer's words.
+    about : str
+        The variable that it is about.
+    holds : (k,) array of bool
+        Where it holds.
+    """
 
     text: str
     about: str
