@@ -1,0 +1,157 @@
+"""Controllers of this program on rigs of other code, and what the study counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("experiments.gap", reason="the studies are in the checkout only")
+
+from experiments.gap.closing_loop import Tracking, Verdict, tracking
+from experiments.gap.driver import ModelBased, loop_of
+from experiments.gap.page import Findings, document, mean_and_interval, recovered, tables
+from experiments.gap.rigs import SameForEach, driven, gentle_excitation, read_study, rig_of
+from experiments.gap.separation import Separation, Standing, commands_of, slow_sines, standing
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.model_file import load_model
+from trms_cli.models.newtonian import Newtonian
+
+STEP = 0.02
+
+
+def _run(model: str, rmse: float, rig: str = "a-1", effect: str = "a") -> Tracking:
+    both = {"pitch": rmse, "yaw": 2 * rmse}
+    return Tracking(rig, effect, 1, "squares", model, both, both, both, both)
+
+
+def test_copies_of_a_rig_meet_the_same_noise() -> None:
+    drawn = SameForEach(3, 2).normal(0, 1.0, 6)
+    assert np.array_equal(drawn[:3], drawn[3:])
+    assert np.array_equal(drawn[:3], np.random.default_rng(3).normal(0, 1.0, 3))
+    phases = SameForEach(3, 2).uniform(0, 1, (2, 6))
+    assert np.array_equal(phases[:, :3], phases[:, 3:])
+
+
+def test_the_loop_follows_on_a_rig_of_other_code() -> None:
+    """Two copies of a rig with one model do the same; a model of a heavier beam does not."""
+    rig = rig_of("yaw_coulomb_friction", {"torque": 0.003}, 1, 0.5)
+    loop = loop_of(["ref.alpha_v.amplitude=0.1", "ref.alpha_h.amplitude=0.3"])
+    heavier = Newtonian(parameters={"m_cb": 0.075})
+    samples = round(7.0 / STEP)
+    driver = ModelBased([loop] * 3, [Newtonian(), Newtonian(), heavier], samples, STEP)
+    run = driven([rig], driver, 7.0, STEP, copies=3, seed=2)
+    assert np.array_equal(run.measured[0], run.measured[1])
+    assert not np.array_equal(run.commands[0], run.commands[2])
+    assert np.abs(run.commands).max() <= 2.5
+    error = run.measured[:, -50:, :2] - driver.references[:, -50:]
+    assert np.abs(error).max() < 0.05  # it began 0.6 rad below
+
+
+def test_the_true_model_is_the_rigs(tmp_path: Path) -> None:
+    rig = rig_of("main_thrust_curve", {"exponent": 0.3, "reference": 200.0}, 2, 0.5)
+    model = load_model(str(rig.write_true_model(tmp_path / "true.yaml")))
+    for parameter in rig.parameters:
+        assert model.parameters[parameter.name].value == parameter.value
+    assert model.parameters["main_thrust_curve.exponent"].value == 0.3
+    nominal = Newtonian().parameters
+    apart = [abs(p.value / nominal[p.name].value - 1) for p in rig.parameters if p.prior_sd]
+    assert 0 < max(apart) < 0.5
+
+
+def test_excitations_keep_off_the_stops() -> None:
+    commands = gentle_excitation(5, 20.0, STEP)
+    assert commands.shape == (1000, 2)
+    assert np.array_equal(commands, gentle_excitation(5, 20.0, STEP))
+    spectrum = np.abs(np.fft.rfft(slow_sines(1, 6000, STEP, 0.12) - [1.25, 0.0], axis=0))
+    frequency = np.fft.rfftfreq(6000, STEP)
+    assert (spectrum[frequency > 0.2] ** 2).sum() < 0.01 * (spectrum**2).sum()
+
+
+def test_figures_of_a_run() -> None:
+    study = {"run": {"from": 10.0}}
+    rig = rig_of("a", {}, 1, 0.0)
+    n = round(30.0 / STEP)
+    references = np.zeros((n, 2))
+    references[n // 2 :, 1] = 1.0
+    angles = references + np.array([0.003, 0.0])
+    angles[n // 2 : n // 2 + 50, 1] -= 0.5  # a second late, long before it counts as settled
+    commands = np.tile([1.0, 0.0], (n, 1))
+    commands[::2, 1] = 0.1
+    found = tracking(rig, "squares", "true", references, angles, commands, STEP, study)
+    assert found.rmse["pitch"] == pytest.approx(0.003)
+    assert found.rmse["yaw"] == pytest.approx(0.5 * np.sqrt(1 / 20))
+    assert found.settled == pytest.approx({"pitch": 0.003, "yaw": 0.0})
+    assert found.effort["pitch"] == 1.0
+    assert found.movement == pytest.approx({"pitch": 0.0, "yaw": 0.1 / STEP}, rel=2e-3)
+
+
+def test_the_share_recovered() -> None:
+    runs = [_run("nominal", 0.03), _run("diagnosed", 0.02), _run("true", 0.01)]
+    assert recovered(runs) == pytest.approx((9 - 4) / (9 - 1))
+    assert recovered([_run("nominal", 0.011), _run("diagnosed", 0.01), _run("true", 0.01)]) is None
+    mean, half = mean_and_interval([1.0, 2.0, 3.0])
+    assert (mean, half) == pytest.approx((2.0, 4.302653 / np.sqrt(3)))
+    assert np.isnan(mean_and_interval([1.0])[1])
+
+
+def test_tables_and_document_say_the_same() -> None:
+    runs = [_run("nominal", 0.03), _run("diagnosed", 0.02), _run("true", float("nan"))]
+    now = Standing("undecided", 0.4, 0.5, 0.0, True, ("b",))
+    after = Standing("effect", 0.9, 0.05, 0.0, False, ("a",))
+    pair = Separation("a-1", "a", "b", "why", "trms excite", now, after)
+    found = Findings(runs, [Verdict("a-1", "a", "effect", ("a",), 0.9, 12.0)], [pair])
+    made = tables(found)
+    assert made["squares"][1][2] == "30.0"
+    assert made["squares"][2][2] == "60.0"
+    assert [row[3] for row in made["separation"][1:]] == ["0.40", "0.90"]
+    told = document(found)
+    assert told["runs"][2]["rmse"]["pitch"] is None
+    assert told["separations"][0]["after"]["true"] == 0.9
+
+
+def test_what_a_diagnosis_holds_of_a_pair(tmp_path: Path) -> None:
+    causes: list[Mapping[str, Any]] = [
+        {"effects": ["b"], "probability": 0.6},
+        {"effects": ["a"], "probability": 0.3},
+        {"effects": ["b", "a"], "probability": 0.1},
+    ]
+    import json
+
+    content = {
+        "verdict": "effect",
+        "causes": causes,
+        "confusable": [["b", "c", "a"]],
+        "next_experiment": None,
+    }
+    (tmp_path / "diagnosis.json").write_text(json.dumps(content))
+    found, advice = standing(tmp_path, "a", "b")
+    assert (found.true, found.rival, found.both, found.confusable) == (0.3, 0.6, 0.1, True)
+    assert found.first == ("b",)
+    assert advice is None
+
+
+def test_an_advised_command_becomes_commands(tmp_path: Path) -> None:
+    square = "trms run model=newtonian controller=open_loop signal@controller.u_v=square "
+    square += "controller.u_v.amplitude=0.4 controller.u_v.frequency=0.5 sim.duration=4"
+    commands = commands_of(square, tmp_path / "run", STEP)
+    assert commands.shape == (200, 2)
+    assert set(np.unique(commands[:, 0])) == {-0.4, 0.4}
+    designed = "trms excite excitation=prbs duration=10 lead_in=2 'amplitude={u_v: 0.2, u_h: 0.3}'"
+    commands = commands_of(designed, tmp_path / "excite", STEP)
+    assert commands.shape == (600, 2)
+    assert np.abs(np.diff(commands[200:, 1])).max() == pytest.approx(0.6)
+    with pytest.raises(ConfigurationError):
+        commands_of("rm -rf everything", tmp_path, STEP)
+    with pytest.raises(ConfigurationError):
+        commands_of(square, tmp_path / "run", 0.01)
+
+
+def test_the_study_names_what_there_is() -> None:
+    study = read_study()
+    for name, sizes in study["effects"].items():
+        rig_of(name, sizes, 1, study["scatter"])
+    assert {"nominal", "diagnosed", "true"} <= set(study["models"])
