@@ -135,7 +135,7 @@ def test_the_table_counts_each_kind_where_it_belongs() -> None:
 
 
 def test_the_second_recording_judges_intervals_and_harm() -> None:
-    told = {"shrink": 0.8, "shrink_ci95": (0.7, 0.9)}
+    told: dict[str, Any] = {"shrink": 0.8, "shrink_ci95": (0.7, 0.9)}
     inside, outside = OnFresh(shrink=0.75, worse=()), OnFresh(shrink=0.5, worse=("alpha_v",))
     best = judged(case("single", FRICTION), answer(FRICTION), fresh=OnFresh(shrink=1.0, worse=()))
     found = table(
@@ -253,7 +253,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     start = rollout.initial(model.rest(), commands[0])
     y = rollout.outputs(commands, [0], [n], start[None]).y
     file = tmp_path_factory.mktemp("fresh") / "c001.csv"
-    file.write_text(csv_of(Case(kind="single"), step * np.arange(n), commands, y))
+    file.write_text(csv_of(Case(kind="single"), step * np.arange(n, dtype=float), commands, y))
     return file
 
 

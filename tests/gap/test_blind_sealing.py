@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ ASKED = Asked(name="small", seed=5, cases=6, timing=Timing(duration=0.3), fresh=
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _short() -> None:
+def _short() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("trms_cli.gap.blind.recording._SETTLING", 0.1)
         yield

@@ -214,6 +214,12 @@ _SHARES: tuple[tuple[str, Judge, Judge, Target | None], ...] = (
         None,
     ),
     ("present but not excited: wrong name", _kind("unexcited"), _wrong_name, None),
+    (
+        "present but not excited: named, or said not to be testable",
+        _kind("unexcited"),
+        lambda j: j.exact or frozenset(j.case.effects) <= frozenset(j.answer.not_testable),
+        None,
+    ),
 )
 
 
