@@ -21,7 +21,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test slow lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 coverage tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
+	chapter2 chapter3 chapter4 coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -84,6 +84,9 @@ chapter4: $(READY) ## study: grey-box fits, genetic algorithm and better, white 
 
 coverage: $(READY) ## study: do the intervals of a fit hold the truth? (half an hour)
 	@$(BIN)/python -m experiments.coverage $(ARGS)
+
+closing-loop: $(READY) ## study: rigs controlled with nominal, diagnosed and true models (a quarter of an hour)
+	@$(BIN)/python -m experiments.gap $(ARGS)
 
 tras-fit: $(READY) ## study: a fit to the real TRAS (RECORDS=folder with closed_loop.csv)
 	@$(BIN)/python -m experiments.tras_fit '$(RECORDS)' $(ARGS)

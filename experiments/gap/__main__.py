@@ -31,6 +31,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m experiments.gap", description=__doc__)
     parser.add_argument("--only", default="*", metavar="PATTERN", help="effects: 'yaw_*'")
+    parser.add_argument(
+        "--models",
+        metavar="NAME,NAME",
+        help="whose model: some of nominal, refit, diagnosed, told, true; without `diagnosed` "
+        "nothing is diagnosed",
+    )
     parser.add_argument("--without-separation", action="store_true", help="tracking alone")
     parser.add_argument(
         "--publish",
@@ -49,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
 def _study(given: argparse.Namespace) -> int:
     from experiments.gap import page
     from experiments.gap.closing_loop import control, diagnose, record, rigs_of
+    from experiments.gap.models import DIAGNOSED
     from experiments.gap.rigs import read_study
     from experiments.gap.separation import separate
 
@@ -61,11 +68,12 @@ def _study(given: argparse.Namespace) -> int:
     begin = process_time()
     rigs = rigs_of(study)
     record(rigs, study, given.out, _tell)
+    models = given.models.split(",") if given.models else study["models"]
     verdicts = []
-    for i, rig in enumerate(rigs, start=1):
+    for i, rig in enumerate(rigs if DIAGNOSED in models else [], start=1):
         _tell(f"diagnosing {i} of {len(rigs)}: {rig.name}")
         verdicts.append(diagnose(rig, study["diagnose"], given.out))
-    runs = control(rigs, study["tasks"], study["models"], study, given.out, _tell)
+    runs = control(rigs, study["tasks"], models, study, given.out, _tell)
     separations = [] if given.without_separation else separate(study, given.out, _tell)
     found = page.Findings(runs, verdicts, separations, process_time() - begin)
     _tell("")

@@ -137,7 +137,7 @@ def model_of(rig: Rig, model: str, out: Path) -> Model:
     if model == NOMINAL:
         return Newtonian()
     paths = {
-        REFIT: lambda: folder / DIAGNOSED / "refit_model.yaml",
+        REFIT: lambda: identified(folder / RECORDING, folder / REFIT),
         DIAGNOSED: lambda: folder / DIAGNOSED / "corrected_model.yaml",
         TOLD: lambda: identified(folder / RECORDING, folder / TOLD, rig.effect),
         TRUE: lambda: rig.write_true_model(folder / "true_model.yaml"),

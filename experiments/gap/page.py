@@ -133,8 +133,8 @@ def mean_and_interval(values: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(values)), float(half)
 
 
-def recovered(runs: Sequence[Tracking]) -> float | None:
-    """Share of the squared error that the corrected model takes away of what the true one would.
+def recovered(runs: Sequence[Tracking], by: str = DIAGNOSED) -> float | None:
+    """Share of the squared error that a model takes away of what the true one would.
 
     Over both axes and all rigs of an effect. None where the nominal model's error is hardly above
     the true one's, so that there is nothing to recover.
@@ -143,7 +143,7 @@ def recovered(runs: Sequence[Tracking]) -> float | None:
     def squared(model: str) -> float:
         return sum(run.rmse[axis] ** 2 for run in runs if run.model == model for axis in AXES)
 
-    nominal, corrected, true = (squared(model) for model in (NOMINAL, DIAGNOSED, TRUE))
+    nominal, corrected, true = (squared(model) for model in (NOMINAL, by, TRUE))
     if not true or not corrected or np.sqrt(nominal / true) < 1 + _SUFFERS:
         return None
     return (nominal - corrected) / (nominal - true)
@@ -152,19 +152,20 @@ def recovered(runs: Sequence[Tracking]) -> float | None:
 def _tracking(runs: Sequence[Tracking]) -> list[list[str]]:
     models = list(dict.fromkeys(run.model for run in runs))
     heads = [f"{model} [mrad]" for model in models]
-    rows = [["effect", "axis", *heads, *(f"{m} [V/s]" for m in models), "recovered"]]
+    rows = [["effect", "axis", *heads, "commands move [V/s]"]]
+    ways = [model for model in models if model not in (NOMINAL, TRUE)] if TRUE in models else []
+    rows[0] += [f"recovered, {way}" for way in ways]
     for effect in dict.fromkeys(run.effect for run in runs):
         of = [run for run in runs if run.effect == effect]
-        share = recovered(of)
+        shares = [recovered(of, way) for way in ways]
         for axis in AXES:
             row = ["`" + effect + "`" if axis == AXES[0] else "", axis]
             for model in models:
                 row.append(_spread([1e3 * run.rmse[axis] for run in of if run.model == model]))
-            for model in models:
-                movement = np.mean([run.movement[axis] for run in of if run.model == model])
-                row.append(f"{movement:.2f}")
-            told = "hardly suffers" if share is None else f"{100 * share:.0f} %"
-            rows.append([*row, told if axis == AXES[0] else ""])
+            moves = [np.mean([r.movement[axis] for r in of if r.model == m]) for m in models]
+            row.append(" / ".join(f"{value:.2f}" for value in moves))
+            told = ["hardly suffers" if s is None else f"{100 * s:.0f} %" for s in shares]
+            rows.append([*row, *(told if axis == AXES[0] else [""] * len(told))])
     return rows
 
 
