@@ -56,7 +56,10 @@ def imagined(
             start_share=0.0,
         )
         fit = Fit(theta, starts, 0.0, Outcome.CONVERGED)
-        metric = Metric(discrepancy, shares, None)
+        try:
+            metric = Metric(discrepancy, shares, None)
+        except FloatingPointError:  # along this motion the equations say too little
+            continue
         yield experiment, Recording(made, fit, metric, starts)
 
 
