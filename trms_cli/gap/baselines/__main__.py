@@ -11,7 +11,7 @@ from trms_cli.core.errors import ConfigurationError, TrmsError
 _KEYS = ("method", "in", "out", "jobs", "cases", "key")
 _USAGE = """\
 usage: python -m trms_cli.gap.baselines method=NAME in=SET out=DIR [jobs=2] [cases=N] [key=DIR.key]
-       python -m trms_cli.gap.baselines train [outputs=4|2] [rigs=N]
+       python -m trms_cli.gap.baselines train [outputs=4|2] [rigs=40] [sample_time=0.02]
 
 Answers every recording of a set that `trms blind make` wrote; `trms blind score` judges the
 answers in DIR like diagnoses. Only method=oracle is given the key. `train` trains the classifier
@@ -28,7 +28,7 @@ def main(argv: Sequence[str]) -> int:
         return 0
     try:
         if argv[0] == "train":
-            return _train(_words(argv[1:], ("outputs", "rigs", "jobs")))
+            return _train(_words(argv[1:], ("outputs", "rigs", "jobs", "sample_time")))
         given = _words(argv, _KEYS)
         for key in ("method", "in", "out"):
             if key not in given:
@@ -68,11 +68,24 @@ def _words(argv: Sequence[str], keys: Sequence[str]) -> dict[str, str]:
 
 
 def _train(given: dict[str, str]) -> int:
-    from trms_cli.gap.baselines.classifier import trained
+    """Train for the bench's model at 50 Hz, four channels or the angles alone."""
+    from trms_cli.gap.baselines.classifier import RIGS, trained
+    from trms_cli.gap.baselines.run import bench_effects
+    from trms_cli.models.model import names
+    from trms_cli.models.newtonian import Newtonian
 
-    count = int(given.get("outputs", 4))
-    model = trained(count, rigs=int(given["rigs"]) if "rigs" in given else None, tell=print)
-    print(f"right on rigs that it was not trained on: {model.accuracy:.0%}")
+    model = Newtonian()
+    outputs = names(model.outputs)[: int(given.get("outputs", 4))]
+    found = trained(
+        model,
+        bench_effects(),
+        outputs,
+        float(given.get("sample_time", 0.02)),
+        rigs_each=int(given.get("rigs", RIGS)),
+        jobs=int(given.get("jobs", 2)),
+        tell=print,
+    )
+    print(f"right on rigs that it was not trained on: {found.accuracy:.0%}")
     return 0
 
 

@@ -190,10 +190,10 @@ def _ridged(columns: FloatArray, force: FloatArray, moved: Motion) -> tuple[Floa
     mean = np.nanmean(errors, axis=1)
     best = int(np.argmin(mean))
     share = 1 - float(mean[best]) / total if total > 0 else 0.0
-    return _solved(scaled, force, _RIDGES[best] / worth) / spread, share
+    coefficients = _solved(scaled, force, _RIDGES[best] / worth) / spread
+    return coefficients, share
 
 
 def _solved(columns: FloatArray, force: FloatArray, ridge: float) -> FloatArray:
     inner = columns.T @ columns + ridge * np.eye(columns.shape[1])
-    found: FloatArray = np.linalg.solve(inner, columns.T @ force)
-    return found
+    return np.asarray(np.linalg.solve(inner, columns.T @ force))

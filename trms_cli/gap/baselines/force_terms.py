@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
+from trms_cli.core.compilation import compiled
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.gap.baselines.restoring_force import Motion
 from trms_cli.identification.dataset import FloatArray
@@ -23,6 +25,7 @@ from trms_cli.models.parameters import Parameter
 
 #: s, s and rad: of a command's lag, of a drive's warming, of a cable's slip.
 _LAG, _WARMING, _WIDTH = 0.04, 30.0, 0.15
+_TIMES = (_LAG, _LAG, _WARMING, _WARMING, 1.0)
 #: rad/s and rad/s: rates of an axis and speeds of a rotor below which the sign is softened, the
 #: width of a Stribeck peak.
 _AXIS_AT_REST, _ROTOR_AT_REST, _STRIBECK = 0.01, 2.0, 0.03
@@ -65,14 +68,24 @@ class Memory(Effect):
         return tuple(Signal(name, "1") for name in (*of_rotors, "slip"))
 
     def derivative(self, at: EffectContext) -> ca.SX:
+        return (self._followed(at) - at.own) / ca.DM(_TIMES) + self._slipped(at)
+
+    def after(self, at: EffectContext, step: float) -> ca.SX:
+        """The states a step (s) later, the motion as it is."""
+        kept = ca.DM([float(np.exp(-step / t)) for t in _TIMES])
+        return self._followed(at) + kept * (at.own - self._followed(at)) + step * self._slipped(at)
+
+    def _followed(self, at: EffectContext) -> ca.SX:
+        """What the states would come to: commands, loads; the slip by itself stays."""
         u = [at.u[i] if i < at.u.shape[0] else ca.SX(0) for i in range(2)]
         limits = [*at.model.input_limits.values(), 1.0, 1.0]
-        lagged = [(u[i] - at.own[i]) / _LAG for i in range(2)]
-        warmth = [((u[i] / limits[i]) ** 2 - at.own[2 + i]) / _WARMING for i in range(2)]
+        return ca.vertcat(*u, *((u[i] / limits[i]) ** 2 for i in range(2)), at.own[4])
+
+    def _slipped(self, at: EffectContext) -> ca.SX:
         slip = at.own[4]
         rate = at.rate("yaw") if "yaw" in at.model.axes else ca.SX(0)
         sliding = 0.5 + 0.5 * ca.sign(rate * slip)
-        return ca.vertcat(*lagged, *warmth, rate / _WIDTH * (1 - ca.fabs(slip) * sliding))
+        return ca.vertcat(ca.SX.zeros(4), rate / _WIDTH * (1 - ca.fabs(slip) * sliding))
 
 
 def library(at: EffectContext) -> Iterator[tuple[Term, ca.SX]]:
@@ -162,21 +175,28 @@ class AddedForces(Memory):
 
 def columns(model: Model, moved: Motion) -> tuple[tuple[Term, ...], FloatArray]:
     """The library's terms along a motion, (n, number of terms)."""
+    terms, function, memory = _functions(model, moved.step)
+    along = _remembered(model, moved, memory)
+    n = len(moved.x)
+    given = (np.repeat(model.parameters.values[:, None], n, axis=1), np.zeros((model.n_w, n)))
+    found = function.map(n)(along.T, moved.x.T, moved.u.T, *given)
+    return terms, np.array(ca.DM(found).full()).T
+
+
+@lru_cache(maxsize=8)
+def _functions(model: Model, step: float) -> tuple[tuple[Term, ...], ca.Function, ca.Function]:
+    """The terms, their values at a sample, and the memory one sample later."""
     x, u, p, w = model.symbols()
     memory = Memory()
     own = ca.SX.sym("own", len(memory.states()))
     at = EffectContext(model, x, u, p, w, own, {})
     terms, values = zip(*library(at), strict=True)
-    along = _remembered(
-        model,
-        moved,
-        ca.Function("memory", [own, x, u, p, w], [own + moved.step * memory.derivative(at)]),
+    after = memory.after(at, step)
+    return (
+        tuple(terms),
+        compiled(ca.Function("library", [own, x, u, p, w], [ca.densify(ca.vertcat(*values))])),
+        compiled(ca.Function("memory", [own, x, u, p, w], [ca.densify(after)])),
     )
-    n = len(moved.x)
-    given = (np.repeat(model.parameters.values[:, None], n, axis=1), np.zeros((model.n_w, n)))
-    function = ca.Function("library", [own, x, u, p, w], [ca.densify(ca.vertcat(*values))])
-    found = function.map(n)(along.T, moved.x.T, moved.u.T, *given)
-    return tuple(terms), np.array(ca.DM(found).full()).T
 
 
 def _remembered(model: Model, moved: Motion, step: ca.Function) -> FloatArray:

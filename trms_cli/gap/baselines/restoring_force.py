@@ -10,11 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.compilation import compiled
 from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
 from trms_cli.identification.greybox.starts import estimated_starts
 from trms_cli.models.model import Model
@@ -25,6 +28,8 @@ from trms_cli.simulation.rollout import Rollout
 _REACH, _FEWEST, _DEGREE = 0.3, 7, 3
 #: s between the samples at which a simulation of what is not measured is put right.
 _ANCHORED = 0.2
+#: s between the samples of a force.
+_THINNED = 0.06
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,7 @@ class Motion:
     @property
     def independent(self) -> float:
         """How many samples the smoothed force is worth."""
-        return len(self.force) / max(_FEWEST, round(_REACH / self.step))
+        return len(self.force) / max(1.0, _REACH / self.step)
 
 
 def motion(model: Model, datasets: Sequence[Dataset], free: Sequence[str], block: float) -> Motion:
@@ -73,20 +78,22 @@ def motion(model: Model, datasets: Sequence[Dataset], free: Sequence[str], block
         s.
     """
     step = datasets[0].sample_time
-    rollout = Rollout(model, step)
-    equations = _Equations(model, free)
-    parts: list[tuple[FloatArray, ...]] = []
+    equations, thin = _equations(model, tuple(free)), max(1, round(_THINNED / step))
+    parts: list[tuple[npt.NDArray[Any], ...]] = []
     blocks, breaks = 0, []
     for dataset in datasets:
-        x, u, derivative, good = _smoothed(model, rollout, equations, dataset)
-        force, slopes = equations.force(x, u, derivative)
-        good &= np.isfinite(force).all(axis=1)
+        x, u, derivative, good = _smoothed(model, equations, dataset)
+        # Neighbours of a smoothed force say the same.
+        rows = np.flatnonzero(good & (np.arange(len(dataset)) % thin == 0))
+        x, u = x[rows], u[rows]
+        force, slopes = equations.force(x, u, derivative[rows])
         of_block = np.arange(len(dataset)) * step // block + blocks
         blocks = int(of_block[-1]) + 1
         breaks.append(sum(len(p[0]) for p in parts))
-        parts.append(tuple(a[good] for a in (x, u, force, slopes, of_block)))
+        parts.append((x, u, force, slopes, of_block[rows]))
     x, u, force, slopes, of_block = (np.concatenate(a) for a in zip(*parts, strict=True))
-    return Motion(x, u, force, slopes, of_block.astype(np.int64), step, np.array(breaks))
+    blocks_ = of_block.astype(np.int64)
+    return Motion(x, u, force, slopes, blocks_, step * thin, np.array(breaks))
 
 
 def savgol(values: FloatArray, step: float, order: int) -> FloatArray:
@@ -99,16 +106,11 @@ def savgol(values: FloatArray, step: float, order: int) -> FloatArray:
 
 
 def _smoothed(
-    model: Model, rollout: Rollout, equations: _Equations, dataset: Dataset
+    model: Model, equations: _Equations, dataset: Dataset
 ) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
     """States, commands, the states' derivatives, and where these can be believed."""
     n, step = len(dataset), dataset.sample_time
-    hop = max(1, round(_ANCHORED / step))
-    anchors = np.arange(0, n, hop, dtype=np.int64)
-    known = estimated_starts(rollout, dataset, anchors, model.parameters.values).states
-    x = np.empty((n, model.n_x))
-    for i in range(model.n_x):
-        x[:, i] = np.interp(np.arange(n), anchors, known[:, i])
+    x = _unmeasured(model, dataset) if not equations.shown(dataset) else np.zeros((n, model.n_x))
     derivative = savgol(x, step, 1)
     good = np.ones(n, dtype=bool)
     edge = max(_FEWEST, round(_REACH / step))
@@ -132,6 +134,21 @@ def _smoothed(
     return x, u, derivative, good
 
 
+def _unmeasured(model: Model, dataset: Dataset) -> FloatArray:
+    """States simulated from the beginning, put right by what is measured, (n, n_x)."""
+    n = len(dataset)
+    rollout = Rollout(model, dataset.sample_time)
+    anchors = np.arange(0, n, max(1, round(_ANCHORED / dataset.sample_time)), dtype=np.int64)
+    known = estimated_starts(rollout, dataset, anchors, model.parameters.values).states
+    columns = [np.interp(np.arange(n), anchors, known[:, i]) for i in range(model.n_x)]
+    return np.stack(columns, axis=1)
+
+
+@lru_cache(maxsize=8)
+def _equations(model: Model, free: tuple[str, ...]) -> _Equations:
+    return _Equations(model, free)
+
+
 class _Equations:
     """A model's equations of motion at many samples at once."""
 
@@ -142,13 +159,19 @@ class _Equations:
         columns = [model.parameters.names.index(name) for name in free]
         pushes = ca.densify(ca.jacobian(f, w))
         of_p = ca.densify(ca.jacobian(f, p)[:, columns]) if columns else ca.SX(model.n_x, 0)
-        self._f = ca.Function("f", [x, u, p, w], [f, pushes, of_p])
+        self._f = compiled(ca.Function("f", [x, u, p, w], [ca.densify(f), pushes, of_p]))
         kinds = kinds_of_states(model)
         self._angles = [i for i, kind in enumerate(kinds) if kind == "angle"]
         self._momenta = [i for i, kind in enumerate(kinds) if kind == "momentum"]
         rate = f[self._angles]
         slope = ca.densify(ca.jacobian(rate, x)[:, self._momenta])
-        self._rate = ca.Function("rate", [x, u, p, w], [rate, slope])
+        self._rate = compiled(ca.Function("rate", [x, u, p, w], [ca.densify(rate), slope]))
+
+    def shown(self, dataset: Dataset) -> bool:
+        """Whether all states but the momenta are measured, and the angles that give those."""
+        measured = {s.name for s in dataset.outputs}
+        hidden = [i for i, name in enumerate(self._model.state_names) if name not in measured]
+        return set(hidden) <= set(self._momenta)
 
     def _at(self, function: ca.Function, x: FloatArray, u: FloatArray) -> list[FloatArray]:
         """Results at each sample, (n, rows, columns)."""

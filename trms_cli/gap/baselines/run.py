@@ -18,6 +18,7 @@ from time import perf_counter
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import build, nearest
 from trms_cli.core.resources import config_folder
+from trms_cli.effects.effect import Effect
 from trms_cli.gap.baselines.baseline import Baseline
 from trms_cli.gap.blind.sealing import RECORDINGS, open_key
 from trms_cli.gap.document import document_of
@@ -84,24 +85,34 @@ def bench_problem(recording: Path) -> GapProblem:
     """A recording as ``trms diagnose real=FILE`` takes it: the Newtonian model, all effects."""
     import yaml
 
-    from trms_cli.effects.effect import Effect
     from trms_cli.identification.data import DataOptions, load_datasets
     from trms_cli.models.newtonian import Newtonian
 
-    options = build(
-        yaml.safe_load((config_folder() / "data" / "recording.yaml").read_text()), "data"
-    )
+    text = (config_folder() / "data" / "recording.yaml").read_text(encoding="utf-8")
+    options = build(yaml.safe_load(text), "data")
     assert isinstance(options, DataOptions)
-    model, candidates = Newtonian(), {}
+    model = Newtonian()
+    datasets = tuple(load_datasets(str(recording), model, options))
+    return GapProblem(
+        model=model,
+        model_name="newtonian",
+        datasets=datasets,
+        candidates=bench_effects(),
+        jobs=1,
+    )
+
+
+def bench_effects() -> dict[str, Effect]:
+    """Every effect that the package brings, at its typical size."""
+    import yaml
+
+    candidates = {}
     for file in sorted((config_folder() / "effect").glob("*.yaml")):
         for name, node in yaml.safe_load(file.read_text(encoding="utf-8")).items():
             effect = build(node, f"effect.{name}")
             assert isinstance(effect, Effect)
             candidates[name] = effect
-    datasets = tuple(load_datasets(str(recording), model, options))
-    return GapProblem(
-        model=model, model_name="newtonian", datasets=datasets, candidates=candidates, jobs=1
-    )
+    return candidates
 
 
 def effects_of(key: Path, folder: Path) -> dict[str, tuple[str, ...]]:

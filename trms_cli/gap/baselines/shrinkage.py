@@ -13,6 +13,7 @@ from trms_cli.gap.free_runs import Errors, expected_errors, free_run_errors
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import FloatArray, IntArray
 from trms_cli.models.model import Model
+from trms_cli.simulation.rollout import Rollout
 
 #: Resamples of blocks, and how far a refit has to stand above the floor for a gap to shrink.
 _RESAMPLES, _LEAST_GAP = 400, 1.05
@@ -43,27 +44,45 @@ class Measured:
 
 
 def measure(
-    problem: GapProblem, parts: Parts, raw: Model, refit: Model, corrected: Model
+    problem: GapProblem,
+    parts: Parts,
+    raw: Model,
+    refit: Model,
+    corrected: Model,
+    rollouts: tuple[Rollout | None, Rollout | None] = (None, None),
 ) -> Measured:
     """Free runs of three models on the sealed part.
 
     The floor is what the corrected model would leave of its own simulation, seen through the
     declared noise.
+
+    Parameters
+    ----------
+    rollouts : (Rollout, Rollout)
+        Of the refitted and of the corrected model's structure, where they are at hand.
     """
     options = {"block": parts.block, "jobs": problem.jobs}
+    plain, richer = rollouts
 
-    def runs(model: Model) -> Errors:
-        return free_run_errors(model, parts.whole, parts.sealed, **options)  # type: ignore[arg-type]
+    def runs(model: Model, rollout: Rollout | None) -> Errors:
+        return free_run_errors(
+            model,
+            parts.whole,
+            parts.sealed,
+            rollout=rollout,
+            **options,  # type: ignore[arg-type]
+        )
 
-    before, after = runs(refit), runs(refit)
+    before = after = runs(refit, plain)
     if corrected is not refit:
-        after = runs(corrected)
-    errors = {"raw": runs(raw), "refit": before, "corrected": after}
+        after = runs(corrected, richer)
+    errors = {"raw": runs(raw, plain), "refit": before, "corrected": after}
     right = expected_errors(
         corrected,
         parts.whole,
         parts.sealed,
         seed=problem.seed,
+        rollout=plain if corrected is refit else richer,
         **options,  # type: ignore[arg-type]
     )
     units = {s.name: s.unit for d in parts.whole for s in d.outputs}
