@@ -104,9 +104,11 @@ class Linearisation:
         """Evaluate at one sample; the state after it."""
         u = self.windows.command(j, k)
         trajectory.x[j, k] = x
-        trajectory.y[j, k], trajectory.h[j, k] = self._measure.evaluate(x, u, p)
+        y, h = self._measure.evaluate(x, u, p)
         after, a, b, g = self._step.evaluate(x, u, p, self._none)
-        trajectory.a[j, k], trajectory.b[j, k], trajectory.g[j, k] = a, b, g
+        for name, value in (("y", y), ("h", h), ("a", a), ("b", b), ("g", g)):
+            place = getattr(trajectory, name)[j, k]
+            place[...] = np.reshape(value, place.shape)  # one input or output comes without axis
         return after.copy() if k + 1 < self.windows.count[j] else x
 
     def _empty(self, m: int, c: int) -> Trajectory:
