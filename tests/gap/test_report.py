@@ -48,7 +48,7 @@ def test_says_what_was_found_in_one_file() -> None:
     for expected in (
         case.sentence,
         "88 %",
-        "0.00412 ± 0.00018 N m",
+        "4.12 ± 0.18 mN m",
         case.next_experiment.why,
         case.next_experiment.command,
         "the beam never came near the table",

@@ -81,7 +81,7 @@ def diagram(where: Sequence[LocationShare], channels: Collection[str] = ()) -> F
         boxes = {name: box for name, box in _boxes().items() if box.side in sides}
         low = min(box.y for box in boxes.values()) - 0.6
         high = max(box.y for box in boxes.values()) + 0.6
-        figure = new_figure(9.2, 0.3 + 0.93 * (high - low))
+        figure = new_figure(9.2, 0.86 * (high - low))
         panel = figure.subplots()
         panel.set_axis_off()
         panel.set_aspect("equal")

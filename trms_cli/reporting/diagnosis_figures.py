@@ -70,7 +70,7 @@ def race_figure(
     best : sequence of str
         Effects of the likeliest cause; none: of the best score.
     """
-    entries = sorted(race, key=lambda entry: -entry.score)
+    entries = sorted((e for e in race if np.isfinite(e.score)), key=lambda entry: -entry.score)
     kept = entries[:_MOST_BARS]
     kept += [e for e in entries[_MOST_BARS:] if not is_suspect(e.effects)]
     named = [e for e in kept if is_suspect(e.effects)]
@@ -81,6 +81,7 @@ def race_figure(
         panel = figure.subplots()
         tops = [e.score + e.se for e in kept if np.isfinite(e.score) and is_suspect(e.effects)]
         top = max([*tops, *(e.score for e in kept if np.isfinite(e.score)), 1.0])
+        highest = max([e.score for e in named if np.isfinite(e.score)] + [1.0])
         low = min(0.0, max(min(e.score for e in kept), -0.25 * top))
         for i, entry in enumerate(kept):
             alike = bool(group & set(entry.effects)) and entry.effects != best
@@ -88,7 +89,9 @@ def race_figure(
             panel.barh(i, score, height=0.62, color=_bar_colour(entry, best, alike), zorder=2)
             if is_suspect(entry.effects) and entry.score >= low:
                 panel.errorbar(score, i, xerr=entry.se, color=INK, lw=1.0, capsize=2.5, zorder=3)
-            words = f"{percent(max(entry.explained, 0.0))}" + ("   confusable" if alike else "")
+            # No one closes more of the gap than its score does of the best one's.
+            closed = max(0.0, min(entry.explained, entry.score / highest))
+            words = percent(closed) + ("   confusable" if alike else "")
             panel.text(1.01, i, words, transform=panel.get_yaxis_transform(), va="center", size=8)
         panel.set_yticks(range(len(kept)), [entry_name(e.effects) for e in kept])
         for tick, entry in zip(panel.get_yticklabels(), kept, strict=True):

@@ -11,6 +11,8 @@ from trms_cli.gap.document import horizon_key
 FAR = 2.5
 #: s; the horizon that stands for all.
 _TOLD = 2.0
+#: Units of sizes as prose has them, with the factor to them.
+_SIZES = {"1": ("", 1.0), "N*m": ("mN m", 1e3), "s": ("ms", 1e3), "kg": ("g", 1e3)}
 #: nats within which two competitors are level.
 _LEVEL = 3.0
 #: Probability from which an answer is called sure, and likely.
@@ -47,9 +49,9 @@ def size_words(sizes: Mapping[str, SizeEstimate]) -> str:
     """Sizes of a cause with their deviations; one without any was held where it is."""
     words = []
     for name, size in sizes.items():
-        unit = "" if size.unit == "1" else size.unit.replace("*", " ")
-        spread = f" ± {size.sd:.2g}" if size.sd > 0 else ""
-        words.append(f"{name.split('.', 1)[-1]} {size.value:.3g}{spread} {unit}".rstrip())
+        unit, scale = _SIZES.get(size.unit, (size.unit.replace("*", " "), 1.0))
+        spread = f" ± {scale * size.sd:.2g}" if size.sd > 0 else ""
+        words.append(f"{name.split('.', 1)[-1]} {scale * size.value:.3g}{spread} {unit}".rstrip())
     return ", ".join(words)
 
 
