@@ -131,6 +131,7 @@ def _print(tables: Mapping[str, Table], document: Mapping[str, Any], folder: Pat
         f"set {document['set']}, {document['cases']} rigs, seed {document['seed']}; the key is "
         f"the one that was told, {document['commitment'][:16]}…",
         highlight=False,
+        soft_wrap=True,
     )
     for name, table in tables.items():
         method = document["methods"][name]
@@ -156,4 +157,5 @@ def _print(tables: Mapping[str, Table], document: Mapping[str, Any], folder: Pat
                 highlight=False,
             )
         console.print()
-    console.print(f"written: {folder / DOCUMENT_NAME}, {folder / PAGE_NAME}", highlight=False)
+    written = f"written: {folder / DOCUMENT_NAME}, {folder / PAGE_NAME}"
+    console.print(written, highlight=False, soft_wrap=True)

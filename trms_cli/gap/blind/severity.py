@@ -7,7 +7,8 @@ ratio is the root mean square of those of the four channels. Of a small effect t
 
 ``python -m trms_cli.gap.blind.severity`` measures again at the sizes of ``severity.json`` beside
 this module, corrects them, and writes it (about ten minutes); without the file it begins at the
-reference sizes.
+reference sizes. With names of effects behind it those alone are measured, and added to the points
+that are known of them.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ FILE = Path(__file__).with_name("severity.json")
 LEVELS: Mapping[str, float] = {"weak": 1.3, "medium": 2.0, "strong": 4.0}
 #: No effect grows beyond so many times its typical size: rigs remain rigs.
 LARGEST = 3.0
-#: A level counts as reached where the ratio comes within this share of it.
-_NEAR = 0.25
+#: A level counts as reached where the gap beyond the floor comes so near to it.
+_NEAR = 0.75
 _DURATION, _SAMPLE, _SETTLING, _SEED, _AMPLITUDE = 60.0, 0.02, 10.0, 20, 0.8
 #: Rigs without effect whose mean is the floor.
 _NULLS = 8
@@ -53,8 +54,15 @@ def reached(effect: str) -> tuple[str, ...]:
     """The levels that an effect reaches without growing beyond reason."""
     levels = table()[effect]
     return tuple(
-        level for level, ratio in LEVELS.items() if levels[level]["ratio"] > (1 - _NEAR) * ratio
+        level
+        for level, ratio in LEVELS.items()
+        if _beyond(levels[level]["ratio"]) > _NEAR * _beyond(ratio)
     )
+
+
+def _beyond(ratio: float) -> float:
+    """The gap beyond the floor, in floors."""
+    return float(np.sqrt(max(ratio**2 - 1, 0.0)))
 
 
 def factor_of(effect: str, level: str) -> float:
@@ -99,31 +107,33 @@ def _crossing(size: FloatArray, gap: FloatArray, wanted: float) -> float:
     return float(size[-1] + wanted - gap[-1])
 
 
-def measure(effects: Sequence[str]) -> dict[str, Any]:
-    """Measure all effects; progress goes to the error stream."""
+def measure(effects: Sequence[str], known: Mapping[str, Any]) -> dict[str, Any]:
+    """Measure effects; progress goes to the error stream.
+
+    Parameters
+    ----------
+    known : dict of str to dict
+        Entries of the file whose measured points count as well.
+    """
+    points = {e: [tuple(p) for p in known.get(e, {}).get("measured", [])] for e in effects}
     factors = {e: _begin(e) for e in effects}
-    ratios: dict[str, list[float]] = {e: [] for e in effects}
     for _ in range(1 if FILE.is_file() else 2):
-        tried = [(e, f) for e in effects for f in factors[e][len(ratios[e]) :]]
-        for (effect, _), ratio in zip(tried, _ratios(tried), strict=True):
-            ratios[effect].append(ratio)
-        for effect in effects:
-            levels = interpolated(np.array(factors[effect]), np.array(ratios[effect]))
-            new = {levels[level]["factor"] for level in LEVELS} - set(factors[effect])
-            factors[effect] += sorted(new)
+        tried = [(e, f) for e in effects for f in factors[e]]
+        for (effect, factor), ratio in zip(tried, _ratios(tried), strict=True):
+            points[effect].append((factor, float(f"{ratio:.4g}")))
+        factors = {e: sorted({lv["factor"] for lv in _levels(points[e]).values()}) for e in effects}
     found: dict[str, Any] = {}
     for effect in effects:
-        known = len(ratios[effect])
-        levels = interpolated(np.array(factors[effect][:known]), np.array(ratios[effect]))
-        measured = [
-            [f, float(f"{r:.4g}")] for f, r in zip(factors[effect], ratios[effect], strict=False)
-        ]
         found[effect] = {
             level: {**values, "sizes": TRUTHS[effect].sized(values["factor"])}
-            for level, values in levels.items()
+            for level, values in _levels(points[effect]).items()
         }
-        found[effect]["measured"] = sorted(measured)
+        found[effect]["measured"] = sorted(points[effect])
     return found
+
+
+def _levels(points: Sequence[tuple[float, float]]) -> dict[str, dict[str, float]]:
+    return interpolated(np.array([f for f, _ in points]), np.array([r for _, r in points]))
 
 
 def _begin(effect: str) -> list[float]:
@@ -170,17 +180,19 @@ def _say(text: str) -> None:
     sys.stderr.flush()
 
 
-def main() -> None:
-    """Measure and write."""
-    effects = measure(list(TRUTHS))
+def main(names: Sequence[str]) -> None:
+    """Measure all effects anew, or some on top of what is known of them; write."""
+    kept = dict(table()) if names else {}
+    known = {name: kept[name] for name in names if name in kept}
+    found = kept | measure(list(names) or list(TRUTHS), known)
     document = {
         "schema": "trms.blind.severity/1",
         "levels": dict(LEVELS),
         "how": "python -m trms_cli.gap.blind.severity",
-        "effects": effects,
+        "effects": {name: found[name] for name in TRUTHS if name in found},
     }
     FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -195,7 +195,7 @@ OUTSIDE: Mapping[str, Truth] = {
         sizes={"torque": 0.004}, grows=("torque",), locations=("yaw_moment",), outside=True
     ),
     "yaw_cable_catch": Truth(
-        sizes={"stiffness": 0.03, "angle": 0.6},
+        sizes={"stiffness": 0.03, "angle": 0.3},
         grows=("stiffness",),
         locations=("yaw_moment",),
         outside=True,
