@@ -11,7 +11,8 @@ from pathlib import Path
 from time import process_time
 
 from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
+from trms_cli.core.plugins import nearest
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -30,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m experiments.gap", description=__doc__)
-    parser.add_argument("--only", default="*", metavar="PATTERN", help="effects: 'yaw_*'")
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="rigs: 'yaw_*', '*-1'")
     parser.add_argument(
         "--models",
         metavar="NAME,NAME",
@@ -60,13 +61,14 @@ def _study(given: argparse.Namespace) -> int:
     from experiments.gap.separation import separate
 
     study = read_study()
-    study["effects"] = {
-        name: sizes
-        for name, sizes in study["effects"].items()
-        if fnmatch.fnmatchcase(name, given.only)
-    }
     begin = process_time()
-    rigs = rigs_of(study)
+    rigs = [rig for rig in rigs_of(study) if fnmatch.fnmatchcase(rig.name, given.only)]
+    if not rigs:
+        raise ConfigurationError(
+            f"no rig is called {given.only!r}",
+            where="--only",
+            remedy=nearest(given.only, [rig.name for rig in rigs_of(study)]),
+        )
     record(rigs, study, given.out, _tell)
     models = given.models.split(",") if given.models else study["models"]
     verdicts = []

@@ -99,14 +99,17 @@ def rigs_of(study: Mapping[str, Any]) -> list[Rig]:
 
 def record(rigs: Sequence[Rig], study: Mapping[str, Any], out: Path, told: Told) -> None:
     """Recordings for the diagnosis, of all rigs at once; earlier ones are taken."""
-    if all((out / rig.name / RECORDING).exists() for rig in rigs):
+    missing = [rig for rig in rigs if not (out / rig.name / RECORDING).exists()]
+    if not missing:
         return
-    told(f"recording {len(rigs)} rigs")
+    told(f"recording {len(missing)} rigs")
     duration, step = study["record"]["duration"], study["record"]["sample_time"]
-    commands = {seed: gentle_excitation(seed, duration, step) for seed in {r.seed for r in rigs}}
-    driver = OpenLoop(np.stack([commands[rig.seed] for rig in rigs]))
-    recorded = driven(rigs, driver, duration, step, settling=_SETTLING, seed=_RECORDING_SEED)
-    for i, rig in enumerate(rigs):
+    commands = {s: gentle_excitation(s, duration, step) for s in {r.seed for r in missing}}
+    driver = OpenLoop(np.stack([commands[rig.seed] for rig in missing]))
+    recorded = driven(
+        missing, driver, duration, step, among=rigs, settling=_SETTLING, seed=_RECORDING_SEED
+    )
+    for i, rig in enumerate(missing):
         (out / rig.name).mkdir(parents=True, exist_ok=True)
         write_csv(recorded, i, out / rig.name / RECORDING)
 
@@ -153,57 +156,43 @@ def control(
     out: Path,
     told: Told,
 ) -> list[Tracking]:
-    """Control every rig in every task with every model; runs that are there already are taken.
-
-    All copies of a rig meet the same noise and drift.
-    """
-    missing = [
-        (task, model)
-        for task in tasks
-        for model in models
-        if not all(_file(rig, task, model, out).exists() for rig in rigs)
-    ]
+    """Control every rig in every task with every model; runs that are there already are taken."""
+    wanted = [(rig, task, model) for task in tasks for model in models for rig in rigs]
+    missing = [run for run in wanted if not _file(*run, out).exists()]
     if missing:
-        told(f"controlling {len(rigs) * len(missing)} rigs: models and loops")
         loops = {task: loop_of(words) for task, words in tasks.items()}
-        _control(rigs, missing, loops, study, out, told)
-    return [
-        Tracking(**json.loads(_file(rig, task, model, out).read_text(encoding="utf-8")))
-        for task in tasks
-        for model in models
-        for rig in rigs
-    ]
+        _control(missing, loops, study, out, told)
+    return [Tracking(**json.loads(_file(*run, out).read_text(encoding="utf-8"))) for run in wanted]
 
 
 def _control(
-    rigs: Sequence[Rig],
-    combinations: Sequence[tuple[str, str]],
+    runs: Sequence[tuple[Rig, str, str]],
     loops: Mapping[str, Loop],
     study: Mapping[str, Any],
     out: Path,
     told: Told,
 ) -> None:
     duration, step = study["run"]["duration"], study["record"]["sample_time"]
-    made = {model: [model_of(rig, model, out) for rig in rigs] for _, model in combinations}
+    told(f"making models and loops of {len(runs)} runs")
+    made = {(rig.name, model): model_of(rig, model, out) for rig, _, model in runs}
     driver = ModelBased(
-        [loops[task] for task, _ in combinations for _ in rigs],
-        [m for _, model in combinations for m in made[model]],
+        [loops[task] for _, task, _ in runs],
+        [made[rig.name, model] for rig, _, model in runs],
         round(duration / step),
         step,
     )
-    told(f"controlling {len(rigs) * len(combinations)} rigs for {duration:g} s")
-    recorded = driven(rigs, driver, duration, step, copies=len(combinations), seed=_RUN_SEED)
-    for k, (task, model) in enumerate(combinations):
-        for i, rig in enumerate(rigs):
-            at = k * len(rigs) + i
-            angles, commands = recorded.measured[at, :, :2], recorded.commands[at]
-            references = driver.references[at]
-            run = tracking(rig, task, model, references, angles, commands, step, study)
-            file = _file(rig, task, model, out)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            traces = {"time": recorded.time, "reference": references, "angle": angles}
-            np.savez_compressed(file.with_suffix(".npz"), command=commands, **traces)
-            file.write_text(json.dumps(asdict(run)), encoding="utf-8")
+    told(f"{len(runs)} runs of {duration:g} s")
+    rigs = [rig for rig, _, _ in runs]
+    recorded = driven(rigs, driver, duration, step, among=rigs_of(study), seed=_RUN_SEED)
+    for i, run in enumerate(runs):
+        angles, commands = recorded.measured[i, :, :2], recorded.commands[i]
+        references = driver.references[i]
+        found = tracking(*run, references, angles, commands, step, study)
+        file = _file(*run, out)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        traces = {"time": recorded.time, "reference": references, "angle": angles}
+        np.savez_compressed(file.with_suffix(".npz"), command=commands, **traces)
+        file.write_text(json.dumps(asdict(found)), encoding="utf-8")
 
 
 def tracking(

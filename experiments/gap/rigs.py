@@ -71,36 +71,39 @@ def rig_of(effect: str, sizes: Mapping[str, float], seed: int, scatter: float) -
     return Rig(effect, sizes, seed, Newtonian().parameters.drawn(seed, scatter))
 
 
-class SameForEach(np.random.Generator):
-    """Draws for a number of rigs, repeated for every copy of them.
+class OwnDraws(np.random.Generator):
+    """Draws for a number of rigs, of which some are taken, in any order and more than once.
 
-    A rig then meets the same noise and the same drift whatever commands it, and what remains
-    between two runs is what the model did.
+    A rig then meets the same noise and the same drift whatever commands it and whoever runs beside
+    it, and what remains between two runs is what the model did.
 
     Parameters
     ----------
-    seed, copies : int
+    seed : int
+    places : sequence of int
+        Which of the rigs each column is.
+    of : int
+        Number of rigs that there are.
     """
 
-    def __init__(self, seed: int, copies: int) -> None:
+    def __init__(self, seed: int, places: Sequence[int], of: int) -> None:
         super().__init__(np.random.PCG64(seed))
-        self._copies = copies
+        self._places, self._of = np.array(places), of
 
     def _shape(self, size: Any) -> tuple[int, ...]:
         *outer, n = (size,) if isinstance(size, int) else size
-        return (*outer, n // self._copies)
-
-    def _copied(self, drawn: FloatArray) -> Any:
-        return np.concatenate([drawn] * self._copies, axis=-1)
+        if n != len(self._places):
+            raise ValueError(f"draws for {n} rigs, of {len(self._places)}")
+        return (*outer, self._of)
 
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
-        return self._copied(super().uniform(low, high, self._shape(size)))
+        return super().uniform(low, high, self._shape(size))[..., self._places]
 
     def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: Any = None) -> Any:
-        return self._copied(super().normal(loc, scale, self._shape(size)))
+        return super().normal(loc, scale, self._shape(size))[..., self._places]
 
     def standard_normal(self, size: Any = None, *_: Any, **__: Any) -> Any:
-        return self._copied(super().standard_normal(self._shape(size)))
+        return super().standard_normal(self._shape(size))[..., self._places]
 
 
 def driven(
@@ -109,33 +112,35 @@ def driven(
     duration: float,
     sample_time: float,
     *,
-    copies: int = 1,
+    among: Sequence[Rig] = (),
     settling: float = 0.0,
     seed: int = 0,
 ) -> Recorded:
-    """Drive ``copies`` copies of the rigs at once, copy after copy.
+    """Drive rigs at once, some of them several times.
 
     Parameters
     ----------
     driver : Driver
-        Of ``copies · len(rigs)`` rigs.
     duration, sample_time, settling : float
         s; see :meth:`trms_cli.gap.blind.rig.Rigs.run`.
+    among : sequence of Rig
+        All rigs there are, each once; with ``seed`` they determine what a rig meets. Empty: those
+        given.
     seed : int
         Of noise and drift.
     """
     n = len(rigs)
     constants = {
-        name: np.tile([rig.parameters[name].value for rig in rigs], copies)
+        name: np.array([rig.parameters[name].value for rig in rigs])
         for name in Newtonian().parameters.names
     }
     sizes: dict[str, FloatArray] = {}
     for i, rig in enumerate(rigs):
         for size, value in rig.sizes.items():
-            column = sizes.setdefault(f"{rig.effect}.{size}", np.zeros(n * copies))
-            column[i::n] = value
+            sizes.setdefault(f"{rig.effect}.{size}", np.zeros(n))[i] = value
+    known = [rig.name for rig in among or rigs]
     # numpy takes a generator where it takes a seed
-    random = cast(int, SameForEach(seed, copies))
+    random = cast(int, OwnDraws(seed, [known.index(rig.name) for rig in rigs], len(known)))
     return Rigs(constants, sizes, seed=random).run(driver, duration, sample_time, settling)
 
 

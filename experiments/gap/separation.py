@@ -84,7 +84,7 @@ def separate(study: Mapping[str, Any], out: Path, told: Told) -> list[Separation
     folders = [out / f"separation-{rig.seed}" for rig in rigs]
     if not all((folder / RECORDING).exists() for folder in folders):
         told(f"recording {len(rigs)} rigs with slow sines")
-        samples = round(study["record"]["duration"] / step)
+        samples = round(asked["duration"] / step)
         commands = np.stack([slow_sines(r.seed, samples, step, asked["highest"]) for r in rigs])
         recorded = driven(
             rigs, OpenLoop(commands), samples * step, step, settling=20.0, seed=_SEEDS[0]

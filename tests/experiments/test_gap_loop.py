@@ -14,7 +14,7 @@ pytest.importorskip("experiments.gap", reason="the studies are in the checkout o
 from experiments.gap.closing_loop import Tracking, Verdict, tracking
 from experiments.gap.driver import ModelBased, loop_of
 from experiments.gap.page import Findings, document, mean_and_interval, recovered, tables
-from experiments.gap.rigs import SameForEach, driven, gentle_excitation, read_study, rig_of
+from experiments.gap.rigs import OwnDraws, driven, gentle_excitation, read_study, rig_of
 from experiments.gap.separation import Separation, Standing, commands_of, slow_sines, standing
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.model_file import load_model
@@ -28,12 +28,14 @@ def _run(model: str, rmse: float, rig: str = "a-1", effect: str = "a") -> Tracki
     return Tracking(rig, effect, 1, "squares", model, both, both, both, both)
 
 
-def test_copies_of_a_rig_meet_the_same_noise() -> None:
-    drawn = SameForEach(3, 2).normal(0, 1.0, 6)
-    assert np.array_equal(drawn[:3], drawn[3:])
-    assert np.array_equal(drawn[:3], np.random.default_rng(3).normal(0, 1.0, 3))
-    phases = SameForEach(3, 2).uniform(0, 1, (2, 6))
-    assert np.array_equal(phases[:, :3], phases[:, 3:])
+def test_a_rig_meets_the_same_noise_in_any_company() -> None:
+    alone = OwnDraws(3, [1], 3).normal(0, 1.0, 1)
+    both = OwnDraws(3, [1, 0, 1], 3).normal(0, 1.0, 3)
+    assert both[0] == both[2] == alone[0] != both[1]
+    phases = OwnDraws(3, [2, 2], 3).uniform(0, 1, (2, 2))
+    assert np.array_equal(phases[:, 0], phases[:, 1])
+    with pytest.raises(ValueError):
+        OwnDraws(3, [2, 2], 3).normal(0, 1.0, 4)
 
 
 def test_the_loop_follows_on_a_rig_of_other_code() -> None:
@@ -43,7 +45,7 @@ def test_the_loop_follows_on_a_rig_of_other_code() -> None:
     heavier = Newtonian(parameters={"m_cb": 0.075})
     samples = round(7.0 / STEP)
     driver = ModelBased([loop] * 3, [Newtonian(), Newtonian(), heavier], samples, STEP)
-    run = driven([rig], driver, 7.0, STEP, copies=3, seed=2)
+    run = driven([rig] * 3, driver, 7.0, STEP, among=[rig], seed=2)
     assert np.array_equal(run.measured[0], run.measured[1])
     assert not np.array_equal(run.commands[0], run.commands[2])
     assert np.abs(run.commands).max() <= 2.5
