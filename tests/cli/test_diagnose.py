@@ -483,3 +483,62 @@ class TestBadInput:
         document = read(lab / "degree" / "diagnosis.json")
         assert any("alpha_h is missing" in warning for warning in document["warnings"])
         assert "alpha_h is missing" in done.stdout
+
+
+#: A diagnosis by the pipeline itself, short enough for a test.
+WHOLE = (
+    *("diagnose", "real=rig.csv", "effort=quick", "block=5"),
+    f"candidates=[{FRICTION},main_input_delay,pitch_coulomb_friction]",
+)
+
+
+@pytest.fixture(scope="module")
+def done(trms) -> Done:
+    """What the pipeline itself leaves."""
+    done: Done = trms(*WHOLE, "out=whole")
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.mark.slow
+class TestWhole:
+    """With the pipeline itself, on the rig whose yaw has friction."""
+
+    def test_names_the_effect_and_its_size(self, done, lab):
+        document = read(lab / "whole" / "diagnosis.json")
+        assert document["verdict"] == "effect"
+        assert document["causes"][0]["effects"] == [FRICTION]
+        size = document["causes"][0]["parameters"][f"{FRICTION}.torque"]
+        assert abs(size["value"] - 0.005) < 0.0005
+        assert sum(cause["probability"] for cause in document["causes"]) == pytest.approx(1.0)
+        assert document["where"][0]["location"] == "yaw_moment"
+        assert document["sentence"] in " ".join(done.stdout.split())
+
+    def test_the_corrected_model_is_better_than_the_refit(self, done, trms, lab):
+        errors = {}
+        for name in ("refit_model", "corrected_model"):
+            validated = trms(
+                "validate", "real=rig.csv", f"model=whole/{name}.yaml", "data.start=30",
+                "page=false", f"out=whole-{name}",
+            )  # fmt: skip
+            assert validated.returncode == 0, validated.stderr
+            errors[name] = read(lab / f"whole-{name}" / "validation.json")["error"]["alpha_h"]
+        assert errors["corrected_model"]["2.0"] < 0.3 * errors["refit_model"]["2.0"]
+
+    def test_stopped_and_resumed_it_says_the_same(self, done, trms, lab, monkeypatch):
+        from trms_cli.commands.diagnose_progress import DiagnoseProgress
+
+        told = DiagnoseProgress.update
+
+        def stopping(self: DiagnoseProgress, fraction: float, cost: float, message: str) -> bool:
+            return told(self, fraction, cost, message) and not message.startswith("where")
+
+        monkeypatch.setattr(DiagnoseProgress, "update", stopping)
+        assert trms(*WHOLE, "out=parted").returncode == 130
+        monkeypatch.setattr(DiagnoseProgress, "update", told)
+        again = trms("diagnose", "resume=parted")
+        assert again.returncode == 0, again.stderr
+        whole, parted = (read(lab / f / "diagnosis.json") for f in ("whole", "parted"))
+        for document in (whole, parted):
+            del document["seconds"]
+        assert parted == whole
