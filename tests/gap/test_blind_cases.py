@@ -105,6 +105,14 @@ def test_more_severe_is_larger_and_never_beyond_reason() -> None:
         assert severity.reached(effect) == tuple(severity.LEVELS)[: len(severity.reached(effect))]
 
 
+def test_the_file_says_what_its_measured_points_say() -> None:
+    for effect, entry in severity.table().items():
+        factors, ratios = np.array(entry["measured"]).T
+        for level, found in severity.interpolated(factors, ratios).items():
+            assert {key: entry[level][key] for key in found} == found
+            assert entry[level]["sizes"] == TRUTHS[effect].sized(found["factor"])
+
+
 def test_sizes_between_measured_ones() -> None:
     factors = np.array([0.5, 1.0, 2.0])
     levels = severity.interpolated(factors, np.sqrt(1 + factors**2))  # a gap as large as the size

@@ -159,6 +159,8 @@ _FARTHEST = 2.5  # prior standard deviations of an offset
 _OTHER_FORM, _JITTERY, _JITTER = 0.5, 0.15, 8e-4
 #: Strong and medium cases are what the measures are about.
 _LEVELS = ("medium", "strong", "medium", "strong", "weak")
+#: Levels of twins, the first that both reach.
+_MATCHED = ("medium", "weak")
 #: Without the speed of its rotor nothing tells a lag of its tacho.
 _NEEDS_SPEED = ("main_tacho_lag", "tail_tacho_lag")
 
@@ -264,12 +266,13 @@ class _Draw:
     def _matched(self) -> Iterator[Case]:
         twin = 0
         while True:
-            for group in self._random.permutation(len(GROUPS)):
-                able = [e for e in GROUPS[group] if "medium" in severity.reached(e)]
-                if len(able) < len(GROUPS[group]):
+            for number in self._random.permutation(len(GROUPS)):
+                group = GROUPS[number]
+                common = [lv for lv in _MATCHED if all(lv in severity.reached(e) for e in group)]
+                if not common:
                     continue
                 twin += 1
-                cases = [self._with("matched", {e: "medium"}, group=GROUPS[group]) for e in able]
+                cases = [self._with("matched", {e: common[0]}, group=group) for e in group]
                 for case in cases:
                     rig = cases[0]  # one rig, one excitation
                     yield replace(

@@ -82,7 +82,8 @@ def interpolated(factors: FloatArray, ratios: FloatArray) -> dict[str, dict[str,
     size = np.log(factors[order])
     # what lies within 5 % of the floor is the floor's own scatter
     gap = np.log(np.sqrt(np.maximum(ratios[order] ** 2 - 1, 1.05**2 - 1)))
-    gap = np.maximum.accumulate(gap)
+    # a larger size makes no smaller gap: scatter is halved between what is before and after
+    gap = (np.maximum.accumulate(gap) + np.minimum.accumulate(gap[::-1])[::-1]) / 2
     found = {}
     for level, ratio in LEVELS.items():
         wanted = 0.5 * np.log(ratio**2 - 1)
