@@ -102,6 +102,16 @@ def test_what_could_not_be_told_is_a_dash() -> None:
     assert "pitch 2 – ∞ – 1 mrad –" in words_of(diagnosis_page(case).html())
 
 
+def test_nothing_corrected_is_not_called_closed() -> None:
+    row = diagnosis().gap["alpha_h"]["2.0"]
+    same = {"alpha_h": {"2.0": replace(row, corrected=row.refit)}}
+    case = diagnosis(gap=same, verdict="none_of_these", **PLAIN)
+    said = words_of(diagnosis_page(case).html())
+    assert "No cause was added" in said and "the correction closes" not in said
+    panel = figures.gap_figure(same, corrected=False).axes[0]
+    assert [line.get_label() for line in panel.lines] == ["as it was", "refitted", "floor"]
+
+
 def test_a_channel_that_got_worse_is_not_hidden() -> None:
     row = diagnosis().gap["omega_v"]["2.0"]
     worse = {"omega_v": {"2.0": replace(row, corrected=1.2 * row.refit)}}
@@ -168,6 +178,8 @@ class TestRace:
         panel = figures.race_figure(case.race, case.confusable, best).axes[0]
         bold = [t.get_text() for t in panel.get_yticklabels() if t.get_fontweight() == "bold"]
         assert bold == ["yaw Stribeck friction"]
+        nameless = diagnosis(causes=(Cause(effects=("none_of_these",), probability=0.9),))
+        assert race_words(nameless).startswith("Yaw Coulomb friction foretells")
         swapped = diagnosis(causes=(Cause(effects=best, probability=0.9), *case.causes[:1]))
         assert race_words(swapped).startswith("Yaw Stribeck friction foretells")
         assert "Above it is yaw Coulomb friction by 30 nats" in race_words(swapped)

@@ -214,8 +214,14 @@ def _stay_near(panel: Axes, measured: np.ndarray) -> None:
     panel.set_ylim(max(bottom, low - reach), min(top, high + reach))
 
 
-def gap_figure(gap: Mapping[str, Mapping[str, Gap]]) -> Figure | None:
-    """The gap over the length of a free run, a panel a channel; None without a gap told."""
+def gap_figure(gap: Mapping[str, Mapping[str, Gap]], *, corrected: bool = True) -> Figure | None:
+    """The gap over the length of a free run, a panel a channel; None without a gap told.
+
+    Parameters
+    ----------
+    corrected : bool
+        Whether the corrected model is another one than the refitted.
+    """
     channels = [name for name, rows in gap.items() if rows]
     if not channels:
         return None
@@ -227,6 +233,8 @@ def gap_figure(gap: Mapping[str, Mapping[str, Gap]]) -> Figure | None:
             horizons = [h for h, _ in rows]
             unit, scale = shown_unit(rows[0][1].unit)
             for name, (words, colour, width, line) in _RUNS.items():
+                if name == "corrected" and not corrected:
+                    continue
                 values = [scale * getattr(row, name) for _, row in rows]
                 panel.loglog(
                     horizons, values, color=colour, lw=width + 0.3, ls=line, marker="o", ms=3.5,

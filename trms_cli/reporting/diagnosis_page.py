@@ -16,6 +16,7 @@ from trms_cli.reporting.diagnosis_words import (
     force_words,
     gap_words,
     interval_words,
+    is_corrected,
     percent,
     race_words,
     size_words,
@@ -165,7 +166,8 @@ def _force(page: Page, diagnosis: Diagnosis) -> None:
 
 
 def _before_and_after(page: Page, diagnosis: Diagnosis) -> None:
-    figure = figures.gap_figure(diagnosis.gap)
+    corrected = is_corrected(diagnosis)
+    figure = figures.gap_figure(diagnosis.gap, corrected=corrected)
     if figure is None:
         return
     page.section("Before and after", gap_words(diagnosis))
@@ -177,14 +179,20 @@ def _before_and_after(page: Page, diagnosis: Diagnosis) -> None:
     runs = None if diagnosis.traces is None else figures.run_figure(diagnosis.traces)
     if runs is not None:
         page.figure(runs, "One free run over the sealed part: started once, then the model alone.")
-    rows = list(_gap_rows(diagnosis))
-    page.table(
-        ["output", "free run [s]", "as it was", "refitted", "corrected", "floor", "unit", "closed",
-         "95 % interval"],
-        rows,
-        "Closed: what the correction took from the gap above the floor that the refit left.",
-        heads=2,
-    )  # fmt: skip
+    if corrected:
+        page.table(
+            ["output", "free run [s]", "as it was", "refitted", "corrected", "floor", "unit",
+             "closed", "95 % interval"],
+            list(_gap_rows(diagnosis)),
+            "Closed: what the correction took from the gap above the floor that the refit left.",
+            heads=2,
+        )  # fmt: skip
+    else:
+        page.table(
+            ["output", "free run [s]", "as it was", "refitted", "floor", "unit"],
+            [[*row[:4], *row[5:7]] for row in _gap_rows(diagnosis) if row[6]],
+            heads=2,
+        )
 
 
 def _gap_rows(diagnosis: Diagnosis) -> Iterator[list[Cell | Marked]]:
@@ -314,12 +322,14 @@ def _not_told(page: Page, diagnosis: Diagnosis) -> None:
 
 def _recordings(page: Page, diagnosis: Diagnosis, remarks: Sequence[str]) -> None:
     page.section("Recordings")
-    points: list[str | Marked] = [Marked(text, "doubtful") for text in diagnosis.warnings]
-    points += [text for text in remarks if text not in diagnosis.warnings]
+    points: list[str | Marked] = [
+        Marked(text, "doubtful") for text in diagnosis.warnings if text not in remarks
+    ]
+    points += remarks
     if points:
         page.points(points)
     page.table(
-        ["file", "length [s]", "rate [Hz]", "outputs", "SHA-256"],
+        ["file", "length [s]", "rate [Hz]", "channels", "SHA-256"],
         [
             [
                 r.file,

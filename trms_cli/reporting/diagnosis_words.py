@@ -132,13 +132,19 @@ def where_words(diagnosis: Diagnosis) -> str:
 
 
 def winner(diagnosis: Diagnosis) -> RaceEntry | None:
-    """The competitor that is the likeliest cause; the best score where none of them is."""
+    """The competitor that is the likeliest answer; the best score where it is no effect."""
     named = [e for e in diagnosis.race if is_suspect(e.effects)]
-    for cause in sorted(diagnosis.causes, key=lambda cause: -cause.probability):
-        for entry in named:
-            if entry.effects == cause.effects:
-                return entry
+    first = max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
+    for entry in named:
+        if first is not None and entry.effects == first.effects:
+            return entry
     return max(named, key=lambda entry: entry.score, default=None)
+
+
+def is_corrected(diagnosis: Diagnosis) -> bool:
+    """Whether the corrected model is another one than the refitted."""
+    rows = [row for rows in diagnosis.gap.values() for row in rows.values()]
+    return any(row.corrected != row.refit for row in rows)
 
 
 def is_suspect(effects: Sequence[str]) -> bool:
@@ -189,6 +195,8 @@ def force_words(diagnosis: Diagnosis) -> str:
 def gap_words(diagnosis: Diagnosis) -> str:
     """How far the gap shrinks, on data that nothing was chosen on."""
     words = "On a part of the recordings that was sealed: nothing was fitted or chosen on it."
+    if not is_corrected(diagnosis):
+        return f"{words} No cause was added, so the refitted model is all there is to show."
     rows = diagnosis.shrink.get("all", {})
     told = next((h for h in rows if horizon_key(h) == horizon_key(_TOLD)), None)
     shrink = rows[told] if told is not None else None
