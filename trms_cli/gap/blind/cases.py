@@ -292,8 +292,11 @@ class _Draw:
                 levels = [lv for lv in severity.reached(names[i]) if weak or lv != "weak"]
                 turn += 1
                 wanted = _LEVELS[turn % len(_LEVELS)]
-                if levels:
-                    yield names[i], wanted if wanted in levels else levels[-1]
+                if wanted in levels:
+                    yield names[i], wanted
+                elif "medium" in levels:
+                    yield names[i], levels[-1]
+                # what is never more than weak comes when it is weak's turn
 
     def _with(self, kind: Kind, levels: Mapping[str, str], group: tuple[str, ...] = ()) -> Case:
         random = self._random
