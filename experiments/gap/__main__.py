@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _study(given: argparse.Namespace) -> int:
     from experiments.gap import page
-    from experiments.gap.closing_loop import control, diagnose, record, rigs_of
+    from experiments.gap.closing_loop import control, diagnose, record, rigs_of, sizes_of
     from experiments.gap.models import DIAGNOSED
     from experiments.gap.rigs import read_study
     from experiments.gap.separation import separate
@@ -77,7 +77,8 @@ def _study(given: argparse.Namespace) -> int:
         verdicts.append(diagnose(rig, study["diagnose"], given.out))
     runs = control(rigs, study["tasks"], models, study, given.out, _tell)
     separations = [] if given.without_separation else separate(study, given.out, _tell)
-    found = page.Findings(runs, verdicts, separations, process_time() - begin)
+    sizes = [sizes_of(rig, models, given.out) for rig in rigs]
+    found = page.Findings(runs, verdicts, sizes, separations, process_time() - begin)
     _tell("")
     page.print_tables(found)
     page.write_out(found, given.out, given.out)

@@ -88,6 +88,25 @@ class Verdict:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Sizes:
+    """How large an effect is.
+
+    Attributes
+    ----------
+    rig, effect : str
+    own : dict of str to float
+        The rig's, by the name of the size.
+    fitted : dict of str to dict of str to float
+        By model; without those that a model does not have.
+    """
+
+    rig: str
+    effect: str
+    own: Mapping[str, float]
+    fitted: Mapping[str, Mapping[str, float]]
+
+
 def rigs_of(study: Mapping[str, Any]) -> list[Rig]:
     """The rigs of the study."""
     return [
@@ -234,6 +253,20 @@ def traces_of(rig: str, task: str, model: str, out: Path) -> dict[str, FloatArra
     """``time``, ``reference``, ``angle``, ``command`` of a run that was made."""
     with np.load(out / rig / f"{task}-{model}.npz") as kept:
         return {name: np.asarray(kept[name], dtype=float) for name in kept.files}
+
+
+def sizes_of(rig: Rig, models: Sequence[str], out: Path) -> Sizes:
+    """Sizes of the rig's effect in the fitted models of it, those that have the effect."""
+    found: dict[str, dict[str, float]] = {}
+    for model in models:
+        if model in (TOLD, DIAGNOSED):
+            parameters = model_of(rig, model, out).parameters
+            found[model] = {
+                size: parameters[f"{rig.effect}.{size}"].value
+                for size in rig.sizes
+                if f"{rig.effect}.{size}" in parameters
+            }
+    return Sizes(rig.name, rig.effect, dict(rig.sizes), found)
 
 
 def _file(rig: Rig, task: str, model: str, out: Path) -> Path:

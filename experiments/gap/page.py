@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from experiments.gap.closing_loop import AXES, Tracking, Verdict, traces_of
+from experiments.gap.closing_loop import AXES, Sizes, Tracking, Verdict, traces_of
 from experiments.gap.models import DIAGNOSED, NOMINAL, TRUE
 from experiments.gap.separation import Separation
 
@@ -30,6 +30,7 @@ class Findings:
     ----------
     runs : list of Tracking
     verdicts : list of Verdict
+    sizes : list of Sizes
     separations : list of Separation
     seconds : float
         Of the processor, without what had been done before.
@@ -37,13 +38,14 @@ class Findings:
 
     runs: list[Tracking]
     verdicts: list[Verdict]
+    sizes: list[Sizes] = field(default_factory=list)
     separations: list[Separation] = field(default_factory=list)
     seconds: float = 0.0
 
 
 def tables(found: Findings) -> dict[str, list[list[str]]]:
     """Tables by name, each with its head in the first row."""
-    made = {"diagnoses": _diagnoses(found.verdicts)}
+    made = {"sizes": _sizes(found.sizes), "diagnoses": _diagnoses(found.verdicts)}
     for task in dict.fromkeys(run.task for run in found.runs):
         made[task] = _tracking([run for run in found.runs if run.task == task])
     made["separation"] = _separation(found.separations)
@@ -56,6 +58,7 @@ def document(found: Findings) -> dict[str, Any]:
         "schema": SCHEMA,
         "seconds": round(found.seconds, 1),
         "diagnoses": [asdict(verdict) for verdict in found.verdicts],
+        "sizes": [asdict(sizes) for sizes in found.sizes],
         "runs": [asdict(run) for run in found.runs],
         "separations": [asdict(separation) for separation in found.separations],
     }
@@ -177,6 +180,20 @@ def _diagnoses(verdicts: Sequence[Verdict]) -> list[list[str]]:
     return rows
 
 
+def _sizes(found: Sequence[Sizes]) -> list[list[str]]:
+    models = list(dict.fromkeys(model for sizes in found for model in sizes.fitted))
+    rows = [["effect", "size", "rig", *models]]
+    for effect in dict.fromkeys(sizes.effect for sizes in found):
+        of = [sizes for sizes in found if sizes.effect == effect]
+        for name, own in of[0].own.items():
+            row = [f"`{effect}`", name, f"{own:g}"]
+            for model in models:
+                values = [s.fitted.get(model, {}).get(name) for s in of]
+                row.append(", ".join("–" if v is None else f"{v:.3g}" for v in values))
+            rows.append(row)
+    return rows if models else rows[:1]
+
+
 def _separation(separations: Sequence[Separation]) -> list[list[str]]:
     rows = [
         ["rig", "recordings", "verdict", "true", "rival", "delay and lag", "declared confusable"]
@@ -221,6 +238,8 @@ def draw(found: Findings, folder: Path, runs: Path) -> None:
         for task in dict.fromkeys(run.task for run in found.runs):
             of = [run for run in found.runs if run.task == task]
             save_png(_errors(of), folder / f"{task}.png")
+        if not {NOMINAL, TRUE} <= {run.model for run in found.runs}:
+            return
         worst = _worst([run for run in found.runs if run.task == found.runs[0].task])
         save_png(_traces(worst, found.runs, runs), folder / "traces.png")
 

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("experiments.gap", reason="the studies are in the checkout only")
 
-from experiments.gap.closing_loop import Tracking, Verdict, tracking
+from experiments.gap.closing_loop import Sizes, Tracking, Verdict, tracking
 from experiments.gap.driver import ModelBased, loop_of
 from experiments.gap.page import Findings, document, mean_and_interval, recovered, tables
 from experiments.gap.rigs import OwnDraws, driven, gentle_excitation, read_study, rig_of
@@ -105,11 +105,14 @@ def test_tables_and_document_say_the_same() -> None:
     now = Standing("undecided", 0.4, 0.5, 0.0, True, ("b",))
     after = Standing("effect", 0.9, 0.05, 0.0, False, ("a",))
     pair = Separation("a-1", "a", "b", "why", "trms excite", now, after)
-    found = Findings(runs, [Verdict("a-1", "a", "effect", ("a",), 0.9, 12.0)], [pair])
+    sizes = Sizes("a-1", "a", {"torque": 0.006}, {"told": {"torque": 0.0058}, "diagnosed": {}})
+    verdict = Verdict("a-1", "a", "effect", ("a",), 0.9, 12.0)
+    found = Findings(runs, [verdict], [sizes], [pair])
     made = tables(found)
     assert made["squares"][1][2] == "30.0"
     assert made["squares"][2][2] == "60.0"
     assert [row[3] for row in made["separation"][1:]] == ["0.40", "0.90"]
+    assert made["sizes"][1:] == [["`a`", "torque", "0.006", "0.0058", "–"]]
     told = document(found)
     assert told["runs"][2]["rmse"]["pitch"] is None
     assert told["separations"][0]["after"]["true"] == 0.9
