@@ -1,4 +1,4 @@
-"""``python -m experiments.aero aero/``: fit a part of nominal_a, judge on the rest and nominal_b."""
+"""``python -m experiments.aero aero/``: fit a part of nominal_a, judge on what is left."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def errors(
     options = ValidationOptions(
         horizons=tuple(settings["horizons"]),
         windows=WindowOptions(
-            start="moving_horizon", history=settings["history"], stride=settings["stride"]
+            start=settings["start"], history=settings["history"], stride=settings["stride"]
         ),
     )
     found = validate_all(models, dict.fromkeys(models, (dataset,)), options)
