@@ -27,6 +27,8 @@ _LEAST = 0.01
 #: s, of the table of gaps.
 _TOLD_HORIZON = 2.0
 _BAR = 10  # letters of a probability of 1
+#: Verdicts after which the missing force itself is described.
+_UNNAMED = ("none_of_these", "undecided")
 #: Angles are told in mrad.
 _SHOWN = {"rad": ("mrad", 1e3)}
 
@@ -142,8 +144,8 @@ def _told(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
             f"({interval_words(place.ci95)}){words}",
         )
         head = ""
-    head = "found"
-    for line in diagnosis.description:
+    head = "missing"
+    for line in diagnosis.description if diagnosis.verdict in _UNNAMED else ():
         yield head, line
         head = ""
     if diagnosis.worse:

@@ -34,6 +34,8 @@ VERDICTS = {
     "none_of_these": "something that is not in the library",
     "undecided": "undecided",
 }
+#: Verdicts after which the missing force itself is described: a cause says more of it.
+_UNNAMED = ("none_of_these", "undecided")
 #: Rows of tables; the JSON has all.
 _MOST_CAUSES, _MOST_PARAMETERS = 8, 12
 #: Probabilities below which digits mean nothing.
@@ -151,17 +153,17 @@ def _race(page: Page, diagnosis: Diagnosis) -> None:
 
 
 def _force(page: Page, diagnosis: Diagnosis) -> None:
-    figure = None
+    figure, described = None, diagnosis.verdict in _UNNAMED and bool(diagnosis.description)
     if diagnosis.traces is not None:
         order = [place.location for place in diagnosis.where if place.share >= 0.02]
         order += [name for name in diagnosis.traces.explained if name not in order]
         figure = figures.force_figure(diagnosis.traces, order)
-    if figure is None and not diagnosis.description:
+    if figure is None and not described:
         return
     page.section("The missing force", force_words(diagnosis))
     if figure is not None:
         page.figure(figure, "Below: the shaded part, enlarged.")
-    if diagnosis.description:
+    if described:
         page.points(list(diagnosis.description))
 
 
