@@ -40,6 +40,7 @@ def diagnosis(
     where: Sequence[LocationShare] = (),
     confusable: Sequence[tuple[str, ...]] = (),
     parameters: Mapping[str, FittedParameter] | None = None,
+    refit: Mapping[str, float] | None = None,
     sentence: str = "",
     description: Sequence[str] = (),
     seconds: Mapping[str, float] | None = None,
@@ -76,6 +77,7 @@ def diagnosis(
         worse=measured.worse,
         effort=problem.effort,
         seconds=seconds or {},
+        refit=refit or {},
     )
 
 

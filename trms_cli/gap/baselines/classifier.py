@@ -112,6 +112,7 @@ class Classifier:
             measure(problem, parts, problem.model, plain.model, corrected.model),
             where=places(chosen, 1.0),
             parameters=corrected.nominal(),
+            refit=plain.values,
             sentence=f"The recording looks like those of synthetic rigs with {best}.",
             seconds={"all": time.perf_counter() - begun},
         )

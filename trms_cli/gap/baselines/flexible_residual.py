@@ -130,6 +130,7 @@ class FlexibleResidual:
                 for place, share in sorted(foretold.items(), key=lambda item: -item[1])
             ],
             parameters=fit.nominal(),
+            refit=fit.values,
             sentence="A force was learnt; what it is, is not said.",
             description=[
                 f"{place}: {100 * share:.0f} % of the smoothed force foretold out of sample"

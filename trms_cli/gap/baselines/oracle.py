@@ -60,6 +60,7 @@ class Oracle:
             measure(problem, parts, problem.model, plain.model, fit.model),
             where=places(chosen, 1.0),
             parameters=fit.nominal(),
+            refit=plain.values,
             sentence="The effects were told, and fitted.",
             seconds={"all": time.perf_counter() - begun},
         )

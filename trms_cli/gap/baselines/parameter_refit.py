@@ -31,6 +31,7 @@ class ParameterRefit:
             [Cause(effects=("parameters_only",), probability=1.0)],
             measured,
             parameters=fit.nominal(),
+            refit=fit.values,
             sentence="The nominal parameters were refitted; nothing else was considered.",
             seconds={"all": time.perf_counter() - begun},
         )

@@ -20,6 +20,7 @@ from trms_cli.core.plugins import build, nearest
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.gap.baselines.baseline import Baseline
+from trms_cli.gap.baselines.model_files import write_models
 from trms_cli.gap.blind.sealing import RECORDINGS, open_key
 from trms_cli.gap.document import document_of
 from trms_cli.gap.problem import GapProblem
@@ -209,12 +210,14 @@ def _answer(
 ) -> str:
     """One answer; its verdict and first cause."""
     begun = perf_counter()
-    answer = baseline_of(name, effects).answer(problem_of(recording))
+    problem = problem_of(recording)
+    answer = baseline_of(name, effects).answer(problem)
     draft = out / f".{recording.stem}"
     shutil.rmtree(draft, ignore_errors=True)
     draft.mkdir(parents=True)
     text = json.dumps(document_of(answer), indent=1, allow_nan=False)
     (draft / DOCUMENT).write_text(text + "\n", encoding="utf-8")
+    write_models(answer, problem, draft)
     seconds = json.dumps({"seconds": round(perf_counter() - begun, 2)})
     (draft / "blind.json").write_text(seconds + "\n", encoding="utf-8")
     draft.replace(out / recording.stem)

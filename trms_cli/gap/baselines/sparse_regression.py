@@ -75,6 +75,7 @@ class SparseRegression:
             where=_where(found),
             confusable=[term.effects for term in found if len(term.effects) > 1],
             parameters=fit.nominal(),
+            refit=fit.values,
             sentence=_sentence(found),
             description=[
                 f"{term.location}: {entry.coefficient:+.3g} × {term.name}, "

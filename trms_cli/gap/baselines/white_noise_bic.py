@@ -62,6 +62,7 @@ class WhiteNoiseBic:
             measure(problem, parts, problem.model, nominal.fit.model, winner.fit.model),
             where=places(winner.chosen, float(np.clip(share, 0.0, 1.0))),
             parameters=winner.fit.nominal(),
+            refit=nominal.fit.values,
             sentence=f"{', '.join(best)} has the lowest BIC on white-noise simulation error.",
             seconds={"fits": fitted, "all": time.perf_counter() - begun},
         )
