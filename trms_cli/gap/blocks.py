@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.data import noise_estimate
+from trms_cli.identification.dataset import Dataset, FloatArray
 
 #: s. Recordings that are sampled faster are thinned: no effect of the library needs more, and a
 #: filter's cost goes with the number of samples.
@@ -19,6 +20,10 @@ _LEAST_SEALED = 12.0
 _AT_STOP = 0.995
 #: From so many recordings on, whole ones are sealed.
 _SEVERAL = 3
+#: In the outputs' units: a reader of recordings that is told no noise gives less than this.
+_NOT_DECLARED = 1e-5
+#: Ripple below so many times a step's own share is that share.
+_RIPPLE = 1.4
 #: Blocks that must be left to fit: fewer cannot be compared in pairs.
 _FEWEST_BLOCKS = 4
 
@@ -66,7 +71,7 @@ def divide(
     ConfigurationError
         If hardly anything would be left.
     """
-    whole = tuple(thinned(dataset) for dataset in datasets)
+    whole = tuple(thinned(with_noise(dataset)) for dataset in datasets)
     total = sum(dataset.duration for dataset in whole)
     if len(whole) >= _SEVERAL:
         count = max(1, round(share * len(whole)))
@@ -109,6 +114,31 @@ def _without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]
     lost = float(np.mean(np.isnan(measurements).all(axis=1)))
     remark = f"{100 * lost:.0f} % of the samples left out, from contacts with a stop on"
     return replace(dataset, measurements=measurements, remarks=(*dataset.remarks, remark))
+
+
+def with_noise(dataset: Dataset) -> Dataset:
+    """The recording with its noise told: as declared, or read from its steps and its ripple."""
+    quanta = np.array([quantum_of(column) for column in dataset.measurements.T])
+    ripple, rounding = noise_estimate(dataset.measurements), quanta / np.sqrt(12)
+    # what a step makes of a moving angle is not quite white, and looks like a little more of it
+    read = np.where(ripple < _RIPPLE * rounding, rounding, np.maximum(ripple, rounding))
+    told = dataset.noise_sd > _NOT_DECLARED
+    return replace(dataset, noise_sd=np.where(told, dataset.noise_sd, np.maximum(read, 1e-9)))
+
+
+def quantum_of(values: FloatArray) -> float:
+    """Step of a sensor: the smallest that is common between its values; 0 if they are smooth."""
+    levels = np.unique(np.round(values[np.isfinite(values)], 9))
+    steps = np.diff(levels)
+    # a recording has few digits, so that a step is met a little too small or too large
+    steps = steps[steps > 1e-6]
+    if len(steps) < 5:
+        return 0.0
+    quantum = float(np.quantile(steps, 0.1))
+    near = steps[steps < 1.5 * quantum]
+    quantum = float(np.mean(near))
+    whole = np.abs(steps / quantum - np.round(steps / quantum)) < 0.1
+    return quantum if whole.mean() > 0.9 else 0.0
 
 
 def thinned(dataset: Dataset) -> Dataset:

@@ -126,7 +126,7 @@ def _answered(
     constants = calibration()
     nominal = raced.refit
     channels = nominal.metric.discrepancy.channels
-    usual = {c.location: constants.usual(c.location) for c in channels}
+    usual = {c.location: constants.usual(c.location) for c in channels if c.fixed is None}
     watch.enter("where")
     place = locate(nominal.contestant, nominal.fit, nominal.metric.discrepancy, usual)
     following = Discrepancy(
@@ -135,7 +135,8 @@ def _answered(
     forces = smoothed_forces(nominal.contestant, nominal.fit, following, nominal.metric.shares)
     watch.enter("tests")
     # errors that are smaller than usual are no gap either
-    shares = np.minimum(nominal.metric.shares, np.array(list(usual.values())))
+    limits = np.array([usual.get(c.location, np.inf) for c in channels])
+    shares = np.minimum(nominal.metric.shares, limits)
     calm = Metric(nominal.metric.discrepancy, shares)
     tests = innovation_tests(
         nominal.contestant, nominal.fit, calm, nominal.centres, seed=problem.seed

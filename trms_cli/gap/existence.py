@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from trms_cli.gap.blocks import quantum_of
 from trms_cli.gap.diagnosis import GapTest
 from trms_cli.gap.fitting.contestant import Contestant, Fit
 from trms_cli.gap.fitting.metric import Metric
@@ -99,10 +100,11 @@ def _drawn(
     discrepancy = metric.discrepancy
     system, trajectory = discrepancy.system, discrepancy.trajectory
     m, c, _, n = system.h.shape
-    spread = metric.shares * np.sqrt(1 - discrepancy.forgotten**2)
+    sizes = discrepancy.effective(metric.shares)
+    spread = sizes * np.sqrt(1 - discrepancy.forgotten**2)
     n_x = n - len(spread)
     x = np.zeros((m, n, draws))
-    x[:, n_x:] = metric.shares[:, None] * random.standard_normal((m, len(spread), draws))
+    x[:, n_x:] = sizes[:, None] * random.standard_normal((m, len(spread), draws))
     away = np.empty((m, c, system.h.shape[2], draws))
     for t in range(c):
         away[:, t] = system.h[:, t] @ x
@@ -121,18 +123,6 @@ def _quanta(contestant: Contestant) -> FloatArray:
     """Step of each sensor, 0 where it has none, (n_y,)."""
     target = contestant.windows.target
     return np.array([quantum_of(target[..., i]) for i in range(target.shape[2])])
-
-
-def quantum_of(values: FloatArray) -> float:
-    """Step of a sensor: the smallest that is common between its values; 0 if they are smooth."""
-    levels = np.unique(np.round(values[np.isfinite(values)], 9))
-    steps = np.diff(levels)
-    steps = steps[steps > 1e-7]
-    if len(steps) < 5:
-        return 0.0
-    quantum = float(np.quantile(steps, 0.1))
-    whole = np.abs(steps / quantum - np.round(steps / quantum)) < 0.1
-    return quantum if whole.mean() > 0.9 else 0.0
 
 
 def _statistics(

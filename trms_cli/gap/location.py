@@ -19,8 +19,8 @@ from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.innovations.discrepancy import (
     Channel,
     Discrepancy,
-    equation_channels,
     sensor_channels,
+    usual_channels,
 )
 from trms_cli.gap.innovations.sizes import likely_shares, log_likelihood
 from trms_cli.models.model import Model, names
@@ -79,7 +79,7 @@ def locate(
     """
     model = contestant.problem.model
     channels: tuple[Channel, ...] = (
-        *equation_channels(model),
+        *usual_channels(model),
         *sensor_channels(model, contestant.windows.measured),
     )
     every = replace(discrepancy, channels=channels)
@@ -89,7 +89,8 @@ def locate(
     r = contestant.residuals(fit)
     none = log_likelihood(every, r, floor)
     gains, shares = [], []
-    for i in range(len(channels)):
+    tried = [i for i in range(len(channels)) if channels[i].fixed is None]
+    for i in tried:
         moving = np.arange(len(channels)) == i
         first = np.where(
             moving, np.maximum(floor, _FIRST if channels[i].kind != "output" else 0.01), floor
@@ -97,11 +98,12 @@ def locate(
         found = likely_shares(every, r, first, moving=moving, iterations=_ITERATIONS, least=floor)
         gains.append(log_likelihood(every, r, found) - none)
         shares.append(found[i])
-    start = np.maximum(floor, np.array(shares) * 0.7)
+    start = floor.copy()
+    start[tried] = np.maximum(floor[tried], 0.7 * np.array(shares))
     both = likely_shares(every, r, start, iterations=_ITERATIONS, least=floor)
     together = log_likelihood(every, r, both) - none
     return Location(
-        tuple(c.location for c in channels), np.array(gains), together, np.array(shares)
+        tuple(channels[i].location for i in tried), np.array(gains), together, np.array(shares)
     )
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.gap.blocks import quantum_of
 from trms_cli.gap.candidates import Suspect
 from trms_cli.gap.confidence import Calibration, Features, beliefs
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
-from trms_cli.gap.existence import quantum_of
 from trms_cli.gap.force import ForceRecord, exogenous
 from trms_cli.gap.location import Location
 from trms_cli.gap.problem import GapProblem

@@ -15,6 +15,7 @@ from trms_cli.gap.blocks import Parts
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race.contest import Contest
 from trms_cli.models.model import Model
+from trms_cli.simulation.rollout import Rollout
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,12 +29,16 @@ class Far:
     measured : Measured
     raw, refit, corrected : Model
         As their free runs were made.
+    plain, richer : Rollout
+        Of the first two, and of the last.
     """
 
     measured: Measured
     raw: Model
     refit: Model
     corrected: Model
+    plain: Rollout
+    richer: Rollout
 
 
 def how_far(problem: GapProblem, parts: Parts, raced: Contest, believed: Believed) -> Far:
@@ -41,13 +46,15 @@ def how_far(problem: GapProblem, parts: Parts, raced: Contest, believed: Believe
     refit = raced.refit
     fitted = with_values(problem.model, refit.contestant.values(refit.fit.theta))
     corrected = fitted
+    plain = richer = refit.contestant.windows.rollout
     if believed.corrected is not None:
         entry = believed.corrected
         corrected = with_values(
             entry.contestant.problem.model, entry.contestant.values(entry.fit.theta)
         )
-    measured = measure(problem, parts, problem.model, fitted, corrected)
-    return Far(measured, problem.model, fitted, corrected)
+        richer = entry.contestant.windows.rollout
+    measured = measure(problem, parts, problem.model, fitted, corrected, (plain, richer))
+    return Far(measured, problem.model, fitted, corrected, plain, richer)
 
 
 def with_values(model: Model, values: Mapping[str, float]) -> Model:

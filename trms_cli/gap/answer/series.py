@@ -18,7 +18,6 @@ from trms_cli.gap.location import smoothed_forces
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race.contest import Contest
 from trms_cli.models.model import Model, names
-from trms_cli.simulation.rollout import Rollout
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -80,7 +79,7 @@ def _runs(parts: Parts, far: Far) -> tuple[FloatArray, dict[str, dict[str, Float
         del models["corrected"]
     simulated = {}
     for name, model in models.items():
-        rollout = Rollout(model, step)
+        rollout = far.richer if name == "corrected" else far.plain
         starts = start_states(model, rollout, dataset, begins)
         count = np.full(len(begins), samples)
         p = model.parameters.values

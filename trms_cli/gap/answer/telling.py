@@ -101,13 +101,13 @@ def told(
         "refit": refit.contestant.values(refit.fit.theta),
         "evidence": {
             **believed.features.as_json(),
-            "shares": dict(
-                zip(
-                    (c.location for c in refit.metric.discrepancy.channels),
-                    refit.metric.shares.tolist(),
-                    strict=True,
+            "shares": {
+                channel.location: share
+                for channel, share in zip(
+                    refit.metric.discrepancy.channels, refit.metric.shares.tolist(), strict=True
                 )
-            ),
+                if channel.fixed is None
+            },
             "outside": believed.outside,
         },
         "traces": series(problem, parts, raced, believed, far, forces, [w.location for w in where]),

@@ -23,6 +23,9 @@ FloatArray = npt.NDArray[np.float64]
 
 #: s. Time over which a discrepancy forgets itself.
 CORRELATION_TIME = 0.5
+#: The gain of a drive wanders on every rig, with the temperature and the supply: by this share
+#: (standard deviation), over this time in s.
+GAIN_DRIFT, DRIFT_TIME = 0.015, 30.0
 #: Sensors' outputs by name, and where in the block diagram they are.
 SENSORS = {
     "alpha_v": "pitch_sensor",
@@ -39,16 +42,20 @@ class Channel:
     Attributes
     ----------
     location : str
-    kind : {"disturbance", "input", "output"}
+    kind : {"disturbance", "input", "output", "gain"}
+        ``gain``: in proportion to a command.
     index : int
         In the model's ``w``, ``u`` or ``y``.
     unit : str
+    fixed : float or None
+        Its size, where that is not to be estimated.
     """
 
     location: str
     kind: str
     index: int
     unit: str
+    fixed: float | None = None
 
 
 def equation_channels(model: Model) -> tuple[Channel, ...]:
@@ -67,6 +74,15 @@ def input_channels(model: Model) -> tuple[Channel, ...]:
         Channel(f"{rotors.get(s.name, s.name)}_actuator", "input", i, s.unit)
         for i, s in enumerate(model.inputs)
     )
+
+
+def usual_channels(model: Model) -> tuple[Channel, ...]:
+    """What may always err: every equation, and the gain of every drive a little."""
+    gains_ = tuple(
+        Channel(channel.location, "gain", channel.index, "1", GAIN_DRIFT)
+        for channel in input_channels(model)
+    )
+    return (*equation_channels(model), *gains_)
 
 
 def sensor_channels(model: Model, measured: npt.NDArray[np.bool_]) -> tuple[Channel, ...]:
@@ -98,9 +114,24 @@ class Discrepancy:
     correlation_time: float = field(default=CORRELATION_TIME)
 
     @cached_property
-    def forgotten(self) -> float:
-        """Factor of a force from one sample to the next."""
-        return float(np.exp(-self.windows.sample_time / self.correlation_time))
+    def forgotten(self) -> FloatArray:
+        """Factor of each force from one sample to the next, (n_d,)."""
+        times = [DRIFT_TIME if c.kind == "gain" else self.correlation_time for c in self.channels]
+        kept: FloatArray = np.exp(-self.windows.sample_time / np.array(times))
+        return kept
+
+    @cached_property
+    def fixed(self) -> npt.NDArray[np.bool_]:
+        """Channels whose size is not to be estimated, (n_d,)."""
+        return np.array([channel.fixed is not None for channel in self.channels])
+
+    def effective(self, shares: FloatArray) -> FloatArray:
+        """The sizes, those that are fixed as they are fixed, (n_d,)."""
+        given = [
+            share if channel.fixed is None else channel.fixed
+            for share, channel in zip(shares, self.channels, strict=True)
+        ]
+        return np.array(given, dtype=float)
 
     @cached_property
     def scales(self) -> FloatArray:
@@ -115,6 +146,8 @@ class Discrepancy:
         n = t.x.shape[-1]
         scales = np.ones(len(self.channels))
         for i, channel in enumerate(self.channels):
+            if channel.kind == "gain":
+                continue
             if channel.kind == "output":
                 scales[i] = np.std(t.y[..., channel.index][inside])
                 continue
@@ -147,6 +180,9 @@ class Discrepancy:
                 f[..., :n, n + i] = t.g[..., channel.index] * self.scales[i]
             elif channel.kind == "input":
                 f[..., :n, n + i] = t.b[..., channel.index] * self.scales[i]
+            elif channel.kind == "gain":
+                u = windows.commands[..., channel.index, None]
+                f[..., :n, n + i] = t.b[..., channel.index] * u
             else:
                 h[..., channel.index, n + i] = self.scales[i]
         start = np.zeros((n + d, n + d))
@@ -166,8 +202,9 @@ class Discrepancy:
         """
         n = self.trajectory.x.shape[-1]
         variance = np.zeros(n + len(self.channels))
-        variance[n:] = shares**2
-        q = np.diag(variance * (1 - self.forgotten**2))
+        variance[n:] = self.effective(shares) ** 2
+        forgotten = np.concatenate([np.zeros(n), self.forgotten])
+        q = np.diag(variance * (1 - forgotten**2))
         system = LinearSystem(
             self.system.f,
             self.system.h,

@@ -46,9 +46,12 @@ def likely_shares(
     """
     shares = np.maximum(np.asarray(shares, dtype=float), least)
     n = discrepancy.trajectory.x.shape[-1]
-    chosen = np.ones(len(shares), dtype=bool) if moving is None else moving
+    chosen = ~discrepancy.fixed if moving is None else moving & ~discrepancy.fixed
     for _ in range(iterations):
-        filter_ = discrepancy.filter(shares)
+        try:
+            filter_ = discrepancy.filter(shares)
+        except FloatingPointError:  # so large that numbers no longer hold it
+            return np.maximum(shares / 4, least)
         z = discrepancy.whitened(filter_, r[..., None])[..., 0]
         squares, variances = scores(discrepancy.system, filter_, z)
         ratio = squares[n:] / np.maximum(variances[n:], 1e-300)

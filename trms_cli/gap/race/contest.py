@@ -337,7 +337,7 @@ def _partners(
     signs = projected(best.contestant, best.fit, best.metric, refit.centres, found)
     others = {n: s for n, s in suspects.items() if n not in best.names}
     listed = short_list((signs,), others, count)
-    return [name for name in listed if signs.best(name)[0] > _ENTRANCE / 2]
+    return [name for name in listed if signs.best(name)[0] > _ENTRANCE]
 
 
 def _paired(best: Entry, partner: Suspect, refit: Refit, found: Traces, stable: Stable) -> Entry:
@@ -367,10 +367,19 @@ def _each(
     """The work on each item, in threads; compiled loops let go of the interpreter's lock."""
     if not watch(low, message.format(items[0] if items else "")):
         return []
+
+    def guarded(item: Item) -> Made | None:
+        # A model that can no longer be reckoned with is no competitor, and no reason to stop.
+        try:
+            return work(item)
+        except (FloatingPointError, np.linalg.LinAlgError):
+            return None
+
     with ThreadPoolExecutor(max(1, jobs)) as pool:
         made: list[Made] = []
-        for k, result in enumerate(pool.map(work, items)):
-            made.append(result)
+        for k, result in enumerate(pool.map(guarded, items)):
+            if result is not None:
+                made.append(result)
             if not watch(low + (high - low) * (k + 1) / len(items), message.format(items[k])):
                 pool.shutdown(wait=True, cancel_futures=True)
                 break

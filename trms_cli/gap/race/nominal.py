@@ -11,7 +11,7 @@ import numpy.typing as npt
 from trms_cli.core.errors import TrmsError
 from trms_cli.gap.fitting.contestant import Contestant, Fit
 from trms_cli.gap.fitting.metric import Metric
-from trms_cli.gap.innovations.discrepancy import Discrepancy, equation_channels
+from trms_cli.gap.innovations.discrepancy import Discrepancy, usual_channels
 from trms_cli.gap.innovations.sizes import FLOOR, likely_shares
 from trms_cli.gap.innovations.trajectory import Linearisation
 from trms_cli.identification.dataset import Dataset
@@ -93,7 +93,7 @@ def refit(
     theta = contestant.theta({})
     p = contestant.problem.all_values(theta)
     centres = windows.starts(p)
-    channels = equation_channels(model)
+    channels = usual_channels(model)
     count = len(channels)
     first = Discrepancy(windows, linearisation.along(p, centres), channels)
     trajectory = linearisation.through(p, _followed(first, centres, p))
