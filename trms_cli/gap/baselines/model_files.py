@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -66,5 +65,5 @@ def _write(
 def _arguments(effect: Effect) -> dict[str, Any]:
     """What an effect is made with besides its sizes."""
     sizes = {p.name for p in effect.parameters()}
-    own = [f.name for f in fields(effect)] if is_dataclass(effect) else []  # type: ignore[arg-type]
+    own: list[str] = list(getattr(effect, "__dataclass_fields__", ()))
     return {name: getattr(effect, name) for name in own if name not in sizes}
