@@ -29,7 +29,7 @@ Told = Callable[[str], None]
 RECORDING = "recording.csv"
 AXES = ("pitch", "yaw")
 #: s for which a reference has to stand still before an axis counts as settled.
-_SETTLED_AFTER = 4.0
+_SETTLED_AFTER = 7.0
 #: s, of the brakes before a recording.
 _SETTLING = 20.0
 #: Of noise and drift: of the recordings, and of the controlled runs.

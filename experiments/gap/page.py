@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from experiments.gap.closing_loop import AXES, Sizes, Tracking, Verdict, traces_of
-from experiments.gap.models import DIAGNOSED, NOMINAL, TRUE
+from experiments.gap.models import DIAGNOSED, NOMINAL, REFIT, TOLD, TRUE
 from experiments.gap.separation import Separation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,6 +20,8 @@ PAGE, FIGURES = ROOT / "docs" / "closing-the-loop.md", ROOT / "docs" / "figures"
 SCHEMA = "trms.closing_loop/1"
 #: Share by which the nominal model's error has to exceed the true one's for a share to be told.
 _SUFFERS = 0.2
+#: Ratio of errors from which on they are drawn on a logarithmic axis.
+_WIDE = 30.0
 
 
 @dataclass
@@ -109,16 +111,35 @@ def publish(found: Findings, runs: Path, page: Path = PAGE, figures: Path = FIGU
         If the page has no marks for a table.
     """
     text = page.read_text(encoding="utf-8")
-    for name, rows in tables(found).items():
+    blocks = {name: markdown(rows) for name, rows in tables(found).items()}
+    if "separation" in blocks:
+        blocks["separation"] += "".join(
+            f"\n\n`{s.rig}`: {s.why}.\n\n    {s.command}" for s in found.separations if s.command
+        )
+    for name, block in (blocks | {"made": made_of(found)}).items():
         begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
         before, mark, rest = text.partition(begin)
         _, close, after = rest.partition(end)
         if not (mark and close):
             raise ValueError(f"{page} has no {begin} … {end}")
-        text = f"{before}{begin}\n{markdown(rows)}\n{end}{after}"
+        text = f"{before}{begin}\n{block}\n{end}{after}"
     page.write_text(text, encoding="utf-8")
     figures.mkdir(parents=True, exist_ok=True)
     draw(found, figures, runs)
+
+
+def made_of(found: Findings) -> str:
+    """What the tables hold, and what they do not hold yet."""
+    rigs = len({run.rig for run in found.runs})
+    models = list(dict.fromkeys(run.model for run in found.runs))
+    words = f"The tables below are of {len(found.runs)} runs of {rigs} rigs, with the models "
+    words += f"{', '.join(models)}."
+    missing = [name for name in (REFIT, DIAGNOSED, TOLD) if name not in models]
+    if missing:
+        words += f" **Not run yet: {', '.join(missing)}.**"
+    if not found.separations:
+        words += " **Not run yet: the next experiment.**"
+    return words
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:
@@ -136,6 +157,15 @@ def mean_and_interval(values: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(values)), float(half)
 
 
+def errors(run: Tracking) -> Mapping[str, float]:
+    """The error of a run that a model can do something about, by axis, rad.
+
+    On a trajectory all of it; on plain squares, where most is the step itself, what is left when
+    the reference has stood still for some seconds.
+    """
+    return run.rmse if run.task == "trajectory" else run.settled
+
+
 def recovered(runs: Sequence[Tracking], by: str = DIAGNOSED) -> float | None:
     """Share of the squared error that a model takes away of what the true one would.
 
@@ -144,7 +174,7 @@ def recovered(runs: Sequence[Tracking], by: str = DIAGNOSED) -> float | None:
     """
 
     def squared(model: str) -> float:
-        return sum(run.rmse[axis] ** 2 for run in runs if run.model == model for axis in AXES)
+        return sum(errors(run)[axis] ** 2 for run in runs if run.model == model for axis in AXES)
 
     nominal, corrected, true = (squared(model) for model in (NOMINAL, by, TRUE))
     if not true or not corrected or np.sqrt(nominal / true) < 1 + _SUFFERS:
@@ -164,7 +194,7 @@ def _tracking(runs: Sequence[Tracking]) -> list[list[str]]:
         for axis in AXES:
             row = ["`" + effect + "`" if axis == AXES[0] else "", axis]
             for model in models:
-                row.append(_spread([1e3 * run.rmse[axis] for run in of if run.model == model]))
+                row.append(_spread([1e3 * errors(run)[axis] for run in of if run.model == model]))
             moves = [np.mean([r.movement[axis] for r in of if r.model == m]) for m in models]
             row.append(" / ".join(f"{value:.2f}" for value in moves))
             told = ["hardly suffers" if s is None else f"{100 * s:.0f} %" for s in shares]
@@ -199,7 +229,8 @@ def _separation(separations: Sequence[Separation]) -> list[list[str]]:
         ["rig", "recordings", "verdict", "true", "rival", "delay and lag", "declared confusable"]
     ]
     for s in separations:
-        for label, at in (("first", s.before), ("first and advised", s.after)):
+        told = [("first and advised", s.after)] if s.command else [("nothing advised", s.after)]
+        for label, at in (("first", s.before), *told):
             rows.append(
                 [
                     f"`{s.rig}`" if at is s.before else "",
@@ -246,10 +277,10 @@ def draw(found: Findings, folder: Path, runs: Path) -> None:
 
 def _worst(runs: Sequence[Tracking]) -> Tracking:
     """The run with the true model on the rig where the nominal one loses most against it."""
-    lost = {run.rig: -sum(run.rmse.values()) for run in runs if run.model == TRUE}
+    lost = {run.rig: -sum(errors(run).values()) for run in runs if run.model == TRUE}
     for run in runs:
         if run.model == NOMINAL:
-            lost[run.rig] += sum(run.rmse.values())
+            lost[run.rig] += sum(errors(run).values())
     rig = max(lost, key=lambda name: lost[name])
     return next(run for run in runs if run.rig == rig and run.model == TRUE)
 
@@ -266,13 +297,15 @@ def _errors(runs: Sequence[Tracking]) -> Any:
         for j, model in enumerate(models):
             for i, effect in enumerate(effects):
                 values = [
-                    1e3 * r.rmse[axis] for r in runs if r.effect == effect and r.model == model
+                    1e3 * errors(r)[axis] for r in runs if r.effect == effect and r.model == model
                 ]
                 at = i + 0.2 * (j - (len(models) - 1) / 2)
                 label = model if i == 0 else None
                 panel.bar(at, np.mean(values), 0.17, color=_colour(model, models), label=label)
                 panel.plot([at] * len(values), values, ".", color="#222222", ms=3)
-        panel.set_ylabel(f"{axis} RMSE [mrad]")
+        if max(errors(r)[axis] for r in runs) > _WIDE * min(errors(r)[axis] for r in runs):
+            panel.set_yscale("log")
+        panel.set_ylabel(f"{axis} error, RMS [mrad]")
     legend_above(panels[0])
     panels[-1].set_xticks(range(len(effects)), [effect.replace("_", "\n", 1) for effect in effects])
     return figure
