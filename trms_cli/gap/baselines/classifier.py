@@ -40,6 +40,8 @@ RIGS, _HELD = 40, 0.2
 _PLAIN = 4
 _RIDGES = (0.3, 3.0, 30.0)
 NO_EFFECT = "parameters_only"
+#: A class that is less likely than this is not decided for.
+_LIKELY = 0.5
 #: Causes of less probability are not told.
 _TOLD = 1e-3
 
@@ -92,14 +94,15 @@ class Classifier:
         plain = refit(problem, parts)
         corrected, chosen = plain, []
         found, _ = suspects(problem.model, problem.candidates)
-        if best in found:
+        likely = float(told[order[0]]) >= _LIKELY
+        if best in found and likely:
             chosen = [found[best]]
             near = compete(problem, parts, chosen, compete(problem, parts, (), None))
             starts: Mapping[str, float] = near.fit.values if np.isfinite(near.bic) else {}
             corrected = map_fit(fit_problem(problem, parts, chosen, starts))
         return diagnosis(
             problem,
-            "effect" if chosen else "parameters_only",
+            "effect" if chosen else "parameters_only" if likely else "undecided",
             [
                 Cause(
                     effects=(model.classes[i],),

@@ -24,8 +24,8 @@ def write_models(answer: Diagnosis, problem: GapProblem, folder: Path) -> None:
     first = answer.causes[0] if answer.causes else None
     effects: tuple[str, ...] = ()
     if first is not None and not set(first.effects) & set(NO_EFFECT):
-        effects = first.effects
-        if not first.parameters:
+        effects = first.effects if first.parameters else ()
+        if answer.verdict == "effect" and not effects:
             return
     elif answer.verdict == "none_of_these" and answer.where:
         return
