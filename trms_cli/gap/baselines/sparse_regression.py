@@ -24,6 +24,7 @@ from trms_cli.gap.baselines.fits import Fit, parts_of, refit
 from trms_cli.gap.baselines.force_terms import AddedForces, Term, columns
 from trms_cli.gap.baselines.restoring_force import Motion, motion
 from trms_cli.gap.baselines.shrinkage import measure
+from trms_cli.gap.candidates import Suspect, suspects
 from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import FloatArray, IntArray
@@ -72,7 +73,7 @@ class SparseRegression:
             "effect" if found else "parameters_only",
             causes,
             measure(problem, parts, problem.model, fit.model, corrected),
-            where=_where(found),
+            where=_where(found, suspects(problem.model, problem.candidates)[0]),
             confusable=[term.effects for term in found if len(term.effects) > 1],
             parameters=fit.nominal(),
             refit=fit.values,
@@ -226,10 +227,14 @@ def _causes(found: Mapping[Term, Found], problem: GapProblem) -> list[Cause]:
     return [Cause(effects=(name,), probability=gain / total) for name, gain in ordered]
 
 
-def _where(found: Mapping[Term, Found]) -> list[LocationShare]:
+def _where(found: Mapping[Term, Found], known: Mapping[str, Suspect]) -> list[LocationShare]:
+    """Where the effects that terms speak for act; a term that speaks for none, at its equation."""
     gains: dict[str, float] = defaultdict(float)
     for term, entry in found.items():
-        gains[term.location] += entry.gain
+        named = [known[e].locations for e in term.effects if e in known]
+        places = named[0] if named else (term.location,)
+        for place in places:
+            gains[place] += entry.gain / len(places)
     total = sum(gains.values())
     return [
         LocationShare(location=place, share=gain / total, ci95=(0.0, 1.0))
