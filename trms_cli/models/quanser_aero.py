@@ -15,9 +15,9 @@ them: rotors that lag, their reaction on the beam, dry friction, and angles behi
 θ is the pitch α_v, ψ the yaw α_h; S are the angular rates. Either rotor turns both axes: its own by
 thrust, the other by the drag of its blades (K_tθ, K_mψ) and by what speeds it up (J_r); e are the
 small angles by which the rotors' axes stand off upright (main) and off the pitch axis (tail). Dry
-friction F is set-valued at rest. Commands beyond the amplifier's limit act as the limit itself:
-recordings hold such commands. ``τ_y`` is the delay at low frequency of the filter that the angles
-passed before they were recorded; a motion that is slow for it is all that it is meant for.
+friction F holds an axis at rest but for a creep below v_s. Commands beyond the amplifier's limit
+act as the limit itself: recordings hold such commands. ``τ_y`` is the delay at low frequency of the
+filter that the angles passed before they were recorded, and right for what is slow for it.
 """
 
 from __future__ import annotations
@@ -99,10 +99,19 @@ class QuanserAero(Model):
         return ca.vertcat(*(shown.get(s.name, x[self.state_index(s.name)]) for s in self.outputs))
 
     def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
-        """Dry friction of both axes."""
-        for axis, torque in (("pitch", "F_1"), ("yaw", "F_2")):
-            size = p[self.parameters.names.index(torque)]
-            x = resisted(self, (x, u, p, w), axis, size, duration)
+        """Dry friction of both axes, ``F sat(rate/v_s)`` taken implicitly.
+
+        Rigid friction is the limit v_s → 0. It has no slope at rest: a filter that is linearised
+        there could not learn from a measurement that a torque has set the axis in motion.
+        """
+        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        inertia = self.quantities(x, u, p)
+        for axis, size in (("pitch", c["F_1"]), ("yaw", c["F_2"])):
+            # An axis below v_s keeps 1/(1 + r) of the rate that it would have without friction.
+            rigid = inertia[f"inertia_{axis}"] * c["v_s"] / duration
+            r = size / rigid
+            held = resisted(self, (x, u, p, w), axis, rigid + size, duration)
+            x = x + r / (1 + r) * (held - x)
         return x
 
     def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
