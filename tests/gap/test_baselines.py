@@ -133,6 +133,7 @@ def test_sparse_regression_names_the_friction_and_shrinks_the_gap(rubbing: GapPr
     assert shrunk(answer, horizon="0.5") > 0.6
 
 
+@pytest.mark.slow
 def test_sparse_regression_names_no_winner_of_a_pair_no_force_tells_apart() -> None:
     answer = SparseRegression().answer(problem_with("tail_actuator_lag"))
     assert answer.confusable == (("tail_input_delay", "tail_actuator_lag"),)
@@ -150,6 +151,7 @@ def test_a_learnt_force_shrinks_the_gap_without_a_name(rubbing: GapProblem) -> N
     assert shrunk(answer, horizon="0.5") > 0.2
 
 
+@pytest.mark.slow
 def test_nothing_is_learnt_where_there_is_nothing(plain: GapProblem) -> None:
     assert FlexibleResidual().answer(plain).verdict == "no_gap"
 
