@@ -215,7 +215,8 @@ def _sizes(found: Sequence[Sizes]) -> list[list[str]]:
     rows = [["effect", "size", "rig", *models]]
     for effect in dict.fromkeys(sizes.effect for sizes in found):
         of = [sizes for sizes in found if sizes.effect == effect]
-        for name, own in of[0].own.items():
+        fitted = {name for sizes in of for values in sizes.fitted.values() for name in values}
+        for name, own in ((n, v) for n, v in of[0].own.items() if n in fitted):
             row = [f"`{effect}`", name, f"{own:g}"]
             for model in models:
                 values = [s.fitted.get(model, {}).get(name) for s in of]

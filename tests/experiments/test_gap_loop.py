@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 pytest.importorskip("experiments.gap", reason="the studies are in the checkout only")
 
+from experiments.gap import separation
 from experiments.gap.closing_loop import Sizes, Tracking, Verdict, tracking
 from experiments.gap.driver import ModelBased, loop_of
 from experiments.gap.page import Findings, document, mean_and_interval, recovered, tables
@@ -124,8 +126,6 @@ def test_what_a_diagnosis_holds_of_a_pair(tmp_path: Path) -> None:
         {"effects": ["a"], "probability": 0.3},
         {"effects": ["b", "a"], "probability": 0.1},
     ]
-    import json
-
     content = {
         "verdict": "effect",
         "causes": causes,
@@ -153,6 +153,46 @@ def test_an_advised_command_becomes_commands(tmp_path: Path) -> None:
         commands_of("rm -rf everything", tmp_path, STEP)
     with pytest.raises(ConfigurationError):
         commands_of(square, tmp_path / "run", 0.01)
+
+
+def test_the_advised_experiment_is_played_to_the_rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Diagnoses are stood in for: the second one has seen a recording of the advised commands."""
+    advice = "trms run controller=open_loop signal@controller.u_v=square sim.duration=1"
+
+    def diagnosed(recordings: list[Path], out: Path, words: list[str]) -> Path:
+        out.mkdir()
+        first = len(recordings) == 1
+        if not first:
+            head, *rows = recordings[1].read_text().splitlines()
+            assert head.startswith("t[s],u_v[V],u_h[V],alpha_v[rad]")
+            assert len(rows) == 50
+            table = np.array([row.split(",") for row in rows], dtype=float)
+            assert np.ptp(table[:, 1]) == 0 != table[0, 1]
+            assert np.ptp(table[:, 5]) > 5  # the main rotor has started
+        believed = 0.4 if first else 0.9
+        content = {
+            "verdict": "undecided" if first else "effect",
+            "causes": [
+                {"effects": ["main_input_delay"], "probability": believed},
+                {"effects": ["main_actuator_lag"], "probability": 1 - believed},
+            ],
+            "confusable": [["main_input_delay", "main_actuator_lag"]] if first else [],
+            "next_experiment": {"why": "edges", "command": advice} if first else None,
+        }
+        (out / "diagnosis.json").write_text(json.dumps(content))
+        return out
+
+    monkeypatch.setattr(separation, "diagnosed", diagnosed)
+    (tmp_path / "separation-1").mkdir()
+    (tmp_path / "separation-1" / "recording.csv").touch()
+    study = read_study()
+    study["separation"]["seeds"] = [1]
+    (found,) = separation.separate(study, tmp_path, lambda words: None)
+    assert (found.why, found.command) == ("edges", advice)
+    assert (found.before.true, found.after.true) == (0.4, 0.9)
+    assert found.before.confusable and not found.after.confusable
 
 
 def test_the_study_names_what_there_is() -> None:
