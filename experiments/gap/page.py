@@ -134,6 +134,11 @@ def made_of(found: Findings) -> str:
     models = list(dict.fromkeys(run.model for run in found.runs))
     words = f"The tables below are of {len(found.runs)} runs of {rigs} rigs, with the models "
     words += f"{', '.join(models)}."
+    for task in dict.fromkeys(run.task for run in found.runs):
+        for model in models:
+            n = sum(run.task == task and run.model == model for run in found.runs)
+            if n < rigs:
+                words += f" In `{task}` {model} has {n} rigs."
     missing = [name for name in (REFIT, DIAGNOSED, TOLD) if name not in models]
     if missing:
         words += f" **Not run yet: {', '.join(missing)}.**"
@@ -173,8 +178,13 @@ def recovered(runs: Sequence[Tracking], by: str = DIAGNOSED) -> float | None:
     the true one's, so that there is nothing to recover.
     """
 
+    rigs = set.intersection(
+        *({run.rig for run in runs if run.model == m} for m in (NOMINAL, by, TRUE))
+    )
+
     def squared(model: str) -> float:
-        return sum(errors(run)[axis] ** 2 for run in runs if run.model == model for axis in AXES)
+        of = [run for run in runs if run.model == model and run.rig in rigs]
+        return sum(errors(run)[axis] ** 2 for run in of for axis in AXES)
 
     nominal, corrected, true = (squared(model) for model in (NOMINAL, by, TRUE))
     if not true or not corrected or np.sqrt(nominal / true) < 1 + _SUFFERS:
