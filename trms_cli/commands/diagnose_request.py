@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Annotated, Any, Literal
@@ -27,6 +27,8 @@ _GROUPS = ("model", "effect", "data")
 _BY_MODEL = {"unit", "sign", "swapped", "speed", "zero", "sample time"}
 #: Blocks that a recording must hold: some to fit, some to choose by, one that is sealed.
 _FEWEST_BLOCKS = 4
+#: s. Blocks of a recording that is long enough, and those that are too short to show anything.
+_USUAL_BLOCK, _SHORTEST_BLOCK = 10.0, 3.0
 #: Samples that a block must hold to be worth one.
 _FEWEST_SAMPLES = 20
 
@@ -40,7 +42,7 @@ class DiagnoseOptions:
     real : str or tuple of str
     candidates : str or tuple of str
     effort : {"quick", "normal", "thorough"}
-    block : float
+    block : float or None
         s.
     sealed_share : float
     seed, jobs : int
@@ -51,7 +53,7 @@ class DiagnoseOptions:
     real: str | tuple[str, ...]
     candidates: str | tuple[str, ...] = ("all",)
     effort: Literal["quick", "normal", "thorough"] = "normal"
-    block: Annotated[float, Meta(gt=0)] = 10.0
+    block: Annotated[float, Meta(gt=0)] | None = None
     sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25
     seed: Annotated[int, Meta(ge=0)] = 0
     jobs: Annotated[int, Meta(ge=1)] = 2
@@ -122,7 +124,7 @@ def diagnosis_asked(composition: Composition) -> Asked:
         model_name=name_of_model(composition),
         datasets=datasets,
         candidates=suspects.effects,
-        block=options.block,
+        block=_block(datasets, options),
         sealed_share=options.sealed_share,
         effort=options.effort,
         seed=options.seed,
@@ -177,23 +179,32 @@ def _require_one_rate(datasets: tuple[Dataset, ...]) -> None:
         )
 
 
+def _block(datasets: Sequence[Dataset], options: DiagnoseOptions) -> float:
+    """Length of the blocks, s; as asked for, or such that a short recording has enough of them."""
+    if options.block is not None:
+        return options.block
+    length = sum(dataset.duration for dataset in datasets)
+    return max(_SHORTEST_BLOCK, min(_USUAL_BLOCK, length / (_FEWEST_BLOCKS + 1)))
+
+
 def _require_blocks(datasets: tuple[Dataset, ...], options: DiagnoseOptions) -> None:
     """Some blocks to fit, some to choose by, and one at least that is sealed."""
     step = datasets[0].sample_time
-    if options.block < _FEWEST_SAMPLES * step:
+    block = _block(datasets, options)
+    if block < _FEWEST_SAMPLES * step:
         raise ConfigurationError(
-            f"a block of {options.block:g} s holds {options.block / step:.0f} samples",
+            f"a block of {block:g} s holds {block / step:.0f} samples",
             where="block",
             remedy=f"give at least {_FEWEST_SAMPLES * step:g} s; 5 to 15 s suit most rigs",
         )
-    whole = sum(int(d.duration / options.block + 1e-6) for d in datasets)
+    whole = sum(int(d.duration / block + 1e-6) for d in datasets)
     if whole < _FEWEST_BLOCKS:
         length = sum(d.duration for d in datasets)
         raise ConfigurationError(
-            f"{length:g} s recorded hold {whole} blocks of {options.block:g} s, and "
+            f"{length:g} s recorded hold {whole} blocks of {block:g} s, and "
             f"{_FEWEST_BLOCKS} are needed: to fit, to choose by, and to be sealed",
             where="real",
-            remedy=f"record at least {_FEWEST_BLOCKS * options.block:g} s, better 120 s"
+            remedy=f"record at least {_FEWEST_BLOCKS * block:g} s, better 120 s"
             + (
                 f"; or shorter blocks: block={length / _FEWEST_BLOCKS:.3g}"
                 if length / _FEWEST_BLOCKS >= max(5.0, _FEWEST_SAMPLES * step)

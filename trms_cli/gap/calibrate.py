@@ -40,8 +40,14 @@ FITTED = (
 _WIDTH = 1.0
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
+#: Effects that these beliefs do not weigh: noise and rounding are told apart from "none of these"
+#: and from "no gap" by other marks.
+_APART = ("disturbance", "quantisation")
 #: Quantile of the errors of equations, over rigs without an effect, that counts as usual.
 _USUAL = 0.9
+
+#: Errors below this are not worth to be called unusual: a rig has more than simulated ones.
+_LEAST_USUAL = 0.01
 
 #: What the beliefs say of a rig, and which of their entries are right.
 Case = tuple[Features, frozenset[tuple[str, ...]]]
@@ -94,7 +100,7 @@ def fitted(start: Calibration, cases: Sequence[Case]) -> Calibration:
         away = (x - centre) / _WIDTH
         return loss(at(x), cases) + 0.5 * float(away @ away) / max(len(cases), 1)
 
-    found = minimize(cost, centre, method="Nelder-Mead", options={"maxiter": 4000, "fatol": 1e-6})
+    found = minimize(cost, centre, method="Powell", options={"xtol": 1e-2, "ftol": 1e-4})
     return at(found.x)
 
 
@@ -103,7 +109,8 @@ def usual_shares(nulls: Sequence[Mapping[str, float]]) -> dict[str, float]:
     if not nulls:
         return {}
     return {
-        name: round(float(np.quantile([n[name] for n in nulls], _USUAL)), 4) for name in nulls[0]
+        name: round(max(_LEAST_USUAL, float(np.quantile([n[name] for n in nulls], _USUAL))), 4)
+        for name in nulls[0]
     }
 
 
@@ -117,7 +124,8 @@ def read_cases(key: Path, diagnoses: Path) -> tuple[list[Case], list[Mapping[str
         if not file.exists():
             continue
         evidence = json.loads(file.read_text(encoding="utf-8"))["evidence"]
-        cases.append((features_of(evidence), right_answers(truth)))
+        if not any(name.endswith(_APART) for name in truth["effects"]):
+            cases.append((features_of(evidence), right_answers(truth)))
         if truth["kind"] in ("null", "offset"):
             nulls.append(evidence["shares"])
     return cases, nulls

@@ -2,11 +2,11 @@
 
 A nat of a likelihood is not a nat of belief: the real discrepancy is not Gaussian, and of forty
 suspects one fits best by chance. With ``x`` the held-out score of a competitor above the refit's
-(each in the discrepancy that suits it) and ``R`` the nats by which it stays behind a model without
-any gap, beliefs are proportional to the exponentials of
+(each in the discrepancy that suits it) and ``R`` the nats that it owes to discrepancies larger than
+those of rigs without a gap, beliefs are proportional to the exponentials of
 
     no effect              −γ log(1 + R₀/ρ)
-    effects                β x − γ log(1 + R/ρ) − κ·(number of effects) − κ′·(further sizes)
+    effects                β x − γ log(1 + R/ρ) R/(R₀ + ρ) − κ·(effects) − κ′·(further sizes)
     none of these          β x* − κ*                     x* the best competitor's
 
 and belief in no effect is divided between "no gap" and "parameters only" by a logistic function of
@@ -74,7 +74,7 @@ class Features:
     gained : float
         Score of the refit above the model as it was, nats.
     behind : float
-        Nats by which the refit stays behind a model without a gap.
+        Nats that the refit owes to discrepancies beyond the usual.
     names : tuple of tuple of str
         Effects of each competitor.
     scores : (k,) array
@@ -115,7 +115,10 @@ def beliefs(features: Features, constants: Calibration) -> dict[tuple[str, ...],
     finite = np.isfinite(scores)
     count = np.array([len(n) for n in features.names])
     logits = {("no_effect",): -float(rest(features.behind))}
-    of_effects = c.temperature * scores - rest(np.asarray(features.behinds)) - c.entrance * count
+    left = np.maximum(np.asarray(features.behinds), 0.0)
+    # a cause is not blamed for a hundredth of the gap: no law is exactly that of the rig
+    share = np.minimum(left / (max(features.behind, 0.0) + c.rest_scale), 1.0)
+    of_effects = c.temperature * scores - rest(left) * share - c.entrance * count
     of_effects = of_effects - c.shape * (np.asarray(features.sizes) - count)
     for name, logit, fine in zip(features.names, of_effects, finite, strict=True):
         if fine:

@@ -110,7 +110,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         jobs=problem.jobs,
         watch=watch.tell,
     )
-    return _answered(problem, parts, found, left_out, raced, seen, stable, watch)
+    return _answered(problem, parts, found, left_out, raced, watch)
 
 
 def _answered(
@@ -119,8 +119,6 @@ def _answered(
     found: Mapping[str, Suspect],
     left_out: Mapping[str, str],
     raced: Contest,
-    seen: Traces,
-    stable: Stable,
     watch: _Watch,
 ) -> Diagnosis:
     constants = calibration()
@@ -146,7 +144,7 @@ def _answered(
     far = answer.how_far(problem, parts, raced, believed)
     watch.enter("advice")
     told: dict[str, Any] = answer.told(
-        problem, parts, raced, believed, far, place, forces, found, left_out, stable
+        problem, parts, raced, believed, far, place, forces, found, left_out
     )
     watch.leave()
     return Diagnosis(

@@ -40,73 +40,73 @@ LOCATIONS = (
 class Recorded:
     """A recording that was diagnosed."""
 
-    file: str
-    sha256: str
-    duration_s: float
-    sample_time_s: float
-    channels: tuple[str, ...]
+    file: str  #: as it was named
+    sha256: str  #: of its bytes, hexadecimal
+    duration_s: float  #: s
+    sample_time_s: float  #: s
+    channels: tuple[str, ...]  #: commands, then what was measured
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocationShare:
-    """How much of the gap lies at a place of the block diagram; ``ci95`` of the share."""
+    """How much of the gap lies at a place of the block diagram."""
 
-    location: str
-    share: float
-    ci95: tuple[float, float]
+    location: str  #: one of :data:`LOCATIONS`
+    share: float  #: 0 to 1
+    ci95: tuple[float, float]  #: of the share, over resampled blocks
 
 
 @dataclass(frozen=True, kw_only=True)
 class RegionShare:
     """Where in state space the missing force acts: the share of its energy under a condition."""
 
-    location: str
-    condition: str
-    share: float
+    location: str  #: one of :data:`LOCATIONS`
+    condition: str  #: in words
+    share: float  #: 0 to 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class SizeEstimate:
     """A fitted size of an effect with its standard deviation."""
 
-    value: float
-    sd: float
-    unit: str
+    value: float  #: in its unit
+    sd: float  #: of the posterior
+    unit: str  #: SI
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
     """One entry of the race: effects together (or one of :data:`NO_EFFECT`), calibrated."""
 
-    effects: tuple[str, ...]
-    probability: float
-    parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)
+    effects: tuple[str, ...]  #: sorted by name
+    probability: float  #: 0 to 1
+    parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)  #: sizes by name
 
 
 @dataclass(frozen=True, kw_only=True)
 class NotTestable:
     """An effect on which these recordings say nothing, and why."""
 
-    effect: str
-    reason: str
+    effect: str  #: its name
+    reason: str  #: in words
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detectable:
     """The smallest size of an effect that these recordings would show."""
 
-    minimum_size: float
-    unit: str
+    minimum_size: float  #: of the effect's first size
+    unit: str  #: SI
 
 
 @dataclass(frozen=True, kw_only=True)
 class FittedParameter:
     """A nominal parameter before and after, with the cause in the model."""
 
-    prior: float
-    fitted: float
-    sd: float
-    unit: str
+    prior: float  #: as the model had it
+    fitted: float  #: with the cause, if one is added
+    sd: float  #: of the posterior
+    unit: str  #: SI
     #: How many prior standard deviations it moved; far is suspicious.
     moved: float | None = None
 
@@ -115,40 +115,40 @@ class FittedParameter:
 class Gap:
     """Root mean square of free-run errors of one channel at one horizon, on the sealed part."""
 
-    raw: float
-    refit: float
-    corrected: float
-    floor: float
-    unit: str
+    raw: float  #: of the model as it was
+    refit: float  #: with other parameters
+    corrected: float  #: with the cause added
+    floor: float  #: what a right model would leave
+    unit: str  #: SI
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shrink:
     """``1 − (corrected − floor)/(refit − floor)``; None where there is no gap to shrink."""
 
-    fraction: float | None
-    ci95: tuple[float, float] | None
+    fraction: float | None  #: at most 1
+    ci95: tuple[float, float] | None  #: over resampled blocks
 
 
 @dataclass(frozen=True, kw_only=True)
 class NextExperiment:
     """What to record next, as a command that can be typed."""
 
-    why: str
-    command: str
+    why: str  #: a sentence
+    command: str  #: that can be typed
 
 
 @dataclass(frozen=True, kw_only=True)
 class GapTest:
     """A test of the refitted model's innovations: is there a gap?"""
 
-    name: str
-    channel: str
-    statistic: float
-    p_value: float
+    name: str  #: variance, whiteness, squares, inputs, bands
+    channel: str  #: of the innovations
+    statistic: float  #: large ones speak against the model
+    p_value: float  #: by parametric bootstrap
     #: Corrected for the number of tests.
     p_corrected: float
-    rejected: bool
+    rejected: bool  #: at five percent, corrected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,6 +173,7 @@ class RaceEntry:
     se: float
     explained: float
     moved: float
+    #: Fitted sizes.
     parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)
 
 
@@ -197,7 +198,7 @@ class Traces:
 
     force_time: FloatArray
     force: Mapping[str, FloatArray]
-    force_unit: Mapping[str, str]
+    force_unit: Mapping[str, str]  #: by location
     explained: Mapping[str, FloatArray]
     run_time: FloatArray
     runs: Mapping[str, Mapping[str, FloatArray]]
@@ -207,29 +208,29 @@ class Traces:
 class Diagnosis:
     """The whole answer. Fields up to ``next_experiment`` are the contract's."""
 
-    recordings: tuple[Recorded, ...]
-    model: str
-    seed: int
-    versions: Mapping[str, str]
-    verdict: Verdict
-    where: tuple[LocationShare, ...]
-    region: tuple[RegionShare, ...]
-    causes: tuple[Cause, ...]
-    confusable: tuple[tuple[str, ...], ...]
-    not_testable: tuple[NotTestable, ...]
-    detectable: Mapping[str, Detectable]
-    parameters: Mapping[str, FittedParameter]
+    recordings: tuple[Recorded, ...]  #: that were diagnosed
+    model: str  #: as the user named it
+    seed: int  #: of all that was drawn
+    versions: Mapping[str, str]  #: of the program and of what it builds on
+    verdict: Verdict  #: in one word
+    where: tuple[LocationShare, ...]  #: descending; empty where nothing is missing
+    region: tuple[RegionShare, ...]  #: in state space and time
+    causes: tuple[Cause, ...]  #: descending; their probabilities sum to 1
+    confusable: tuple[tuple[str, ...], ...]  #: effects that these recordings do not tell apart
+    not_testable: tuple[NotTestable, ...]  #: effects on which they say nothing
+    detectable: Mapping[str, Detectable]  #: by effect
+    parameters: Mapping[str, FittedParameter]  #: by name, of the nominal model
     gap: Mapping[str, Mapping[str, Gap]]  #: by channel and horizon
     shrink: Mapping[str, Mapping[str, Shrink]]  #: by channel, and "all", and horizon
     next_experiment: NextExperiment | None
     # Beyond the contract: what the report tells besides.
     sentence: str  #: what a colleague would say
-    tests: tuple[GapTest, ...] = ()
-    race: tuple[RaceEntry, ...] = ()
+    tests: tuple[GapTest, ...] = ()  #: of the refit's innovations
+    race: tuple[RaceEntry, ...] = ()  #: best first
     description: tuple[str, ...] = ()  #: of an unnamed force: equation, region, band, memory
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  #: of the recordings and of the refit
     worse: tuple[str, ...] = ()  #: channels that the correction made worse by over 2 %
-    effort: str = "normal"
+    effort: str = "normal"  #: quick, normal, thorough
     seconds: Mapping[str, float] = field(default_factory=dict)  #: by stage
     #: Parameters of the nominal model refitted without any cause, for ``refit_model.yaml``.
     refit: Mapping[str, float] = field(default_factory=dict)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +13,10 @@ from trms_cli.gap.candidates import Suspect
 from trms_cli.gap.confidence import Calibration, Features, beliefs
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
 from trms_cli.gap.force import ForceRecord, exogenous
+from trms_cli.gap.innovations.sizes import log_likelihood
 from trms_cli.gap.location import Location
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race.contest import Contest, Entry
-from trms_cli.gap.race.nominal import Refit
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -32,6 +32,8 @@ _NATS, _ERRORS = 3.0, 1.0
 _ALIKE = 0.99
 #: A force that the rig's own doings predict to less than this share comes from outside.
 _FROM_OUTSIDE = 0.15
+#: How far such a judgement is trusted: laws that nobody knows can be hard to predict, too.
+_OUTSIDE_SURE, _OUTSIDE_UNSURE = 0.6, 0.4
 _RESAMPLES = 200
 #: rad. Step of the encoders that the models' rigs have.
 _USUAL_QUANTUM = 2 * np.pi / 4096
@@ -69,26 +71,48 @@ class Believed:
 
 
 def features_of(
-    raced: Contest,
-    constants: Calibration,
-    blocks: IntArray | None = None,
-    calm: FloatArray | None = None,
+    raced: Contest, behinds: Sequence[FloatArray], blocks: IntArray | None = None
 ) -> Features:
-    """Scores of all, from some blocks; None: from all. ``calm`` as of :func:`without_gap`."""
+    """Scores of all, from some blocks; None: from all. ``behinds`` as of :func:`excesses`."""
     refit = raced.refit
     chosen: slice | IntArray = slice(None) if blocks is None else blocks
-    free = (without_gap(refit, constants) if calm is None else calm)[chosen].sum()
     own = _scores(refit.fit)[chosen].sum()
     raw = _scores(refit.raw)[chosen].sum()
     scores = np.array([_scores(e.fit)[chosen].sum() for e in raced.entries])
     return Features(
         gained=float(own - raw),
-        behind=float(free - own),
+        behind=float(behinds[0][chosen].sum()),
         names=tuple(e.names for e in raced.entries),
         scores=scores - own,
-        behinds=free - scores,
+        behinds=np.array([b[chosen].sum() for b in behinds[1:]]),
         sizes=np.array([sum(len(s.free) for s in e.contestant.effects) for e in raced.entries]),
     )
+
+
+def excesses(raced: Contest, constants: Calibration) -> list[FloatArray]:
+    """What the refit and each competitor owe to discrepancies beyond the usual, nats by block.
+
+    The log likelihood of what they leave, less what it would be if no equation might err by more
+    than those of rigs without a gap do.
+    """
+    refit = raced.refit
+    discrepancy = refit.metric.discrepancy
+    usual = np.array([constants.usual(c.location) for c in discrepancy.channels])
+    found = []
+    for contestant, fit, metric in [
+        (refit.contestant, refit.fit, refit.metric),
+        *((e.contestant, e.fit, e.metric) for e in raced.entries),
+    ]:
+        if np.all(discrepancy.effective(metric.shares) <= discrepancy.effective(usual) * 1.001):
+            found.append(np.zeros(len(refit.contestant.windows)))
+            continue
+        r = contestant.residuals(fit)
+        calm = np.minimum(metric.shares, usual)
+        excess = log_likelihood(discrepancy, r, metric.shares) - log_likelihood(
+            discrepancy, r, calm
+        )
+        found.append(np.nan_to_num(excess, nan=1e6))
+    return found
 
 
 def believe(
@@ -110,15 +134,15 @@ def believe(
         Smoothed missing force of each equation.
     place : Location
     """
-    features = features_of(raced, constants)
+    behinds = excesses(raced, constants)
+    features = features_of(raced, behinds)
     probabilities = beliefs(features, constants)
     probabilities, outside = _from_outside(probabilities, found, forces, place, problem.seed)
     probabilities = _with_coarse_sensor(probabilities, problem, found)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
     m = len(raced.refit.contestant.windows)
-    calm = without_gap(raced.refit, constants)
     resampled = tuple(
-        beliefs(features_of(raced, constants, random.integers(0, m, m), calm), constants)
+        beliefs(features_of(raced, behinds, random.integers(0, m, m)), constants)
         for _ in range(_RESAMPLES)
     )
     entries = {e.names: e for e in raced.entries}
@@ -153,17 +177,6 @@ def _scores(fit: object) -> FloatArray:
     assert worth is not None
     predictive: FloatArray = worth.predictive
     return predictive
-
-
-def without_gap(refit: Refit, constants: Calibration) -> FloatArray:
-    """Log density by block that a model is expected to reach on a rig without a gap."""
-    from trms_cli.gap.fitting.metric import Metric
-
-    discrepancy = refit.metric.discrepancy
-    usual = np.array([constants.usual(c.location) for c in discrepancy.channels])
-    calm = Metric(discrepancy, usual)
-    count = discrepancy.windows.measured.sum(axis=(1, 2))
-    return np.asarray(-0.5 * count - calm.normalisation)
 
 
 def _confusable(raced: Contest, best: Entry) -> tuple[tuple[str, ...], ...]:
@@ -215,7 +228,7 @@ def _from_outside(
     judged = exogenous(forces[location], seed)
     if judged.predictable_share > _FROM_OUTSIDE and judged.p_value < 0.05:
         return beliefs_, ""
-    share = 0.85 if judged.predictable_share < _FROM_OUTSIDE else 0.5
+    share = _OUTSIDE_SURE if judged.predictable_share < _FROM_OUTSIDE else _OUTSIDE_UNSURE
     beliefs_["none_of_these",] = unnamed * (1 - share)
     beliefs_[suspect.name,] = unnamed * share
     return dict(sorted(beliefs_.items(), key=lambda item: -item[1])), axis

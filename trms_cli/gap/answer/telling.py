@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.errors import TrmsError
+from trms_cli.gap.advice import advise
 from trms_cli.gap.answer.belief import Believed
 from trms_cli.gap.answer.far import Far
 from trms_cli.gap.answer.series import series
@@ -30,7 +32,7 @@ from trms_cli.gap.diagnosis import (
 from trms_cli.gap.force import ForceRecord, description, regions
 from trms_cli.gap.location import Location
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.race.contest import Contest, Entry, Stable
+from trms_cli.gap.race.contest import Contest, Entry
 from trms_cli.models.model import names
 
 FloatArray = npt.NDArray[np.float64]
@@ -51,7 +53,6 @@ def told(
     forces: Mapping[str, ForceRecord],
     found: Mapping[str, Suspect],
     left_out: Mapping[str, str],
-    stable: Stable,
 ) -> dict[str, Any]:
     """Fields by name."""
     nothing = believed.verdict in ("no_gap", "parameters_only")
@@ -67,7 +68,7 @@ def told(
     refit = raced.refit
     parameters = _parameters(problem, raced, believed)
     causes = _causes(believed, raced)
-    experiment = _advice(problem, raced, believed, found, unseen, stable)
+    experiment = _advice(problem, raced, believed, found, unseen)
     return {
         "recordings": tuple(
             Recorded(
@@ -227,8 +228,8 @@ def _race(believed: Believed, raced: Contest) -> tuple[RaceEntry, ...]:
     own = refit.fit.evidence
     raw = refit.raw.evidence
     assert own is not None
-    features = believed.features
-    behind = max(features.behind, 1e-9)
+    finite = believed.features.scores[np.isfinite(believed.features.scores)]
+    most = max(believed.features.behind, float(np.max(finite, initial=0.0)), 1e-9)
     rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=_moved(refit, refit.fit))]
     if raw is not None:
         apart = raw.predictive - own.predictive
@@ -251,7 +252,7 @@ def _race(believed: Believed, raced: Contest) -> tuple[RaceEntry, ...]:
                 effects=entry.names,
                 score=float(apart.sum()),
                 se=_se(apart),
-                explained=float(np.clip(apart.sum() / behind, 0.0, 1.0)),
+                explained=float(np.clip(apart.sum() / most, 0.0, 1.0)),
                 moved=_moved(refit, entry.fit, entry),
                 parameters=_sizes(entry),
             )
@@ -320,7 +321,26 @@ def _advice(
     believed: Believed,
     found: Mapping[str, Suspect],
     unseen: tuple[NotTestable, ...],
-    stable: Stable,
 ) -> NextExperiment | None:
-    """Filled by :mod:`trms_cli.gap.advice`."""
-    return None
+    """What to record next: what parts those that are not told apart, else what shows the unseen."""
+    best = believed.best
+    apart: list[str] = []
+    values: dict[str, float] = {}
+    shares = None
+    if best is not None and believed.confusable and best.names[0] not in NO_EFFECT:
+        apart = list(dict.fromkeys(n for group in believed.confusable for n in group))
+        for entry in raced.entries:
+            values = {**entry.contestant.values(entry.fit.theta), **values}
+        shares = best.metric.shares
+    try:
+        return advise(
+            refit=raced.refit,
+            suspects=found,
+            model_name=problem.model_name,
+            apart=apart,
+            untested=[row.effect for row in unseen if row.effect in found],
+            values=values,
+            shares=shares,
+        )
+    except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
+        return None  # an experiment that cannot be imagined is no reason to lose a diagnosis

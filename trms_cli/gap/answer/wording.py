@@ -25,7 +25,7 @@ def sentence(
 ) -> str:
     """What a colleague would say."""
     top = causes[0]
-    place = _readable(where[0].location) if where else "no single place"
+    place = f"the {_readable(where[0].location)}" if where else "no single place"
     if believed.verdict == "no_gap":
         return (
             "The model as it is explains these recordings down to their noise: no gap was found, "
@@ -43,7 +43,7 @@ def sentence(
     if believed.verdict == "none_of_these":
         return (
             f"Something is missing that is none of the effects known here, with probability "
-            f"{top.probability:.2f}; it acts mostly on the {place}."
+            f"{top.probability:.2f}; it acts mostly on {place}."
         )
     if believed.verdict == "undecided":
         listed = ", ".join(
@@ -53,11 +53,11 @@ def sentence(
         )
         return f"These recordings do not decide what causes the gap: {listed}."
     sizes = ", ".join(
-        f"{key.split('.', 1)[1]} {size.value:.3g} ± {size.sd:.1g} {size.unit}"
+        f"{key.split('.', 1)[1]} {size.value:.3g} ± {size.sd:.1g} {size.unit.replace('*', ' ')}"
         for key, size in list(top.parameters.items())[:3]
     )
     text = (
-        f"The gap lies in the {place}, and {_joined(top.effects)} causes it, with probability "
+        f"The gap lies in {place}, and {_joined(top.effects)} causes it, with probability "
         f"{top.probability:.2f}" + (f" ({sizes})" if sizes else "")
     )
     shrink = measured.shrink.get("all", {}).get(_TOLD_AT)
@@ -89,7 +89,8 @@ def why_not_testable(raced: Contest, suspect: Suspect) -> str:
 
 
 def _readable(name: str) -> str:
-    return name.replace("_", " ")
+    words = name.replace("_", " ")
+    return words.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
 
 
 def _joined(names: Sequence[str], word: str = "and") -> str:

@@ -25,6 +25,8 @@ class Metric:
         Size of the force on each equation, as a share of what acts there.
     robust : float or None
         Innovations beyond so many standard deviations count linearly (Huber).
+    filter_ : Gains
+        Ready to run.
     """
 
     discrepancy: Discrepancy

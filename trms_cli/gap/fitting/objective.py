@@ -28,6 +28,8 @@ class InnovationObjective:
     metric : Metric
     centres : (m, n_x) array
         Of the starts' priors.
+    evaluations : int
+        Simulations of all windows so far.
     """
 
     windows: Windows

@@ -105,6 +105,8 @@ class Discrepancy:
     channels : tuple of Channel
     start_share : float
         Standard deviation of the windows' starts, as a share of their prior spread.
+    correlation_time : float
+        s, of every channel but a drive's gain.
     """
 
     windows: Windows

@@ -10,9 +10,8 @@ from trms_cli.gap.innovations.kalman import scores
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Share of what acts on an equation that it may always err by. A drive drifts by a percent, beams
-#: bend: on rigs without any effect the most likely sizes lie about here (``docs/diagnose.md``).
-FLOOR = 0.01
+#: Share of what acts on an equation that it may always err by: integration, rounding, jitter.
+FLOOR = 0.004
 #: No discrepancy is larger than what acts there, several times over.
 _MOST = 10.0
 _SETTLED = 0.05

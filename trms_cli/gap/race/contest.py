@@ -88,6 +88,7 @@ class Contest:
     entries: tuple[Entry, ...]
     signatures: Signatures
     tight: Signatures
+    #: Those with several effects, as they were tried.
     joint: tuple[Entry, ...] = field(default=())
 
 

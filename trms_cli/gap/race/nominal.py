@@ -12,7 +12,7 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.gap.fitting.contestant import Contestant, Fit
 from trms_cli.gap.fitting.metric import Metric
 from trms_cli.gap.innovations.discrepancy import Discrepancy, usual_channels
-from trms_cli.gap.innovations.sizes import FLOOR, likely_shares
+from trms_cli.gap.innovations.sizes import likely_shares
 from trms_cli.gap.innovations.trajectory import Linearisation
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter, free_parameters
@@ -159,13 +159,6 @@ def own_metric(
         if change < 0.1:
             break
     return fit, metric
-
-
-def ideal(metric: Metric) -> float:
-    """Log density that a model would be expected to reach if nothing but the floor were left."""
-    floor = Metric(metric.discrepancy, np.full(len(metric.shares), FLOOR), metric.robust)
-    count = metric.discrepancy.windows.measured.sum()
-    return float(-0.5 * count - floor.normalisation.sum())
 
 
 def _followed(discrepancy: Discrepancy, starts: FloatArray, p: FloatArray) -> FloatArray:

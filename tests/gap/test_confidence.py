@@ -1,0 +1,107 @@
+"""From scores to probabilities, and the constants fitted to rigs whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.gap.calibrate import features_of, fitted, loss, right_answers, usual_shares
+from trms_cli.gap.confidence import Features, beliefs, calibration
+
+NAMES = (("a",), ("b",), ("a", "b"))
+
+
+def features(gained=0.0, behind=0.0, scores=(0.0, 0.0, 0.0), behinds=(0.0, 0.0, 0.0)) -> Features:
+    return Features(
+        gained=gained,
+        behind=behind,
+        names=NAMES,
+        scores=np.array(scores),
+        behinds=np.array(behinds),
+        sizes=np.array([1, 2, 3]),
+    )
+
+
+nats = st.floats(-100, 5000)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.tuples(nats, nats, nats), st.floats(0, 1e5), st.floats(0, 1e5), nats)
+def test_probabilities_are_probabilities(scores, behind, left, gained):
+    found = beliefs(features(gained, behind, scores, (left, left, left)), calibration())
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert all(0 <= p <= 1 for p in found.values())
+    assert list(found.values()) == sorted(found.values(), reverse=True)
+
+
+def test_nothing_gained_means_no_effect():
+    found = beliefs(features(gained=-3.0), calibration())
+    assert next(iter(found)) == ("no_gap",)
+    found = beliefs(features(gained=500.0), calibration())
+    assert next(iter(found)) == ("parameters_only",)
+
+
+def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_is_not():
+    closes = features(behind=3000.0, scores=(2900.0, 50.0, 2901.0), behinds=(0.0, 2900.0, 0.0))
+    assert next(iter(beliefs(closes, calibration()))) == ("a",)
+    leaves = features(behind=3000.0, scores=(40.0, 30.0, 41.0), behinds=(2900.0,) * 3)
+    assert next(iter(beliefs(leaves, calibration()))) == ("none_of_these",)
+
+
+def test_of_two_that_explain_the_same_the_simpler_is_likelier():
+    found = beliefs(features(behind=500.0, scores=(480.0, 480.0, 480.0)), calibration())
+    assert found["a",] > found["b",] > found["a", "b"]
+
+
+def test_one_that_could_not_be_simulated_is_no_candidate():
+    found = beliefs(features(scores=(np.nan, 5.0, -np.inf)), calibration())
+    assert ("a",) not in found
+
+
+def test_the_fit_of_the_constants_finds_honest_ones():
+    """Cases are drawn from the beliefs of other constants; those are less surprised after a fit."""
+    random = np.random.default_rng(1)
+    truth = replace(calibration(), temperature=0.05, entrance=2.0, unnamed=3.0)
+    cases = []
+    for _ in range(120):
+        drawn = features(
+            random.normal(0, 10),
+            random.exponential(20),
+            random.normal(0, 40, 3),
+            random.exponential(20, 3),
+        )
+        believed = beliefs(drawn, truth)
+        names = list(believed)
+        right = names[random.choice(len(names), p=list(believed.values()))]
+        cases.append((drawn, frozenset({right})))
+    wrong = replace(truth, temperature=0.3, entrance=0.8, unnamed=8.0)
+    found = fitted(wrong, cases)
+    assert loss(found, cases) < loss(wrong, cases) - 0.3
+    assert loss(found, cases) < loss(truth, cases) + 0.1
+
+
+def test_what_is_right_for_each_kind_of_case():
+    assert right_answers({"kind": "null"}) == {("no_gap",)}
+    assert right_answers({"kind": "offset"}) == {("parameters_only",)}
+    assert right_answers({"kind": "outside", "effects": {"x": {}}}) == {("none_of_these",)}
+    assert right_answers({"kind": "pair", "effects": {"b": {}, "a": {}}}) == {("a", "b")}
+
+
+def test_features_survive_the_file():
+    made = features(3.0, 4.0, (1.0, np.nan, 2.0), (0.0, 1.0, 2.0))
+    document = made.as_json()
+    document["scores"] = [None if s != s else s for s in document["scores"]]
+    again = features_of(document)
+    np.testing.assert_array_equal(again.scores, made.scores)
+    assert again.names == NAMES
+
+
+def test_usual_errors_are_those_that_rigs_without_an_effect_seldom_exceed():
+    nulls = [{"pitch_moment": 0.01 * k} for k in range(1, 11)]
+    assert usual_shares(nulls)["pitch_moment"] == pytest.approx(0.091, abs=0.001)
+    assert usual_shares([{"pitch_moment": 0.004}]) == {"pitch_moment": 0.01}
+    assert usual_shares([]) == {}

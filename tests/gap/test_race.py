@@ -1,0 +1,124 @@
+"""Refit, traces and race on rigs whose cause is known, with a few suspects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trms_cli.gap.blocks import divide, quantum_of, with_noise
+from trms_cli.gap.candidates import suspects
+from trms_cli.gap.race.contest import EFFORTS, Contest, Ledger, Stable, contest
+from trms_cli.gap.race.nominal import nominal_parameters, refit
+from trms_cli.gap.separability import traces
+from trms_cli.models.newtonian import Newtonian
+
+from .recorded import QUANTUM, SPEED_NOISE, effect, recording
+
+NAMES = (
+    "yaw_coulomb_friction",
+    "yaw_quadratic_damping",
+    "main_input_delay",
+    "main_actuator_lag",
+)
+MODEL = Newtonian()
+
+
+def raced(dataset, ledger: Ledger | None = None) -> Contest:
+    found, left_out = suspects(MODEL, {name: effect(name) for name in NAMES})
+    assert not left_out
+    parts = divide((dataset,), 10.0, 0.25, MODEL.stops)
+    nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
+    stable = Stable(nominal, parts.block)
+    seen = traces(nominal.contestant, nominal.fit, list(found.values()), stable.of)
+    return contest(nominal, found, seen, stable, EFFORTS["quick"], ledger=ledger)
+
+
+@pytest.fixture(scope="module")
+def friction() -> Contest:
+    rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.003)}
+    return raced(recording(rig, seconds=50.0, values={"k_fvp": 1.66e-5}))
+
+
+def test_friction_is_told_with_its_size(friction):
+    best = friction.entries[0]
+    assert best.names == ("yaw_coulomb_friction",)
+    sizes = best.contestant.values(best.fit.theta)
+    assert sizes["yaw_coulomb_friction.torque"] == pytest.approx(0.003, rel=0.03)
+    others = [e.fit.score for e in friction.entries if "yaw_coulomb_friction" not in e.names]
+    assert all(best.fit.score > score + 30 for score in others)
+
+
+def test_what_is_left_with_the_cause_in_the_model_is_as_on_a_rig_without_gap(friction):
+    yaw = [c.location for c in friction.refit.metric.discrepancy.channels].index("yaw_moment")
+    assert friction.refit.metric.shares[yaw] > 0.03
+    assert friction.entries[0].metric.shares[yaw] < 0.015
+
+
+def test_the_trace_of_the_cause_points_at_the_residual(friction):
+    gains = {name: friction.tight.best(name)[0] for name in NAMES}
+    assert max(gains, key=gains.__getitem__) == "yaw_coulomb_friction"
+    assert gains["main_input_delay"] < 0.1 * gains["yaw_coulomb_friction"]
+    for name in NAMES:
+        assert 0.0 <= friction.signatures.absorbed(name) <= 1.0
+
+
+def test_delay_and_lag_leave_nearly_the_same_trace(friction):
+    signs = friction.tight
+    assert signs.alike("main_input_delay", "main_actuator_lag") > 0.9
+    assert signs.alike("main_input_delay", "yaw_coulomb_friction") < 0.5
+
+
+def test_a_rig_without_a_gap_gives_no_suspect_a_lead():
+    contest_ = raced(recording(seconds=50.0, seed=3))
+    own = contest_.refit.fit.score
+    assert all(e.fit.score < own + 6.0 for e in contest_.entries)
+    assert np.all(contest_.refit.metric.shares[:4] < 0.015)
+
+
+def test_a_race_that_was_interrupted_ends_where_it_would_have(friction):
+    kept: dict = {}
+    rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.003)}
+    dataset = recording(rig, seconds=50.0, values={"k_fvp": 1.66e-5})
+    raced(dataset, Ledger(None, kept.update))
+    assert any(key.startswith("final") for key in kept)
+    again = raced(dataset, Ledger(kept))
+    assert [e.names for e in again.entries] == [e.names for e in friction.entries]
+    for one, other in zip(again.entries, friction.entries, strict=True):
+        np.testing.assert_allclose(one.fit.theta, other.fit.theta, rtol=1e-6, atol=1e-9)
+
+
+def test_noise_is_read_from_steps_and_ripple():
+    dataset = recording(seconds=30.0)
+    unknown = dataset.__class__(**{**dataset.__dict__, "noise_sd": np.full(4, 1e-6)})
+    read = with_noise(unknown).noise_sd
+    assert read[:2] == pytest.approx(QUANTUM / np.sqrt(12), rel=1e-3)
+    assert read[2:] == pytest.approx(SPEED_NOISE, rel=0.1)
+    told = with_noise(dataset).noise_sd
+    assert told == pytest.approx(dataset.noise_sd)
+
+
+def test_a_smooth_signal_has_no_step():
+    random = np.random.default_rng(0)
+    assert quantum_of(random.standard_normal(500)) == 0.0
+    assert quantum_of(0.25 * np.round(random.standard_normal(500) / 0.25)) == pytest.approx(0.25)
+
+
+def test_a_contact_with_a_stop_is_left_out():
+    dataset = recording(seconds=40.0)
+    measurements = dataset.measurements.copy()
+    measurements[700:705, 1] = MODEL.stops["alpha_h"]
+    touched = dataset.__class__(**{**dataset.__dict__, "measurements": measurements})
+    parts = divide((touched,), 7.0, 0.25, MODEL.stops)
+    lost = np.isnan(parts.fitted[0].measurements[:, 1])
+    assert lost[700] and not lost[699]
+    block = round(parts.block / 0.02)
+    assert lost[700 : (700 // block + 1) * block].all()
+    assert not lost[(700 // block + 1) * block :].any()
+    assert any("stop" in remark for remark in parts.fitted[0].remarks)
+
+
+def test_several_recordings_are_sealed_whole():
+    dataset = recording(seconds=20.0)
+    parts = divide((dataset,) * 4, 10.0, 0.25, MODEL.stops)
+    assert len(parts.fitted) == 3
+    assert parts.sealed == ((3, 0, len(dataset)),)
