@@ -114,7 +114,7 @@ def beliefs(features: Features, constants: Calibration) -> dict[tuple[str, ...],
     scores = np.asarray(features.scores, dtype=float)
     finite = np.isfinite(scores)
     count = np.array([len(n) for n in features.names])
-    logits = {("no_effect",): -float(rest(features.behind))}
+    logits: dict[tuple[str, ...], float] = {("no_effect",): -float(rest(features.behind))}
     left = np.maximum(np.asarray(features.behinds), 0.0)
     # a cause is not blamed for a hundredth of the gap: no law is exactly that of the rig
     share = np.minimum(left / (max(features.behind, 0.0) + c.rest_scale), 1.0)

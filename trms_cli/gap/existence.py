@@ -10,6 +10,7 @@ real ones do, and what a fit would have taken is taken out. p-values are correct
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -149,7 +150,7 @@ def _statistics(
         spread = max(float(np.sum(squares**2) / count), 1e-12)
         of_squares = np.fft.rfft(squares, size, axis=1)
         found["squares", i] = _portmanteau(of_squares, of_squares, lags, count, spread**2)
-        found["inputs", i] = sum(
+        found["inputs", i] = math.fsum(
             _portmanteau(spectrum, spectrum_u[..., k], lags, count, power * power_u[k], zero=True)
             for k in range(u.shape[2])
         )
@@ -160,8 +161,8 @@ def _statistics(
 
 
 def _portmanteau(
-    one: FloatArray,
-    other: FloatArray,
+    one: npt.NDArray[np.complex128],
+    other: npt.NDArray[np.complex128],
     lags: int,
     count: int,
     scale: float,

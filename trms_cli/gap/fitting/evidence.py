@@ -71,7 +71,8 @@ def evidence(
     own = np.zeros((m, n, quadratic.triangles.shape[-1]))
     own[:, :, :n] = np.eye(n)
     own[:, :, -1] = quadratic.start_gap
-    whole = np.linalg.qr(np.concatenate([quadratic.triangles, own], axis=1), mode="r")
+    rows = np.concatenate([quadratic.triangles, own], axis=1)
+    whole = np.asarray(np.linalg.qr(rows, mode="r"))
     of_starts = np.log(np.abs(np.einsum("mii->mi", whole[:, :n, :n]))).sum(axis=1)
     r, c = whole[:, n:, n:-1], whole[:, n:, -1]
     if not (np.isfinite(r).all() and np.abs(r).max() < _STEEP):

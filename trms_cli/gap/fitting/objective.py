@@ -49,7 +49,7 @@ class InnovationObjective:
         """Each window's part of the cost with its start's prior, shape (m,)."""
         r = self._simulated(theta, starts, slopes=False).r
         if not np.isfinite(r).all():
-            fine = np.isfinite(r).all(axis=(1, 2))
+            fine = np.asarray(np.isfinite(r).all(axis=(1, 2)))
             parts = self._losses(np.where(fine[:, None, None], r, 0.0), starts)
             return np.where(fine, parts, np.inf)
         return self._losses(r, starts)

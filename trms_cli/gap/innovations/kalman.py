@@ -152,7 +152,7 @@ def scores(system: LinearSystem, filter_: Gains, z: FloatArray) -> tuple[FloatAr
     squares, variances : (n,) arrays
     """
     m, c, n_y, n = system.h.shape
-    e = np.linalg.solve(filter_.root, z[..., None])[..., 0]
+    e = np.asarray(np.linalg.solve(filter_.root, z[..., None])[..., 0], dtype=np.float64)
     library = _library()
     if library is None:
         return _scores_of_arrays(system, filter_, e)
@@ -278,7 +278,7 @@ def _sizes(m: int, c: int) -> tuple[Any, Any]:
     return ctypes.c_longlong(m), _pointer(counts)
 
 
-def _pointer(array: npt.NDArray[Any]) -> ctypes.c_void_p:
+def _pointer(array: Any) -> ctypes.c_void_p:
     pointer: ctypes.c_void_p = array.ctypes.data_as(ctypes.c_void_p)  # keeps the array alive
     return pointer
 
