@@ -122,3 +122,28 @@ def test_several_recordings_are_sealed_whole():
     parts = divide((dataset,) * 4, 10.0, 0.25, MODEL.stops)
     assert len(parts.fitted) == 3
     assert parts.sealed == ((3, 0, len(dataset)),)
+
+
+def test_a_cause_with_a_state_of_its_own_is_told_whole():
+    from trms_cli.gap.diagnose import diagnose
+    from trms_cli.gap.problem import GapProblem
+
+    cable = effect("yaw_cable_hysteresis", torque=0.008)
+    found = diagnose(
+        GapProblem(
+            model=MODEL,
+            model_name="newtonian",
+            datasets=(recording({"yaw_cable_hysteresis": cable}, seconds=50.0),),
+            candidates={
+                "yaw_cable_hysteresis": cable,
+                "pitch_quadratic_damping": effect("pitch_quadratic_damping"),
+            },
+            effort="quick",
+            jobs=1,
+        )
+    )
+    assert found.causes[0].effects == ("yaw_cable_hysteresis",)
+    assert found.verdict == "effect"
+    assert found.traces is not None and "yaw_moment" in found.traces.explained
+    assert sum(cause.probability for cause in found.causes) == pytest.approx(1.0)
+    assert found.where[0].location == "yaw_moment"

@@ -41,8 +41,9 @@ def series(
     explained: dict[str, FloatArray] = {}
     if believed.corrected is not None:
         refit, entry = raced.refit, believed.corrected
+        # the force that the nominal equations lack beside the cause: in the nominal model's states
         following = Discrepancy(
-            entry.contestant.windows,
+            refit.contestant.windows,
             refit.metric.discrepancy.trajectory,
             refit.metric.discrepancy.channels,
         )
