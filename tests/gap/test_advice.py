@@ -37,7 +37,7 @@ FITTED = {
     "tail_dead_zone.width": 0.05,
 }
 FAST, SLOW = "fast switching between two levels", "slow rises and falls through zero"
-SHARES = np.full(4, 0.01)
+SHARES = np.full(6, 0.01)  # four equations, and the gains of two drives
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ _BY_MODEL = {"unit", "sign", "swapped", "speed", "zero", "sample time"}
 #: Blocks that a recording must hold: some to fit, some to choose by, one that is sealed.
 _FEWEST_BLOCKS = 4
 #: s. Blocks of a recording that is long enough, and those that are too short to show anything.
-_USUAL_BLOCK, _SHORTEST_BLOCK = 10.0, 3.0
+_USUAL_BLOCK, _SHORTEST_BLOCK = 10.0, 5.0
 #: Samples that a block must hold to be worth one.
 _FEWEST_SAMPLES = 20
 
