@@ -60,6 +60,8 @@ def sentence(
         f"The gap lies in {place}, and {_joined(top.effects)} causes it, with probability "
         f"{top.probability:.2f}" + (f" ({sizes})" if sizes else "")
     )
+    if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
+        return text + "; it is estimated, not explained: the corrected model is the refitted one."
     shrink = measured.shrink.get("all", {}).get(_TOLD_AT)
     if shrink is not None and shrink.fraction is not None:
         text += f"; adding it closes {100 * shrink.fraction:.0f} % of the gap at 2 s"
