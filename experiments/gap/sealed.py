@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 HEAD = (
-    "| recording | verdict | cause (probability) | next | where (share) | gap closed at 2 s | time |\n"
+    "| recording | verdict | cause (probability) | next "
+    "| where (share) | gap closed at 2 s | time |\n"
     "|---|---|---|---|---|---|---|\n"
 )
 
@@ -48,8 +49,8 @@ def main() -> int:
         folder = asked.out / file.stem
         document = folder / "diagnosis.json"
         if not document.exists():
-            command = [sys.executable, "-m", "trms_cli", "diagnose", f"real={file}", f"out={folder}"]
-            subprocess.run([*command, "model=newtonian"], check=True)
+            words = [f"real={file}", f"out={folder}", "model=newtonian"]
+            subprocess.run([sys.executable, "-m", "trms_cli", "diagnose", *words], check=True)
         rows.append(row(file.stem, json.loads(document.read_text(encoding="utf-8"))))
     table = HEAD + "".join(rows)
     sys.stdout.write(table)
