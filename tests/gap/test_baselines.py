@@ -28,13 +28,13 @@ from trms_cli.gap.baselines.oracle import Oracle
 from trms_cli.gap.baselines.parameter_refit import ParameterRefit
 from trms_cli.gap.baselines.restoring_force import motion
 from trms_cli.gap.baselines.run import METHODS, _answer, baseline_of, bench_effects, run_baseline
-from trms_cli.gap.baselines.shrinkage import _pooled
 from trms_cli.gap.baselines.sparse_regression import SparseRegression
 from trms_cli.gap.baselines.synthetic import Request, rigs
 from trms_cli.gap.baselines.white_noise_bic import WhiteNoiseBic
 from trms_cli.gap.diagnosis import Diagnosis
 from trms_cli.gap.document import document_of
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import _pooled
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, names
 from trms_cli.models.newtonian import Newtonian

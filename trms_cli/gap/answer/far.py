@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.gap.answer.belief import Believed
-from trms_cli.gap.baselines.shrinkage import Measured, measure
 from trms_cli.gap.blocks import Parts
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race.contest import Contest
+from trms_cli.gap.shrinkage import Measured, measure
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
 

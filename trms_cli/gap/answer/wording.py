@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from trms_cli.gap.answer.belief import Believed
-from trms_cli.gap.baselines.shrinkage import Measured
 from trms_cli.gap.candidates import Suspect
 from trms_cli.gap.diagnosis import Cause, FittedParameter, LocationShare
 from trms_cli.gap.race.contest import Contest
+from trms_cli.gap.shrinkage import Measured
 
 #: s. The horizon that a sentence tells.
 _TOLD_AT = "2.0"

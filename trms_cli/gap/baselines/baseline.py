@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Protocol, runtime_checkable
 
 import trms_cli
-from trms_cli.gap.baselines.shrinkage import Measured
 from trms_cli.gap.candidates import Suspect
 from trms_cli.gap.diagnosis import (
     Cause,
@@ -18,6 +17,7 @@ from trms_cli.gap.diagnosis import (
     Verdict,
 )
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import Measured
 from trms_cli.models.model import names
 
 

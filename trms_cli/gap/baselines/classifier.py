@@ -25,12 +25,12 @@ from trms_cli.effects.effect import Effect
 from trms_cli.gap.baselines.baseline import diagnosis, places
 from trms_cli.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
 from trms_cli.gap.baselines.marks import marks
-from trms_cli.gap.baselines.shrinkage import measure
 from trms_cli.gap.baselines.synthetic import Request, rigs
 from trms_cli.gap.baselines.white_noise import compete
 from trms_cli.gap.candidates import suspects
 from trms_cli.gap.diagnosis import Cause, Diagnosis
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure
 from trms_cli.identification.dataset import FloatArray
 from trms_cli.models.model import Model, names
 

@@ -22,9 +22,9 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.gap.baselines.baseline import diagnosis
 from trms_cli.gap.baselines.fits import parts_of, refit
 from trms_cli.gap.baselines.restoring_force import Motion, motion
-from trms_cli.gap.baselines.shrinkage import measure
 from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure
 from trms_cli.identification.dataset import FloatArray
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names

@@ -14,11 +14,11 @@ import numpy as np
 
 from trms_cli.gap.baselines.baseline import diagnosis, places
 from trms_cli.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
-from trms_cli.gap.baselines.shrinkage import measure
 from trms_cli.gap.baselines.white_noise import compete
 from trms_cli.gap.candidates import suspects
 from trms_cli.gap.diagnosis import Cause, Diagnosis, Verdict
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,9 +8,9 @@ from typing import ClassVar
 
 from trms_cli.gap.baselines.baseline import diagnosis
 from trms_cli.gap.baselines.fits import parts_of, refit
-from trms_cli.gap.baselines.shrinkage import measure
 from trms_cli.gap.diagnosis import Cause, Diagnosis
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,10 +23,10 @@ from trms_cli.gap.baselines.baseline import diagnosis
 from trms_cli.gap.baselines.fits import Fit, parts_of, refit
 from trms_cli.gap.baselines.force_terms import AddedForces, Term, columns
 from trms_cli.gap.baselines.restoring_force import Motion, motion
-from trms_cli.gap.baselines.shrinkage import measure
 from trms_cli.gap.candidates import Suspect, suspects
 from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure
 from trms_cli.identification.dataset import FloatArray, IntArray
 from trms_cli.identification.judgement import with_values
 from trms_cli.models.model import Model, names

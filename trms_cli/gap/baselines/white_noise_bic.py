@@ -10,11 +10,11 @@ import numpy as np
 
 from trms_cli.gap.baselines.baseline import diagnosis, places
 from trms_cli.gap.baselines.fits import parts_of
-from trms_cli.gap.baselines.shrinkage import measure
 from trms_cli.gap.baselines.white_noise import Competitor, compete, with_deviations
 from trms_cli.gap.candidates import suspects
 from trms_cli.gap.diagnosis import Cause, Diagnosis, Verdict
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure
 
 #: Causes of less probability are not told.
 _TOLD = 1e-6

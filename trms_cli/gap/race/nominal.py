@@ -128,11 +128,11 @@ def refit(
 def unfitted(contestant: Contestant, fit: Fit, metric: Metric, centres: FloatArray) -> Fit:
     """The model with its parameters as they were: only the windows' starts are fitted."""
     theta = contestant.theta({})
-    held = replace_bounds(contestant, theta)
+    held = parameters_held(contestant, theta)
     return held.fit(metric, [(theta, fit.starts), (theta, centres)], centres=centres)
 
 
-def replace_bounds(contestant: Contestant, theta: FloatArray) -> Contestant:
+def parameters_held(contestant: Contestant, theta: FloatArray) -> Contestant:
     """The contestant with its parameters held."""
     import copy
 
