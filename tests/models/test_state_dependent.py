@@ -1,0 +1,125 @@
+"""The state-dependent form: exact, the Jacobian at the origin, first order in the step."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.core.errors import ModelError
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.state_dependent import state_dependent
+
+MODELS: dict[str, Model] = {
+    "newtonian": Newtonian(),
+    "newtonian_full": Newtonian(currents="dynamic"),
+    "vertical": Newtonian(freedom="vertical"),
+    "horizontal": Newtonian(freedom="horizontal"),
+    "lagrangian": Lagrangian(),
+}
+SIZES = {"i": 1.0, "omega_h": 300.0, "omega_v": 250.0, "S": 2.0, "alpha_h": 1.5, "alpha_v": 0.8}
+
+
+def scale(model: Model) -> np.ndarray:
+    return np.array(
+        [SIZES.get(name, SIZES.get(name.partition("_")[0], 1.0)) for name in model.state_names]
+    )
+
+
+@pytest.mark.parametrize("name", MODELS)
+@settings(max_examples=30, deadline=None)
+@given(data=st.data())
+def test_the_form_is_the_model_wherever_the_rotors_start_at_rest(
+    name: str, data: st.DataObject
+) -> None:
+    model = MODELS[name]
+    unit = st.floats(-1.0, 1.0)
+    x = scale(model) * data.draw(st.lists(unit, min_size=model.n_x, max_size=model.n_x))
+    u = 2.5 * np.array(data.draw(st.lists(unit, min_size=model.n_u, max_size=model.n_u)))
+    form = FORMS[name]
+    p = model.parameters.values
+    residual = form.residual(x, u, p)
+    at = model.symbols()
+    whole = ca.Function("f", list(at), [model.dynamics(*at)])
+    size = np.abs(np.asarray(whole(x, u, p, np.zeros(model.n_w)))).max()
+    assert np.abs(residual).max() <= 1e-7 * (1.0 + size)
+
+
+FORMS = {name: state_dependent(model) for name, model in MODELS.items()}
+
+
+def test_at_the_origin_it_is_the_jacobian() -> None:
+    model = MODELS["newtonian"]
+    x_0, u_0 = model.rest() + 0.1, np.array([0.7, -0.3])
+    form = state_dependent(model, x_0, u_0)
+    x, u, p, w = model.symbols()
+    f = model.dynamics(x, u, p, w)
+    slopes = ca.Function("slopes", [x, u, p, w], [ca.jacobian(f, v) for v in (x, u, w)])
+    expected = slopes(x_0, u_0, model.parameters.values, np.zeros(model.n_w))
+    found = form.coefficients(x_0, u_0, model.parameters.values)
+    for given_part, wanted in zip(found, expected, strict=False):
+        np.testing.assert_allclose(given_part, ca.densify(wanted), rtol=1e-9, atol=1e-9)
+
+
+def test_a_ray_through_a_kink_leaves_a_small_residual_that_is_told() -> None:
+    model = MODELS["newtonian"]
+    x_0 = model.rest()
+    x_0[model.state_index("omega_h")] = 100.0
+    form = state_dependent(model, x_0)
+    beyond = x_0.copy()
+    beyond[model.state_index("omega_h")] = -80.0
+    p = model.parameters.values
+    left = form.residual(beyond, np.zeros(2), p)
+    rows = [model.state_index(name) for name in ("omega_h", "S_h")]
+    at = model.symbols()
+    f = ca.Function("f", list(at), [model.dynamics(*at)])
+    whole = np.asarray(f(beyond, np.zeros(2), p, np.zeros(model.n_w)))[:, 0]
+    assert np.abs(left[rows]).max() > 0
+    assert np.all(np.abs(left[rows]) < 0.05 * np.abs(whole[rows]))
+
+
+@pytest.mark.parametrize("name", ["newtonian", "lagrangian"])
+def test_a_step_converges_to_the_integrator_with_second_order_local_error(name: str) -> None:
+    model = MODELS[name]
+    form, p, w = FORMS[name], model.parameters.values, np.zeros(model.n_w)
+    x = model.rest() + 0.2 * scale(model)
+    u = np.array([1.6, -0.8])
+    errors = []
+    for step_length in (0.04, 0.02, 0.01):
+        Phi, gamma_u, _, c = (np.asarray(v) for v in form.discrete(step_length)(x, u, p))
+        after = form.origin_x + Phi @ (x - form.origin_x) + gamma_u @ u + c[:, 0]
+        exact = np.asarray(discretise(model, step_length, 8).step(x, u, p, w))[:, 0]
+        errors.append(np.abs((after - exact) / scale(model)).max())
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.25)
+
+
+def test_a_stiff_model_settles_its_currents_in_a_step() -> None:
+    model = MODELS["newtonian_full"]
+    form, p = FORMS["newtonian_full"], model.parameters.values
+    x = model.rest()
+    x[model.state_index("i_v")] = 5.0
+    after = x
+    for _ in range(3):
+        Phi, gamma_u, _, c = (
+            np.asarray(v) for v in form.discrete(0.02)(after, np.array([1.0, 0.0]), p)
+        )
+        after = form.origin_x + Phi @ (after - form.origin_x) + gamma_u @ [1.0, 0.0] + c[:, 0]
+    settled = np.asarray(
+        discretise(model, 0.06, 12).step(x, np.array([1.0, 0.0]), p, np.zeros(model.n_w))
+    )
+    i = model.state_index("i_v")
+    assert after[i] == pytest.approx(settled[i, 0], rel=0.02)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    model = MODELS["newtonian"]
+    with pytest.raises(ModelError, match="origin"):
+        state_dependent(model, np.zeros(3))
+    with pytest.raises(ModelError, match="step"):
+        state_dependent(model).discrete(0.0)
