@@ -57,6 +57,7 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
         sample_time=number(simulation["sample_time"], "sim.sample_time"),
         seed=whole_number(config["seed"], "seed"),
         prediction_every=whole_number(simulation["prediction_every"], "sim.prediction_every"),
+        supervisor=build(config["supervisor"], "supervisor"),
     )
 
 

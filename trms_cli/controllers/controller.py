@@ -35,6 +35,11 @@ class Status(enum.Enum):
         "the solve failed; the declared fall-back acted",
         "read /event and the slack; try another qp_solver or softer limits",
     )
+    OVERRIDDEN = (
+        "overridden",
+        "the supervisor's command acted in place of the controller's",
+        "read /event for the cause",
+    )
 
     def __init__(self, label: str, meaning: str, remedy: str) -> None:
         self.label = label
@@ -114,6 +119,8 @@ class Command:
     linearise_time, qp_time : float
     fallback : str
         Which fall-back acted, empty for none.
+    out_of_reach : bool
+        Whether no steady state has the reference, and the closest one is the target.
     message : str
     prediction : Prediction or None
     """
@@ -129,6 +136,7 @@ class Command:
     fallback: str = ""
     message: str = ""
     prediction: Prediction | None = None
+    out_of_reach: bool = False
 
 
 class Controller(Protocol):

@@ -236,7 +236,7 @@ class Lqr:
         u = np.minimum(np.maximum(v, state.lower), state.upper)
         error = estimate.x[state.rows] - target.reference_reached
         state.integral = state.integral + state.period * error + law.unwind @ (v - u)
-        return Command(u, message=message)
+        return Command(u, message=message, out_of_reach=target.projected)
 
     def _aim(self, state: LqrState, reference: FloatArray, w: FloatArray) -> str:
         """Move the target; a word if the reference cannot be reached."""

@@ -26,6 +26,7 @@ from trms_cli.models.model import FloatArray, Model, Signal, names
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.models.rest import rest_equations
 from trms_cli.plants.disturbance import ScheduledDisturbance
+from trms_cli.plants.faults.fault import Fault, FaultRun, FaultSetup
 from trms_cli.plants.mechanical_stops import StoppedSteps, with_stops
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
@@ -59,6 +60,8 @@ class SimulatedRig:
         Commands in force before time zero, by input.
     disturbances : dict of str to ScheduledDisturbance
         External torques by name.
+    faults : dict of str to Fault
+        What breaks during a run, by name.
     mechanical_stops : bool
         Whether the frame ends the travel of each axis.
     """
@@ -75,6 +78,7 @@ class SimulatedRig:
     )
     first_command: Mapping[str, float] = field(default_factory=dict)
     disturbances: Mapping[str, ScheduledDisturbance] = field(default_factory=dict)
+    faults: Mapping[str, Fault] = field(default_factory=dict)
     mechanical_stops: bool = True
 
     def init(self, setup: PlantSetup) -> SimulatedRun:
@@ -150,6 +154,7 @@ class SimulatedRun:
         self._quanta = np.where(quanta > 0, quanta, 1.0)
         self._rounded = quanta > 0
         self._any_rounded = bool(self._rounded.any())
+        self.faults = _broken(rig.faults, setup, channels, names(model.inputs))
         self._driven, self._pushes = _noise_on_states(model, self.parameters, setup)
         self._w = self._torques(rig, setup)
         self.known_disturbances: Mapping[str, FloatArray] = self._known(rig, setup)
@@ -165,11 +170,17 @@ class SimulatedRun:
         sense()
         y = sense.outputs[0] + self._noise[self._sample]
         if self._any_rounded:
-            return np.where(self._rounded, np.round(y / self._quanta) * self._quanta, y)
+            y = np.where(self._rounded, np.round(y / self._quanta) * self._quanta, y)
+        for fault in self.faults:
+            fault.sensed(self._sample, y)
         return y
 
     def advance(self, command: FloatArray) -> None:
         step = self._step
+        if self.faults:
+            command = command.copy()
+            for fault in self.faults:
+                fault.commanded(self._sample, command)
         step.inputs[1][:] = command
         self._sense.inputs[1][:] = command
         step.inputs[3][:] = self._w[self._sample]
@@ -210,6 +221,25 @@ class SimulatedRun:
                 torque = known.setdefault(disturbance.equation, np.zeros(setup.samples))
                 torque += disturbance.torque.sample(times)
         return known
+
+
+def _broken(
+    faults: Mapping[str, Fault],
+    setup: PlantSetup,
+    outputs: tuple[str, ...],
+    inputs: tuple[str, ...],
+) -> tuple[FaultRun, ...]:
+    """The faults of a run, in their order; each has random numbers of its own."""
+    runs = []
+    for name, fault in faults.items():
+        seed = (setup.seed, 0x4641554C, zlib.crc32(name.encode()))
+        given = FaultSetup(setup.sample_time, setup.samples, outputs, inputs, seed)
+        try:
+            runs.append(fault.init(given))
+        except ConfigurationError as error:
+            error.where = f"faults.{name}.{error.where}"
+            raise
+    return tuple(runs)
 
 
 def _noise_on_states(

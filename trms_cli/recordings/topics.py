@@ -133,6 +133,8 @@ CONTROLLER_TOPIC = Topic(
         Field("fallback", "", "a fall-back acted in place of the solution", "boolean"),
         Field("deadline_missed", "", "the step took longer than its deadline", "boolean"),
         Field("message", "", "the solver's sentence, empty when all is well", "text"),
+        Field("mode", "", "of the loop: normal, degraded or landing", "text"),
+        Field("reasons", "", "why the mode is not normal, empty when it is", "text"),
     ),
     "The controller's own words on each sample",
 )

@@ -1,9 +1,10 @@
 """The closed loop: reference → controller → rig → observer, sample by sample.
 
 At each sample the rig is measured, the observer takes the measurement, the controller (at its own,
-slower or equal rate) takes the estimate, and the command is held until the next sample. All that
-passes is written to the history. Nothing in here depends on the wall clock but the times that the
-controller's work took.
+slower or equal rate) takes the estimate, and the command is held until the next sample. A
+supervisor watches and may keep a reading from the observer, or land the rig in the controller's
+place. All that passes is written to the history. Nothing in here depends on the wall clock but the
+times that the controller's work took.
 """
 
 from __future__ import annotations
@@ -18,18 +19,25 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.controller import (
-    Command,
     Controller,
     ControlSample,
     ControlSetup,
     Status,
 )
-from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import Estimate, Observer, ObserverSetup
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
+from trms_cli.simulation.command_gate import CommandGate
 from trms_cli.simulation.history import History
+from trms_cli.simulation.supervisor import (
+    Mode,
+    Supervisor,
+    SupervisorRun,
+    SupervisorSetup,
+    Unsupervised,
+)
 
 FloatArray = npt.NDArray[np.float64]
 #: Called once a simulated second with the time (s) and the largest present tracking error (rad).
@@ -52,6 +60,7 @@ class Experiment:
     seed : int
     prediction_every : int
         Every how many control samples the controller's prediction is logged; 0 for never.
+    supervisor : Supervisor or Unsupervised
     """
 
     model: Model
@@ -63,6 +72,7 @@ class Experiment:
     sample_time: float
     seed: int = 0
     prediction_every: int = 10
+    supervisor: Supervisor | Unsupervised = field(default_factory=Unsupervised)
 
     def __post_init__(self) -> None:
         if not (self.sample_time > 0 and math.isfinite(self.sample_time)):
@@ -133,9 +143,13 @@ class Loop:
     history: History
     _observer_state: Any
     _controller_state: Any
+    _supervisor: SupervisorRun
+    _now_ns: int = 0
     done: int = 0
-    _saturated: set[str] = field(default_factory=set)
-    _not_finite: set[str] = field(default_factory=set)
+    _gate: CommandGate = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._gate = CommandGate(names(self.plant.inputs), self.plant.input_limits, self._tell)
 
     @classmethod
     def start(cls, experiment: Experiment, make_history: Callable[[PlantRun], History]) -> Loop:
@@ -173,18 +187,27 @@ class Loop:
         )
         observer_state = e.observer.init(observing)
         controller_state = e.controller.init(control)
+        supervisor = e.supervisor.init(
+            SupervisorSetup(e.model, e.sample_time, names(plant.outputs))
+        )
         return cls(
-            e, plant, references, preview, make_history(plant), observer_state, controller_state
+            e,
+            plant,
+            references,
+            preview,
+            make_history(plant),
+            observer_state,
+            controller_state,
+            supervisor,
         )
 
     def run(self, progress: Progress | None = None) -> None:
         """Run to the end; what is done stays in the history if an exception ends it."""
-        e, plant, history = self.experiment, self.plant, self.history
+        e, plant, history, watch = self.experiment, self.plant, self.history, self._supervisor
         ratio = e.samples_per_control
         period = ratio * e.sample_time
         per_second = max(1, round(1.0 / e.sample_time))
         lookahead = np.arange(self.preview + 1) * ratio
-        lower, upper = (bound.tolist() for bound in plant.input_limits)
         controlled = [e.model.state_index(name) for name in e.model.controlled]
         state_names = names(plant.states)
         log_reference, log_command = history.writer("/reference"), history.writer("/command")
@@ -192,25 +215,37 @@ class Loop:
         log_estimate, log_known = history.writer("/estimate"), history.writer("/disturbance")
         measured, known = self._known_torques()
         u = plant.first_command.copy()
+        landing = False
 
         for k in range(self.done, e.samples):
-            now_ns = round(k * e.sample_time * 1e9)
+            now_ns = self._now_ns = round(k * e.sample_time * 1e9)
+            self._tell_of_faults(k)
             y = plant.measure()
+            seen = watch.screen(y)
             truth_row = plant.state.tolist()
             truth = dict(zip(state_names, truth_row, strict=True)) if state_names else None
             if known is None:
-                estimate = e.observer.step(self._observer_state, u, y, truth)
+                estimate = e.observer.step(self._observer_state, u, seen, truth)
             else:
                 # What acted until now is what was measured at the sample before.
                 estimate = e.observer.step(
-                    self._observer_state, u, y, truth, known=known[max(k - 1, 0)]
+                    self._observer_state, u, seen, truth, known=known[max(k - 1, 0)]
                 )
                 log_known(now_ns, measured[k].tolist())
-            if k % ratio == 0:
+            watch.judge(estimate, self._tell)
+            if watch.mode is Mode.LANDING:
+                landing = True
+                u = watch.landed(u)
+                if k % ratio == 0:
+                    self._log_landing()
+            elif k % ratio == 0:
+                if landing:
+                    control = ControlSetup(e.model, period, u.copy())
+                    self._controller_state, landing = e.controller.init(control), False
                 sample = ControlSample(
                     k * e.sample_time, self.references[k + lookahead], estimate, u
                 )
-                u = self._control(sample, k // ratio, now_ns, period, lower, upper)
+                u = self._control(sample, k // ratio, period)
             log_reference(now_ns, self.references[k].tolist())
             log_command(now_ns, u.tolist())
             log_measurement(now_ns, y.tolist())
@@ -241,12 +276,10 @@ class Loop:
         self,
         sample: ControlSample,
         count: int,
-        now_ns: int,
         deadline: float,
-        lower: list[float],
-        upper: list[float],
     ) -> FloatArray:
         """One control step: its command within the limits, its words in the log."""
+        now_ns = self._now_ns
         every = self.experiment.prediction_every
         want_prediction = every > 0 and count % every == 0
         begin = perf_counter()
@@ -254,9 +287,8 @@ class Loop:
             self._controller_state, sample, want_prediction=want_prediction
         )
         spent = perf_counter() - begin
-        if not isinstance(command, Command):
-            raise _no_command(f"step returned {command!r}, not a Command")
-        u = self._applied(command, sample.previous_command, now_ns, lower, upper)
+        u = self._gate.applied(command, sample.previous_command)
+        self._supervisor.heard(command)
         self.history.writer("/controller")(
             now_ns,
             (
@@ -271,6 +303,8 @@ class Loop:
                 bool(command.fallback),
                 spent > deadline,
                 command.message,
+                self._supervisor.mode.value,
+                self._supervisor.reasons(),
             ),
         )
         if command.prediction is not None:
@@ -280,48 +314,28 @@ class Loop:
             self.history.event(now_ns, "solver", "controller", command.message or "solve failed")
         return u
 
-    def _applied(
-        self,
-        command: Command,
-        previous: FloatArray,
-        now_ns: int,
-        lower: list[float],
-        upper: list[float],
-    ) -> FloatArray:
-        """The command after limits; whatever a controller says, only finite numbers pass."""
-        try:
-            asked = np.asarray(command.u, dtype=float)
-        except (TypeError, ValueError):
-            raise _no_command(f"command is {command.u!r}, no array of numbers") from None
-        if asked.shape != previous.shape:
-            raise _no_command(f"command has shape {asked.shape}, the rig takes {previous.shape}")
-        applied = previous.copy()
-        for i, value in enumerate(asked.tolist()):
-            finite = math.isfinite(value)
-            if finite:
-                applied[i] = min(max(value, lower[i]), upper[i])
-            name = self.plant.inputs[i].name
-            saturated = finite and not lower[i] < value < upper[i]
-            if saturated != (name in self._saturated):
-                self._saturated ^= {name}
-                words = "reached its limit" if saturated else "left its limit"
-                kind = "saturation_begin" if saturated else "saturation_end"
-                self.history.event(now_ns, kind, name, f"{name} {words} (value in V)", value)
-            if finite == (name in self._not_finite):
-                self._not_finite ^= {name}
-                words = "is finite again" if finite else "is not finite; the last command is held"
-                kind = "fault_end" if finite else "fault"
-                self.history.event(now_ns, kind, "controller", f"{name} {words}", value)
-        return applied
+    def _log_landing(self) -> None:
+        """The controller's row while it is not asked."""
+        status, watch = Status.OVERRIDDEN, self._supervisor
+        nothing = (math.nan,) * 3
+        self.history.writer("/controller")(
+            self._now_ns,
+            (
+                *(*nothing, 0, status.label, *nothing, False, False, status.meaning),
+                *(watch.mode.value, watch.reasons()),
+            ),
+        )
 
+    def _tell(self, kind: str, source: str, words: str, value: float = math.nan) -> None:
+        self.history.event(self._now_ns, kind, source, words, value)
 
-def _no_command(what: str) -> SimulationError:
-    return SimulationError(
-        f"the controller's {what}",
-        where="controller",
-        remedy="step returns Command(u): one value (V) for each of the model's inputs, in their "
-        "order",
-    )
+    def _tell_of_faults(self, k: int) -> None:
+        """Faults of a simulated rig, as they begin and end."""
+        for fault in getattr(self.plant, "faults", ()):
+            if k == fault.active.start and fault.active:
+                self._tell("fault_injected", "plant", fault.words)
+            elif k == fault.active.stop and fault.active:
+                self._tell("fault_removed", "plant", fault.words)
 
 
 def _check_finite(references: FloatArray, times: FloatArray, axes: Sequence[str]) -> None:

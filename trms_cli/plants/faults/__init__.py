@@ -1,0 +1,1 @@
+"""What breaks on a rig during a run: one file a kind of fault."""

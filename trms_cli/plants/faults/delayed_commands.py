@@ -1,0 +1,43 @@
+"""Commands that arrive late: a network or a computer that is busy."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from trms_cli.plants.faults.fault import FaultRun, FaultSetup, FloatArray, NotNegative, Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class DelayedCommands:
+    """All commands reach the rig later.
+
+    Attributes
+    ----------
+    start : float
+        s.
+    delay : float
+        s, rounded to whole samples.
+    duration : float or None
+        s; None lasts to the end.
+    """
+
+    start: NotNegative
+    delay: Positive
+    duration: Positive | None = None
+
+    def init(self, setup: FaultSetup) -> FaultRun:
+        active = setup.window(self.start, self.duration)
+        late = max(1, round(self.delay / setup.sample_time))
+        return _Run(active, f"commands arrive {late * setup.sample_time:g} s late", late)
+
+
+class _Run(FaultRun):
+    def __init__(self, active: range, words: str, late: int) -> None:
+        super().__init__(active, words)
+        self._sent: deque[FloatArray] = deque(maxlen=late + 1)
+
+    def commanded(self, sample: int, u: FloatArray) -> None:
+        self._sent.append(u.copy())
+        if sample in self.active:
+            u[:] = self._sent[0]

@@ -1,0 +1,41 @@
+"""A channel that shows its last value: a counter or a converter that hangs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trms_cli.plants.faults.fault import FaultRun, FaultSetup, FloatArray, NotNegative, Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrozenSensor:
+    """The reading stays what it was when the fault began.
+
+    Attributes
+    ----------
+    channel : str
+    start : float
+        s.
+    duration : float or None
+        s; None lasts to the end.
+    """
+
+    channel: str
+    start: NotNegative
+    duration: Positive | None = None
+
+    def init(self, setup: FaultSetup) -> FaultRun:
+        active = setup.window(self.start, self.duration)
+        return _Run(active, f"{self.channel} is frozen", setup.output(self.channel))
+
+
+class _Run(FaultRun):
+    def __init__(self, active: range, words: str, column: int) -> None:
+        super().__init__(active, words)
+        self._column, self._held = column, 0.0
+
+    def sensed(self, sample: int, y: FloatArray) -> None:
+        if sample in self.active and sample > self.active.start:
+            y[self._column] = self._held
+        else:
+            self._held = y[self._column]

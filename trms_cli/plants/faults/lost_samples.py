@@ -1,0 +1,58 @@
+"""A channel that is not read: a wire that is off, or samples dropped on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.plants.faults.fault import (
+    FaultRun,
+    FaultSetup,
+    FloatArray,
+    NotNegative,
+    Positive,
+    Share,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LostSamples:
+    """No reading of a channel.
+
+    Attributes
+    ----------
+    channel : str
+    start : float
+        s.
+    duration : float or None
+        s; None lasts to the end.
+    probability : float
+        Share of the samples that are lost meanwhile.
+    """
+
+    channel: str
+    start: NotNegative
+    duration: Positive | None = None
+    probability: Share = 1.0
+
+    def init(self, setup: FaultSetup) -> FaultRun:
+        column = setup.output(self.channel)
+        lost = np.random.default_rng(setup.seed).random(setup.samples) < self.probability
+        share = "" if self.probability == 1.0 else f"{100 * self.probability:g} % of "
+        return _Run(
+            setup.window(self.start, self.duration),
+            f"{share}{self.channel} is not read",
+            column,
+            lost,
+        )
+
+
+class _Run(FaultRun):
+    def __init__(self, active: range, words: str, column: int, lost: np.ndarray) -> None:
+        super().__init__(active, words)
+        self._column, self._lost = column, lost
+
+    def sensed(self, sample: int, y: FloatArray) -> None:
+        if sample in self.active and self._lost[sample]:
+            y[self._column] = np.nan

@@ -1,0 +1,61 @@
+"""Single readings far off: spikes on a tacho's line, a bit that flips in a counter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.plants.faults.fault import (
+    FaultRun,
+    FaultSetup,
+    FloatArray,
+    NotNegative,
+    Positive,
+    Share,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outliers:
+    """Some readings of a channel are off by a fixed size, to either side.
+
+    Attributes
+    ----------
+    channel : str
+    start : float
+        s.
+    duration : float or None
+        s; None lasts to the end.
+    probability : float
+        Share of the samples that are off.
+    size : float
+        By how much, rad or rad/s.
+    """
+
+    channel: str
+    start: NotNegative
+    size: Positive
+    duration: Positive | None = None
+    probability: Share = 0.02
+
+    def init(self, setup: FaultSetup) -> FaultRun:
+        generator = np.random.default_rng(setup.seed)
+        hit = generator.random(setup.samples) < self.probability
+        off = np.where(hit, self.size * generator.choice([-1.0, 1.0], setup.samples), 0.0)
+        return _Run(
+            setup.window(self.start, self.duration),
+            f"{100 * self.probability:g} % of {self.channel} are off by {self.size:g}",
+            setup.output(self.channel),
+            off,
+        )
+
+
+class _Run(FaultRun):
+    def __init__(self, active: range, words: str, column: int, off: FloatArray) -> None:
+        super().__init__(active, words)
+        self._column, self._off = column, off
+
+    def sensed(self, sample: int, y: FloatArray) -> None:
+        if sample in self.active:
+            y[self._column] += self._off[sample]

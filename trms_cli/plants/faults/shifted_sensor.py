@@ -1,0 +1,43 @@
+"""A channel that is off by a constant from one sample to the next: an encoder that slipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trms_cli.plants.faults.fault import FaultRun, FaultSetup, FloatArray, NotNegative, Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShiftedSensor:
+    """The reading is off by a constant.
+
+    Attributes
+    ----------
+    channel : str
+    start : float
+        s.
+    shift : float
+        rad or rad/s.
+    duration : float or None
+        s; None lasts to the end.
+    """
+
+    channel: str
+    start: NotNegative
+    shift: float
+    duration: Positive | None = None
+
+    def init(self, setup: FaultSetup) -> FaultRun:
+        active = setup.window(self.start, self.duration)
+        words = f"{self.channel} is off by {self.shift:g}"
+        return _Run(active, words, setup.output(self.channel), self.shift)
+
+
+class _Run(FaultRun):
+    def __init__(self, active: range, words: str, column: int, shift: float) -> None:
+        super().__init__(active, words)
+        self._column, self._shift = column, shift
+
+    def sensed(self, sample: int, y: FloatArray) -> None:
+        if sample in self.active:
+            y[self._column] += self._shift

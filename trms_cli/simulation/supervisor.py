@@ -1,0 +1,336 @@
+"""What watches a loop: it says when the loop works with less than it should, and lands the rig.
+
+Three modes, each declared in the log and counted in the score:
+
+- *normal*;
+- *degraded*: a channel is missing or frozen, what is measured is not what the observer expects,
+  the controller's fall-back acts, or the reference is out of reach. The loop goes on with what it
+  has: a frozen channel is kept from the observer, which predicts without it;
+- *landing*: an angle is not known, or the controller fails, for so long that to go on is to guess.
+  The command goes to that of rest at a limited rate, and the controller starts afresh when the
+  cause has gone.
+
+A frozen encoder and a rig at rest read the same. What tells them apart is the observer: a reading
+that stays the same to the last bit while the innovations say that it should not.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.controllers.controller import Command, Status
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.model import Model, names
+from trms_cli.observers.observer import Estimate
+
+FloatArray = npt.NDArray[np.float64]
+Positive = Annotated[float, Meta(gt=0)]
+#: Takes a kind, a source and a sentence.
+Tell = Callable[[str, str, str], None]
+
+
+class Mode(enum.Enum):
+    """How the loop works."""
+
+    NORMAL = "normal"
+    DEGRADED = "degraded"
+    LANDING = "landing"
+
+
+class Reason(enum.Enum):
+    """Why it is not normal: its name in the log, how it begins, how it ends."""
+
+    MISSING = ("missing", "{} is not measured; the observer predicts it", "{} is measured again")
+    FROZEN = (
+        "frozen",
+        "{} shows the same value while it should move; it is left out",
+        "{} moves again",
+    )
+    INCONSISTENT = (
+        "inconsistent",
+        "{} is not what the observer expects",
+        "{} is as expected again",
+    )
+    ESTIMATE = ("estimate", "the estimate is not finite", "the estimate is finite again")
+    CONTROLLER = ("controller", "the controller's fall-back acts", "the controller solves again")
+    REFERENCE = (
+        "reference",
+        "the reference is out of reach; the closest steady state is the target",
+        "the reference is within reach again",
+    )
+
+    def __init__(self, label: str, begins: str, ends: str) -> None:
+        self.label = label
+        self.begins = begins
+        self.ends = ends
+
+
+#: Without these the loop guesses; frozen and missing count for the controlled angles only.
+_CRITICAL = (Reason.MISSING, Reason.FROZEN, Reason.ESTIMATE, Reason.CONTROLLER)
+
+
+@dataclass(frozen=True)
+class SupervisorSetup:
+    """What a supervisor is told before a run.
+
+    Attributes
+    ----------
+    model : Model
+        What controller and observer believe.
+    sample_time : float
+        s.
+    outputs : tuple of str
+        Measured channels, the order of y.
+    """
+
+    model: Model
+    sample_time: float
+    outputs: tuple[str, ...]
+
+
+class SupervisorRun(Protocol):
+    """A supervisor during one run; the loop calls it in this order at each sample."""
+
+    mode: Mode
+
+    def screen(self, y: FloatArray) -> FloatArray:
+        """The measurement (n_y,) as the observer is to see it."""
+        ...
+
+    def judge(self, estimate: Estimate, tell: Tell) -> None:
+        """Look at the estimate, choose the mode, and tell what begins or ends."""
+        ...
+
+    def landed(self, u: FloatArray) -> FloatArray:
+        """The command (n_u,) after ``u`` while landing, V."""
+        ...
+
+    def heard(self, command: Command) -> None:
+        """Take in the controller's own words."""
+        ...
+
+    def reasons(self) -> str:
+        """Why the mode is not normal, in words for the log; empty when it is."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Supervisor:
+    """Watches measurement, estimate and controller.
+
+    Attributes
+    ----------
+    missing_after : float
+        s without a reading, after which a channel counts as missing.
+    frozen_after : float
+        s of equal readings, after which a channel may count as frozen.
+    frozen_innovation : float
+        Root mean square of ν/σ over these equal readings, above which it does.
+    innovation_limit : float
+        Root mean square of ν/σ, above which a channel counts as inconsistent.
+    innovation_window : float
+        s, over which that mean is taken (exponentially).
+    clear_after : float
+        s without the cause, after which a reason ends.
+    land_after : float
+        s, for which an angle may be unknown or the controller may fail.
+    landing_command : dict of str to float
+        V, where the command goes; 0 where none is given.
+    landing_rate : float
+        V/s.
+    """
+
+    missing_after: Positive = 0.1
+    frozen_after: Positive = 0.3
+    frozen_innovation: Positive = 5.0
+    innovation_limit: Positive = 8.0
+    innovation_window: Positive = 1.0
+    clear_after: Positive = 0.5
+    land_after: Positive = 2.0
+    landing_command: Mapping[str, float] = field(default_factory=dict)
+    landing_rate: Positive = 1.0
+
+    def init(self, setup: SupervisorSetup) -> WatchingRun:
+        """Ready for the first sample.
+
+        Raises
+        ------
+        ConfigurationError
+            For an input that the model does not have, or a command beyond its limit.
+        """
+        known = names(setup.model.inputs)
+        for name in self.landing_command:
+            if name not in known and name not in {"u_v", "u_h"}:
+                raise ConfigurationError(
+                    f"the model has no input {name!r}",
+                    where=f"landing_command.{name}",
+                    remedy=nearest(name, known),
+                )
+            limit = setup.model.input_limits.get(name, math.inf)
+            if not abs(self.landing_command[name]) <= limit:
+                raise ConfigurationError(
+                    f"{self.landing_command[name]:g} given",
+                    where=f"landing_command.{name}",
+                    remedy=f"at most {limit:g} V to either side",
+                )
+        return WatchingRun(self, setup)
+
+
+class WatchingRun:
+    """See :class:`SupervisorRun`."""
+
+    def __init__(self, config: Supervisor, setup: SupervisorSetup) -> None:
+        def samples(seconds: float) -> int:
+            return max(1, round(seconds / setup.sample_time))
+
+        self.mode = Mode.NORMAL
+        self._outputs = setup.outputs
+        self._missing_after, self._frozen_after = (
+            samples(config.missing_after),
+            samples(config.frozen_after),
+        )
+        self._clear_after, self._land_after = (
+            samples(config.clear_after),
+            samples(config.land_after),
+        )
+        self._forget = min(1.0, setup.sample_time / config.innovation_window)
+        self._limit, self._frozen_limit = (
+            config.innovation_limit**2,
+            config.frozen_innovation**2,
+        )
+        n = len(setup.outputs)
+        self._last: list[float] = [math.nan] * n
+        self._missed, self._same = [0] * n, [0] * n
+        self._frozen = [False] * n
+        self._sum, self._mean = [0.0] * n, [1.0] * n
+        self._angles = set(setup.model.controlled) & set(setup.outputs)
+        inputs = names(setup.model.inputs)
+        self._goal = np.array([config.landing_command.get(name, 0.0) for name in inputs])
+        self._largest_move = config.landing_rate * setup.sample_time
+        self._failing = self._out_of_reach = False
+        #: By reason and channel: samples since it began, and since its cause was last seen.
+        self._active: dict[tuple[Reason, str], list[int]] = {}
+
+    def screen(self, y: FloatArray) -> FloatArray:
+        for i, value in enumerate(y.tolist()):
+            if value != value:
+                self._missed[i] += 1
+                continue
+            self._missed[i] = 0
+            if value == self._last[i]:
+                self._same[i] += 1
+            else:
+                self._same[i], self._sum[i], self._frozen[i] = 0, 0.0, False
+                self._last[i] = value
+        if any(self._frozen):
+            return np.where(self._frozen, np.nan, y)
+        return y
+
+    def judge(self, estimate: Estimate, tell: Tell) -> None:
+        seen: list[tuple[Reason, str]] = []
+        innovations, spreads = estimate.innovation.tolist(), estimate.innovation_sd.tolist()
+        for i, (innovation, spread) in enumerate(zip(innovations, spreads, strict=True)):
+            share = (innovation / spread) ** 2 if spread > 0.0 else 0.0
+            if share == share:
+                self._sum[i] += share
+                self._mean[i] += self._forget * (share - self._mean[i])
+                if self._same[i] >= self._frozen_after and not self._frozen[i]:
+                    self._frozen[i] = self._sum[i] > self._frozen_limit * self._same[i]
+            if self._missed[i] >= self._missing_after:
+                seen.append((Reason.MISSING, self._outputs[i]))
+            elif self._frozen[i]:
+                seen.append((Reason.FROZEN, self._outputs[i]))
+            elif self._mean[i] > self._limit:
+                seen.append((Reason.INCONSISTENT, self._outputs[i]))
+        if not math.isfinite(float(estimate.x.sum())):
+            seen.append((Reason.ESTIMATE, ""))
+        if self._failing:
+            seen.append((Reason.CONTROLLER, ""))
+        if self._out_of_reach:
+            seen.append((Reason.REFERENCE, ""))
+        if seen or self._active:
+            self._update(seen, tell)
+
+    def _update(self, seen: list[tuple[Reason, str]], tell: Tell) -> None:
+        """Begin and end reasons, and choose the mode."""
+        for key in seen:
+            if key not in self._active:
+                self._active[key] = [0, 0]
+                tell("degraded_begin", key[1] or key[0].label, key[0].begins.format(key[1]))
+            self._active[key][1] = 0
+        critical = False
+        for key, counts in list(self._active.items()):
+            counts[0] += 1
+            counts[1] += 1
+            if counts[1] > self._clear_after:
+                del self._active[key]
+                tell("degraded_end", key[1] or key[0].label, key[0].ends.format(key[1]))
+            elif self._is_critical(key):
+                # A landing lasts as long as any cause does that could have begun it.
+                critical |= counts[0] > self._land_after or self.mode is Mode.LANDING
+        before = self.mode
+        if critical:
+            self.mode = Mode.LANDING
+            # What the controller last said is old while it is not asked.
+            self._failing = self._out_of_reach = False
+        else:
+            self.mode = Mode.DEGRADED if self._active else Mode.NORMAL
+        if (before is Mode.LANDING) != critical:
+            begins = "the cause lasts: the command goes to that of rest"
+            ends = "the causes have gone: the controller starts afresh"
+            kind = "landing_begin" if critical else "landing_end"
+            tell(kind, "supervisor", begins if critical else ends)
+
+    def _is_critical(self, key: tuple[Reason, str]) -> bool:
+        reason, channel = key
+        return reason in _CRITICAL and (not channel or channel in self._angles)
+
+    def landed(self, u: FloatArray) -> FloatArray:
+        move = np.clip(self._goal - u, -self._largest_move, self._largest_move)
+        return np.asarray(u + move)
+
+    def heard(self, command: Command) -> None:
+        self._failing = command.status is Status.FAILED or bool(command.fallback)
+        self._out_of_reach = command.out_of_reach
+
+    def reasons(self) -> str:
+        return "; ".join(f"{reason.label} {channel}".strip() for reason, channel in self._active)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unsupervised:
+    """Nobody watches: every measurement and every command passes."""
+
+    def init(self, setup: SupervisorSetup) -> UnsupervisedRun:
+        """Nothing to prepare."""
+        return UnsupervisedRun()
+
+
+class UnsupervisedRun:
+    """See :class:`SupervisorRun`."""
+
+    mode = Mode.NORMAL
+
+    def screen(self, y: FloatArray) -> FloatArray:
+        return y
+
+    def judge(self, estimate: Estimate, tell: Tell) -> None:
+        pass
+
+    def landed(self, u: FloatArray) -> FloatArray:
+        return u
+
+    def heard(self, command: Command) -> None:
+        pass
+
+    def reasons(self) -> str:
+        return ""
