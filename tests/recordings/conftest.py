@@ -62,7 +62,11 @@ def write_sample(log: RunLog, k: int) -> None:
     log.write("/measurement", t, [0.1 * k, float("nan") if k % 2 else 0.0])
     log.write("/plant/state", t, (float(k), 2.0))
     log.write("/estimate", t, tuple(float(i) for i in range(10)))
-    log.write("/controller", t, (1e-4, 2e-5, 3e-5, 3, "optimal", 1.5, 0.0, 1e-9, False, k == 7, ""))
+    log.write(
+        "/controller",
+        t,
+        (1e-4, 2e-5, 3e-5, 3, "optimal", 1.5, 0.0, 1e-9, False, k == 7, "", "normal", ""),
+    )
     if k % 10 == 0:
         horizon = np.arange(4) * 0.1
         log.write("/prediction", t, [horizon, *(horizon * i for i in range(5))])

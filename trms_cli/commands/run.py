@@ -253,4 +253,7 @@ def _title(composition: Composition, controller: Any) -> str:
     effects = choices.get("effect")
     if effects:
         words.append(f"effect {', '.join(effects)}")
+    faults = choices.get("fault")
+    if faults:
+        words.append(f"fault {', '.join(faults)}")
     return " · ".join(words)

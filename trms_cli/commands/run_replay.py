@@ -30,7 +30,7 @@ from trms_cli.simulation.replay import Replay, time_offset
 
 INNOVATIONS_NAME = "innovations.json"
 #: Groups that a recording makes no use of.
-_NO_PART = ("controller", "ref", "effect", "sim")
+_NO_PART = ("controller", "ref", "effect", "fault", "supervisor", "sim")
 #: File names of measured rotor curves, by the key of a model that takes one.
 _CURVES = {"main_curve": "static_main.csv", "tail_curve": "static_tail.csv"}
 

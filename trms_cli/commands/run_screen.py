@@ -103,6 +103,7 @@ class RunScreen:
         yield from _estimate_lines(score["estimate"])
         yield from _solver_lines(score["solver"])
         yield from _violation_lines(score["constraint_violations"])
+        yield from degraded_lines(score["degraded"])
         yield ""
         speed = score["duration_s"] / self._spent if self._spent > 0 else float("inf")
         yield (
@@ -130,6 +131,9 @@ class RunScreen:
         effects = choices.get("effect")
         if effects:
             parts.append(f"effect {', '.join(effects)}")
+        faults = choices.get("fault")
+        if faults:
+            parts.append(f"fault {', '.join(faults)}")
         return f"{' · '.join(parts)} · {e.duration:g} s at {1 / e.sample_time:g} Hz"
 
     def _another(self) -> str:
@@ -215,6 +219,16 @@ def _violation_lines(violations: Mapping[str, Any]) -> Iterator[str]:
         if found["samples"]:
             worst = f"{_number(found['worst'])} {found['unit']}"
             yield f"limits     {name} beyond its limit on {found['samples']} samples, by {worst}"
+
+
+def degraded_lines(found: Mapping[str, Any] | None) -> Iterator[str]:
+    """How much of the run the loop was not normal, and why; nothing for a normal run."""
+    if not found or found["first_s"] is None:
+        return
+    shares = [f"{_number(100 * share)} % {mode}" for mode, share in found["share"].items() if share]
+    reasons = ", ".join(f"{name} {_number(s)} s" for name, s in found["reasons_s"].items())
+    yield f"mode       {', '.join(shares)} of the time, first at {found['first_s']:g} s"
+    yield f"           {reasons}"
 
 
 def _row(label: str, unit: str, values: Any, note: str = "") -> str:

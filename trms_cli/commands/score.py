@@ -167,6 +167,10 @@ def print_score(score: dict[str, Any]) -> None:
     _print_solver(score["solver"])
     violated = {n: v for n, v in score["constraint_violations"].items() if v["samples"]}
     _print_channels("limits that were exceeded", violated, _VIOLATIONS)
+    from trms_cli.commands.run_screen import degraded_lines
+
+    for line in degraded_lines(score["degraded"]):
+        _console().print(line, highlight=False)
 
 
 def _print_score(log: LoggedRun, score: dict[str, Any]) -> None:

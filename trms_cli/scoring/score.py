@@ -8,7 +8,8 @@ rig's true state is taken where the log has it, since a sensor's noise is not th
 error. ``estimate`` also has ``nees_expected`` (the mean of a consistent filter) and
 ``prediction_rmse`` (one step ahead, per output), which exist for replayed recordings too, and the
 ``units`` of both; its ``innovations`` hold, per output, the mean of (ν/σ)² and the correlation of
-each innovation with the next: how much it is that ``innovation_whiteness_p`` finds.
+each innovation with the next: how much it is that ``innovation_whiteness_p`` finds. ``degraded``
+says how much of the run the loop was not normal, and why (:mod:`trms_cli.scoring.degraded`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from trms_cli.scoring import consistency, metrics, step_response
+from trms_cli.scoring.degraded import degraded_figures
 from trms_cli.scoring.metrics import Array
 
 if TYPE_CHECKING:
@@ -141,6 +143,7 @@ def score_tables(
         "estimate": _estimate(tables),
         "solver": _solver(tables),
         "constraint_violations": _violations(tables, limits),
+        "degraded": _degraded(tables),
     }
     return _without_nan(document)
 
@@ -292,6 +295,11 @@ def _solver(tables: Mapping[str, Columns]) -> dict[str, Any]:
         "failures": _failures(columns),
         "objective_total": float(np.sum(objective)) if objective.size else math.nan,
     }
+
+
+def _degraded(tables: Mapping[str, Columns]) -> dict[str, Any] | None:
+    words = tables.get("/controller")
+    return None if words is None else degraded_figures(words.time, words.columns)
 
 
 def _failures(columns: Mapping[str, Any]) -> int | None:

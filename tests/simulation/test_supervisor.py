@@ -1,0 +1,137 @@
+"""The supervisor: modes are declared, the rig is landed, and nothing happens in a normal run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trms_cli.controllers.controller import Command, Status
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.observers.observer import Estimate
+from trms_cli.simulation.supervisor import Mode, Supervisor, SupervisorSetup, WatchingRun
+
+T = 0.02
+CHANNELS = ("alpha_v", "alpha_h", "omega_v", "omega_h")
+
+
+class Watched:
+    """A supervisor that is shown made-up samples."""
+
+    def __init__(self, **changes: float) -> None:
+        self.told: list[tuple[str, str]] = []
+        setup = SupervisorSetup(Newtonian(), T, CHANNELS)
+        self.run: WatchingRun = Supervisor(**changes).init(setup)  # type: ignore[arg-type]
+        self._generator = np.random.default_rng(0)
+
+    def sample(self, y: list[float] | None = None, share: float = 1.0) -> np.ndarray:
+        """One sample; innovations of ``share`` times their deviation."""
+        values = self._generator.standard_normal(4) if y is None else np.array(y)
+        seen = self.run.screen(values)
+        nothing = np.zeros(6)
+        innovation = np.where(np.isnan(seen), np.nan, share)
+        estimate = Estimate(nothing, nothing, nothing, nothing, seen, innovation, np.ones(4))
+        self.run.judge(estimate, lambda kind, source, words: self.told.append((kind, source)))
+        return seen
+
+    def seconds(self, time: float, y: list[float] | None = None, share: float = 1.0) -> None:
+        for _ in range(round(time / T)):
+            self.sample(y, share)
+
+
+def test_a_normal_run_is_left_alone() -> None:
+    watched = Watched()
+    y = np.arange(4.0)
+    assert watched.run.screen(y) is y
+    watched.seconds(10.0)
+    assert watched.run.mode is Mode.NORMAL
+    assert watched.told == []
+
+
+def test_a_rig_at_rest_is_not_a_frozen_sensor() -> None:
+    watched = Watched()
+    watched.seconds(10.0, [0.1, 0.2, 190.0, 10.0], share=1.0)
+    assert watched.run.mode is Mode.NORMAL
+
+
+def test_a_reading_that_should_move_and_does_not_is_left_out_until_it_moves() -> None:
+    watched = Watched(land_after=100.0, innovation_limit=100.0)
+    watched.seconds(0.5, [0.1, 0.2, 190.0, 10.0], share=10.0)
+    assert ("degraded_begin", "alpha_h") in watched.told
+    assert np.isnan(watched.sample([0.1, 0.2, 190.0, 10.0])).all()
+    assert np.isfinite(watched.sample([0.1, 0.3, 190.0, 10.0])[1])
+
+
+def test_a_missing_angle_degrades_then_lands_and_the_controller_comes_back() -> None:
+    watched = Watched()
+    rng = np.random.default_rng(1)
+
+    def some(time: float, missing: bool) -> None:
+        for _ in range(round(time / T)):
+            y = rng.standard_normal(4)
+            watched.sample([*y[:1], np.nan if missing else y[1], *y[2:]])
+
+    some(0.08, True)
+    assert watched.run.mode is Mode.NORMAL
+    some(0.1, True)
+    assert watched.run.mode is Mode.DEGRADED
+    assert watched.run.reasons() == "missing alpha_h"
+    some(2.1, True)
+    assert watched.run.mode is Mode.LANDING
+    some(0.3, False)
+    assert watched.run.mode is Mode.LANDING  # not yet clear for long enough
+    some(0.5, False)
+    assert watched.run.mode is Mode.NORMAL
+    kinds = [kind for kind, _ in watched.told]
+    assert kinds == ["degraded_begin", "landing_begin", "degraded_end", "landing_end"]
+
+
+def test_a_missing_rotor_speed_never_lands_the_rig() -> None:
+    watched = Watched()
+    rng = np.random.default_rng(1)
+    for _ in range(500):
+        y = rng.standard_normal(4)
+        watched.sample([y[0], y[1], np.nan, y[3]])
+    assert watched.run.mode is Mode.DEGRADED
+
+
+def test_a_controller_that_fails_degrades_and_lands_and_gets_another_chance() -> None:
+    watched = Watched()
+    failed = Command(np.zeros(2), Status.FAILED, fallback="hold")
+    for _ in range(80):
+        watched.run.heard(failed)
+        watched.sample()
+    assert watched.run.mode is Mode.DEGRADED
+    for _ in range(30):
+        watched.run.heard(failed)
+        watched.sample()
+    assert watched.run.mode is Mode.LANDING
+    for _ in range(30):  # it is not asked while the rig is landed
+        watched.sample()
+    assert watched.run.mode is Mode.NORMAL
+
+
+def test_innovations_far_beyond_their_deviation_are_said_but_change_nothing() -> None:
+    watched = Watched()
+    for _ in range(200):
+        watched.sample(share=20.0)
+    assert watched.run.mode is Mode.DEGRADED
+    assert watched.run.reasons().startswith("inconsistent alpha_v")
+
+
+def test_landing_goes_to_its_command_at_its_rate_and_stays_there() -> None:
+    setup = SupervisorSetup(Newtonian(), T, CHANNELS)
+    run = Supervisor(landing_command={"u_v": 0.5}, landing_rate=2.0).init(setup)
+    u = np.array([1.5, -0.7])
+    path = [u := run.landed(u) for _ in range(100)]
+    moves = np.abs(np.diff([[1.5, -0.7], *path], axis=0))
+    assert moves.max() <= 2.0 * T + 1e-12
+    np.testing.assert_allclose(path[-1], [0.5, 0.0])
+
+
+def test_a_landing_command_out_of_bounds_or_of_no_input_is_refused() -> None:
+    setup = SupervisorSetup(Newtonian(), T, CHANNELS)
+    with pytest.raises(ConfigurationError, match="9 given"):
+        Supervisor(landing_command={"u_v": 9.0}).init(setup)
+    with pytest.raises(ConfigurationError, match="no input"):
+        Supervisor(landing_command={"u_w": 0.0}).init(setup)

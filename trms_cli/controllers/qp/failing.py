@@ -1,0 +1,53 @@
+"""A QP solver that fails on purpose: better to see what a loop does then before a rig does it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.controllers.qp.daqp import Daqp
+from trms_cli.controllers.qp.problem import Qp, QpResult, QpSolver
+
+
+@dataclass
+class _Workspace:
+    inner: Any
+    solves: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FailingQp:
+    """Another solver, some of whose solves fail.
+
+    Attributes
+    ----------
+    qp : QpSolver
+        The one that solves the others.
+    first : int
+        The solve at which it begins, counted from 0 since the controller started (afresh);
+        there is one a Newton iteration.
+    count : int
+        How many solves fail in a row.
+    every : int or None
+        After how many solves it happens again, from the first one on; None for never.
+    """
+
+    qp: QpSolver = field(default_factory=Daqp)
+    first: Annotated[int, Meta(ge=0)] = 100
+    count: Annotated[int, Meta(ge=1)] = 20
+    every: Annotated[int, Meta(ge=1)] | None = None
+
+    def start(self) -> _Workspace:
+        """A fresh workspace."""
+        return _Workspace(self.qp.start())
+
+    def solve(self, workspace: _Workspace, qp: Qp) -> QpResult:
+        """See :class:`trms_cli.controllers.qp.problem.QpSolver`."""
+        since = workspace.solves - self.first
+        workspace.solves += 1
+        if since >= 0 and (since if self.every is None else since % self.every) < self.count:
+            return QpResult(np.full(len(qp.gradient), np.nan), False, 0, "made to fail")
+        return self.qp.solve(workspace.inner, qp)
