@@ -19,9 +19,11 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Axis, Model, Signal, names
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import ParameterSet
+from trms_cli.observers.noise_tables import InitialSd, ProcessNoise
 from trms_cli.observers.observer import Estimate, ObserverSetup
+from trms_cli.observers.recursive_filter import FilterState
 from trms_cli.observers.sigma_points import SigmaPoints
-from trms_cli.observers.ukf import InitialSd, ProcessNoise, Ukf, UkfState
+from trms_cli.observers.ukf import Ukf
 
 NOISE_SD = {"alpha_v": 5e-4, "alpha_h": 5e-4, "omega_v": 1.6, "omega_h": 1.6}
 SAMPLE_TIME = 0.02
@@ -91,7 +93,7 @@ class Rig:
 
 def followed(
     observer: Ukf,
-    state: UkfState,
+    state: FilterState,
     rig: Rig,
     inputs: np.ndarray,
     torque: np.ndarray | float = 0.0,
@@ -110,7 +112,7 @@ def followed(
         u_before = u
 
 
-def mean_and_covariance(state: UkfState) -> tuple[np.ndarray, np.ndarray]:
+def mean_and_covariance(state: FilterState) -> tuple[np.ndarray, np.ndarray]:
     return state.function.inputs[0], state.function.inputs[1]
 
 

@@ -79,6 +79,8 @@ class Estimate:
         Measurement predicted before it was seen.
     innovation, innovation_sd : (n_y,) arrays
         Measured minus predicted, NaN where missing, and what the observer expects of it.
+    rejected : (n_y,) array
+        1 where a sample was there and not believed, else 0; empty for an observer without a gate.
     """
 
     x: FloatArray
@@ -88,6 +90,7 @@ class Estimate:
     predicted: FloatArray = field(default_factory=lambda: np.zeros(0))
     innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
     innovation_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
+    rejected: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 class Observer(Protocol):

@@ -25,7 +25,7 @@ from trms_cli.controllers.controller import (
     Status,
 )
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model, Signal, names
 from trms_cli.observers.observer import Estimate, Observer, ObserverSetup
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
@@ -251,6 +251,8 @@ class Loop:
             log_measurement(now_ns, y.tolist())
             log_state(now_ns, truth_row)
             log_estimate(now_ns, estimate_row(estimate))
+            if estimate.rejected.any():
+                tell_rejected(history, now_ns, estimate, plant.outputs)
             plant.advance(u)
             self.done = k + 1
             if self.done % per_second == 0:
@@ -362,3 +364,15 @@ def estimate_row(estimate: Estimate) -> list[float]:
     ):
         row += triple
     return row
+
+
+def tell_rejected(
+    history: History, now_ns: int, estimate: Estimate, outputs: Sequence[Signal]
+) -> None:
+    """An event for each sample that the observer took for an outlier."""
+    for i in np.flatnonzero(estimate.rejected).tolist():
+        signal, innovation = outputs[i], float(estimate.innovation[i])
+        message = (
+            f"a sample of {signal.name} was taken for an outlier (innovation in {signal.unit})"
+        )
+        history.event(now_ns, "outlier", signal.name, message, innovation)

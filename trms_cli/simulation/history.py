@@ -72,6 +72,10 @@ class History:
     ) -> None:
         """Something happened; ``value`` in the unit that the message names."""
         self.events.append((time_ns, kind, source, message, value))
+        rows = self._rows.get("/event")
+        if isinstance(rows, _Mixed):
+            rows.keep((kind, source, message, value))
+            rows.times.append(time_ns)
         if self._sink is not None:
             self._sink.event(time_ns, kind, source, message, value)
 

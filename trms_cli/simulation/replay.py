@@ -15,7 +15,7 @@ import numpy as np
 from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import Observer, ObserverSetup
 from trms_cli.plants.replay import RecordedRun
-from trms_cli.simulation.closed_loop import Progress, estimate_row
+from trms_cli.simulation.closed_loop import Progress, estimate_row, tell_rejected
 from trms_cli.simulation.history import History
 
 
@@ -100,6 +100,8 @@ class Replay:
             log_command(now_ns, u.tolist())
             log_measurement(now_ns, y.tolist())
             log_estimate(now_ns, estimate_row(estimate))
+            if estimate.rejected.any():
+                tell_rejected(history, now_ns, estimate, rig.outputs)
             self.done = k + 1
             if self.done % per_second == 0:
                 history.flush()

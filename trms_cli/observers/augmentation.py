@@ -1,0 +1,268 @@
+"""A model as a filter sees it: its state, what its sensors remember, and constant torques.
+
+    z = (x, sensors' memory, d)
+    x⁺ = F(x, u, p, d) + v_x      d⁺ = d + v_d      y = h(x, u, p) + v_y
+
+The torques d on chosen equations make an estimate free of offset under constant disturbance and
+model mismatch, and let a controller make the output so too. The memory of an input path (past
+commands of a delay) is known and is carried beside z; what the sensors remember is as uncertain
+as the states, and belongs to z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.discrete import copied_states, root_of
+from trms_cli.models.discretisation import DiscreteModel, discretise
+from trms_cli.models.model import Model, names
+from trms_cli.observers.initial_state import resting_state
+from trms_cli.observers.noise_tables import InitialSd, Positive, ProcessNoise, by_state
+from trms_cli.observers.observer import ObserverSetup
+from trms_cli.observers.state_kinds import kinds_of_disturbances, kinds_of_states
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Longest explicit integration step over which the rig's dynamics are smooth, s.
+_LONGEST_SUBSTEP = 0.02
+#: Standard deviations never fall below this part of the initial ones.
+_FLOOR = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterOptions:
+    """What all filters of this room are told.
+
+    Attributes
+    ----------
+    disturbances : list of str or None
+        Equations of the model that an integrating disturbance is estimated on. None takes all of
+        them where there are as many measured channels, else the torque on each axis: tracking is
+        offset-free only with as many integrators as channels (Pannocchia & Rawlings 2003, AIChE
+        J. 49), since a biased rotor speed must be explained too.
+    process_noise : ProcessNoise
+    measurement_noise : dict of str to float
+        Standard deviation by channel, instead of what the rig declares.
+    initial_sd : InitialSd
+    substeps : int or None
+        Integration steps a sample; None takes as many as keep them to 0.02 s.
+    gate : float or None
+        Innovations beyond this many of their standard deviations are taken for outliers, channel
+        by channel; None believes everything.
+    longest_rejection : float
+        s; a channel that was rejected without a break for so long is believed again.
+    """
+
+    disturbances: tuple[str, ...] | None = None
+    process_noise: ProcessNoise = field(default_factory=ProcessNoise)
+    measurement_noise: Mapping[str, Positive] = field(default_factory=dict)
+    initial_sd: InitialSd = field(default_factory=InitialSd)
+    substeps: Annotated[int, Meta(ge=1)] | None = None
+    gate: Annotated[float, Meta(gt=0)] | None = None
+    longest_rejection: Annotated[float, Meta(gt=0)] = 0.5
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """A model made ready for a filter.
+
+    Attributes
+    ----------
+    discrete : DiscreteModel
+        One sample, with the sensors' memory.
+    substeps : int
+        Parts of a sample that it is integrated over.
+    equations : list of int
+        Disturbances that are estimated.
+    channels : list of int
+        Measured ones of the model's outputs.
+    names : tuple of str
+        Of z, shape (n,).
+    mean, sd : (n,) arrays
+        Before the first measurement.
+    memory : (n_m,) array
+        Of the input path, after a long time at the first command.
+    q : (n,) array
+        Variances that a sample adds to z.
+    r : (n_y,) array
+        Variances of the measurement noise.
+    floor : (n,) array
+        Least variances, far below every physical scale.
+    """
+
+    discrete: DiscreteModel
+    substeps: int
+    equations: list[int]
+    channels: list[int]
+    names: tuple[str, ...]
+    mean: FloatArray
+    sd: FloatArray
+    memory: FloatArray
+    q: FloatArray
+    r: FloatArray
+    floor: FloatArray
+
+    @property
+    def model(self) -> Model:
+        return self.discrete.model
+
+    @property
+    def n(self) -> int:
+        """Length of z."""
+        return len(self.names)
+
+    @property
+    def n_s(self) -> int:
+        """Length of z without the disturbances."""
+        return self.model.n_x + self.discrete.n_sensors
+
+    @property
+    def n_m(self) -> int:
+        """Length of the input path's memory."""
+        return self.discrete.n_x - self.n_s
+
+    def symbols(self, kind: type[ca.SX] | type[ca.MX] = ca.SX) -> tuple[ca.SX, ...]:
+        """Fresh symbols ``(z, memory, u, p, known)``."""
+        model = self.model
+        sizes = {
+            "z": self.n,
+            "memory": self.n_m,
+            "u": model.n_u,
+            "p": len(model.parameters),
+            "known": model.n_w,
+        }
+        return tuple(kind.sym(name, size) for name, size in sizes.items())
+
+    def torques(self, z: ca.SX, known: ca.SX) -> ca.SX:
+        """All disturbances: the known ones, and what is estimated beside them, (n_w, 1)."""
+        w = type(known)(known)
+        for k, equation in enumerate(self.equations):
+            w[equation] += z[self.n_s + k]
+        return w
+
+    def measured(self, z: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        """The measured channels, (n_y, 1)."""
+        # What is known beside z, past commands, has no part in a measurement.
+        full = ca.vertcat(z[: self.n_s, 0], ca.SX.zeros(self.n_m))
+        return self.discrete.measurement(full, u, p)[self.channels]
+
+
+def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
+    """The model of a setup as a filter with these options sees it.
+
+    Raises
+    ------
+    ConfigurationError
+        For names that the model or the rig does not have, and for a channel whose noise nobody
+        declared.
+    """
+    model = setup.model
+    equations = _equations(setup, options.disturbances)
+    channels = setup.channels()
+    substeps = options.substeps or max(1, int(np.ceil(setup.sample_time / _LONGEST_SUBSTEP)))
+    discrete = discretise(model, setup.sample_time, substeps, sensors=True)
+    n_s = model.n_x + discrete.n_sensors
+    shown = discrete.states[model.n_x : n_s]
+    augmented = (
+        *(*model.state_names, *names(shown)),
+        *(names(model.disturbances)[i] for i in equations),
+    )
+    pushes = kinds_of_disturbances(model)
+    kinds = (
+        *(*kinds_of_states(model), *("past" for _ in shown)),
+        *(pushes[i] for i in equations),
+    )
+    noise_sd = _noise_sd(setup, options.measurement_noise)
+    sd = by_state(options.initial_sd, kinds, augmented, "initial_sd.states")
+    for i, channel in _read_at_first(setup):
+        # What is remembered of a channel starts from its first, noisy reading.
+        sd[i] = np.hypot(sd[i], noise_sd[channel])
+    intensity = by_state(options.process_noise, kinds, augmented, "process_noise.states")
+    driven = _driven_by_noise(model, setup.sample_time)
+    for row in np.flatnonzero(driven):
+        if augmented[row] not in options.process_noise.states:
+            intensity[row] = driven[row] / np.sqrt(setup.sample_time)
+    start = resting_state(
+        model,
+        dict(zip(setup.outputs, setup.first_measurement, strict=True)),
+        setup.first_command,
+    )
+    settled = discrete.initial(start, setup.first_command)
+    # A command that is remembered is known: its variance is the floor, or there is no root.
+    floor = (_FLOOR * sd) ** 2
+    return Augmentation(
+        discrete=discrete,
+        substeps=len(discrete.parts) if model.sample_time is not None else substeps,
+        equations=equations,
+        channels=channels,
+        names=augmented,
+        mean=np.concatenate([settled[:n_s], np.zeros(len(equations))]),
+        sd=sd,
+        memory=settled[n_s:],
+        q=np.maximum(intensity**2 * setup.sample_time, floor),
+        r=noise_sd**2,
+        floor=floor,
+    )
+
+
+def _equations(setup: ObserverSetup, chosen: tuple[str, ...] | None) -> list[int]:
+    """Positions of the disturbances that are estimated."""
+    model = setup.model
+    known = names(model.disturbances)
+    if chosen is None:
+        if len(setup.outputs) >= model.n_w:
+            return list(range(model.n_w))
+        return [known.index(axis.moment) for axis in model.axes.values()]
+    for name in chosen:
+        if name not in known:
+            raise ConfigurationError(
+                f"model {model.name!r} has no equation for {name!r}",
+                where="observer.disturbances",
+                remedy=nearest(name, known),
+            )
+    return [known.index(name) for name in dict.fromkeys(chosen)]
+
+
+def _noise_sd(setup: ObserverSetup, given: Mapping[str, float]) -> FloatArray:
+    for name in given:
+        if name not in setup.outputs:
+            raise ConfigurationError(
+                f"the rig measures no {name!r}",
+                where="observer.measurement_noise",
+                remedy=nearest(name, setup.outputs),
+            )
+    declared = {**setup.noise_sd, **given}
+    sd = np.array([declared.get(name, 0.0) for name in setup.outputs])
+    for name, value in zip(setup.outputs, sd, strict=True):
+        if not value > 0:
+            raise ConfigurationError(
+                f"the noise of {name!r} is not declared",
+                where="observer.measurement_noise",
+                remedy=f"observer.measurement_noise.{name}=… (standard deviation)",
+            )
+    return sd
+
+
+def _driven_by_noise(model: Model, sample_time: float) -> FloatArray:
+    """What noise adds to each state in a sample by the model itself, shape (n_x,)."""
+    _, _, p, _ = model.symbols()
+    added = ca.Function("added", [p], [ca.densify(model.noise_sd(p, sample_time))])
+    return np.asarray(added(model.parameters.values)).ravel()
+
+
+def _read_at_first(setup: ObserverSetup) -> Iterator[tuple[int, int]]:
+    """States that remember a measured channel, and the position of that channel in y."""
+    model, copies = setup.model, copied_states(setup.model)
+    for i in copies:
+        kind, source = root_of(copies, i)
+        if kind == "x" and model.state_names[source] in setup.outputs:
+            yield i, setup.outputs.index(model.state_names[source])

@@ -1,0 +1,35 @@
+"""Extended Kalman filter with integrating disturbances.
+
+Prediction by the model's own discrete step, covariance by its Jacobian at the last estimate, both
+from one set of symbolic equations; see :mod:`trms_cli.observers.kalman_step`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.observers.augmentation import Augmentation
+from trms_cli.observers.kalman_step import exact_measurement, exact_transition, kalman_step
+from trms_cli.observers.observer import ObserverSetup
+from trms_cli.observers.recursive_filter import RecursiveFilter
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ekf(RecursiveFilter):
+    """Extended Kalman filter; its fields are those of
+    :class:`trms_cli.observers.augmentation.FilterOptions`.
+    """
+
+    def compose(
+        self, setup: ObserverSetup, augmented: Augmentation
+    ) -> tuple[ca.Function, FloatArray]:
+        step = kalman_step(
+            "ekf_step", augmented, exact_transition(augmented), exact_measurement(augmented)
+        )
+        return step, augmented.model.parameters.values

@@ -1,0 +1,158 @@
+"""Linear Kalman filter of the model linearised at an operating point.
+
+    z⁺ = z₀⁺ + A (z − z₀) + B (u − u₀) + G w        y = y₀ + C (z − z₀) + D (u − u₀)
+
+the baseline that the others are measured against: right where the rig stays near the point, wrong
+away from it. R. E. Kalman 1960, "A new approach to linear filtering and prediction problems".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.controllers.linear_design import Linearisation
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.observers.augmentation import Augmentation, augment
+from trms_cli.observers.kalman_step import exact_measurement, exact_transition, kalman_step
+from trms_cli.observers.observer import ObserverSetup
+from trms_cli.observers.recursive_filter import FilterState, RecursiveFilter
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Samples within which a covariance settles that settles at all: half an hour at 50 Hz.
+_MOST_SAMPLES = 100_000
+_SETTLED = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kalman(RecursiveFilter):
+    """Linear Kalman filter; other fields are those of
+    :class:`trms_cli.observers.augmentation.FilterOptions`.
+
+    Attributes
+    ----------
+    operating_point : dict of str to float
+        Controlled angles, rad, at which the rig rests and the model is linearised; 0 where none
+        is given.
+    gain : {"varying", "steady"}
+        Whether the covariance starts from ``initial_sd``, or is, from the first prediction on,
+        that of a filter that has run for long. A steady one does not widen while samples are
+        missing.
+    """
+
+    operating_point: Mapping[str, float] = field(default_factory=dict)
+    gain: Literal["varying", "steady"] = "varying"
+
+    def compose(
+        self, setup: ObserverSetup, augmented: Augmentation
+    ) -> tuple[ca.Function, FloatArray]:
+        model = setup.model
+        linearisation = Linearisation(model, setup.sample_time, SteadyState(model))
+        linear = linearisation.at(self.operating_point, "observer.operating_point")
+        # The linearisation's model glides: dry friction would hold an axis that rests.
+        smooth = augment(replace(setup, model=linear.discrete.model), self)
+        x_0, u_0 = linear.target.x, linear.target.u
+        settled = smooth.discrete.initial(x_0, u_0)
+        z_0 = np.concatenate([settled[: smooth.n_s], np.zeros(len(smooth.equations))])
+        coefficients = _coefficients(smooth)(
+            z_0, settled[smooth.n_s :], u_0, model.parameters.values
+        )
+        step = kalman_step("kalman_step", augmented, *_linear_stages(augmented, coefficients))
+        return step, np.concatenate([np.array(part).ravel(order="F") for part in coefficients])
+
+    def init(self, setup: ObserverSetup) -> FilterState:
+        state = super().init(setup)
+        if self.gain == "steady":
+            state.settled = _settled_covariance(state)
+        return state
+
+
+def _coefficients(smooth: Augmentation) -> ca.Function:
+    """``(z, memory, u, p) →`` coefficients of a sample and of the measurement there.
+
+    In the order in which :func:`_linear_stages` reads them: next z less its linear part, ∂z⁺/∂(z,
+    memory, u, known), next memory likewise, ∂memory⁺/∂(memory, u), y likewise, ∂y/∂(z, u).
+    """
+    z, memory, u, p, known = smooth.symbols(ca.MX)
+    after, A, remembered = exact_transition(smooth)(z, memory, u, p, known)
+    y, C = exact_measurement(smooth)(z, u, p)
+    by_memory, by_u, by_known = (ca.jacobian(after, v) for v in (memory, u, known))
+    kept, entered, D = (
+        ca.jacobian(remembered, memory),
+        ca.jacobian(remembered, u),
+        ca.jacobian(y, u),
+    )
+    results = [
+        *(after - A @ z - by_memory @ memory - by_u @ u, A, by_memory, by_u, by_known),
+        *(remembered - kept @ memory - entered @ u, kept, entered),
+        *(y - C @ z - D @ u, C, D),
+    ]
+    dense = ca.Function("here", [z, memory, u, p, known], [ca.densify(part) for part in results])
+    at = [ca.MX.sym(name, *dense.size_in(i)) for i, name in enumerate(["z", "memory", "u", "p"])]
+    return ca.Function("coefficients", at, dense.call([*at, ca.MX.zeros(*dense.size_in(4))]))
+
+
+def _linear_stages(
+    augmented: Augmentation, coefficients: list[ca.DM]
+) -> tuple[ca.Function, ca.Function]:
+    """Transition and measurement with their coefficients as parameters.
+
+    So the compiled code is the same whatever the rig's figures and the operating point are.
+    """
+    z, memory, u, _, known = augmented.symbols()
+    p = ca.SX.sym("p", sum(part.numel() for part in coefficients))
+    ends = np.cumsum([0, *(part.numel() for part in coefficients)]).tolist()
+    shift, A, M, B, G, kept_0, kept, entered, y_0, C, D = (
+        ca.reshape(p[begin:end, 0], *part.shape)
+        for part, begin, end in zip(coefficients, ends[:-1], ends[1:], strict=True)
+    )
+    after = shift + A @ z + M @ memory + B @ u + G @ known
+    remembered = kept_0 + kept @ memory + entered @ u
+    transition = ca.Function(
+        "transition", [z, memory, u, p, known], [ca.densify(v) for v in (after, A, remembered)]
+    )
+    y = y_0 + C @ z + D @ u
+    return transition, ca.Function("measure", [z, u, p], [ca.densify(y), ca.densify(C)])
+
+
+def _settled_covariance(state: FilterState) -> FloatArray:
+    """The covariance after a sample that the next sample leaves as it is, (n, n).
+
+    Found by running the filter's own step: of a linear filter it depends on no measurement.
+
+    Raises
+    ------
+    ConfigurationError
+        If it grows without end: something that is estimated leaves no trace in what is measured.
+    """
+    function = state.function
+    before = [value.copy() for value in function.inputs]
+    _, covariance, _, _, _, mask, advance = function.inputs[:7]
+    after = function.outputs[1]
+    mask[:] = advance[:] = 1.0
+    function.inputs[-1][:] = np.inf
+    settled = None
+    for _ in range(_MOST_SAMPLES):
+        function()
+        scale = np.sqrt(np.outer(np.diag(after), np.diag(after)))
+        if np.max(np.abs(after - covariance) / scale) < _SETTLED:
+            settled = after.copy()
+            break
+        covariance[...] = after
+    for value, old in zip(function.inputs, before, strict=True):
+        value[...] = old
+    if settled is None:
+        raise ConfigurationError(
+            "the covariance does not settle: a state or a disturbance that is estimated cannot be "
+            "told from what is measured",
+            where="observer.gain",
+            remedy="gain=varying, or fewer observer.disturbances",
+        )
+    return settled

@@ -1,0 +1,118 @@
+"""Prediction and update of a Kalman filter over a transition that has a slope.
+
+    m⁻ = F(m)        P⁻ = A P Aᵀ + Q
+    K = P⁻ Hᵀ (H P⁻ Hᵀ + R)⁻¹        m = m⁻ + K (y − h(m⁻))
+    P = (I − K H) P⁻ (I − K H)ᵀ + K R Kᵀ
+
+The update is in Joseph's form, which stays symmetric and positive semidefinite whatever the gain
+is (Bucy & Joseph 1968). What A is makes the filter: the Jacobian at m (the extended Kalman filter),
+state-dependent coefficients at m, or a constant.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from trms_cli.observers.augmentation import Augmentation
+from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS
+from trms_cli.observers.update import diagonal, disturbances, gain_stage, gated
+
+
+def kalman_step(
+    name: str, augmented: Augmentation, transition: ca.Function, measurement: ca.Function
+) -> ca.Function:
+    """One sample; see :mod:`trms_cli.observers.recursive_filter` for inputs and outputs.
+
+    Parameters
+    ----------
+    name : str
+        A valid C identifier.
+    transition : casadi.Function
+        ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
+    measurement : casadi.Function
+        ``(z, u, p) → y, H``.
+    """
+    model = augmented.model
+    n, n_y, n_m = augmented.n, len(augmented.channels), augmented.n_m
+    m, P = ca.MX.sym("m", n), ca.MX.sym("P", n, n)
+    memory, u = ca.MX.sym("memory", n_m), ca.MX.sym("u", model.n_u)
+    p = ca.MX.sym("p", transition.size1_in(3))
+    y, mask, advance = ca.MX.sym("y", n_y), ca.MX.sym("mask", n_y), ca.MX.sym("advance")
+    q, r, floor = ca.MX.sym("q", n), ca.MX.sym("r", n_y), ca.MX.sym("floor", n)
+    known, gate = ca.MX.sym("known", model.n_w), ca.MX.sym("gate", n_y)
+
+    moved, A, memory_next = transition(m, memory, u, p, known)
+    m_prior = ca.if_else(advance > 0, moved, m)
+    P_prior = ca.if_else(advance > 0, A @ P @ A.T + diagonal(q), P)
+    if n_m:
+        memory_next = ca.if_else(advance > 0, memory_next, memory)
+    predicted, H = measurement(m_prior, u, p)
+    cross = P_prior @ H.T
+    S_all = H @ cross
+    variance = ca.diag(S_all) + r
+    innovation = mask * (y - predicted)
+    believed = gated(mask, innovation, variance, gate)
+    # A channel that is not there has no slope and a variance of one: it changes nothing.
+    H = H * ca.repmat(believed, 1, n)
+    S = S_all * (believed @ believed.T) + diagonal(believed * r + (1 - believed))
+    gain = gain_stage(n, n_y)(cross * ca.repmat(believed.T, n, 1), S)
+    m_next = m_prior + gain @ innovation
+    left = ca.MX.eye(n) - gain @ H
+    P_next = (
+        left @ P_prior @ left.T
+        + (gain * ca.repmat((believed * r).T, n, 1)) @ gain.T
+        + diagonal(floor)
+    )
+    P_next = (P_next + P_next.T) / 2
+    sd = ca.sqrt(ca.diag(P_next))
+    health = ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P_next))
+    return ca.Function(
+        name,
+        [m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate],
+        [
+            *(m_next, P_next, memory_next, health, sd),
+            *disturbances(augmented, m_next, sd, known),
+            *(predicted, innovation, ca.sqrt(variance), mask - believed),
+        ],
+        list(INPUTS),
+        list(OUTPUTS),
+    )
+
+
+def exact_transition(augmented: Augmentation) -> ca.Function:
+    """The model's own step with its Jacobian: ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
+
+    A model that steps several times in a sample is differentiated once, and its slopes follow by
+    the chain rule.
+    """
+    n_s, n = augmented.n_s, augmented.n
+    z, memory, u, p, known = augmented.symbols()
+    parts = augmented.discrete.parts
+    single: dict[int, ca.Function] = {}
+    for part in parts:
+        if id(part) in single:
+            continue
+        after = part(ca.vertcat(z[:n_s, 0], memory), u, p, augmented.torques(z, known))
+        following = ca.vertcat(after[:n_s, 0], z[n_s:, 0])
+        results = [following, ca.jacobian(following, z), after[n_s:, 0]]
+        single[id(part)] = ca.Function(
+            f"part_{len(single)}",
+            [z, memory, u, p, known],
+            [ca.densify(result) for result in ca.cse(results)],
+        )
+    if len(parts) == 1:
+        return single[id(parts[0])]
+    at, held, *rest = augmented.symbols(ca.MX)
+    state, slope, remembered = at, ca.MX.eye(n), held
+    for part in parts:
+        state, one, remembered = single[id(part)](state, remembered, *rest)
+        slope = one @ slope
+    return ca.Function("transition", [at, held, *rest], [state, ca.densify(slope), remembered])
+
+
+def exact_measurement(augmented: Augmentation) -> ca.Function:
+    """The measured channels with their slope: ``(z, u, p) → y, H``."""
+    z, _, u, p, _ = augmented.symbols()
+    y = augmented.measured(z, u, p)
+    results = ca.cse([y, ca.jacobian(y, z)])
+    return ca.Function("measure", [z, u, p], [ca.densify(result) for result in results])

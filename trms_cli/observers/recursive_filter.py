@@ -1,0 +1,189 @@
+"""A filter that carries a mean and a covariance from sample to sample: what all of them share.
+
+The members differ in one compiled function, a step of prediction and update. Its inputs are, in
+this order,
+
+    m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate
+
+and its outputs
+
+    m_next, P_next, memory_next, health, sd, d, d_sd, predicted, innovation, innovation_sd, rejected
+
+``health`` is finite exactly if mean and covariance are.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.observers.augmentation import Augmentation, FilterOptions, augment
+from trms_cli.observers.gating import Gate
+from trms_cli.observers.observer import Estimate, ObserverSetup
+
+FloatArray = npt.NDArray[np.float64]
+
+INPUTS = (
+    *("m", "P", "memory", "u", "y", "mask", "advance", "known"),
+    *("p", "q", "r", "floor", "gate"),
+)
+OUTPUTS = (
+    *("m_next", "P_next", "memory_next", "health", "sd", "d", "d_sd"),
+    *("predicted", "innovation", "innovation_sd", "rejected"),
+)
+
+
+@dataclass
+class FilterState:
+    """The filter at a sample.
+
+    Attributes
+    ----------
+    function : BufferedFunction
+        One step; its inputs hold the present mean, covariance and memory.
+    estimate : Estimate
+        Views of its outputs.
+    prior_mean, prior_covariance : arrays
+        Before the first measurement; where the filter recovers to.
+    present : (n_y,) bool array
+        Channels that the last measurement had.
+    gate : Gate
+    settled : (n, n) array or None
+        Covariance after every sample, of a filter with a steady gain.
+    started : bool
+        Whether there was a sample yet.
+    recoveries : int
+        How often the covariance had to be inflated to the prior.
+    """
+
+    function: BufferedFunction
+    estimate: Estimate
+    prior_mean: FloatArray
+    prior_covariance: FloatArray
+    present: npt.NDArray[np.bool_]
+    gate: Gate
+    settled: FloatArray | None = None
+    started: bool = False
+    recoveries: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecursiveFilter(FilterOptions, ABC):
+    """Everything of a Kalman filter but its step; see :class:`FilterOptions` for the fields."""
+
+    @abstractmethod
+    def compose(
+        self, setup: ObserverSetup, augmented: Augmentation
+    ) -> tuple[ca.Function, FloatArray]:
+        """The step as a function with :data:`INPUTS` and :data:`OUTPUTS`, and its ``p``."""
+
+    def init(self, setup: ObserverSetup) -> FilterState:
+        """A fresh state; see :class:`trms_cli.observers.observer.Observer`."""
+        return self.start(setup, augment(setup, self))
+
+    def start(self, setup: ObserverSetup, augmented: Augmentation) -> FilterState:
+        """A fresh state of a filter whose model is augmented already."""
+        step, parameters = self.compose(setup, augmented)
+        function = BufferedFunction(step)
+        arguments = dict(zip(INPUTS, function.inputs, strict=True))
+        arguments["m"][:] = augmented.mean
+        arguments["P"][...] = np.diag(augmented.sd**2)
+        arguments["memory"][:] = augmented.memory
+        arguments["p"][:] = parameters
+        arguments["q"][:] = augmented.q
+        arguments["r"][:] = augmented.r
+        arguments["floor"][:] = augmented.floor
+        results = dict(zip(OUTPUTS, function.outputs, strict=True))
+        n_x = augmented.model.n_x
+        estimate = Estimate(
+            x=results["m_next"][:n_x],
+            sd=results["sd"][:n_x],
+            disturbance=results["d"],
+            disturbance_sd=results["d_sd"],
+            predicted=results["predicted"],
+            innovation=results["innovation"],
+            innovation_sd=results["innovation_sd"],
+            rejected=results["rejected"],
+        )
+        gate = Gate.start(
+            self.gate,
+            self.longest_rejection,
+            setup.sample_time,
+            arguments["gate"],
+            results["rejected"],
+        )
+        present = np.zeros(len(augmented.channels), dtype=bool)
+        return FilterState(
+            function, estimate, augmented.mean, np.diag(augmented.sd**2), present, gate
+        )
+
+    def step(
+        self,
+        state: FilterState,
+        command: FloatArray,
+        measurement: FloatArray,
+        truth: Mapping[str, float] | None,
+        known: FloatArray | None = None,
+    ) -> Estimate:
+        """The estimate at this sample; see :class:`trms_cli.observers.observer.Observer`."""
+        function, gate, estimate = state.function, state.gate, state.estimate
+        m, covariance, memory, u, y, mask, advance, acting = function.inputs[:8]
+        if known is not None:
+            acting[:] = known
+        np.isfinite(measurement, out=state.present)
+        u[:] = command
+        mask[:] = state.present
+        y[:] = 0.0
+        np.copyto(y, measurement, where=state.present)
+        # At time zero there is nothing to predict over: the prior meets the first measurement.
+        advance[0] = state.started
+        state.started = True
+        function()
+        m_next, covariance_next, memory_next, health = function.outputs[:4]
+        if not np.isfinite(health[0]):
+            recover(state)
+        m[:] = m_next
+        covariance[...] = covariance_next if state.settled is None else state.settled
+        memory[:] = memory_next
+        if (
+            gate.active
+            and not gate.quiet()
+            and gate.follow(state.present, estimate.innovation, estimate.innovation_sd)
+        ):
+            covariance += state.prior_covariance
+        if not state.present.all():
+            estimate.innovation[~state.present] = np.nan
+        return estimate
+
+
+def recover(state: FilterState) -> None:
+    """Get a finite estimate when a factorisation failed or a model step overflowed.
+
+    The step is repeated from the prior covariance; then from the prior mean too; then without
+    the measurement, which no state explains.
+    """
+    state.recoveries += 1
+    function = state.function
+    m, covariance, memory, _, _, mask, _ = function.inputs[:7]
+    health = function.outputs[3]
+    covariance[...] = state.prior_covariance
+    function()
+    if not np.isfinite(health[0]):
+        m[:] = state.prior_mean
+        function()
+    if not np.isfinite(health[0]):
+        mask[:] = 0.0
+        state.present[:] = False
+        function()
+    if not np.isfinite(health[0]):
+        for result in function.outputs:
+            result[...] = 0.0
+        function.outputs[0][:] = m
+        function.outputs[1][...] = covariance
+        function.outputs[2][:] = memory
