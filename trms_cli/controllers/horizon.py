@@ -10,6 +10,9 @@ iterate is dynamically consistent. With ``e_k`` the deviation of the weighted st
 
 where ``v`` are the scaled terminal residual ``x_N − x_s`` and the violations of soft limits. φ is
 an exact penalty function: with μ above the multipliers its minimum meets the constraints exactly.
+
+With a terminal region (:mod:`trms_cli.controllers.newton_region`) J also has the terminal cost
+``‖L ξ_N‖²`` of ``ξ_N = (x_N − x_s, u_N−1 − u_s)``, and the terminal v is ``max(0, ‖L ξ_N‖ − √α)``.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ from trms_cli.models.model import names
 
 __all__ = [
     "ARGUMENTS",
+    "REGION_ARGUMENTS",
     "Horizon",
     "SoftLimits",
     "TerminalPrice",
@@ -53,6 +57,12 @@ ARGUMENTS = (
     *("q", "rho", "s", "limits", "prices", "scale"),
 )
 
+#: Further ones of a horizon that ends in a region: ξ's origin, the cost's root L, and √α.
+REGION_ARGUMENTS = ("centre", "root", "radius")
+
+#: Added under the root of ‖L ξ_N‖², whose slope would else be no number at the centre.
+_SMOOTH = 1e-20
+
 
 class Horizon:
     """Compiled prediction of a discretised model.
@@ -69,11 +79,16 @@ class Horizon:
 
     Attributes
     ----------
+    argument_names : tuple of str
+        :data:`ARGUMENTS`, and :data:`REGION_ARGUMENTS` with a terminal region.
+    n_terminal : int
+        Terminal residuals: one a state of the equality, a single one of a region, or none.
     linearise : BufferedFunction
         :data:`ARGUMENTS` → states (n_x, N), terminal residual, scaled (n_x,), objective, merit,
         violation; then gradient of J (n_z,), its Gauss–Newton root G (n_errors·N, n_z) with
         2 GᵀG the Hessian of the part of states and rates, slope of the terminal residual
-        (n_x, n_z), slopes of the limited states (n_limited·N, n_z).
+        (n_x, n_z), slopes of the limited states (n_limited·N, n_z). With a terminal region the
+        residual is ``‖L ξ_N‖ − √α`` (1,), and G has the rows of the terminal cost besides.
     evaluate : BufferedFunction
         The same arguments → the first five of these.
 
@@ -106,9 +121,12 @@ class Horizon:
             terminal,
             scale,
         )
+        self.has_region = terminal is not None and terminal.region
+        self.argument_names = (*ARGUMENTS, *(REGION_ARGUMENTS if self.has_region else ()))
+        self.n_terminal = 0 if terminal is None else 1 if terminal.region else model.n_x
         self.linearise = BufferedFunction(self._function(with_sensitivities=True))
         #: Arguments of both functions by name: they share the arrays.
-        self.arguments = dict(zip(ARGUMENTS, self.linearise.inputs, strict=True))
+        self.arguments = dict(zip(self.argument_names, self.linearise.inputs, strict=True))
         self.evaluate = BufferedFunction(
             self._function(with_sensitivities=False), inputs=self.linearise.inputs
         )
@@ -156,8 +174,11 @@ class Horizon:
             "limits": (len(self.limited), 2),
             "prices": (4, 1),
             "scale": (n_x, 1),
+            "centre": (discrete.n_x + n_u, 1),
+            "root": (discrete.n_x + n_u, discrete.n_x + n_u),
+            "radius": (1, 1),
         }
-        at = {name: ca.MX.sym(name, *sizes[name]) for name in ARGUMENTS}
+        at = {name: ca.MX.sym(name, *sizes[name]) for name in self.argument_names}
 
         state, states, slopes = at["x0"], [], []
         sensitivity = ca.MX(discrete.n_x, 0)
@@ -173,16 +194,29 @@ class Horizon:
         trajectory = ca.horzcat(*states)
         residual = (trajectory[:n_x, -1] - at["x_s"]) / at["scale"]
         objective = self._objective(trajectory, at)
+        if self.has_region:
+            end = at["root"] @ (ca.vertcat(trajectory[:, -1], at["z"][:, -1]) - at["centre"])
+            distance = ca.sqrt(ca.sumsqr(end) + _SMOOTH)
+            residual = distance - at["radius"]
+            objective += ca.sumsqr(end)
         merit, violation = self._merit(objective, trajectory, residual, at)
         results = [trajectory, residual, objective, merit, violation]
         if not with_sensitivities:
             return ca.Function("horizon_evaluate", list(at.values()), results)
         root = self._root(slopes, ca.sqrt(at["q"]))
         errors = ca.repmat(ca.sqrt(at["q"]), n, 1) * ca.vec(self._errors(trajectory, at))
+        gradient = 2 * root.T @ errors + self._input_gradient(at)
+        terminal_slope = sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z)
+        if self.has_region:
+            last = ca.horzcat(ca.MX(n_u, self.n_z - n_u), ca.MX.eye(n_u))
+            in_end = at["root"] @ ca.vertcat(sensitivity, last)
+            gradient += 2 * in_end.T @ end
+            root = ca.vertcat(root, in_end)
+            terminal_slope = end.T @ in_end / distance
         results += [
-            2 * root.T @ errors + self._input_gradient(at),
+            gradient,
             root,
-            sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z),
+            terminal_slope,
             ca.vertcat(*(self._padded(slope, self.limited) for slope in slopes)),
         ]
         return ca.Function(
@@ -249,7 +283,10 @@ class Horizon:
     ) -> tuple[ca.MX, ca.MX]:
         prices = at["prices"]
         merit, violation = objective, ca.MX(0)
-        if self.terminal is not None:
+        if self.has_region:
+            outside = ca.fmax(residual, 0)
+            merit += prices[0] * outside + prices[1] * outside**2
+        elif self.terminal is not None:
             merit += prices[0] * ca.sum1(ca.fabs(residual)) + prices[1] * ca.sumsqr(residual)
         for i, name in enumerate(self.limited):
             value = trajectory[self.model.state_index(name), :]

@@ -4,7 +4,8 @@ After Li & Biegler 1989 (Chem. Eng. Res. Des. 67): the nonlinear model is linear
 nominal trajectory of the whole horizon, one quadratic program gives the Newton direction of all
 inputs at once, and the inputs move along it as far as an exact penalty function (see
 :mod:`trms_cli.controllers.horizon`) falls. The Hessian is that of Gauss and Newton: the objective
-is a sum of squares. The last predicted state must equal the steady state of the reference.
+is a sum of squares. The last predicted state must equal the steady state of the reference, or lie
+in a region around it from where a local law leads there (Chen & Allgöwer 1998).
 
 One iteration a sample, warm-started by the last plan shifted in time, is the real-time iteration
 of Diehl, Bock & Schlöder 2005 (SIAM J. Control Optim. 43); with more, each sample is solved to
@@ -58,12 +59,20 @@ class NewtonMpc:
         Limits on states, met if at all possible; in the states' units.
     soft_linear, soft_quadratic : float
         Price of violating them.
-    terminal : {"equality", "none"}
-        Whether the predicted trajectory must end in the steady state of the reference.
+    terminal : {"equality", "quasi_infinite", "none"}
+        Whether the predicted trajectory must end in the steady state of the reference, or in a
+        region around it at the cost of a local law that goes on from there (see
+        :mod:`trms_cli.controllers.newton_region`; where a target has no such region, in the
+        steady state), or anywhere.
     terminal_linear, terminal_quadratic : float
-        Exact penalty of the terminal equality, relative to typical sizes of the states. The
-        equality holds while its multipliers stay below ``terminal_linear``; otherwise it is
-        relaxed, which is reported.
+        Exact penalty of the terminal constraint, relative to typical sizes of the states. It
+        holds while its multipliers stay below ``terminal_linear``; otherwise it is relaxed, which
+        is reported.
+    terminal_weight, terminal_decay : float
+        Of the quasi-infinite horizon: weight of all states and inputs in the local law's cost,
+        relative to the objective's, and share of the law's decay that the terminal cost keeps
+        back. Both make room for the nonlinearity: a larger region for a higher terminal cost.
+        Both 0 are the linear-quadratic regulator of the objective.
     max_iterations : int
         Newton iterations a sample; 1 is the real-time iteration.
     tolerance : float
@@ -96,9 +105,11 @@ class NewtonMpc:
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     soft_linear: Positive = 100.0
     soft_quadratic: Positive = 1000.0
-    terminal: Literal["equality", "none"] = "equality"
+    terminal: Literal["equality", "quasi_infinite", "none"] = "equality"
     terminal_linear: Positive = 100.0
     terminal_quadratic: Positive = 1000.0
+    terminal_weight: NotNegative = 0.25
+    terminal_decay: Annotated[float, Meta(ge=0, lt=1)] = 0.5
     max_iterations: Annotated[int, Meta(ge=1)] = 10
     tolerance: Positive = 1e-4
     integration_steps: Annotated[int, Meta(ge=1)] = 1
@@ -152,6 +163,7 @@ class NewtonMpc:
             newton.qp_time - begin_qp,
             message=_message(status, state),
             prediction=state.prediction() if want_prediction else None,
+            out_of_reach=target is not None and target.projected,
         )
 
 
@@ -161,4 +173,6 @@ def _message(status: Status, state: NewtonMpcState) -> str:
         words.append("no input holds the estimated disturbance; the last target goes on")
     elif state.target is not None and state.target.projected:
         words.append("the reference is out of reach; the nearest steady state is the target")
+    if state.regions is not None and state.regions.region is None:
+        words.append("this target has no terminal region; its steady state ends the horizon")
     return "; ".join(words)

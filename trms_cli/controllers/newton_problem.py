@@ -57,10 +57,16 @@ class SoftLimits:
 
 @dataclass(frozen=True)
 class TerminalPrice:
-    """Price of missing the terminal equality, in scaled units (see :class:`Horizon`)."""
+    """Price of missing the terminal constraint (see :class:`Horizon`).
+
+    That is the terminal equality, in scaled units, or a terminal region, in the root of the
+    objective's.
+    """
 
     linear: float  #: μ
     quadratic: float  #: ν
+    #: Whether the horizon ends in a region with a cost of its own instead of the steady state.
+    region: bool = False
 
 
 def blocks_of(prediction_horizon: int, lengths: tuple[int, ...]) -> npt.NDArray[np.int64]:

@@ -24,8 +24,10 @@ from trms_cli.controllers.horizon import (
     blocks_of,
     check_names,
 )
+from trms_cli.controllers.newton_region import RegionDesign
 from trms_cli.controllers.newton_sizes import typical_sizes
 from trms_cli.controllers.newton_step import NewtonStep
+from trms_cli.controllers.newton_terminal import TerminalRegions
 from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.core.errors import SimulationError
 from trms_cli.models.discretisation import discretise
@@ -51,27 +53,42 @@ class NewtonMpcState:
         sizes = typical_sizes(self.discrete)
         weights = _tracking(model, config.state_weights, sizes)
         self.steady_state = SteadyState(model, _positive(weights))
-        horizon = Horizon(
-            self.discrete,
-            blocks,
-            Weights(
-                weights,
-                config.rate_weights,
-                config.input_weights,
-                config.move_weights,
-            ),
-            SoftLimits(config.soft_limits, config.soft_linear, config.soft_quadratic),
-            TerminalPrice(config.terminal_linear, config.terminal_quadratic)
-            if config.terminal == "equality"
-            else None,
-            sizes,
-        )
+
+        def engine(region: bool) -> NewtonStep:
+            horizon = Horizon(
+                self.discrete,
+                blocks,
+                Weights(weights, config.rate_weights, config.input_weights, config.move_weights),
+                SoftLimits(config.soft_limits, config.soft_linear, config.soft_quadratic),
+                TerminalPrice(config.terminal_linear, config.terminal_quadratic, region)
+                if config.terminal != "none"
+                else None,
+                sizes,
+            )
+            return NewtonStep(horizon, config.qp, largest_moves)
+
         inputs = names(model.inputs)
         check_names(config.input_rate_limits, inputs, "input_rate_limits")
         rates = np.array([config.input_rate_limits.get(name, np.inf) for name in inputs])
+        largest_moves = rates * setup.sample_time
         limits = [config.soft_limits.get(name, (-np.inf, np.inf)) for name in model.controlled]
         self._goal_limits = np.array(limits) if config.soft_limits else None
-        self.newton = NewtonStep(horizon, config.qp, rates * setup.sample_time)
+        self.newton = engine(config.terminal == "quasi_infinite")
+        #: Regions by target, and the equality for targets without; None with another terminal.
+        self.regions = (
+            TerminalRegions(
+                RegionDesign(
+                    self.newton.horizon,
+                    largest_moves,
+                    config.terminal_weight,
+                    config.terminal_decay,
+                ),
+                self.newton,
+                lambda: engine(False),
+            )
+            if config.terminal == "quasi_infinite"
+            else None
+        )
         self._shift = _shift_matrix(blocks)
         self._beyond = 1.0 - self._shift.sum(axis=0)
         self.target: Target | None = None
@@ -87,7 +104,7 @@ class NewtonMpcState:
 
     def begin_sample(self, sample: ControlSample) -> None:
         """Take in the sample: state, references, target, and the plan shifted in time."""
-        newton, n_x = self.newton, self.model.n_x
+        n_x = self.model.n_x
         if self.config.disturbance_compensation:
             self._disturbance = sample.estimate.disturbance
         self._last_command = sample.previous_command
@@ -99,19 +116,24 @@ class NewtonMpcState:
         if not self.inputs_finite:
             return
         if not self._first and len(self._full) > n_x:
-            self._full[n_x:] = newton.advance(self._full, sample.previous_command)[n_x:]
+            self._full[n_x:] = self.newton.advance(self._full, sample.previous_command)[n_x:]
         self._full[:n_x] = sample.estimate.x
-        known = len(sample.reference)
-        reference = newton.reference
-        # `reference` holds r(t+1) … r(t+N), the last known one held to the end of the horizon.
-        reference[:, : known - 1] = sample.reference[1:].T
-        reference[:, known - 1 :] = sample.reference[-1][:, None]
         asked = goal = sample.reference[-1]
         if self._goal_limits is not None:
             # A steady state beyond a soft limit would be fought over for ever.
             goal = np.clip(asked, self._goal_limits[:, 0], self._goal_limits[:, 1])
         previous_target = self.target
         self.target = target = self._target_for(goal)
+        tail = target.u
+        if self.regions is not None:
+            tail = self.regions.tail(self.newton, target)
+            self.newton = self.regions.engine_for(target, self._disturbance, self.newton)
+        newton = self.newton
+        known = len(sample.reference)
+        reference = newton.reference
+        # `reference` holds r(t+1) … r(t+N), the last known one held to the end of the horizon.
+        reference[:, : known - 1] = sample.reference[1:].T
+        reference[:, known - 1 :] = sample.reference[-1][:, None]
         if target.projected or goal is not asked:
             # What cannot be held must not be striven for either: the objective would pull away
             # from the terminal state.
@@ -124,7 +146,7 @@ class NewtonMpcState:
             newton.plan[:] = steady
             self._first = False
             return
-        newton.plan[:] = newton.plan @ self._shift + steady * self._beyond
+        newton.plan[:] = newton.plan @ self._shift + tail[:, None] * self._beyond
         if previous_target is None or target.asked != previous_target.asked:
             # A new reference may lie behind a point where the linearisation sees no way to it
             # (a tail rotor at rest has no thrust slope), or where a local minimum lies.

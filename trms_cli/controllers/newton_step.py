@@ -39,7 +39,7 @@ class Outcome:
     objective, merit : float
         J and φ of the plan.
     violation, terminal_residual : float
-        Largest violation of a soft limit, and of the scaled terminal equality.
+        Largest violation of a soft limit, and of the terminal constraint.
     kkt_residual : float
         Largest component of the Lagrangian's gradient before the last step.
     message : str
@@ -113,12 +113,13 @@ class NewtonStep:
     def _program_rows(self, largest_moves: FloatArray) -> None:
         """Rows of the QP that do not change, and room for those that do.
 
-        First the terminal equality (soft, at its exact-penalty price), then the changes between
-        blocks of the inputs whose rate is limited (hard).
+        First the terminal equality, or the one row of a terminal region (soft, at their
+        exact-penalty price), then the changes between blocks of the inputs whose rate is limited
+        (hard).
         """
         horizon, n = self.horizon, self.horizon.n_z
         terminal = horizon.terminal
-        n_terminal = horizon.model.n_x if terminal is not None else 0
+        n_terminal = horizon.n_terminal
         bound = np.tile(largest_moves, horizon.n_blocks)
         self._rate_chosen = np.isfinite(bound)
         self._largest_moves = largest_moves
@@ -134,6 +135,8 @@ class NewtonStep:
         self._highest = np.concatenate([np.tile(self.upper, horizon.n_blocks), np.zeros(m)])
         self._lowest[n + n_terminal :] = -rate_bound
         self._highest[n + n_terminal :] = rate_bound
+        if horizon.has_region:  # inside is as good as on its edge
+            self._lowest[n : n + n_terminal] = -np.inf
         self._present = np.zeros(n + m)
         self._linear, self._quadratic = np.full(m, np.inf), np.ones(m)
         if terminal is not None:
@@ -152,6 +155,13 @@ class NewtonStep:
         arguments["w"][:] = disturbance
         arguments["x_s"][:] = target.x
         arguments["u_s"][:] = target.u
+
+    def set_region(self, centre: FloatArray, root: FloatArray, level: float) -> None:
+        """The terminal region of this sample, for a horizon that ends in one."""
+        arguments = self.horizon.arguments
+        arguments["centre"][:] = centre
+        arguments["root"][:] = root
+        arguments["radius"][:] = np.sqrt(level)
 
     def advance(self, full: FloatArray, u: FloatArray) -> FloatArray:
         """The full state one control period later without disturbance, for its memory."""
@@ -336,7 +346,12 @@ class NewtonStep:
         outcome.objective = float(objective[0])
         outcome.merit = float(merit[0])
         outcome.violation = float(violation[0])
-        outcome.terminal_residual = float(np.abs(terminal).max()) if self._n_terminal else 0.0
+        if not self._n_terminal:
+            outcome.terminal_residual = 0.0
+        elif self.horizon.has_region:
+            outcome.terminal_residual = max(0.0, float(terminal[0]))
+        else:
+            outcome.terminal_residual = float(np.abs(terminal).max())
 
     def _limit_rates(self) -> None:
         """Bring the plan within the rate limits, block after block from the last command."""
