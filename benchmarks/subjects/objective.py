@@ -7,8 +7,8 @@ from dataclasses import replace
 from benchmarks.document import LIMIT, Column, Table
 from benchmarks.lockstep import race
 from benchmarks.options import Options
-from benchmarks.peers.nlp import NlpMpc
 from benchmarks.setups import FULL_STATE, experiment, newton_horizon, newton_of
+from trms_cli.controllers.nmpc import Nmpc
 
 TITLE = "closed-loop objective of newton_mpc beside IPOPT, both converged"
 #: %, of IPOPT's.
@@ -46,7 +46,7 @@ def run(options: Options) -> list[Table]:
             entrants = race(
                 chosen,
                 {
-                    "ipopt": NlpMpc(problem=problem, machine_code=False, two_starts=True),
+                    "ipopt": Nmpc.of(problem, solver="ipopt", second_start="always"),
                     "newton": replace(problem, max_iterations=50),
                     "one_iteration": replace(problem, max_iterations=1),
                 },

@@ -10,17 +10,14 @@ import numpy as np
 
 from benchmarks.document import LIMIT, Column, Table
 from benchmarks.options import Options
-from benchmarks.peers.nlp import NlpMpc
 from benchmarks.setups import FULL_STATE, SQUARES, experiment, newton_of
 from benchmarks.setups import run as close
 from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.simulation.closed_loop import Experiment
 
 TITLE = "tracking of squares beside the long-horizon optimum"
 LONG_HORIZON = 12.0  # s
-#: The optimum follows its plan for so long, unless the reference changes: with the full state of a
-#: rig without disturbances the next plan is the rest of the last one.
-_PERIODS_PER_SOLVE = 5
 #: Of the optimum's ISE, with the full state and with noise and filter.
 ISE_FULL_STATE, ISE_FILTER = 1.05, 1.15
 SETTLED = 4.0  # s
@@ -88,7 +85,7 @@ def run(options: Options) -> list[Table]:
     return [_errors(outcomes), _steps(outcomes)]
 
 
-def _optima(default: NewtonMpc) -> tuple[NlpMpc, NlpMpc]:
+def _optima(default: NewtonMpc) -> tuple[Nmpc, Nmpc]:
     """With the default's weights, and with those of the angles alone."""
     periods = round(LONG_HORIZON / default.sample_time)
     long = replace(default, prediction_horizon=periods, move_blocks=(1,) * periods)
@@ -101,9 +98,8 @@ def _optima(default: NewtonMpc) -> tuple[NlpMpc, NlpMpc]:
         move_weights={},
         input_rate_limits={},
     )
-    optimum = NlpMpc(problem=long, machine_code=False, periods_per_solve=_PERIODS_PER_SOLVE)
     # Without weights on moves a resting tail rotor has no slope at all: IPOPT stalls on it.
-    return optimum, replace(optimum, problem=plain, solver="fatrop")
+    return Nmpc.of(long, solver="ipopt"), Nmpc.of(plain, solver="fatrop")
 
 
 def _outcome(reference: str, who: str, chosen: Experiment) -> _Outcome:

@@ -13,7 +13,7 @@ import pytest
 
 import benchmarks.__main__ as program
 from benchmarks.document import SCHEMA, Column, Table, document, print_table
-from benchmarks.lockstep import Entrant, race
+from benchmarks.lockstep import race
 from benchmarks.options import Options
 from benchmarks.setups import FULL_STATE, experiment, newton_horizon
 from benchmarks.subjects import (
@@ -25,6 +25,7 @@ from benchmarks.subjects import (
     peers,
     tracking,
 )
+from trms_cli.controllers.nmpc import Nmpc
 
 
 @pytest.fixture
@@ -48,15 +49,13 @@ def _settled(controller_overrides: tuple[str, ...] = ()) -> object:
 
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_a_peer_and_converged_newton_go_the_same_way(solver: str) -> None:
-    from benchmarks.peers.nlp import NlpMpc
-
     chosen = _settled()
     problem = replace(chosen.controller, max_iterations=100, tolerance=1e-7)
     entrants = race(
         chosen,
         {
             "newton": problem,
-            "peer": NlpMpc(problem=problem, solver=solver, machine_code=False),  # type: ignore[arg-type]
+            "peer": Nmpc.of(problem, solver=solver, machine_code=False),
         },
     )
     assert entrants[1].failures == 0
@@ -74,47 +73,6 @@ def test_do_mpc_goes_the_same_way() -> None:
     assert entrants[1].failures == 0
     newton, peer = (np.array(entrant.commands) for entrant in entrants)
     np.testing.assert_allclose(newton, peer, atol=2e-3)  # V
-
-
-def test_the_peers_problem_has_the_objective_of_newton_mpc() -> None:
-    """At the same inputs, the NLP's objective is the horizon's merit."""
-    import casadi as ca
-
-    from benchmarks.peers.ocp import build
-
-    chosen = experiment("controller=newton_mpc", *FULL_STATE)  # with the default's blocks
-    entrant = Entrant("newton", chosen)
-    entrant.sample(0)
-    newton = entrant._state.newton
-    ocp = build(chosen.controller, chosen.model, chosen.controller.sample_time)
-    at = newton.horizon.arguments
-    plan, blocks = newton.plan, newton.horizon.blocks
-    at["z"][...] = plan
-    newton.horizon.evaluate()
-    merit = newton._merit(plan)
-    trajectory = newton.horizon.evaluate.outputs[0]
-
-    states = np.column_stack([at["x0"], trajectory])
-    guess, block, period = [], -1, 0
-    for kind, size in ocp.layout:
-        if kind == "x":
-            last = at["u_previous"] if period == 0 else plan[:, blocks[period - 1]]
-            guess.append(np.concatenate([states[:, period], last])[:size])
-            period += 1
-        elif kind == "u":
-            block += 1
-            guess.append(plan[:, block])
-        else:
-            residual = (states[: chosen.model.n_x, -1] - at["x_s"]) / at["scale"]
-            guess.append(np.concatenate([np.maximum(residual, 0), np.maximum(-residual, 0)]))
-    x = np.concatenate(guess)
-    p = np.concatenate(
-        [at[name].ravel(order="F") for name in ("x0", "u_previous", "r", "x_s", "u_s", "w")]
-    )
-    functions = ca.Function("nlp", [ocp.nlp["x"], ocp.nlp["p"]], [ocp.nlp["f"], ocp.nlp["g"]])
-    f, g = functions(x, p)
-    assert float(f) == pytest.approx(merit, rel=1e-9)
-    np.testing.assert_allclose(g.full().ravel(), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("subject", [newton_time, parts, growth], ids=lambda s: s.__name__)
@@ -143,7 +101,7 @@ def test_a_peer_that_is_missing_gets_a_row(quick: Options, monkeypatch: pytest.M
         raise ModuleNotFoundError("no such thing", name="do-mpc")
 
     monkeypatch.setattr(peers, "peers", lambda problem: {"do-mpc": missing})
-    (table,) = peers.run(quick)
+    table = peers._peers(quick)
     row = table.rows[-1]
     assert row["solver"] == "do-mpc"
     assert "pip install" in str(row["remark"])

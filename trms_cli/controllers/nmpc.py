@@ -1,0 +1,318 @@
+"""Nonlinear model predictive control: each sample solved to convergence, by interior points.
+
+The problem is that of :class:`~trms_cli.controllers.newton_mpc.NewtonMpc` key by key: the same
+discretised model, weights, horizon, blocks of inputs, limits, and exact penalty of the terminal
+equality (see :mod:`trms_cli.controllers.ocp`). What differs is how it is solved: all states are
+unknowns, the second derivatives are exact, and the iterations go on until the optimality
+conditions hold. It is what to compare with, and a second opinion where Newton's iteration stalls,
+at many times its price.
+
+Each solve starts from the last plan shifted in time and rolled out. A problem that is not convex
+may have a better minimum elsewhere: where the reference is new, or a solve failed, the sample is
+also solved from the steady state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.fallback import Policy, fall_back
+from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.controllers.newton_state import NewtonMpcState
+from trms_cli.controllers.nmpc_solver import InteriorPoint, Method, Solution
+from trms_cli.controllers.ocp import build
+from trms_cli.core.errors import ConfigurationError
+
+FloatArray = npt.NDArray[np.float64]
+_Positive = Annotated[float, Meta(gt=0)]
+_NotNegative = Annotated[float, Meta(ge=0)]
+#: Keys that have another meaning than those of ``newton_mpc``.
+_OWN = {"max_iterations", "tolerance", "fallback"}
+#: A scaled terminal residual above this counts as a relaxed equality.
+_RELAXED_ABOVE = 1e-3
+#: Rounding of a rate limit, V.
+_HAIR = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nmpc:
+    """Nonlinear MPC by IPOPT or fatrop.
+
+    Attributes
+    ----------
+    sample_time : float
+        Control period, s.
+    prediction_horizon, move_blocks, preview_horizon
+        As of :class:`~trms_cli.controllers.newton_mpc.NewtonMpc`, in control periods.
+    state_weights, rate_weights, input_weights, move_weights : dict of str to float
+        See :class:`trms_cli.controllers.horizon.Weights`.
+    input_rate_limits : dict of str to float
+        Largest change per second, V/s.
+    soft_limits : dict of str to (float, float)
+        Limits on states, met if at all possible; in the states' units.
+    soft_linear, soft_quadratic : float
+        Price of violating them.
+    terminal : {"equality", "none"}
+        Whether the predicted trajectory must end in the steady state of the reference.
+    terminal_linear, terminal_quadratic : float
+        Exact penalty of that, relative to typical sizes of the states.
+    solver : {"ipopt", "fatrop"}
+    max_iterations : int
+        Of a solve. A sample that runs into it takes what it has if that is better than the last
+        plan, and falls back otherwise. There is no limit in time: a run would depend on the
+        machine.
+    tolerance : float
+        Scaled residual of the optimality conditions.
+    second_start : {"new_reference", "always", "never"}
+        When a sample is also solved from the steady state; the better minimum counts.
+        ``new_reference`` does so after a failure, too.
+    machine_code : bool
+        Whether derivatives run as compiled C, built once for each structure of the problem.
+    integration_steps : int
+        Steps of the model's integrator in a control period.
+    disturbance_compensation : bool
+        Whether the observer's constant disturbances enter prediction and target (offset-free).
+    fallback : {"shifted_plan", "hold", "steady_input", "stop"}
+        What acts when a solve fails: the last plan shifted in time, the last command, the
+        steady-state input of the reference, or the end of the run.
+    """
+
+    sample_time: _Positive = 0.1
+    prediction_horizon: Annotated[int, Meta(ge=2)] = 40
+    move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
+    preview_horizon: Annotated[int, Meta(ge=0)] = 0
+    state_weights: Mapping[str, _NotNegative] = field(
+        default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
+    )
+    rate_weights: Mapping[str, _NotNegative] = field(
+        default_factory=lambda: {"alpha_v": 0.73, "alpha_h": 0.36}
+    )
+    input_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
+    move_weights: Mapping[str, _NotNegative] = field(
+        default_factory=lambda: {"u_v": 0.1, "u_h": 0.2}
+    )
+    input_rate_limits: Mapping[str, _Positive] = field(default_factory=dict)
+    soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    soft_linear: _Positive = 100.0
+    soft_quadratic: _Positive = 1000.0
+    terminal: Literal["equality", "none"] = "equality"
+    terminal_linear: _Positive = 100.0
+    terminal_quadratic: _Positive = 1000.0
+    solver: Method = "ipopt"
+    max_iterations: Annotated[int, Meta(ge=1)] = 200
+    tolerance: Annotated[float, Meta(gt=0, le=1e-2)] = 1e-8
+    second_start: Literal["new_reference", "always", "never"] = "new_reference"
+    machine_code: bool = True
+    integration_steps: Annotated[int, Meta(ge=1)] = 1
+    disturbance_compensation: bool = True
+    fallback: Policy = "shifted_plan"
+
+    def __post_init__(self) -> None:
+        self.problem()
+
+    def problem(self) -> NewtonMpc:
+        """The ``newton_mpc`` whose problem this is.
+
+        Raises
+        ------
+        ConfigurationError
+            For a horizon that is shorter than the preview.
+        """
+        known = {f.name for f in fields(NewtonMpc)} - _OWN
+        return NewtonMpc(**{f.name: getattr(self, f.name) for f in fields(self) if f.name in known})
+
+    @classmethod
+    def of(cls, problem: NewtonMpc, **own: Any) -> Nmpc:
+        """The same problem as a ``newton_mpc`` poses, with keys of this class besides.
+
+        Raises
+        ------
+        ConfigurationError
+            For a terminal region, which this problem does not have.
+        """
+        if problem.terminal not in ("equality", "none"):
+            raise ConfigurationError(
+                f"terminal={problem.terminal} has no counterpart here",
+                where="terminal",
+                remedy="equality or none",
+            )
+        known = {f.name for f in fields(cls)} - _OWN
+        shared = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name in known}
+        return cls(**{**shared, **own})
+
+    def preview(self, setup: ControlSetup) -> int:
+        """Reference samples wanted beyond the present one."""
+        return self.preview_horizon
+
+    def init(self, setup: ControlSetup) -> NmpcState:
+        """Compiled functions, the solver and the first plan."""
+        return NmpcState(self, setup)
+
+    def step(self, state: NmpcState, sample: ControlSample, *, want_prediction: bool) -> Command:
+        """One sample: target, solves, command."""
+        shared = state.shared
+        shared.begin_sample(sample)
+        if not shared.inputs_finite:
+            return state.fall_back("the estimate or the reference is not finite", sample)
+        found, message = state.solved()
+        if found is None:
+            return state.fall_back(message, sample)
+        newton, evaluate = shared.newton, shared.newton.horizon.evaluate
+        newton.plan[:] = found.plan
+        state.evaluate(newton.plan)
+        trajectory, terminal, objective, _, violation = evaluate.outputs
+        newton.trajectory[:] = trajectory
+        missed = float(np.abs(terminal).max()) if newton.horizon.terminal is not None else 0.0
+        status = Status.OK if found.converged else Status.BUDGET
+        if missed > _RELAXED_ABOVE:
+            status = Status.RELAXED
+        return Command(
+            newton.plan[:, 0].copy(),
+            status,
+            state.iterations,
+            float(objective[0]),
+            max(float(violation[0]), missed),
+            qp_time=state.seconds,
+            message=state.words(status, message),
+            prediction=shared.prediction() if want_prediction else None,
+            out_of_reach=shared.target is not None and shared.target.projected,
+        )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A plan (n_u, n_blocks), its merit, whether it is a minimum, and the multipliers there."""
+
+    plan: FloatArray
+    merit: float
+    converged: bool
+    multipliers: tuple[FloatArray, FloatArray]
+
+    def better_than(self, other: _Found) -> bool:
+        """A minimum before what is none; then the lower merit."""
+        return (not self.converged, self.merit) < (not other.converged, other.merit)
+
+
+class NmpcState:
+    """What changes during a run: the plan with its target, and the solver's multipliers.
+
+    Attributes
+    ----------
+    shared : NewtonMpcState
+        Sample, target, plan and memory of the input path, as of ``newton_mpc``.
+    iterations, seconds : int, float
+        Of the last sample's solves.
+    """
+
+    def __init__(self, config: Nmpc, setup: ControlSetup) -> None:
+        self.config = config
+        self.shared = NewtonMpcState(config.problem(), setup)
+        rates = [config.input_rate_limits.get(s.name, np.inf) for s in setup.model.inputs]
+        self._largest_moves = np.array(rates) * setup.sample_time
+        self.ocp = build(self.shared.newton.horizon, self._largest_moves)
+        self.solver = InteriorPoint(
+            self.ocp, config.solver, config.max_iterations, config.tolerance, config.machine_code
+        )
+        self._multipliers: tuple[FloatArray, FloatArray] | None = None
+        self.iterations, self.seconds = 0, 0.0
+        self._merit_before = np.inf
+
+    def evaluate(self, plan: FloatArray) -> float:
+        """The merit of a plan; the horizon's outputs are those of it."""
+        horizon = self.shared.newton.horizon
+        horizon.arguments["z"][:] = plan
+        horizon.evaluate()
+        return float(horizon.evaluate.outputs[3][0])
+
+    def solved(self) -> tuple[_Found | None, str]:
+        """The best plan that there is, or why there is none."""
+        shared, second = self.shared, self.config.second_start
+        shifted = self._within_rates(shared.newton.plan)
+        multipliers, self._multipliers = self._multipliers, None
+        new = shared.other_start is not None or multipliers is None
+        self.iterations, self.seconds = 0, 0.0
+        self._merit_before = self.evaluate(shifted)
+        best, message = self._from(shifted, multipliers)
+        asked = second == "always" or (second == "new_reference" and (new or best is None))
+        if asked and shared.target is not None:
+            steady = np.broadcast_to(shared.target.u[:, None], shifted.shape)
+            other, _ = self._from(self._within_rates(steady), None)
+            if best is None or (other is not None and other.better_than(best)):
+                best = other
+        if best is None:
+            return None, message
+        self._multipliers = best.multipliers if best.converged else None
+        return best, ""
+
+    def _from(
+        self, start: FloatArray, multipliers: tuple[FloatArray, FloatArray] | None
+    ) -> tuple[_Found | None, str]:
+        """What the solver finds from a plan, or why that is of no use."""
+        if not self.evaluate(start) < np.inf:
+            return None, "the predicted trajectory is not finite"
+        trajectory = self.shared.newton.horizon.evaluate.outputs[0]
+        solution = self.solver.solve(self.ocp.guess(trajectory, start), multipliers)
+        self.iterations += solution.iterations
+        self.seconds += solution.seconds
+        return self._usable(solution), f"{self.config.solver}: {solution.message}"
+
+    def _usable(self, solution: Solution) -> _Found | None:
+        """A minimum; or, where the iterations ran out, a plan that is better than the last one."""
+        if not (solution.converged or solution.at_cap):
+            return None
+        lower, upper = self.shared.newton.lower, self.shared.newton.upper
+        plan = np.clip(self.ocp.plan(solution.unknowns), lower[:, None], upper[:, None])
+        merit = self.evaluate(plan)
+        if not merit < np.inf:
+            return None
+        if solution.converged:
+            return _Found(plan, merit, True, solution.multipliers)
+        moved = np.abs(self._within_rates(plan) - plan).max()
+        if merit < self._merit_before and moved < _HAIR:
+            return _Found(plan, merit, False, solution.multipliers)
+        return None
+
+    def _within_rates(self, plan: FloatArray) -> FloatArray:
+        """The plan within the rate limits, block after block from the last command."""
+        if not np.isfinite(self._largest_moves).any():
+            return np.array(plan)
+        limited = np.array(plan)
+        last = self.shared.newton.horizon.arguments["u_previous"]
+        for block in range(limited.shape[1]):
+            last = np.clip(
+                limited[:, block], last - self._largest_moves, last + self._largest_moves
+            )
+            limited[:, block] = last
+        return limited
+
+    def words(self, status: Status, message: str) -> str:
+        """What a person should know of a sample."""
+        words = [status.meaning] if status is not Status.OK else []
+        if not self.shared.target_is_held:
+            words.append("no input holds the estimated disturbance; the last target goes on")
+        elif self.shared.target is not None and self.shared.target.projected:
+            words.append("the reference is out of reach; the nearest steady state is the target")
+        return "; ".join([*words, *([message] if message else [])])
+
+    def fall_back(self, reason: str, sample: ControlSample) -> Command:
+        """The declared command of a sample that has no solution."""
+        shared, target = self.shared, self.shared.target
+        self._multipliers = None
+        return fall_back(
+            "nmpc",
+            self.config.fallback,
+            reason,
+            {
+                "shifted_plan": shared.newton.plan[:, 0].copy(),
+                "steady_input": None if target is None else target.u.copy(),
+                "hold": sample.previous_command.copy(),
+            },
+            (shared.newton.lower, shared.newton.upper),
+        )

@@ -1,0 +1,313 @@
+"""The optimal control problem of a :class:`~trms_cli.controllers.horizon.Horizon` as a sparse NLP.
+
+Multiple shooting over the same discretised step, with the same weights, input blocks, limits and
+exact penalties: no equation is written a second time. The unknowns are ordered stage by stage,
+
+    z_0, u_0, z_1, u_1, b_1, …, z_N, b_N, v⁺, v⁻    x_N − x_s = scale · (v⁺ − v⁻),  v⁺, v⁻, b ≥ 0
+
+z is the state x and, as soon as moves are weighted or limited or inputs are held over blocks, the
+last command; within a block a stage has no input of its own. That is the structure that fatrop
+asks for. With v⁺ and v⁻ the exact penalty μ|v| + νv² is smooth; b are the violations of soft
+limits.
+
+Stages are evaluated by mapped functions, so that the code that is generated for the derivatives
+does not grow with the horizon.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.controllers.horizon import ARGUMENTS, Horizon
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the unknowns are; all by position.
+
+    Attributes
+    ----------
+    states : (N + 1, n_s) array
+        x with the memory of the input path, then the last command if ``remembers``.
+    inputs : (n_blocks, n_u) array
+    beyond : (N, n_limited) array
+        Violations of the soft limits from the second stage on.
+    missed : (2 n_x,) array
+        v⁺ and v⁻; empty without terminal equality.
+    size : int
+    remembers : bool
+    """
+
+    states: IntArray
+    inputs: IntArray
+    beyond: IntArray
+    missed: IntArray
+    size: int
+    remembers: bool
+
+    def unknowns(self, trajectory: FloatArray, plan: FloatArray, last: FloatArray) -> FloatArray:
+        """A guess from a trajectory (n_full, N + 1), a plan (n_u, N) and the last command."""
+        guess = np.zeros(self.size)
+        states = trajectory.T
+        if self.remembers:
+            states = np.hstack([states, np.vstack([last, plan.T])])
+        guess[self.states] = states
+        return guess
+
+
+@dataclass(frozen=True)
+class Ocp:
+    """The problem.
+
+    Attributes
+    ----------
+    nlp : dict
+        ``x, p, f, g`` for ``casadi.nlpsol``; p are the horizon's arguments but the plan, see
+        :meth:`parameters`. f is the horizon's merit wherever all rows of g hold.
+    lower, upper : (n,) arrays
+        Of the unknowns.
+    g_lower, g_upper : (m,) arrays
+    layout : Layout
+    stages : dict of str to list of int
+        Of each of the N + 1 stages: states ``nx``, other unknowns ``nu``, and rows of g ``ng``
+        besides those that lead to the next stage.
+    horizon : Horizon
+    """
+
+    nlp: dict[str, ca.MX]
+    lower: FloatArray
+    upper: FloatArray
+    g_lower: FloatArray
+    g_upper: FloatArray
+    layout: Layout
+    stages: dict[str, list[int]]
+    horizon: Horizon
+
+    @property
+    def equality(self) -> list[bool]:
+        """Which rows of g are equalities."""
+        return (self.g_lower == self.g_upper).tolist()
+
+    def parameters(self) -> FloatArray:
+        """p, from what the horizon's arguments hold now."""
+        arguments = self.horizon.arguments
+        return np.concatenate([arguments[name].ravel(order="F") for name in _PARAMETERS])
+
+    def guess(self, trajectory: FloatArray, plan: FloatArray) -> FloatArray:
+        """Unknowns of a plan (n_u, n_blocks) and the trajectory (n_full, N) that it leads to."""
+        arguments, horizon, layout = self.horizon.arguments, self.horizon, self.layout
+        along = np.column_stack([arguments["x0"], trajectory])
+        guess = layout.unknowns(along, plan[:, horizon.blocks], arguments["u_previous"])
+        guess[layout.inputs] = plan.T
+        n_x = horizon.model.n_x
+        if layout.missed.size:
+            missed = (trajectory[:n_x, -1] - arguments["x_s"]) / arguments["scale"]
+            guess[layout.missed] = np.concatenate([missed, -missed]).clip(min=0.0)
+        if layout.beyond.size:
+            rows = [horizon.model.state_index(name) for name in horizon.limited]
+            value, limits = trajectory[rows].T, arguments["limits"]
+            beyond = np.maximum(limits[:, 0] - value, value - limits[:, 1])
+            guess[layout.beyond] = beyond.clip(min=0.0)
+        return guess
+
+    def plan(self, unknowns: FloatArray) -> FloatArray:
+        """The plan (n_u, n_blocks) in the unknowns."""
+        return np.asarray(unknowns[self.layout.inputs].T)
+
+
+_PARAMETERS = tuple(name for name in ARGUMENTS if name != "z")
+
+
+def build(horizon: Horizon, largest_moves: FloatArray) -> Ocp:
+    """State the problem of a horizon.
+
+    Parameters
+    ----------
+    horizon : Horizon
+    largest_moves : (n_u,) array
+        Largest change of an input in one control period, V; infinite for none.
+    """
+    return _Builder(horizon, largest_moves).build()
+
+
+class _Builder:
+    def __init__(self, horizon: Horizon, largest_moves: FloatArray) -> None:
+        self.horizon, self.model, self.discrete = horizon, horizon.model, horizon.discrete
+        self.n, self.n_u = horizon.n_periods, horizon.model.n_u
+        blocks = horizon.blocks
+        self.begins = np.concatenate([[True], blocks[1:] != blocks[:-1]])
+        self.limited_moves = np.flatnonzero(np.isfinite(largest_moves))
+        self.largest_moves = largest_moves[self.limited_moves]
+        moves = any(weight > 0 for weight in horizon.weights.moves.values())
+        self.layout = self._layout(
+            remembers=moves or self.limited_moves.size > 0 or not self.begins.all()
+        )
+        arguments = horizon.arguments
+        self.at = {name: ca.MX.sym(name, *(*arguments[name].shape, 1)[:2]) for name in _PARAMETERS}
+        self.x = ca.MX.sym("x", self.layout.size)
+
+    def _layout(self, remembers: bool) -> Layout:
+        n_s = self.discrete.n_x + (self.n_u if remembers else 0)
+        n_limited = len(self.horizon.limited)
+        n_missed = 2 * self.model.n_x if self.horizon.terminal is not None else 0
+        position = 0
+
+        def next_ones(count: int) -> IntArray:
+            nonlocal position
+            position += count
+            return np.arange(position - count, position)
+
+        states, inputs, beyond = [], [], []
+        for k in range(self.n + 1):
+            states.append(next_ones(n_s))
+            if k < self.n and self.begins[k]:
+                inputs.append(next_ones(self.n_u))
+            if k > 0:
+                beyond.append(next_ones(n_limited))
+        missed = next_ones(n_missed)
+        return Layout(
+            np.array(states), np.array(inputs), np.array(beyond), missed, position, remembers
+        )
+
+    def _picked(self, positions: IntArray) -> ca.MX:
+        """Unknowns as a matrix with one column for each row of positions."""
+        rows, columns = positions.shape
+        return ca.reshape(self.x[positions.ravel().tolist()], columns, rows)
+
+    def build(self) -> Ocp:
+        layout, n_full, n = self.layout, self.discrete.n_x, self.n
+        states, plan = self._picked(layout.states), self._picked(layout.inputs)
+        last = states[n_full:, :n]
+        # Within a block the command is a part of the state, so that the stages stay apart.
+        choice = np.where(self.begins, self.horizon.blocks, self.horizon.n_blocks + np.arange(n))
+        acting = (ca.horzcat(plan, last) if layout.remembers else plan)[:, choice.tolist()]
+        after = self._mapped()(states[:n_full, :n], acting, self.at["p"], self.at["w"])
+        arriving = ca.vertcat(after, acting) if layout.remembers else after
+        moves = plan - last[:, np.flatnonzero(self.begins).tolist()] if layout.remembers else None
+        g, g_lower, g_upper, kept = self._rows(states, arriving, moves)
+        lower, upper = self._bounds()
+        return Ocp(
+            {
+                "x": self.x,
+                "p": ca.vertcat(*(ca.vec(self.at[name]) for name in _PARAMETERS)),
+                "f": self._objective(states, after, plan, moves),
+                "g": g,
+            },
+            lower,
+            upper,
+            g_lower,
+            g_upper,
+            layout,
+            {
+                "nx": [n_full + last.shape[0]] * (n + 1),
+                "nu": self._sizes().tolist(),
+                "ng": kept.tolist(),
+            },
+            self.horizon,
+        )
+
+    def _mapped(self) -> ca.Function:
+        """The step at all stages at once; parameters and disturbances are those of all."""
+        discrete = self.discrete
+        step = discrete.step
+        if len(discrete.parts) == 1:
+            at = discrete.symbols()
+            # No slopes in p and w: their code would be most of it.
+            options = {"is_diff_in": [True, True, False, False]}
+            step = ca.Function("stage", list(at), ca.cse([discrete.step(*at)]), options)
+        return step.map("stages", "serial", self.n, [2, 3], [])
+
+    def _objective(self, states: ca.MX, after: ca.MX, plan: ca.MX, moves: ca.MX | None) -> ca.MX:
+        horizon, at, model = self.horizon, self.at, self.model
+        prices, layout = at["prices"], self.layout
+        total = ca.MX(0)
+        for i, name in enumerate(horizon.weighted):
+            row = model.state_index(name)
+            controlled = name in model.controlled
+            goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
+            total += at["q"][i] * ca.sumsqr(states[row, 1:] - goal)
+        for i, name in enumerate(horizon.damped, start=len(horizon.weighted)):
+            row = model.state_index(name)
+            # From the step, not from the next state: the stages stay apart.
+            rate = (after[row, :] - states[row, : self.n]) / self.discrete.step_length
+            total += at["q"][i] * ca.sumsqr(rate)
+        periods = ca.repmat(ca.DM(np.bincount(horizon.blocks)).T, self.n_u, 1)
+        deviation = plan - ca.repmat(at["u_s"], 1, horizon.n_blocks)
+        total += ca.dot(at["rho"], ca.sum2(periods * deviation**2))
+        if moves is not None:
+            total += ca.dot(at["s"], ca.sum2(moves**2))
+        if layout.missed.size:
+            missed = self.x[layout.missed.tolist()]
+            half = layout.missed.size // 2
+            total += prices[0] * ca.sum1(missed)
+            total += prices[1] * ca.sumsqr(missed[:half] - missed[half:])
+        if layout.beyond.size:
+            beyond = self.x[layout.beyond.ravel().tolist()]
+            total += prices[2] * ca.sum1(beyond) + prices[3] * ca.sumsqr(beyond)
+        return total
+
+    def _rows(
+        self, states: ca.MX, arriving: ca.MX, moves: ca.MX | None
+    ) -> tuple[ca.MX, FloatArray, FloatArray, IntArray]:
+        """g and its bounds, stage by stage: first where the stage leads, then what it keeps.
+
+        Last, how many rows each stage keeps.
+        """
+        at, layout, n, model = self.at, self.layout, self.n, self.model
+        start = ca.vertcat(at["x0"], at["u_previous"]) if layout.remembers else at["x0"]
+        # Each kind: values, its lower and upper bound, and the stage of each of its columns.
+        kinds: list[tuple[ca.MX, FloatArray, FloatArray, IntArray]] = []
+
+        def add(
+            values: ca.MX, lower: float | FloatArray, upper: float | FloatArray, at: IntArray
+        ) -> None:
+            size = values.shape[0]
+            kinds.append((values, np.broadcast_to(lower, size), np.broadcast_to(upper, size), at))
+
+        stages = np.arange(n)
+        add(states[:, 1:] - arriving, 0.0, 0.0, stages)
+        add(states[:, 0] - start, 0.0, 0.0, np.zeros(1, dtype=np.int64))
+        if moves is not None and self.limited_moves.size:
+            limited = moves[self.limited_moves.tolist(), :]
+            add(limited, -self.largest_moves, self.largest_moves, np.flatnonzero(self.begins))
+        if layout.beyond.size:
+            rows = [model.state_index(name) for name in self.horizon.limited]
+            value, beyond = states[rows, 1:], self._picked(layout.beyond)
+            lower, upper = (ca.repmat(at["limits"][:, i], 1, n) for i in (0, 1))
+            add(value - beyond - upper, -np.inf, 0.0, stages + 1)
+            add(value + beyond - lower, 0.0, np.inf, stages + 1)
+        if layout.missed.size:
+            half = layout.missed.size // 2
+            missed = self.x[layout.missed.tolist()]
+            residual = (states[: model.n_x, n] - at["x_s"]) / at["scale"]
+            add(residual - missed[:half] + missed[half:], 0.0, 0.0, np.array([n]))
+        stage = np.concatenate([np.repeat(k, values.shape[0]) for values, _, _, k in kinds])
+        order = np.argsort(stage, kind="stable")
+        g = ca.vertcat(*(ca.vec(values) for values, *_ in kinds))[order.tolist()]
+        bounds = [
+            np.concatenate([np.tile(kind[i], len(kind[3])) for kind in kinds])[order]
+            for i in (1, 2)
+        ]
+        kept = np.bincount(stage[kinds[0][0].numel() :], minlength=n + 1)
+        return g, bounds[0], bounds[1], kept
+
+    def _sizes(self) -> IntArray:
+        """Unknowns of each stage besides its state."""
+        sizes = np.append(self.n_u * self.begins.astype(np.int64), 0)
+        sizes[1:] += len(self.horizon.limited)
+        sizes[-1] += self.layout.missed.size
+        return sizes
+
+    def _bounds(self) -> tuple[FloatArray, FloatArray]:
+        lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
+        lower[self.layout.inputs], upper[self.layout.inputs] = self.model.input_bounds()
+        lower[self.layout.beyond.ravel()] = 0.0
+        lower[self.layout.missed] = 0.0
+        return lower, upper
