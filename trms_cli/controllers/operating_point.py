@@ -100,6 +100,15 @@ class SteadyState:
         q by controlled angle, for references out of reach; 1 where none is given.
     parameters : (n_p,) array, optional
         Defaults to the model's values.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        One iteration, as it was before it was compiled.
+    unknowns, controlled : list of int
+        Positions of the unknowns among the states, and of the controlled angles among them.
+    weights : (n_r,) array
+        q.
     """
 
     def __init__(
@@ -110,29 +119,30 @@ class SteadyState:
     ) -> None:
         self.model = model
         equations = rest_equations(model)
-        self._rows = list(equations.unknowns)
-        self._controlled = _controlled_rows(model, equations)
-        self._weights = np.array([(weights or {}).get(name, 1.0) for name in model.controlled])
-        if not np.all(self._weights > 0):
+        self.unknowns = list(equations.unknowns)
+        self.controlled = _controlled_rows(model, equations)
+        self.weights = np.array([(weights or {}).get(name, 1.0) for name in model.controlled])
+        if not np.all(self.weights > 0):
             raise ModelError(
-                f"weights {self._weights.tolist()} given for the steady state",
+                f"weights {self.weights.tolist()} given for the steady state",
                 remedy="every weight is above 0",
             )
         self._stops = [model.stops.get(name, np.inf) for name in model.controlled]
         self._upper = model.input_bounds()[1].tolist()
-        self._newton = BufferedFunction(_newton_step(model, equations))
+        self.function = _newton_step(model, equations)
+        self._newton = BufferedFunction(self.function)
         (self._z, self._r, self._w, p, q, self._active, self._bound, reach, self._curved) = (
             self._newton.inputs
         )
-        n_s = len(self._rows)
+        n_s = len(self.unknowns)
         n = n_s + model.n_u
         self._s, self._u = self._z[:n_s], self._z[n_s:n]  # views
         self._multiplier = self._z[n:]
         self._z_next, self._report, self._x = self._newton.outputs
         p[:] = model.parameters.values if parameters is None else parameters
-        q[:] = self._weights
+        q[:] = self.weights
         reach[:] = self._upper
-        self._rest = model.rest()[self._rows]
+        self._rest = model.rest()[self.unknowns]
 
     def solve(
         self,
@@ -173,7 +183,7 @@ class SteadyState:
 
     def _from(self, guess: Target) -> tuple[int, ...] | None:
         """Iterate from a target; the active set at the solution, or None when there is none."""
-        self._s[:] = guess.x[self._rows]
+        self._s[:] = guess.x[self.unknowns]
         self._u[:] = guess.u
         self._multiplier[:] = guess.multiplier
         active = guess.active
@@ -248,12 +258,12 @@ class SteadyState:
     def _beyond_stops(self) -> bool:
         return any(
             abs(self._s[i]) > stop + REACHED
-            for i, stop in zip(self._controlled, self._stops, strict=True)
+            for i, stop in zip(self.controlled, self._stops, strict=True)
         )
 
     def _cost(self) -> float:
-        error = self._s[self._controlled] - self._r
-        return float(error @ (self._weights * error))
+        error = self._s[self.controlled] - self._r
+        return float(error @ (self.weights * error))
 
     def _starts(self) -> Iterable[tuple[FloatArray, FloatArray]]:
         """Points to start from: at the reference and at rest, the inputs at several levels.
@@ -261,7 +271,7 @@ class SteadyState:
         None at zero, where a thrust has no slope.
         """
         at_reference = self._rest.copy()
-        at_reference[self._controlled] = self._r
+        at_reference[self.controlled] = self._r
         for s in (at_reference, self._rest):
             for shares in itertools.product((0.4, -0.4), repeat=self.model.n_u):
                 yield s, np.array(shares) * self._upper
@@ -271,7 +281,7 @@ class SteadyState:
         for i, side in enumerate(active):
             if side:
                 u[i] = side * self._upper[i]
-        reached = [float(self._s[i]) for i in self._controlled]
+        reached = [float(self._s[i]) for i in self.controlled]
         residual = float(self._report[0])
         return Target(
             x,

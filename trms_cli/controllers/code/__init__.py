@@ -1,0 +1,1 @@
+"""Controllers as C source for a rig's own computer."""

@@ -1,0 +1,197 @@
+"""The C source and header of a Newton MPC: templates, tables and generated functions in one."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from trms_cli.controllers.code import newton_tables
+from trms_cli.controllers.code.casadi_source import GeneratedFunctions, generated
+from trms_cli.controllers.code.literals import number
+from trms_cli.controllers.controller import ControlSetup
+from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.controllers.qp.daqp import Daqp
+from trms_cli.core.errors import ConfigurationError
+
+_TEMPLATES = Path(__file__).parent
+_FALLBACKS = {"shifted_plan": "SHIFTED_PLAN", "hold": "HOLD", "steady_input": "STEADY_INPUT"}
+#: Lines of generated C that a compiler takes in a minute or two.
+_MOST_CODE = 8_000_000
+
+
+@dataclass(frozen=True)
+class ControllerSource:
+    """A controller in C.
+
+    Attributes
+    ----------
+    header, source : str
+    sizes : dict of str to int
+        The header's sizes, without their prefix.
+    period : float
+        s.
+    """
+
+    header: str
+    source: str
+    sizes: dict[str, int]
+    period: float
+
+
+def newton_source(
+    controller: NewtonMpc, setup: ControlSetup, name: str, title: str, observer: Any = None
+) -> ControllerSource:
+    """C of a Newton MPC.
+
+    Parameters
+    ----------
+    controller : NewtonMpc
+    setup : ControlSetup
+        The model that it believes and its period.
+    name : str
+        Prefix of all names: ``NAME_step``.
+    title : str
+        First line of both files.
+    observer : ObserverSource, optional
+        A filter to go with it.
+
+    Raises
+    ------
+    ConfigurationError
+        For what has no C: it names the key.
+    """
+    check_exportable(controller)
+    state = controller.init(setup)
+    functions = {
+        "mpc_model_step": state.discrete.step,
+        "mpc_model_slopes": state.discrete.slopes(),
+        "mpc_steady_state_step": state.steady_state.function,
+    }
+    if observer is not None:
+        functions |= observer.functions
+    code = generated(functions)
+    _check_size(code, setup)
+    sizes = newton_tables.sizes(state, controller.preview(setup))
+    if observer is not None:
+        sizes |= observer.sizes
+    sizes |= {
+        "SZ_W": (code.n_w, "numbers of scratch of the generated functions"),
+        "SZ_IW": (code.n_iw, "whole ones"),
+    }
+    period = setup.sample_time
+    header = _header(sizes, state, period, title, observer)
+    source = "\n".join(
+        [
+            f"/* {title} */\n",
+            '#include "mpc.h"\n\n#include <float.h>\n#include <math.h>\n#include <string.h>\n',
+            *(f"#define MPC_{function}_{what} {count}" for function, what, count in _room(code)),
+            f"#define MPC_COMPENSATION {int(controller.disturbance_compensation)}",
+            f"#define MPC_FALLBACK MPC_{_FALLBACKS[controller.fallback]}\n",
+            newton_tables.parameter_comments(state),
+            _initialiser(state),
+            newton_tables.tables(state) + "\n",
+            code.source,
+            *(
+                _template(part)
+                for part in ("daqp.c", "steady_state.c", "horizon.c", "newton_mpc.c")
+            ),
+            *([observer.source] if observer is not None else []),
+        ]
+    )
+    return ControllerSource(
+        named(header, name),
+        named(source, name),
+        {key: value for key, (value, _) in sizes.items()},
+        period,
+    )
+
+
+def check_exportable(controller: Any) -> None:
+    """Raise :class:`ConfigurationError` for a controller, or an option of it, that has no C."""
+    if not isinstance(controller, NewtonMpc):
+        raise ConfigurationError(
+            f"{type(controller).__name__} has no C source",
+            where="controller",
+            remedy="export newton_mpc: controller=newton_mpc",
+        )
+    if controller.terminal not in ("equality", "none"):
+        raise ConfigurationError(
+            f"terminal {controller.terminal!r} has no C source",
+            where="controller.terminal",
+            remedy="take equality or none",
+        )
+    if controller.fallback not in _FALLBACKS:
+        raise ConfigurationError(
+            f"fallback {controller.fallback!r} has no C source: a rig's computer cannot end a run",
+            where="controller.fallback",
+            remedy=f"take one of {', '.join(_FALLBACKS)}",
+        )
+    if type(controller.qp) is not Daqp:
+        raise ConfigurationError(
+            f"the QP solver {type(controller.qp).__name__} has no C source",
+            where="controller.qp",
+            remedy="take daqp: qp_solver@controller.qp=daqp",
+        )
+
+
+def named(text: str, name: str) -> str:
+    """A template's text with a controller's own name in place of ``mpc``."""
+    text = re.sub(r"\bMPC_(?=\w)", f"{name.upper()}_", text)
+    text = re.sub(r"\bmpc_(?=\w)", f"{name}_", text)
+    return text.replace('"mpc.h"', f'"{name}.h"')
+
+
+def _template(file: str) -> str:
+    return (_TEMPLATES / file).read_text(encoding="utf-8")
+
+
+def _header(
+    sizes: dict[str, tuple[int, str]], state: Any, period: float, title: str, observer: Any
+) -> str:
+    definitions = "".join(
+        f"#define MPC_{key} {value} /* {comment} */\n" for key, (value, comment) in sizes.items()
+    )
+    definitions += f"#define MPC_PERIOD {number(period)} /* s, from step to step */\n"
+    fields = "\n".join(
+        f"    {setting.declaration}; /* {setting.comment} */"
+        for setting in newton_tables.settings(state)
+    )
+    parts = {
+        "MPC_TITLE": title,
+        "MPC_DEFINITIONS\n": definitions,
+        "MPC_SETTINGS_FIELDS": fields,
+        "MPC_OBSERVER_DECLARATIONS\n": "" if observer is None else observer.header,
+    }
+    text = _template("newton_mpc.h")
+    for token, part in parts.items():
+        text = text.replace(token, part)
+    return text
+
+
+def _initialiser(state: Any) -> str:
+    fields = ",\n".join(f"    {setting.value}" for setting in newton_tables.settings(state))
+    return f"static const mpc_settings mpc_exported_settings = {{\n{fields}}};\n"
+
+
+def _room(code: GeneratedFunctions) -> list[tuple[str, str, int]]:
+    return [
+        (short, what, counts[f"mpc_{function}"])
+        for short, function in (
+            ("STEP", "model_step"),
+            ("SLOPES", "model_slopes"),
+            ("STEADY", "steady_state_step"),
+        )
+        for what, counts in (("ARG", code.n_arg), ("RES", code.n_res))
+    ]
+
+
+def _check_size(code: GeneratedFunctions, setup: ControlSetup) -> None:
+    if len(code.source) > _MOST_CODE:
+        raise ConfigurationError(
+            f"model {setup.model.name!r} makes {len(code.source) / 1e6:.0f} MB of C, too much for "
+            "a rig's computer",
+            where="model",
+            remedy="export with a model of equations, or a smaller network",
+        )
