@@ -40,16 +40,14 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Largest residual of the dynamics (in the states' units per s) and of the reference (rad).
 TOLERANCE = 1e-8
-#: Reference errors below this count as reached, rad.
-REACHED = 1e-6
+REACHED = 1e-6  # rad, reference errors below this count as reached
 _PROXIMAL = 1e-12
 _ITERATIONS = 40
 _RUNAWAY = 1e6  # rad in one iteration: it will not come back
 _BOUND_TOLERANCE = 1e-9  # V
 _SLOPE_TOLERANCE = 1e-12  # rad²/V
 _BESIDE = 0.05  # rad between two references that share their closest reachable point
-#: The memory of the input path is at its fixed point whatever the step; see `_arriving`.
-_MEMORY_STEP = 0.02
+_MEMORY_STEP = 0.02  # s; the fixed point of the input path's memory is that of any step
 
 
 @dataclass(frozen=True)
@@ -103,12 +101,9 @@ class SteadyState:
 
     Attributes
     ----------
-    function : casadi.Function
-        One iteration, as it was before it was compiled.
-    unknowns, controlled : list of int
-        Positions of the unknowns among the states, and of the controlled angles among them.
-    weights : (n_r,) array
-        q.
+    function, unknowns, controlled, weights
+        One iteration, uncompiled; positions of the unknowns among the states, and of the
+        controlled angles among them; q.
     """
 
     def __init__(
@@ -159,8 +154,7 @@ class SteadyState:
         disturbance : (n_w,) array, optional
             Constant torques on the model's equations, N m.
         guess : Target, optional
-            Where to start: the target of the last sample makes this a matter of two or three
-            iterations.
+            Where to start: the last sample's target leaves two or three iterations.
 
         Returns
         -------
