@@ -270,7 +270,7 @@ def test_merit_never_rises_within_a_sample() -> None:
 def test_of_two_starts_the_better_end_is_kept() -> None:
     # A tail rotor that rests and is planned to rest sees no thrust: yaw is stuck where it is.
     model = Newtonian(freedom="horizontal")
-    mpc = NewtonMpc(**CONVERGED)
+    mpc = NewtonMpc(move_weights={"u_h": 0.2}, **CONVERGED)
     different = 0
     for goal in (0.3, -0.4, 0.05):
         sample = sample_at(model, model.rest(), [goal], np.zeros(1))
@@ -587,3 +587,35 @@ def test_weight_on_an_unknown_state_names_the_nearest() -> None:
             ControlSetup(Newtonian(), 0.1, np.zeros(2)),
         )
     assert "alpha_" in raised.value.remedy
+
+
+# -- the reference ahead ----------------------------------------------------------------------
+
+
+def test_a_sine_is_followed_as_if_it_were_known(close_loop: Callable[..., Any]) -> None:
+    def sine(times: np.ndarray) -> np.ndarray:
+        return np.column_stack([0.2 * np.sin(0.4 * times), 0.4 * np.sin(0.3 * times)])
+
+    model, errors = Newtonian(), {}
+    for name, keys in (
+        ("held", {"forecast_horizon": 0}),
+        ("forecast", {}),
+        ("known", {"preview_horizon": 15}),
+    ):
+        ran = close_loop(NewtonMpc(**keys), model, sine, 20.0)
+        angles = ran.states[: len(ran.inputs), [5, 2]]
+        wanted = sine(0.1 * np.arange(len(angles)))
+        errors[name] = np.sqrt(np.square(angles - wanted)[100:].mean())
+    assert errors["forecast"] == pytest.approx(errors["known"], rel=0.05)
+    assert errors["forecast"] < 0.6 * errors["held"]
+
+
+def test_a_step_is_followed_the_same_with_and_without_forecast(
+    close_loop: Callable[..., Any],
+) -> None:
+    model = Newtonian()
+    with_it, without = (
+        close_loop(NewtonMpc(forecast_horizon=periods), model, square, 12.0).inputs
+        for periods in (15, 0)
+    )
+    np.testing.assert_array_equal(with_it, without)

@@ -50,6 +50,10 @@ class NewtonMpc:
     preview_horizon : int
         How many control periods ahead the reference is known, at most N; beyond, it is taken as
         constant, so that the terminal state leaves N − preview periods to settle.
+    forecast_horizon : int
+        How many control periods ahead a reference that is not known is carried on as the constant,
+        ramp or sine that it has been so far (:mod:`trms_cli.controllers.reference_forecast`), at
+        most N; 0 for none. Without effect where ``preview_horizon`` knows it.
     state_weights, rate_weights, input_weights, move_weights : dict of str to float
         See :class:`trms_cli.controllers.horizon.Weights`. Where no controlled state has a weight
         (the speed of a rotor alone), each gets that of its typical size.
@@ -91,6 +95,7 @@ class NewtonMpc:
     prediction_horizon: Annotated[int, Meta(ge=2)] = 40
     move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
     preview_horizon: Annotated[int, Meta(ge=0)] = 0
+    forecast_horizon: Annotated[int, Meta(ge=0)] = 15
     state_weights: Mapping[str, NotNegative] = field(
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
@@ -99,7 +104,7 @@ class NewtonMpc:
     )
     input_weights: Mapping[str, NotNegative] = field(default_factory=dict)
     move_weights: Mapping[str, NotNegative] = field(
-        default_factory=lambda: {"u_v": 0.1, "u_h": 0.2}
+        default_factory=lambda: {"u_v": 0.01, "u_h": 0.02}
     )
     input_rate_limits: Mapping[str, Positive] = field(default_factory=dict)
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)

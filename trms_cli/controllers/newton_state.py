@@ -29,6 +29,7 @@ from trms_cli.controllers.newton_sizes import typical_sizes
 from trms_cli.controllers.newton_step import NewtonStep
 from trms_cli.controllers.newton_terminal import TerminalRegions
 from trms_cli.controllers.operating_point import SteadyState, Target
+from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.errors import SimulationError
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
@@ -91,6 +92,10 @@ class NewtonMpcState:
         )
         self._shift = _shift_matrix(blocks)
         self._beyond = 1.0 - self._shift.sum(axis=0)
+        ahead = 0 if config.preview_horizon else config.forecast_horizon
+        self._forecast = ReferenceForecast(
+            min(ahead, config.prediction_horizon), len(model.controlled)
+        )
         self.target: Target | None = None
         self._full = self.discrete.initial(model.rest(), setup.first_command)
         self._first = True
@@ -118,7 +123,10 @@ class NewtonMpcState:
         if not self._first and len(self._full) > n_x:
             self._full[n_x:] = self.newton.advance(self._full, sample.previous_command)[n_x:]
         self._full[:n_x] = sample.estimate.x
-        asked = goal = sample.reference[-1]
+        references = sample.reference
+        if len(references) == 1:
+            references = self._forecast.seen(references[0])
+        asked = goal = references[-1]
         if self._goal_limits is not None:
             # A steady state beyond a soft limit would be fought over for ever.
             goal = np.clip(asked, self._goal_limits[:, 0], self._goal_limits[:, 1])
@@ -129,11 +137,11 @@ class NewtonMpcState:
             tail = self.regions.tail(self.newton, target)
             self.newton = self.regions.engine_for(target, self._disturbance, self.newton)
         newton = self.newton
-        known = len(sample.reference)
+        known = len(references)
         reference = newton.reference
         # `reference` holds r(t+1) … r(t+N), the last known one held to the end of the horizon.
-        reference[:, : known - 1] = sample.reference[1:].T
-        reference[:, known - 1 :] = sample.reference[-1][:, None]
+        reference[:, : known - 1] = references[1:].T
+        reference[:, known - 1 :] = references[-1][:, None]
         if target.projected or goal is not asked:
             # What cannot be held must not be striven for either: the objective would pull away
             # from the terminal state.
@@ -147,7 +155,8 @@ class NewtonMpcState:
             self._first = False
             return
         newton.plan[:] = newton.plan @ self._shift + tail[:, None] * self._beyond
-        if previous_target is None or target.asked != previous_target.asked:
+        foreseen = known > len(sample.reference)
+        if not foreseen and (previous_target is None or target.asked != previous_target.asked):
             # A new reference may lie behind a point where the linearisation sees no way to it
             # (a tail rotor at rest has no thrust slope), or where a local minimum lies.
             self.other_start = np.broadcast_to(steady, newton.plan.shape)

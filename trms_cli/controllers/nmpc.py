@@ -49,7 +49,7 @@ class Nmpc:
     ----------
     sample_time : float
         Control period, s.
-    prediction_horizon, move_blocks, preview_horizon
+    prediction_horizon, move_blocks, preview_horizon, forecast_horizon
         As of :class:`~trms_cli.controllers.newton_mpc.NewtonMpc`, in control periods.
     state_weights, rate_weights, input_weights, move_weights : dict of str to float
         See :class:`trms_cli.controllers.horizon.Weights`.
@@ -88,6 +88,7 @@ class Nmpc:
     prediction_horizon: Annotated[int, Meta(ge=2)] = 40
     move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
     preview_horizon: Annotated[int, Meta(ge=0)] = 0
+    forecast_horizon: Annotated[int, Meta(ge=0)] = 15
     state_weights: Mapping[str, _NotNegative] = field(
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
@@ -96,7 +97,7 @@ class Nmpc:
     )
     input_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
     move_weights: Mapping[str, _NotNegative] = field(
-        default_factory=lambda: {"u_v": 0.1, "u_h": 0.2}
+        default_factory=lambda: {"u_v": 0.01, "u_h": 0.02}
     )
     input_rate_limits: Mapping[str, _Positive] = field(default_factory=dict)
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -1,0 +1,85 @@
+"""The forecast of a reference: exact for what it knows, silent about what it does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.controllers.reference_forecast import ReferenceForecast
+
+T = 0.1
+
+
+def forecast(signal: Callable[[np.ndarray], np.ndarray], samples: int, horizon: int) -> np.ndarray:
+    """What is foreseen at the last of ``samples`` periods, (horizon + 1 or 1,)."""
+    foresight = ReferenceForecast(horizon, 1)
+    rows = np.zeros((1, 1))
+    for value in signal(T * np.arange(samples)):
+        rows = foresight.seen(np.array([value]))
+    return rows[:, 0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(0.02, 1.0),
+    st.floats(0.05, 1.0),
+    st.floats(-3.0, 3.0),
+    st.floats(-1.0, 1.0),
+    st.integers(8, 60),
+)
+def test_a_sine_with_an_offset_is_foreseen(
+    frequency: float, amplitude: float, phase: float, offset: float, samples: int
+) -> None:
+    def signal(t: np.ndarray) -> np.ndarray:
+        return offset + amplitude * np.sin(2 * np.pi * frequency * t + phase)
+
+    seen = forecast(signal, samples, 15)
+    truth = signal(T * (samples - 1 + np.arange(16)))
+    np.testing.assert_allclose(seen, truth, atol=1e-5 * amplitude)
+
+
+def test_a_ramp_is_foreseen() -> None:
+    seen = forecast(lambda t: 0.3 * t - 1.0, 10, 20)
+    np.testing.assert_allclose(seen, 0.3 * T * (9 + np.arange(21)) - 1.0, atol=1e-9)
+
+
+def test_a_constant_and_the_first_samples_have_no_forecast() -> None:
+    assert forecast(lambda t: np.full_like(t, 0.4), 20, 15).shape == (1,)
+    assert forecast(np.sin, 6, 15).shape == (1,)
+
+
+@pytest.mark.parametrize("after", range(1, 7))
+def test_a_jump_is_never_carried_on(after: int) -> None:
+    """For as long as it is among the differences that are looked at."""
+
+    def jump(t: np.ndarray) -> np.ndarray:
+        return np.where(t < T * (20 - after) - 1e-9, 0.0, 0.5)
+
+    assert forecast(jump, 20, 15).shape == (1,)
+
+
+def test_a_jump_in_a_sine_stops_the_forecast_until_it_has_passed() -> None:
+    def signal(t: np.ndarray) -> np.ndarray:
+        return np.sin(0.5 * t) + np.where(t >= 1.95, 0.3, 0.0)
+
+    assert forecast(signal, 21, 15).shape == (1,)
+    assert forecast(signal, 35, 15).shape == (16,)
+
+
+def test_noise_is_not_foreseen() -> None:
+    noise = np.random.default_rng(0).standard_normal(40)
+    assert forecast(lambda t: 0.01 * noise[: len(t)], 40, 15).shape == (1,)
+
+
+def test_axes_are_foreseen_each_for_itself() -> None:
+    foresight = ReferenceForecast(5, 2)
+    rows = np.zeros((1, 2))
+    for k in range(20):
+        rows = foresight.seen(np.array([0.1 * k, 0.5]))
+    assert rows.shape == (6, 2)
+    np.testing.assert_allclose(rows[:, 0], 1.9 + 0.1 * np.arange(6))
+    assert np.all(rows[:, 1] == 0.5)
