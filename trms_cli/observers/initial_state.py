@@ -53,7 +53,7 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
     if unknown:
         f = equations.residual(s, u, p, w)
         linear = ca.Function("rates", [s, u, p, w], [f, ca.densify(ca.jacobian(f, s))])
-        weights = _weights(model, rows, known.keys())
+        weights = equation_weights(model, rows, known.keys())
         constant = (command, model.parameters.values, np.zeros(model.n_w))
         _solve(x, rows, unknown, weights, lambda at: linear(at, *constant))
     if not np.all(np.isfinite(x)):
@@ -64,7 +64,7 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
     return np.array(whole(x[rows], command))[:, 0]
 
 
-def _weights(model: Model, rows: list[int], known: Set[str]) -> FloatArray:
+def equation_weights(model: Model, rows: list[int], known: Set[str]) -> FloatArray:
     """How much the equation of each unknown counts."""
     weights = np.ones(len(rows))
     kinds = kinds_of_states(model)

@@ -30,6 +30,8 @@ _QUIET = """\
 #pragma GCC diagnostic ignored "-Wunused-function"
 #pragma GCC diagnostic ignored "-Wunused-variable"
 #pragma GCC diagnostic ignored "-Wunused-but-set-variable"
+#pragma GCC diagnostic ignored "-Warray-bounds"
+#pragma GCC diagnostic ignored "-Wstringop-overflow"
 #endif
 #define casadi_real double
 #define casadi_int long long int
@@ -54,15 +56,15 @@ class GeneratedFunctions:
         ``static int NAME(const double** arg, double** res, long long* iw, double* w, int mem)``.
     n_arg, n_res : dict of str to int
         Room that the lists of arguments and results need, by name.
-    n_iw, n_w : int
-        Largest scratch of any of them, in entries.
+    n_iw, n_w : dict of str to int
+        Scratch, in entries.
     """
 
     source: str
     n_arg: Mapping[str, int]
     n_res: Mapping[str, int]
-    n_iw: int
-    n_w: int
+    n_iw: Mapping[str, int]
+    n_w: Mapping[str, int]
 
 
 def generated(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
@@ -80,8 +82,8 @@ def generated(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
         source,
         {name: function.sz_arg() for name, function in dense.items()},
         {name: function.sz_res() for name, function in dense.items()},
-        max(function.sz_iw() for function in dense.values()),
-        max(function.sz_w() for function in dense.values()),
+        {name: function.sz_iw() for name, function in dense.items()},
+        {name: function.sz_w() for name, function in dense.items()},
     )
 
 
@@ -110,6 +112,8 @@ def _plain(text: str, entries: Mapping[str, str]) -> str:
     begin, end = text.index("#ifndef CASADI_SYMBOL_EXPORT"), text.rindex("#ifdef __cplusplus")
     body = _after_conditional(text[begin:end])
     body = _FUNCTION.sub(kept, body)
+    # A repetition of nothing is no valid C.
+    body = body.replace("casadi_copy(0, 0, 0+ i*0);", ";")
     body = re.sub(
         r"^(?=(?:void|casadi_real|casadi_int|int) casadi_\w+\()", "static ", body, flags=re.M
     )

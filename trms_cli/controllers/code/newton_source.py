@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from trms_cli.controllers.code import newton_tables
 from trms_cli.controllers.code.casadi_source import GeneratedFunctions, generated
 from trms_cli.controllers.code.literals import number
+from trms_cli.controllers.code.observer_source import ObserverSource
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.daqp import Daqp
@@ -41,7 +43,11 @@ class ControllerSource:
 
 
 def newton_source(
-    controller: NewtonMpc, setup: ControlSetup, name: str, title: str, observer: Any = None
+    controller: NewtonMpc,
+    setup: ControlSetup,
+    name: str,
+    title: str,
+    observer: ObserverSource | None = None,
 ) -> ControllerSource:
     """C of a Newton MPC.
 
@@ -69,41 +75,38 @@ def newton_source(
         "mpc_model_slopes": state.discrete.slopes(),
         "mpc_steady_state_step": state.steady_state.function,
     }
+    own = tuple(functions)
     if observer is not None:
         functions |= observer.functions
     code = generated(functions)
     _check_size(code, setup)
-    sizes = newton_tables.sizes(state, controller.preview(setup))
+    sizes = newton_tables.sizes(state, controller.preview(setup)) | _scratch(code, own, "")
+    filter_sizes: dict[str, tuple[int, str]] = {}
     if observer is not None:
-        sizes |= observer.sizes
-    sizes |= {
-        "SZ_W": (code.n_w, "numbers of scratch of the generated functions"),
-        "SZ_IW": (code.n_iw, "whole ones"),
-    }
+        filter_sizes = {**observer.sizes, **_scratch(code, observer.functions, "OBSERVER_")}
     period = setup.sample_time
-    header = _header(sizes, state, period, title, observer)
+    header = _header(sizes, state, period, title, observer, filter_sizes)
+    parts = ["daqp.c", "steady_state.c", "horizon.c", "newton_mpc.c"]
     source = "\n".join(
         [
             f"/* {title} */\n",
             '#include "mpc.h"\n\n#include <float.h>\n#include <math.h>\n#include <string.h>\n',
-            *(f"#define MPC_{function}_{what} {count}" for function, what, count in _room(code)),
+            *_room(code),
             f"#define MPC_COMPENSATION {int(controller.disturbance_compensation)}",
             f"#define MPC_FALLBACK MPC_{_FALLBACKS[controller.fallback]}\n",
             newton_tables.parameter_comments(state),
             _initialiser(state),
-            newton_tables.tables(state) + "\n",
+            newton_tables.tables(state),
+            *([observer.tables] if observer is not None else []),
+            "",
             code.source,
-            *(
-                _template(part)
-                for part in ("daqp.c", "steady_state.c", "horizon.c", "newton_mpc.c")
-            ),
-            *([observer.source] if observer is not None else []),
+            *map(_template, [*parts, *(["observer.c"] if observer is not None else [])]),
         ]
     )
     return ControllerSource(
         named(header, name),
         named(source, name),
-        {key: value for key, (value, _) in sizes.items()},
+        {key: value for key, (value, _) in (sizes | filter_sizes).items()},
         period,
     )
 
@@ -148,21 +151,26 @@ def _template(file: str) -> str:
 
 
 def _header(
-    sizes: dict[str, tuple[int, str]], state: Any, period: float, title: str, observer: Any
+    sizes: Mapping[str, tuple[int, str]],
+    state: Any,
+    period: float,
+    title: str,
+    observer: ObserverSource | None,
+    filter_sizes: Mapping[str, tuple[int, str]],
 ) -> str:
-    definitions = "".join(
-        f"#define MPC_{key} {value} /* {comment} */\n" for key, (value, comment) in sizes.items()
-    )
-    definitions += f"#define MPC_PERIOD {number(period)} /* s, from step to step */\n"
     fields = "\n".join(
         f"    {setting.declaration}; /* {setting.comment} */"
         for setting in newton_tables.settings(state)
     )
+    declarations = ""
+    if observer is not None:
+        definitions = _definitions(filter_sizes, "OBSERVER_PERIOD", observer.period)
+        declarations = _template("observer.h").replace("MPC_DEFINITIONS\n", definitions)
     parts = {
         "MPC_TITLE": title,
-        "MPC_DEFINITIONS\n": definitions,
+        "MPC_DEFINITIONS\n": _definitions(sizes, "PERIOD", period),
         "MPC_SETTINGS_FIELDS": fields,
-        "MPC_OBSERVER_DECLARATIONS\n": "" if observer is None else observer.header,
+        "MPC_OBSERVER_DECLARATIONS\n": declarations,
     }
     text = _template("newton_mpc.h")
     for token, part in parts.items():
@@ -170,21 +178,39 @@ def _header(
     return text
 
 
+def _definitions(sizes: Mapping[str, tuple[int, str]], name: str, period: float) -> str:
+    lines = [
+        f"#define MPC_{key} {value} /* {comment} */" for key, (value, comment) in sizes.items()
+    ]
+    lines.append(f"#define MPC_{name} {number(period)} /* s, from call to call */\n")
+    return "\n".join(lines)
+
+
+def _scratch(
+    code: GeneratedFunctions, names: Iterable[str], prefix: str
+) -> dict[str, tuple[int, str]]:
+    chosen = list(names)
+    return {
+        f"{prefix}SZ_W": (max(code.n_w[n] for n in chosen), "numbers of scratch"),
+        f"{prefix}SZ_IW": (max(code.n_iw[n] for n in chosen), "whole ones"),
+    }
+
+
 def _initialiser(state: Any) -> str:
     fields = ",\n".join(f"    {setting.value}" for setting in newton_tables.settings(state))
     return f"static const mpc_settings mpc_exported_settings = {{\n{fields}}};\n"
 
 
-def _room(code: GeneratedFunctions) -> list[tuple[str, str, int]]:
-    return [
-        (short, what, counts[f"mpc_{function}"])
-        for short, function in (
-            ("STEP", "model_step"),
-            ("SLOPES", "model_slopes"),
-            ("STEADY", "steady_state_step"),
-        )
-        for what, counts in (("ARG", code.n_arg), ("RES", code.n_res))
-    ]
+def _room(code: GeneratedFunctions) -> list[str]:
+    """Room for the lists of arguments and results of each generated function."""
+    short = {"model_step": "STEP", "model_slopes": "SLOPES", "steady_state_step": "STEADY"}
+    lines = []
+    for function in code.n_arg:
+        word = function.removeprefix("mpc_")
+        word = short.get(word, word.removesuffix("_step").upper())
+        lines.append(f"#define MPC_{word}_ARG {code.n_arg[function]}")
+        lines.append(f"#define MPC_{word}_RES {code.n_res[function]}")
+    return lines
 
 
 def _check_size(code: GeneratedFunctions, setup: ControlSetup) -> None:

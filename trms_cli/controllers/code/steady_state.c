@@ -209,6 +209,25 @@ static void mpc_ss_from_afar(mpc_ctx *c, const double *asked, mpc_target *target
     mpc_ss_target(c, asked, active, target);
 }
 
+/* The reference itself where it can be held with no input at its bound. */
+static int mpc_ss_within_reach(mpc_ctx *c, const double *asked, mpc_target *target) {
+    mpc_target candidate;
+    int i, start, n_signs = 1, active[MPC_N_U];
+    for (i = 0; i < MPC_N_U; i++) {
+        n_signs *= 2;
+        active[i] = 0;
+    }
+    for (start = 0; start < n_signs; start++) {
+        mpc_ss_start(c, 1, start);
+        if (!mpc_ss_converge(c, active, 0) || mpc_ss_outside(c, active)) continue;
+        mpc_ss_target(c, asked, active, &candidate);
+        if (candidate.projected) continue;
+        *target = candidate;
+        return 1;
+    }
+    return 0;
+}
+
 static void mpc_ss_solve(mpc_ctx *c, const double *asked, const double *w,
                          const mpc_target *guess, mpc_target *target) {
     mpc_steady *s = &c->steady;
@@ -219,11 +238,16 @@ static void mpc_ss_solve(mpc_ctx *c, const double *asked, const double *w,
     }
     for (i = 0; i < MPC_N_W; i++) s->w[i] = w[i];
     if (guess != NULL && mpc_ss_from(c, guess, asked, target)) {
-        /* The closest point found from nearby may be closest in its neighbourhood only. */
+        /* The closest point found from nearby may be closest in its neighbourhood only, and what
+         * kept the reference out of reach may have gone. */
         beside = guess->projected;
         for (i = 0; i < MPC_N_R; i++)
             if (!(fabs(asked[i] - guess->asked[i]) < SS_BESIDE)) beside = 0;
-        if (!target->projected || beside) return;
+        if (!target->projected) return;
+        if (beside) {
+            mpc_ss_within_reach(c, asked, target);
+            return;
+        }
     }
     mpc_ss_from_afar(c, asked, target);
 }
