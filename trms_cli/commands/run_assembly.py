@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 #: Keys of the log's ``trms.run`` record, each with JSON: what ``trms run --from LOG`` reads.
 OVERRIDES_KEY, CONFIG_DIRS_KEY, VERSIONS_KEY = "overrides", "config_dirs", "versions"
+#: The same, with the option chosen in each group: what `trms compare` tells runs apart by.
+CHOICES_KEY = "choices"
 #: The plugins that a closed loop calls, by their keys.
 PARTS = ("plant", "observer", "controller", "ref")
 #: Packages whose version may change a figure of a run.
@@ -181,6 +183,7 @@ def run_metadata(
         VERSIONS_KEY: json.dumps(versions()),
         "platform": platform.platform(),
         OVERRIDES_KEY: json.dumps(list(composition.overrides)),
+        CHOICES_KEY: json.dumps(composition.choices),
         CONFIG_DIRS_KEY: json.dumps([str(folder) for folder in composition.config_dirs]),
         LIMITS_KEY: json.dumps(limits),
     }

@@ -59,8 +59,10 @@ class _Job:
         try:
             choices = OmegaConf.to_container(hydra.runtime.choices)
             assert isinstance(choices, dict)
+            status["choices"] = {k: v for k, v in choices.items() if not str(k).startswith("hydra")}
             composition = checked(composed, self.declared, choices, request, int(hydra.job.num))
             composition.config["out"] = str(folder)
+            status["choices"] = composition.choices
             outcome = self.task(composition)
         except KeyboardInterrupt:
             _write(folder, status | {"state": "interrupted"})

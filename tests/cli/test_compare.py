@@ -1,0 +1,132 @@
+"""``trms compare`` as a person meets it, on sweeps of short runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+
+import pytest
+
+QUICK = ("observer=full_state", "plant=ideal", "sim.duration=4", "picture=false")
+
+
+@pytest.fixture(scope="module")
+def swept(executable, tmp_path_factory):
+    """Two controllers × two references; and a sample time that both refuse."""
+    folder = tmp_path_factory.mktemp("swept")
+    words = ("controller=lqr,pid", "ref=square,sine", "controller.sample_time=null,0.03")
+    result = subprocess.run(
+        [str(executable), "run", "-m", *words, *QUICK, "out=there"],
+        cwd=folder,
+        env=os.environ | {"NO_COLOR": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 1, result.stderr
+    return folder / "there"
+
+
+class TestASweep:
+    def test_is_ranked_by_what_differs(self, trms, swept):
+        result = trms("compare", str(swept), "--json")
+        assert result.returncode == 0, result.stderr
+        found = json.loads(result.stdout)
+        assert found["schema"] == "trms.compare/1"
+        assert found["by"] == ["controller", "controller.sample_time"]
+        assert found["conditions_by"] == ["ref"]
+        ranks = {entrant["name"]: entrant["rank"] for entrant in found["entrants"]}
+        assert set(ranks.values()) == {1, 2, 3, 4}
+        assert {ranks[f"{c} + sample_time=none"] for c in ("lqr", "pid")} == {1, 2}
+        assert len(found["failed"]) == 4
+        assert all("0.03" in job["message"] for job in found["failed"])
+
+    def test_its_errors_are_those_of_the_scores(self, trms, swept):
+        found = json.loads(trms("compare", str(swept), "--json").stdout)
+        for entrant in found["entrants"]:
+            for told in entrant["by_condition"]:
+                if told["state"] == "done":
+                    score = json.loads((swept.parent / told["path"] / "score.json").read_text())
+                    rmse = sum(channel["rmse"] for channel in score["channels"].values())
+                    assert told["error"] == pytest.approx(rmse, rel=1e-12)
+
+    def test_the_table_states_the_rule_and_fits_100_columns(self, trms, swept):
+        result = trms("compare", str(swept))
+        assert result.returncode == 0, result.stderr
+        assert "Ranked by tracking" in result.stdout
+        assert "tracks best" in result.stdout
+        assert "4 failed" in result.stdout
+        short = result.stdout.replace(str(swept), "")
+        assert max(map(len, short.splitlines())) <= 100
+
+    def test_where_and_by_choose(self, trms, swept):
+        words = ("--where", "controller.sample_time=none", "--by", "ref", "--json")
+        found = json.loads(trms("compare", str(swept), *words).stdout)
+        assert {entrant["name"] for entrant in found["entrants"]} == {"ref square", "ref sine"}
+        assert not found["failed"]
+
+    def test_sorting_keeps_the_ranks(self, trms, swept):
+        words = ("compare", str(swept), "--json", "--sort", "name")
+        entrants = json.loads(trms(*words).stdout)["entrants"]
+        assert [e["name"] for e in entrants] == sorted(e["name"] for e in entrants)
+        usual = json.loads(trms("compare", str(swept), "--json").stdout)["entrants"]
+        assert {e["name"]: e["rank"] for e in entrants} == {e["name"]: e["rank"] for e in usual}
+
+    def test_logs_that_were_given_other_names_count(self, trms, swept, tmp_path):
+        for job in (0, 2, 4, 6):
+            shutil.copy(swept / str(job) / "run.mcap", tmp_path / f"{job}.mcap")
+        found = json.loads(trms("compare", str(tmp_path), "--json").stdout)
+        assert found["by"] == ["controller"]
+        assert found["runs"] == 4
+
+
+def test_two_logs_stand_side_by_side(trms, swept):
+    one, other = str(swept / "0"), str(swept / "4" / "run.mcap")
+    result = trms("compare", one, other)
+    assert result.returncode == 0, result.stderr
+    assert "given differently" in result.stdout
+    assert "alpha_v RMSE" in result.stdout
+    found = json.loads(trms("compare", one, other, "--json").stdout)
+    assert found["schema"] == "trms.compare_pair/1"
+    assert {row["key"] for row in found["differences"]} == {"controller"}
+
+
+def test_a_log_that_was_cut_off_is_said_and_not_counted(trms, swept, tmp_path):
+    for job in ("0", "4"):
+        shutil.copytree(swept / job, tmp_path / "runs" / job)
+    shutil.copytree(swept / "2", tmp_path / "runs" / "2")
+    cut = tmp_path / "runs" / "2" / "run.mcap"
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    result = trms("compare", "runs", "--json")
+    assert result.returncode == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert [told["path"] for told in found["incomplete"]] == ["runs/2"]
+    assert "1 incomplete, not counted" in trms("compare", "runs").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("nowhere",), "no such file or folder"),
+        (("empty",), "there is no run here"),
+        (("notes.txt",), "not an MCAP file"),
+        (("empty", "--metric", "speed"), "invalid choice"),
+        (("empty", "--where", "controller"), "no KEY=VALUE"),
+        (("empty", "--bye", "x"), "did you mean --by"),
+    ],
+)
+def test_errors_teach(trms, tmp_path, words, says):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes.txt").write_text("no log\n")
+    result = trms("compare", *words)
+    assert result.returncode == 2
+    assert says in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_one_run_alone_is_sent_to_score(trms, swept):
+    result = trms("compare", str(swept / "0"))
+    assert result.returncode == 2
+    assert "trms score" in result.stderr

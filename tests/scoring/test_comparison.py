@@ -1,0 +1,247 @@
+"""Ranking of runs: pairing, failures, intervals, and what names a run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.scoring.comparison.compared_run import ComparedRun, State
+from trms_cli.scoring.comparison.coordinates import complete_coordinates, differences
+from trms_cli.scoring.comparison.figures import figures_of
+from trms_cli.scoring.comparison.grouping import group, matching
+from trms_cli.scoring.comparison.pair import pair
+from trms_cli.scoring.comparison.ranking import FAILED_RATIO, rank
+
+
+def run(controller, rmse=0.1, ref="square", rig="nominal", **more):
+    """A run whose two channels share an error, and whose effort is 10 times that."""
+    score = {
+        "duration_s": 40.0,
+        "channels": {n: {"rmse": rmse / 2, "iae": 2 * rmse} for n in ("alpha_v", "alpha_h")},
+        "inputs": {n: {"effort": 5 * rmse, "total_variation": 1.0} for n in ("u_v", "u_h")},
+        "solver": {"time_ms": {"median": 0.1, "p99": 0.2, "max": 0.3}, "failures": 2},
+        "constraint_violations": {},
+        "degraded": {"share": {"degraded": 0.1, "landing": 0.05}},
+    }
+    made = ComparedRun(
+        path=f"{controller}/{ref}/{rig}",
+        coordinates={"controller": controller, "ref": ref, "rig": rig},
+        score=score,
+    )
+    return replace(made, **more)
+
+
+def failed(controller, **where):
+    """One that ended in an error."""
+    return run(controller, state=State.FAILED, message="it broke", **where)
+
+
+def standing(ranking, name):
+    return next(each for each in ranking.standings if each.name == name)
+
+
+class TestRanking:
+    def test_is_by_the_error_over_the_best_in_the_same_condition(self):
+        # a is better by a third on the easy rig, b by a tenth on the hard one, whose errors are
+        # larger: the mean of errors would put b first
+        runs = [
+            run("a", 0.3, rig="easy"),
+            run("b", 0.4, rig="easy"),
+            run("a", 3.3, rig="hard"),
+            run("b", 3.0, rig="hard"),
+        ]
+        ranking = rank(group(runs))
+        assert [each.name for each in ranking.standings] == ["a", "b"]
+        assert ranking.first.ratio == pytest.approx(math.sqrt(1.0 * 1.1))
+        assert standing(ranking, "b").ratio == pytest.approx(math.sqrt(4 / 3))
+        assert standing(ranking, "b").against_first == pytest.approx(math.sqrt(4 / 3 / 1.1))
+
+    def test_does_not_depend_on_the_order_of_the_runs(self):
+        generator = np.random.default_rng(1)
+        runs = [
+            run(c, float(generator.uniform(0.1, 0.3)), rig=str(r)) for c in "abc" for r in range(8)
+        ]
+        forth = {s.name: (s.rank, s.ratio) for s in rank(group(runs)).standings}
+        back = {s.name: (s.rank, s.ratio) for s in rank(group(runs[::-1])).standings}
+        assert forth.keys() == back.keys()
+        for name, (place, ratio) in forth.items():
+            assert back[name] == (place, pytest.approx(ratio))
+
+    def test_a_failed_run_counts_as_the_worst_and_at_least_ten_times_the_best(self):
+        runs = [run("a", 0.1), failed("b"), run("c", 0.1 * 3 * FAILED_RATIO)]
+        ranking = rank(group(runs))
+        assert standing(ranking, "b").ratio == pytest.approx(3 * FAILED_RATIO)
+        assert standing(rank(group(runs[:2])), "b").ratio == pytest.approx(FAILED_RATIO)
+        told = figures_of(standing(ranking, "b"))
+        assert told.failed == 1
+        assert math.isnan(told.error_mean)
+
+    def test_a_failure_hides_behind_no_repetition(self):
+        again = replace(run("b"), path="again")
+        assert standing(rank(group([run("a"), again, failed("b")])), "b").failed == 1
+
+    def test_an_incomplete_run_does_not_count(self):
+        short = run("c", 0.01, state=State.INCOMPLETE)
+        ranking = rank(group([run("a"), run("b", 0.2), short]))
+        assert [each.name for each in ranking.standings] == ["a", "b"]
+
+    def test_outsiders_have_no_rank_and_are_not_the_best(self):
+        runs = [run("a", 0.2), run("b", 0.3), run("seer", 0.1, outside="knows what comes")]
+        ranking = rank(group(runs))
+        assert ranking.first.name == "a"
+        assert ranking.first.ratio == 1.0
+        assert standing(ranking, "seer").rank is None
+        assert standing(ranking, "seer").ratio == pytest.approx(0.5)
+
+    def test_who_was_not_in_every_condition_has_no_rank_but_is_held_against(self):
+        runs = [run(c, 0.2, rig=r) for c in "ab" for r in "12"] + [run("c", 0.1, rig="1")]
+        ranking = rank(group(runs))
+        assert standing(ranking, "c").rank is None
+        assert standing(ranking, "a").ratio == pytest.approx(math.sqrt(2.0))
+        assert standing(ranking, "c").against_first == pytest.approx(0.5)
+        assert standing(ranking, "c").shared == 1
+
+    def test_another_metric_ranks_otherwise(self):
+        one, other = run("a", 0.1), run("b", 0.2)
+        other.score["channels"]["alpha_v"]["iae"] = 0.0
+        other.score["channels"]["alpha_h"]["iae"] = 0.01
+        assert rank(group([one, other])).first.name == "a"
+        assert rank(group([one, other]), "iae").first.name == "b"
+
+
+class TestIntervals:
+    def field(self, factor, spread, rigs=30):
+        generator = np.random.default_rng(3)
+        made = []
+        for r in range(rigs):
+            hard = float(generator.uniform(0.1, 1.0))  # rigs differ much more than entrants do
+            noise = float(np.exp(spread * generator.standard_normal()))
+            made += [run("a", hard, rig=str(r)), run("b", factor * hard * noise, rig=str(r))]
+        return rank(group(made))
+
+    def test_pairing_tells_a_small_difference_apart_on_very_different_rigs(self):
+        found = standing(self.field(1.03, 0.02), "b")
+        assert found.different
+        low, high = found.against_interval.low, found.against_interval.high
+        assert low < found.against_first < high
+        assert low > 1.0 and high < 1.06
+
+    def test_no_difference_is_not_told_apart(self):
+        ranking = self.field(1.0, 0.02)
+        second = ranking.standings[1]
+        assert second.different is False
+
+    def test_few_rigs_have_none(self):
+        found = self.field(1.03, 0.02, rigs=4)
+        assert found.first.interval is None
+        assert found.standings[1].different is None
+
+    def test_references_on_one_rig_are_not_independent(self):
+        # many references on few rigs make no more rigs
+        runs = [
+            run(c, 0.1 if c == "a" else 0.2, ref=str(k), rig=r)
+            for c in "ab"
+            for k in range(20)
+            for r in "12"
+        ]
+        ranking = rank(group(runs))
+        assert ranking.clusters == 2
+        assert ranking.first.interval is None
+
+    def test_cover_the_truth_as_often_as_they_say(self):
+        truth, hits = 1.05, 0
+        for seed in range(60):
+            generator = np.random.default_rng(seed)
+            made = []
+            for r in range(40):
+                factor = truth * float(np.exp(0.1 * generator.standard_normal()))
+                made += [run("a", 0.1, rig=str(r)), run("b", 0.1 * factor, rig=str(r))]
+            ranking = rank(group(made), resamples=400)
+            found = ranking.standings[1]
+            sign = 1 if found.name == "b" else -1
+            low, high = found.against_interval.low, found.against_interval.high
+            hits += low <= truth**sign <= high
+        assert 52 <= hits <= 60  # 95 % of 60 is 57; fewer than 52 has a chance of 1 in 500
+
+
+class TestFigures:
+    def test_add_up(self):
+        runs = [run("a", 0.1 * (k + 1), rig=str(k)) for k in range(4)]
+        others = [run("b", 1.0, rig=str(k)) for k in range(4)]
+        told = figures_of(rank(group(runs + others)).first)
+        assert told.error_mean == pytest.approx(0.25)
+        assert told.error_worst == pytest.approx(0.4)
+        assert told.effort == pytest.approx(2.5)
+        assert told.fallbacks == 8
+        assert told.degraded_s == pytest.approx(4 * 0.15 * 40.0)
+        assert told.degraded_runs == 4
+        assert told.non_finite is None
+
+
+class TestCoordinates:
+    def with_config(self, horizon, effort=0.0, controller="mpc"):
+        made = run(controller)
+        config = {
+            "controller": {"horizon": horizon, "effort": effort},
+            "sim": {"duration": 40.0},
+            "out": str(horizon),
+        }
+        return replace(made, config=config)
+
+    def test_settings_in_which_runs_differ_name_them(self):
+        runs = complete_coordinates([self.with_config(10), self.with_config(20)])
+        assert [each.coordinates["controller.horizon"] for each in runs] == ["10", "20"]
+        assert "out" not in runs[0].coordinates
+        assert group(runs).entrants == ("mpc + horizon=10", "mpc + horizon=20")
+
+    def test_settings_of_another_option_are_no_difference(self):
+        runs = complete_coordinates([self.with_config(10), self.with_config(20, controller="pid")])
+        assert group(runs).entrants == ("mpc", "pid")
+
+    def test_a_job_without_a_log_is_told_apart_by_what_was_typed(self):
+        lost = replace(
+            failed("mpc"), score=None, typed={"controller.horizon": "-1", "sim.duration": "40.0"}
+        )
+        runs = complete_coordinates([self.with_config(10), lost])
+        assert group(runs).entrants == ("mpc + horizon=10", "mpc + horizon=-1")
+        assert "sim.duration" not in runs[0].coordinates
+
+    def test_options_of_an_option_are_implied_by_it(self):
+        square = replace(run("a"), coordinates={"ref": "square", "signal@ref.alpha_v": "square"})
+        sine = replace(run("a"), coordinates={"ref": "sine", "signal@ref.alpha_v": "sine"})
+        assert all(
+            list(each.coordinates) == ["ref"] for each in complete_coordinates([square, sine])
+        )
+        mixed = replace(run("a"), coordinates={"ref": "square", "signal@ref.alpha_v": "step"})
+        assert "signal@ref.alpha_v" in complete_coordinates([square, mixed])[0].coordinates
+
+    def test_differences_of_two_configurations(self):
+        one, other = self.with_config(10).config, self.with_config(20).config
+        assert differences(one, other) == [("controller.horizon", "10", "20")]
+
+    def test_by_names_another_entrant(self):
+        runs = [run(c, ref=r) for c in "ab" for r in ("square", "sine")]
+        found = group(runs, ["ref"])
+        assert set(found.entrants) == {"ref square", "ref sine"}
+        assert found.given_by == ("controller",)
+
+    def test_by_and_where_refuse_what_there_is_not(self):
+        runs = [run("a"), run("b")]
+        with pytest.raises(ConfigurationError, match="kontroller"):
+            group(runs, ["kontroller"])
+        with pytest.raises(ConfigurationError, match="there are: nominal"):
+            matching(runs, {"rig": ["draw*"]})
+        assert [each.path for each in matching(runs, {"controller": ["a*", "x"]})] == [runs[0].path]
+
+
+def test_a_pair_lists_every_figure_and_what_differs():
+    one = replace(run("a"), config={"controller": {"gain": 1}, "sim": {"duration": 40.0}})
+    other = replace(run("b", 0.2), config={"controller": {"k": 2}, "sim": {"duration": 80.0}})
+    found = pair(one, other)
+    assert found.settings == (("controller", "a", "b"), ("sim.duration", "40.0", "80.0"))
+    rmse = next(row for row in found.rows if row.key == "channels.alpha_v.rmse")
+    assert rmse.change == pytest.approx(1.0)

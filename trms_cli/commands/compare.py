@@ -1,0 +1,167 @@
+"""``trms compare``: which of many runs won, by how much, and how sure that is."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trms_cli.commands.plain_options import PlainOptions
+from trms_cli.core.errors import EXIT_OK, RecordingError
+
+if TYPE_CHECKING:
+    from trms_cli.scoring.comparison.gathering import Gathered
+    from trms_cli.scoring.comparison.ranking import Ranking, Standing
+
+SUMMARY = "many runs ranked: tracking, effort, robustness, time of a step, failures"
+
+HELP = """\
+Usage: trms compare LOG…|FOLDER… [--by KEY,KEY] [--where KEY=VALUE]… [--metric METRIC]
+                    [--sort COLUMN] [--json]
+
+Reads every run in folders, however deep: logs, the jobs of sweeps, and those that failed. Runs
+are told apart by what they differ in: controller, observer and model name who ran, the reference,
+the rig and the seed name in what. Everybody is held against the best on the same reference, rig
+and seed; a failed run counts as the worst there. Intervals are of a bootstrap over rigs, 95 %; an
+entrant is told from the first when the interval of its ratio to the first excludes 1.
+Who was not in every condition, or knew more than the others, is listed without a rank.
+Two logs are put side by side instead.
+
+  LOG, FOLDER            MCAP logs of trms, folders of runs, of sweeps, of tournaments
+  --by KEY,KEY           what names who ran: controller, observer, ref, plant.prior_seed, …
+  --where KEY=VALUE      only these runs; several values with commas, * as in file names; may be
+                         repeated
+  --metric rmse|iae|ise|itae|max_abs_error
+                         the tracking error that ranks, all channels added (rmse)
+  --sort rank|tracking|worst|effort|variation|time|failures|name
+                         the order of the rows; the rank stays what it is (rank)
+  --json                 print trms.compare/1 (of two logs trms.compare_pair/1)
+
+Examples:
+  trms run -m controller=pid,lqr,newton_mpc ref=square,sine plant.prior_seed=1,2,3 out=sweep
+  trms compare sweep
+  trms compare sweep --by controller --where ref=sine --json
+  trms compare outputs/2025-01-31/12-00-00-run outputs/2025-01-31/12-00-05-run
+"""
+
+_METRICS = ("rmse", "iae", "ise", "itae", "max_abs_error")
+_SORTS = ("rank", "tracking", "worst", "effort", "variation", "time", "failures", "name")
+
+
+def main(argv: list[str]) -> int:
+    """Run the command; return the exit code."""
+    options = PlainOptions("trms compare", HELP)
+    options.add_argument("paths", type=Path, nargs="+", metavar="LOG")
+    options.add_argument("--by", default="")
+    options.add_argument("--where", action="append", default=[])
+    options.add_argument("--metric", choices=_METRICS, default="rmse")
+    options.add_argument("--sort", choices=_SORTS, default="rank")
+    options.add_argument("--json", action="store_true")
+    given = options.parse_args(argv)
+    where = _where(given.where, options)
+
+    from trms_cli.scoring.comparison.gathering import Gathered, gather
+    from trms_cli.scoring.comparison.grouping import matching
+
+    gathered = gather(given.paths)
+    if where:
+        gathered = Gathered(tuple(matching(gathered.runs, where)), gathered.left_out)
+    if len(gathered.runs) == 1 and gathered.runs[0].state.ranked:
+        raise RecordingError(
+            "there is one run only, and nothing to compare it with",
+            where=", ".join(map(str, given.paths)),
+            remedy=f"add another; its own figures: trms score {gathered.runs[0].path}",
+        )
+    if len(gathered.runs) == 2 and not given.by:
+        return _pair(gathered, as_json=given.json)
+    return _ranking(gathered, given)
+
+
+def ordered(ranking: Ranking, sort: str) -> list[Standing]:
+    """The standings in the order of a column; those without a rank stay last."""
+    from trms_cli.scoring.comparison.figures import Figures, figures_of
+
+    columns: dict[str, Callable[[Figures], float]] = {
+        "worst": lambda told: told.ratio_worst,
+        "effort": lambda told: told.effort,
+        "variation": lambda told: told.variation,
+        "time": lambda told: told.step_ms,
+        "failures": lambda told: (told.failed, told.non_finite or 0, told.fallbacks, told.missed),  # type: ignore[return-value,dict-item]
+    }
+    standings = list(ranking.standings)
+    if sort == "name":
+        standings.sort(key=lambda standing: standing.name)
+    elif sort == "tracking":
+        standings.sort(key=lambda standing: _last_if_nan(standing.ratio))
+    elif sort in columns:
+        told = {id(s): columns[sort](figures_of(s, ranking.metric)) for s in standings}
+        standings.sort(key=lambda standing: _last_if_nan(told[id(standing)]))
+    return standings
+
+
+def _ranking(gathered: Gathered, given: Any) -> int:
+    from trms_cli.scoring.comparison.document import document
+    from trms_cli.scoring.comparison.grouping import group
+    from trms_cli.scoring.comparison.ranking import rank
+
+    by = [key for key in given.by.split(",") if key]
+    ranking = rank(group(gathered.runs, by), given.metric)
+    shown = ordered(ranking, given.sort)
+    if not ranking.best:
+        raise RecordingError(
+            _why_nothing(gathered),
+            where=", ".join(map(str, given.paths)),
+            remedy="look at them one by one: trms score LOG",
+        )
+    if given.json:
+        _print_json(document(ranking, gathered, shown))
+        return EXIT_OK
+    from trms_cli.commands.compare_screen import print_ranking
+
+    print_ranking(ranking, gathered, shown)
+    return EXIT_OK
+
+
+def _why_nothing(gathered: Gathered) -> str:
+    runs = gathered.runs
+    if len(runs) == 1 and not runs[0].state.ranked:
+        return f"the only run here did not end ({runs[0].message})"
+    ended = sum(run.state.ranked for run in runs)
+    if not ended:
+        return f"none of the {len(runs)} runs ended"
+    return f"none of the {len(runs)} runs has a tracking error: they follow no reference, or failed"
+
+
+def _pair(gathered: Gathered, *, as_json: bool) -> int:
+    from trms_cli.scoring.comparison.document import pair_document
+    from trms_cli.scoring.comparison.pair import pair
+
+    found = pair(*gathered.runs)
+    if as_json:
+        _print_json(pair_document(found))
+        return EXIT_OK
+    from trms_cli.commands.compare_screen import print_pair
+
+    print_pair(found)
+    return EXIT_OK
+
+
+def _where(given: Sequence[str], options: PlainOptions) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for word in given:
+        key, equals, values = word.partition("=")
+        if not (key and equals and values):
+            options.error(f"--where {word!r} names no KEY=VALUE")
+        found.setdefault(key, []).extend(values.split(","))
+    return found
+
+
+def _print_json(document: dict[str, Any]) -> None:
+    json.dump(document, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _last_if_nan(value: Any) -> Any:
+    return float("inf") if isinstance(value, float) and value != value else value
