@@ -67,7 +67,7 @@ class FilterOptions:
     measurement_noise: Mapping[str, Positive] = field(default_factory=dict)
     initial_sd: InitialSd = field(default_factory=InitialSd)
     substeps: Annotated[int, Meta(ge=1)] | None = None
-    gate: Annotated[float, Meta(gt=0)] | None = None
+    gate: Annotated[float, Meta(gt=0)] | None = 20.0
     longest_rejection: Annotated[float, Meta(gt=0)] = 0.5
 
 

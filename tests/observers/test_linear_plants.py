@@ -1,0 +1,208 @@
+"""On a linear plant every filter is the textbook's Kalman filter, and near a point they agree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from observed_rigs import NOISE_SD, SAMPLE_TIME, Pendulum, Rig
+from scipy.linalg import solve_discrete_are
+
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.model import names
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.observers.ekf import Ekf
+from trms_cli.observers.kalman import Kalman
+from trms_cli.observers.mhe import Mhe
+from trms_cli.observers.noise_tables import InitialSd, ProcessNoise
+from trms_cli.observers.observer import Observer, ObserverSetup
+from trms_cli.observers.state_dependent_ekf import StateDependentEkf
+from trms_cli.observers.ukf import Ukf
+
+TOLD = {
+    "disturbances": ("moment",),
+    "process_noise": ProcessNoise(angle=0.01, momentum=0.1, rotor=0.2, disturbance=0.05),
+    "measurement_noise": {"angle": 0.02, "speed": 0.1},
+    "initial_sd": InitialSd(rotor=1.0),
+    "gate": None,
+}
+SETUP = ObserverSetup(
+    Pendulum(), SAMPLE_TIME, ("angle", "speed"), {}, np.array([0.1, np.nan]), np.array([0.2])
+)
+
+
+def textbook() -> tuple[np.ndarray, ...]:
+    """A, B, H, Q, R of the pendulum with a torque, sampled."""
+    linear = discretise(Pendulum(), SAMPLE_TIME).linearised()(np.zeros(3), 0.0, [], np.zeros(2))
+    A, B = np.eye(4), np.zeros((4, 1))
+    A[:3, :3], A[:3, 3:], B[:3] = np.array(linear[1]), np.array(linear[4])[:, :1], linear[2]
+    H = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0]])
+    R = np.diag([0.02**2, 0.1**2])
+    Q = np.diag(np.array([0.01, 0.1, 0.2, 0.05]) ** 2) * SAMPLE_TIME
+    return A, B, H, Q, R
+
+
+def prior_of(observer: Observer) -> tuple[np.ndarray, np.ndarray]:
+    state = observer.init(SETUP)
+    state = getattr(state, "arrival", state)
+    return state.prior_mean.copy(), state.prior_covariance.copy()
+
+
+@pytest.mark.parametrize(
+    "observer",
+    [
+        Ukf(**TOLD),
+        Ukf(alpha=0.1, **TOLD),
+        Ekf(**TOLD),
+        StateDependentEkf(**TOLD),
+        StateDependentEkf(origin={"angle": 0.3, "speed": 1.0}, origin_command={"u": 0.5}, **TOLD),
+        Kalman(**TOLD),
+        Kalman(operating_point={"angle": 0.2}, **TOLD),
+        Mhe(horizon=0.6, within_stops=False, **TOLD),
+        Mhe(horizon=0.02, **TOLD),
+        Mhe(horizon=0.4, iterations=3, **TOLD),
+        Mhe(horizon=0.1, arrival="ukf", **TOLD),
+    ],
+    ids=[
+        *("ukf", "ukf, narrow", "ekf", "sd-ekf", "sd-ekf, far origin", "kalman"),
+        *(
+            "kalman, elsewhere",
+            "mhe, long",
+            "mhe, one sample",
+            "mhe, iterated",
+            "mhe on ukf",
+        ),
+    ],
+)
+def test_every_filter_is_the_kalman_filter(observer: Observer) -> None:
+    """Also with missing samples."""
+    A, B, H, Q, R = textbook()
+    m, P = prior_of(observer)
+    state = observer.init(SETUP)
+    random = np.random.default_rng(1)
+    for k in range(200):
+        u, y = np.array([np.sin(0.1 * k)]), random.standard_normal(2)
+        if k % 7 == 3:
+            y[k % 2] = np.nan
+        if k % 31 == 30:
+            y[:] = np.nan
+        if k > 0:
+            m, P = A @ m + B @ u, A @ P @ A.T + Q
+        expected = H @ m + np.array([0.1 * u[0], 0.0])
+        seen = np.isfinite(y)
+        h = H[seen]
+        K = P @ h.T @ np.linalg.inv(h @ P @ h.T + R[np.ix_(seen, seen)])
+        S_all = H @ P @ H.T + R
+        m, P = m + K @ (y - expected)[seen], P - K @ h @ P
+        estimate = observer.step(state, u, y, None)
+        for got, want in (
+            (estimate.predicted, expected),
+            (estimate.innovation, y - expected),
+            (estimate.innovation_sd, np.sqrt(np.diag(S_all))),
+            (estimate.x, m[:3]),
+            (estimate.sd, np.sqrt(np.diag(P))[:3]),
+            (estimate.disturbance, [m[3], 0.0]),
+            (estimate.disturbance_sd, [np.sqrt(P[3, 3]), 0.0]),
+        ):
+            np.testing.assert_allclose(got, want, rtol=0, atol=1e-8)
+    assert getattr(state, "recoveries", 0) == getattr(state, "fallbacks", 0) == 0
+
+
+def test_a_window_that_began_at_the_first_sample_smooths_all_of_them() -> None:
+    """With a window as long as the run, its trajectory is the fixed-interval smoother's."""
+    A, B, H, Q, R = textbook()
+    observer = Mhe(horizon=20 * SAMPLE_TIME, **TOLD)
+    m, P = prior_of(observer)
+    state = observer.init(SETUP)
+    random = np.random.default_rng(3)
+    inputs, measured = random.standard_normal((21, 1)), random.standard_normal((21, 2))
+    measured[5, 0] = measured[9, 1] = np.nan
+    for u, y in zip(inputs, measured, strict=True):
+        observer.step(state, u, y, None)
+    # All samples at once, as one linear least-squares problem in x_0 and the noises.
+    n, count = 4, 21
+    slopes, centre = np.zeros((count, n, n * count)), np.zeros((count, n))
+    slopes[0, :, :n], centre[0] = np.linalg.cholesky(P), m
+    for k in range(1, count):
+        slopes[k], centre[k] = A @ slopes[k - 1], A @ centre[k - 1] + B @ inputs[k]
+        slopes[k, :, n * k : n * (k + 1)] += np.sqrt(Q)
+    rows, targets = [np.eye(n * count)], [np.zeros(n * count)]
+    for k in range(count):
+        seen = np.isfinite(measured[k])
+        root = np.sqrt(np.diag(R))[seen]
+        expected = H @ centre[k] + np.array([0.1 * inputs[k, 0], 0.0])
+        rows.append((H @ slopes[k])[seen] / root[:, None])
+        targets.append((measured[k] - expected)[seen] / root)
+    noises = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)[0]
+    np.testing.assert_allclose(
+        state.inputs["trajectory"], (centre + slopes @ noises).T, rtol=0, atol=1e-8
+    )
+
+
+def test_a_steady_gain_is_that_of_the_riccati_equation() -> None:
+    A, _, H, Q, R = textbook()
+    observer = Kalman(gain="steady", **TOLD)
+    state = observer.init(SETUP)
+    P_prior = solve_discrete_are(A.T, H.T, Q, R)
+    K = P_prior @ H.T @ np.linalg.inv(H @ P_prior @ H.T + R)
+    np.testing.assert_allclose(state.settled, P_prior - K @ H @ P_prior, rtol=1e-8, atol=1e-12)
+    for _ in range(3):
+        estimate = observer.step(state, np.zeros(1), np.zeros(2), None)
+    np.testing.assert_allclose(
+        estimate.innovation_sd, np.sqrt(np.diag(H @ P_prior @ H.T + R)), rtol=1e-8
+    )
+
+
+def test_a_steady_gain_needs_all_that_is_estimated_to_be_seen() -> None:
+    setup = ObserverSetup(
+        Pendulum(), SAMPLE_TIME, ("speed",), {"speed": 0.1}, np.zeros(1), np.zeros(1)
+    )
+    both = {**TOLD, "disturbances": ("moment", "motor"), "measurement_noise": {}}
+    with pytest.raises(ConfigurationError, match="does not settle"):
+        Kalman(gain="steady", **both).init(setup)
+
+
+def test_near_an_operating_point_linear_state_dependent_and_extended_filter_agree() -> None:
+    """The smaller the motion, the closer: differences fall with its square."""
+    model = Newtonian()
+    target = SteadyState(model).solve(np.array([0.1, 0.5]))
+    at = dict(zip(model.state_names, target.x.tolist(), strict=True))
+    command = dict(zip(names(model.inputs), target.u.tolist(), strict=True))
+    angles = dict(zip(model.controlled, (0.1, 0.5), strict=True))
+    observers = [
+        Ekf(),
+        StateDependentEkf(origin=at, origin_command=command),
+        Kalman(operating_point=angles),
+        Mhe(horizon=0.2),
+        Ukf(),
+    ]
+    differences = []
+    for size in (0.04, 0.01):
+        estimates = []
+        for observer in observers:
+            rig = Rig(model, names(model.outputs))
+            rig.sd = np.zeros(4)
+            rig.x = target.x.copy()
+            setup = ObserverSetup(
+                model, SAMPLE_TIME, names(model.outputs), NOISE_SD, rig.measure(), target.u
+            )
+            state, rows, before = observer.init(setup), [], target.u
+            for k in range(100):
+                u = target.u + size * np.sin([0.1 * k, 0.17 * k])
+                rows.append(observer.step(state, before, rig.measure(), None).x.copy())
+                rig.advance(u, np.zeros(4))
+                before = u
+            estimates.append(np.array(rows))
+        differences.append(
+            [
+                np.abs((rows - estimates[0]) / np.ptp(estimates[0], axis=0)).max()
+                for rows in estimates
+            ]
+        )
+    large, small = np.array(differences)[:, 1:]
+    # Relative to the motion: a quarter of it, a quarter of the difference. The sigma points lie
+    # as far out as the covariance says, however small the motion is.
+    assert np.all(large < 0.05)
+    assert np.all(small[:3] < 0.4 * large[:3])
+    assert small[3] < 0.01
