@@ -166,3 +166,15 @@ def test_every_model_has_its_steady_states(model: Model) -> None:
 def test_weights_are_positive() -> None:
     with pytest.raises(ModelError, match="weights"):
         SteadyState(BOTH, {"alpha_v": 0.0})
+
+
+def test_a_reference_is_taken_up_again_when_what_kept_it_out_of_reach_has_gone() -> None:
+    reference = np.array([-0.3, -0.5])
+    push = np.array([0.0, 0.0, 0.0, 0.06])  # N m on the tail rotor: more than its motor has
+    target = SOLVER.solve(reference, np.zeros(4))
+    for share in (0.2, 0.6, 1.0, 1.0, 0.6, 0.2, 0.0):
+        target = SOLVER.solve(reference, share * push, target)
+        if share == 1.0:
+            assert target.projected
+    is_steady(BOTH, target, np.zeros(4))
+    assert not target.projected

@@ -170,10 +170,24 @@ class SteadyState:
             if found is not None:
                 target = self._target(asked, found)
                 # The closest point found from nearby may be closest in its neighbourhood only:
-                # it is believed where the search over all starts led to just before.
-                if not target.projected or _beside(guess, asked):
+                # it is believed where the search over all starts led to just before, unless the
+                # disturbance that kept the reference out of reach has gone.
+                if not target.projected:
                     return target
+                if _beside(guess, asked):
+                    return self._within_reach(asked) or target
         return self._from_afar(asked)
+
+    def _within_reach(self, asked: list[float]) -> Target | None:
+        """The reference itself where it can be held with no input at its bound."""
+        free = (0,) * self.model.n_u
+        for s, u in itertools.islice(self._starts(), 2**self.model.n_u):
+            self._s[:], self._u[:], self._multiplier[:] = s, u, 0.0
+            if self._converge(free, False) and not self._outside(free):
+                target = self._target(asked, free)
+                if not target.projected:
+                    return target
+        return None
 
     def _from(self, guess: Target) -> tuple[int, ...] | None:
         """Iterate from a target; the active set at the solution, or None when there is none."""

@@ -21,6 +21,7 @@ from trms_cli.reporting.style import (
     GREY,
     INK,
     LABELS,
+    PALE,
     house_style,
     legend_above,
     thinned,
@@ -239,13 +240,19 @@ def _draw_solver(panel: Axes, history: Drawable, solver: Mapping[str, Any]) -> N
     panel.yaxis.set_minor_locator(NullLocator())
     deadline = 1e3 * float(np.median(np.diff(time))) if len(time) > 1 else np.nan
     panel.axhline(deadline, color=ALARM, lw=0.8, ls=":")
-    top = 3 * max(deadline, float(milliseconds.max())) if np.isfinite(deadline) else None
-    panel.set_ylim(0.5 * float(milliseconds.min()), top)
+    known = milliseconds[np.isfinite(milliseconds)]  # a landed rig has no controller's times
+    if known.size:
+        top = 3 * max(deadline, float(known.max())) if np.isfinite(deadline) else None
+        panel.set_ylim(0.5 * float(known.min()), top)
+    for mode, colour in (("degraded", PALE), ("landing", COLOURS[1])):
+        for i, (begin, end) in enumerate(_spans(time, columns.get("mode", ()), mode)):
+            label = mode if i == 0 else None
+            panel.axvspan(begin, end, color=colour, alpha=0.5, lw=0, zorder=0, label=label)
     fallback = np.asarray(columns.get("fallback", np.zeros(len(time))), dtype=float) > 0
     fallback |= np.asarray(columns.get("status", [""] * len(time)), dtype=object) == "failed"
     marks = [
         ("fall-back", COLOURS[1], time[fallback]),
-        ("fault", ALARM, np.array(list(_faults(history)))),
+        ("event", ALARM, np.array(list(_faults(history)))),
     ]
     for label, colour, at in marks:
         if len(at):
@@ -279,10 +286,19 @@ def _saturated(history: Drawable, name: str) -> Iterator[tuple[float, float]]:
         yield begin, float(times[-1])
 
 
+def _spans(time: np.ndarray, modes: Sequence[str], mode: str) -> Iterator[tuple[float, float]]:
+    """Spans (s) of the control samples in a mode."""
+    inside = np.concatenate([[False], np.asarray(modes, dtype=object) == mode, [False]])
+    edges = np.flatnonzero(np.diff(inside.astype(int)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        yield float(time[begin]), float(time[min(end, len(time) - 1)])
+
+
 def _faults(history: Drawable) -> Iterator[float]:
-    """Times (s) of what is neither a saturation nor told by the solver's own marks."""
+    """Times (s) of what neither a saturation, the solver's own marks nor the mode tell."""
+    told = ("saturation", "solver", "degraded", "landing", "outlier")
     for time_ns, kind, _, _, _ in history.events:
-        if not kind.startswith(("saturation", "solver")) and not kind.endswith("_end"):
+        if not kind.startswith(told) and not kind.endswith("_end"):
             yield time_ns * 1e-9
 
 

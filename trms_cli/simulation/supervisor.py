@@ -11,7 +11,9 @@ Three modes, each declared in the log and counted in the score:
   cause has gone.
 
 A frozen encoder and a rig at rest read the same. What tells them apart is the observer: a reading
-that stays the same to the last bit while the innovations say that it should not.
+that stays the same to the last bit while the innovations say that it should not (unless it is that
+of a mechanical stop). A rotor's speed from a tacho has noise: where most readings were new ones, a
+run of equal ones says enough.
 """
 
 from __future__ import annotations
@@ -76,6 +78,11 @@ class Reason(enum.Enum):
 
 #: Without these the loop guesses; frozen and missing count for the controlled angles only.
 _CRITICAL = (Reason.MISSING, Reason.FROZEN, Reason.ESTIMATE, Reason.CONTROLLER)
+
+#: Readings, after which it is known how often a tacho's change.
+_FEW = 50
+#: rad; an angle this close to its stop may rest there.
+_NEAR_STOP = 0.05
 
 
 @dataclass(frozen=True)
@@ -211,6 +218,11 @@ class WatchingRun:
         self._last: list[float] = [math.nan] * n
         self._missed, self._same = [0] * n, [0] * n
         self._frozen = [False] * n
+        self._changes = [0] * n
+        self._readings = [0] * n
+        angles = {axis.angle for axis in setup.model.axes.values()}
+        self._is_angle = [name in angles for name in setup.outputs]
+        self._stops = [setup.model.stops.get(name, math.inf) for name in setup.outputs]
         self._sum, self._mean = [0.0] * n, [1.0] * n
         self._angles = set(setup.model.controlled) & set(setup.outputs)
         inputs = names(setup.model.inputs)
@@ -229,6 +241,8 @@ class WatchingRun:
             if value == self._last[i]:
                 self._same[i] += 1
             else:
+                self._changes[i] += 1
+                self._readings[i] += 1 + self._same[i]
                 self._same[i], self._sum[i], self._frozen[i] = 0, 0.0, False
                 self._last[i] = value
         if any(self._frozen):
@@ -244,7 +258,7 @@ class WatchingRun:
                 self._sum[i] += share
                 self._mean[i] += self._forget * (share - self._mean[i])
                 if self._same[i] >= self._frozen_after and not self._frozen[i]:
-                    self._frozen[i] = self._sum[i] > self._frozen_limit * self._same[i]
+                    self._frozen[i] = self._should_move(i)
             if self._missed[i] >= self._missing_after:
                 seen.append((Reason.MISSING, self._outputs[i]))
             elif self._frozen[i]:
@@ -259,6 +273,14 @@ class WatchingRun:
             seen.append((Reason.REFERENCE, ""))
         if seen or self._active:
             self._update(seen, tell)
+
+    def _should_move(self, i: int) -> bool:
+        """Whether a channel whose reading has been the same for a while is frozen."""
+        if not self._is_angle[i] and 2 * self._changes[i] > self._readings[i] > _FEW:
+            return True
+        if abs(self._last[i]) > self._stops[i] - _NEAR_STOP:
+            return False
+        return self._sum[i] > self._frozen_limit * self._same[i]
 
     def _update(self, seen: list[tuple[Reason, str]], tell: Tell) -> None:
         """Begin and end reasons, and choose the mode."""
