@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.commands import run, run_assembly
+from trms_cli.commands import run_assembly
 from trms_cli.commands.composition import compose
+from trms_cli.commands.run_score import score_of
 from trms_cli.core.resources import config_folder
 from trms_cli.scoring.score import Series
 from trms_cli.simulation.closed_loop import Loop

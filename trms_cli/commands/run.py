@@ -10,12 +10,12 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from trms_cli.commands.composition import Composition, Outcome, execute
 from trms_cli.commands.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
+from trms_cli.commands.run_score import limits_of, score_of, units_of
 from trms_cli.core.errors import EXIT_OK, Terminated, interrupted_code
 
 SUMMARY = "close the loop: simulate or replay, log, score, draw"
@@ -103,7 +103,7 @@ def perform(composition: Composition) -> Outcome:
             assembly.attachments(composition, experiment.model, getattr(plant, "parameters", None)),
         )
         logs.append(log)
-        return History({topic.name: _units(topic) for topic in topics}, log)
+        return History({topic.name: units_of(topic) for topic in topics}, log)
 
     # What is not finite is looked for and told in words: NumPy's warnings would only repeat it.
     with (
@@ -119,10 +119,10 @@ def perform(composition: Composition) -> Outcome:
         try:
             with screen:
                 loop.run(screen.progress)
-            score = _score(loop, log.path, complete=True)
+            score = score_of(loop, log.path, complete=True)
             log.close("completed", score)
         except KeyboardInterrupt as error:
-            score = _score(loop, log.path, complete=False)
+            score = score_of(loop, log.path, complete=False)
             log.close("interrupted", score)
             write_document(score, log.path.with_name(SCORE_NAME))
             screen.say_interrupted(loop.done * experiment.sample_time)
@@ -138,7 +138,7 @@ def perform(composition: Composition) -> Outcome:
         write_document(score, log.path.with_name(SCORE_NAME))
         picture = log.path.with_name(PICTURE_NAME) if composition.config["picture"] else None
         if picture is not None:
-            words = {"title": _title(composition, experiment.controller), "limits": _limits(loop)}
+            words = {"title": _title(composition, experiment.controller), "limits": limits_of(loop)}
             try:
                 painter.draw(loop.history, score, picture, **words)
             except OSError as error:  # the run is safe in its log: this much may fail
@@ -197,38 +197,6 @@ def _painter(composition: Composition) -> Any:
 
     wanted = bool(composition.config["picture"])
     return Painter(beside=wanted and composition.job is None)
-
-
-def _units(topic: Any) -> dict[str, str]:
-    return {field.name: field.unit for field in topic.fields}
-
-
-def _score(loop: Any, path: Path, *, complete: bool) -> dict[str, Any]:
-    from trms_cli.scoring.score import Series, score_tables
-
-    history = loop.history
-    tables = {
-        topic: Series(history.times(topic), history.columns(topic), history.units[topic])
-        for topic in history.fields
-        if topic != "/prediction"
-    }
-    return score_tables(
-        tables,
-        limits=_limits(loop),
-        duration_s=loop.done * loop.experiment.sample_time,
-        log=str(path),
-        complete=complete,
-    )
-
-
-def _limits(loop: Any) -> dict[str, tuple[float, float]]:
-    """Of the inputs (V) and of the angles (rad), by name."""
-    lower, upper = loop.plant.input_limits
-    limits = {
-        signal.name: (low, high)
-        for signal, low, high in zip(loop.plant.inputs, lower.tolist(), upper.tolist(), strict=True)
-    }
-    return limits | {name: (-stop, stop) for name, stop in loop.experiment.model.stops.items()}
 
 
 def _objective(score: dict[str, Any]) -> float | None:
