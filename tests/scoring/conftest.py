@@ -86,6 +86,8 @@ def make_tables() -> MakeTables:
                     "objective": np.full(time.size, 0.1),
                     "fallback": (solve_time > 1e-3).astype(float),
                     "deadline_missed": (solve_time > 1e-3).astype(float),
+                    "mode": np.full(time.size, "normal", dtype=object),
+                    "reasons": np.full(time.size, "", dtype=object),
                 },
             ),
         }

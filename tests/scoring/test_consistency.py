@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from trms_cli.scoring.consistency import (
     LAGS,
+    chi_square_interval,
     chi_square_tail,
     joint_p,
     nees,
@@ -29,6 +30,13 @@ def test_the_tail_is_scipys(statistic: float, degrees: int) -> None:
 def test_odd_degrees_have_no_closed_form() -> None:
     with pytest.raises(ValueError, match="even"):
         chi_square_tail(1.0, 3)
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3, 4, 6, 9, 40])
+@pytest.mark.parametrize("share", [0.5, 0.95, 0.997])
+def test_the_interval_is_scipys(degrees: int, share: float) -> None:
+    expected = scipy.stats.chi2.ppf([(1 - share) / 2, (1 + share) / 2], degrees)
+    assert chi_square_interval(degrees, share) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_statistic_is_that_of_the_definition() -> None:

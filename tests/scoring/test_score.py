@@ -20,7 +20,7 @@ def test_the_document_has_the_keys_of_the_schema(make_tables: MakeTables) -> Non
     score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0, log="run.mcap")
     assert list(score) == [
         "schema", "log", "complete", "duration_s", "channels", "inputs", "estimate", "solver",
-        "constraint_violations",
+        "constraint_violations", "degraded",
     ]  # fmt: skip
     assert score["schema"] == "trms.score/1"
     for channel in ("alpha_v", "alpha_h"):
@@ -179,3 +179,53 @@ def test_units_are_those_of_the_schema_not_of_the_name(make_tables: MakeTables) 
     assert score["inputs"]["u_v"]["unit"] == "1"
     tables["/command"] = Series(time, {"u_v": np.ones(time.size)})
     assert score_tables(tables, limits={}, duration_s=40.0)["inputs"]["u_v"]["unit"] == ""
+
+
+def test_nis_is_what_a_consistent_filter_makes(make_tables: MakeTables) -> None:
+    tables = make_tables()
+    random = np.random.default_rng(4)
+    time = tables["/estimate"].time
+    columns = dict(tables["/estimate"].columns)
+    for name in ("alpha_v", "alpha_h"):
+        columns[f"innovation_sd_{name}"] = np.full(time.size, 0.002)
+        columns[f"innovation_{name}"] = 0.002 * random.standard_normal(time.size)
+    tables = {**tables, "/estimate": Series(time, columns)}
+    estimate = score_tables(tables, limits=LIMITS, duration_s=40.0)["estimate"]
+    assert estimate["nis_expected"] == 2
+    assert estimate["nis_mean"] == pytest.approx(2.0, rel=0.1)
+    assert estimate["nis_interval"] == pytest.approx([0.0506, 7.3778], abs=1e-4)
+    assert estimate["nis_share_inside"] == pytest.approx(0.95, abs=0.02)
+    for name in ("alpha_v", "alpha_h"):
+        columns[f"innovation_sd_{name}"] = np.full(time.size, 0.001)
+    doubtful = score_tables(tables, limits=LIMITS, duration_s=40.0)["estimate"]
+    assert doubtful["nis_mean"] == pytest.approx(8.0, rel=0.1)
+    assert doubtful["nis_share_inside"] < 0.7
+
+
+def test_missing_and_rejected_samples_are_counted_and_left_out(make_tables: MakeTables) -> None:
+    tables = make_tables()
+    before = score_tables(tables, limits=LIMITS, duration_s=40.0)["estimate"]
+    time = tables["/estimate"].time
+    columns = {name: np.array(values) for name, values in tables["/estimate"].columns.items()}
+    columns["innovation_alpha_v"][[500, 700, 900]] = 0.3
+    columns["innovation_alpha_h"][[600, 601]] = np.nan
+    tables = {**tables, "/estimate": Series(time, columns)}
+    spoilt = score_tables(tables, limits=LIMITS, duration_s=40.0)["estimate"]
+    assert spoilt["prediction_rmse"]["alpha_v"] > 3 * before["prediction_rmse"]["alpha_v"]
+    events = Series(
+        time[[10, 500, 700, 900]],
+        {
+            "kind": np.array(["fault", "outlier", "outlier", "outlier"], dtype=object),
+            "source": np.array(["alpha_v"] * 4, dtype=object),
+            "message": np.array([""] * 4, dtype=object),
+            "value": np.zeros(4),
+        },
+    )
+    told = score_tables({**tables, "/event": events}, limits=LIMITS, duration_s=40.0)["estimate"]
+    assert (told["missing_samples"], told["rejected_samples"]) == (2, 3)
+    assert told["innovations"]["alpha_v"]["rejected"] == 3
+    assert told["innovations"]["alpha_h"]["missing"] == 2
+    assert told["nis_mean"] == pytest.approx(before["nis_mean"], rel=0.02)
+    assert told["prediction_rmse"]["alpha_v"] == pytest.approx(
+        before["prediction_rmse"]["alpha_v"], rel=0.02
+    )

@@ -247,8 +247,26 @@ def _innovation_lines(estimate: dict[str, Any]) -> list[str]:
         low, high = min(squares), max(squares)
         range_ = f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
         lines.append(f"NIS {range_} a channel (1 is consistent, more is overconfident)")
+    if estimate.get("nis_mean") is not None:
+        inside = f"{estimate['nis_share_inside']:.0%} inside its 95 % interval"
+        lines.append(
+            f"NIS of all {_number(estimate['nis_mean'])} ({estimate['nis_expected']} is "
+            f"consistent), {inside}"
+        )
+    lines += _lost_lines(estimate)
     if abs(correlation) > _MUCH_CORRELATION or max(squares, default=0.0) > _MUCH_NIS:
         lines.append("the model, or the noise that the observer was told, misses something")
+    return lines
+
+
+def _lost_lines(estimate: dict[str, Any]) -> list[str]:
+    """How many samples were missing or rejected, and of which channels."""
+    lines = []
+    for key, words in (("missing", "missing"), ("rejected", "rejected as outliers")):
+        counts = {name: c.get(key, 0) for name, c in estimate["innovations"].items()}
+        told = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
+        if told:
+            lines.append(f"samples {words}: {told}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Whether an observer believes the right amount: NEES and whiteness of the innovations.
+"""Whether an observer believes the right amount: NEES, NIS and whiteness of the innovations.
 
 Sources: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with applications to tracking and
 navigation", section 5.4; G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series
@@ -93,6 +93,42 @@ def chi_square_tail(statistic: float, degrees: int) -> float:
         return 1.0
     exponents = [i * math.log(x) - math.lgamma(i + 1) - x for i in range(degrees // 2)]
     return min(1.0, math.fsum(map(math.exp, exponents)))
+
+
+def chi_square_interval(degrees: int, share: float = 0.95) -> tuple[float, float]:
+    """Bounds between which χ² lies with probability ``share``, as often below as above.
+
+    By bisection of the tail: a quantile has no closed form, and SciPy is slow to import.
+    """
+    beyond = (1.0 - share) / 2.0
+    return _chi_square_quantile(1.0 - beyond, degrees), _chi_square_quantile(beyond, degrees)
+
+
+def _chi_square_quantile(tail: float, degrees: int) -> float:
+    """The value that χ² exceeds with probability ``tail``."""
+    low, high = 0.0, 1.0
+    while _any_tail(high, degrees) > tail:
+        low, high = high, 2.0 * high
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        if _any_tail(middle, degrees) > tail:
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2.0
+
+
+def _any_tail(statistic: float, degrees: int) -> float:
+    """``P(χ² > statistic)``: each two degrees more than one or two add a term to the tail."""
+    if degrees % 2 == 0:
+        return chi_square_tail(statistic, degrees)
+    x = statistic / 2
+    if x <= 0:
+        return 1.0
+    exponents = [
+        (k / 2) * math.log(x) - math.lgamma(k / 2 + 1) - x for k in range(1, degrees - 1, 2)
+    ]
+    return math.erfc(math.sqrt(x)) + math.fsum(map(math.exp, exponents))
 
 
 def joint_p(p_values: list[float]) -> float:

@@ -24,7 +24,7 @@ from trms_cli.scoring.consistency import (
     whiteness_p,
 )
 from trms_cli.scoring.metrics import Array
-from trms_cli.scoring.score import Columns
+from trms_cli.scoring.tables import Columns
 
 SCHEMA = "trms.innovations/1"
 #: Share of the run in which the observer may find its feet before whiteness and spread are judged.

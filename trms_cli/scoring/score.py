@@ -17,14 +17,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trms_cli.scoring import consistency, metrics, step_response
+from trms_cli.scoring import metrics, step_response
 from trms_cli.scoring.degraded import degraded_figures
+from trms_cli.scoring.estimate import estimate_figures
 from trms_cli.scoring.metrics import Array
+from trms_cli.scoring.tables import Columns, floats, held, unit
+from trms_cli.scoring.tables import Series as Series
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
@@ -32,45 +34,7 @@ if TYPE_CHECKING:
 SCHEMA = "trms.score/1"
 #: Key of the log's ``trms.run`` record with the limits as JSON: ``{"u_v": [-2.5, 2.5], …}``.
 LIMITS_KEY = "limits"
-#: Share of a run in which an observer may find its feet before its innovations are judged.
-_TRANSIENT = 0.1
-
 Limits = Mapping[str, tuple[float, float]]
-
-
-class Columns(Protocol):
-    """Signals over time, as a log's table has them."""
-
-    @property
-    def time(self) -> Array:
-        """(n,) s, rising."""
-        ...
-
-    @property
-    def columns(self) -> Mapping[str, Any]:
-        """(n,) arrays by name."""
-        ...
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units by name; a signal that it lacks is scored without one."""
-        ...
-
-
-@dataclass(frozen=True)
-class Series:
-    """Signals over time that were never in a file: what the closed loop has in memory.
-
-    Attributes
-    ----------
-    time : (n,) s
-    columns : dict of str to (n,) arrays
-    units : dict of str to str
-    """
-
-    time: Array
-    columns: Mapping[str, Any]
-    units: Mapping[str, str] = field(default_factory=dict)
 
 
 def score_log(log: LoggedRun, *, limits: Limits | None = None) -> dict[str, Any]:
@@ -140,7 +104,7 @@ def score_tables(
         "duration_s": duration_s,
         "channels": _channels(tables),
         "inputs": _inputs(tables, limits),
-        "estimate": _estimate(tables),
+        "estimate": estimate_figures(tables),
         "solver": _solver(tables),
         "constraint_violations": _violations(tables, limits),
         "degraded": _degraded(tables),
@@ -158,8 +122,8 @@ def _channels(tables: Mapping[str, Columns]) -> dict[str, Any]:
         if source is None:
             continue
         table = tables[source]
-        time, wanted = reference.time, _floats(reference, name)
-        response = _held(table, name, time)
+        time, wanted = reference.time, floats(reference, name)
+        response = held(table, name, time)
         if np.all(np.isnan(wanted)) or np.all(np.isnan(response)):
             continue
         error = wanted - response
@@ -171,7 +135,7 @@ def _channels(tables: Mapping[str, Columns]) -> dict[str, Any]:
             "max_abs_error": metrics.max_abs_error(error),
             **_step_figures(step_response.steps(time, wanted, response)),
             "steady_state_error": step_response.steady_state_error(time, wanted, response),
-            "unit": _unit(table, name),
+            "unit": unit(table, name),
             "scored_on": "state" if source == "/plant/state" else "measurement",
         }
     return scored
@@ -200,77 +164,15 @@ def _inputs(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]:
         return {}
     scored = {}
     for name in command.columns:
-        values = _floats(command, name)
+        values = floats(command, name)
         share = metrics.saturation_share(values, *limits[name]) if name in limits else math.nan
         scored[name] = {
             "effort": metrics.input_effort(command.time, values),
             "total_variation": metrics.total_variation(values),
             "saturation_share": share,
-            "unit": _unit(command, name),
+            "unit": unit(command, name),
         }
     return scored
-
-
-def _estimate(tables: Mapping[str, Columns]) -> dict[str, Any]:
-    estimate = tables.get("/estimate")
-    if estimate is None or len(estimate.time) == 0:
-        estimate = Series(np.zeros(0), {})
-    truth = tables.get("/plant/state")
-    errors: dict[str, Array] = {}
-    if truth is not None and len(truth.time):
-        for name in truth.columns:
-            if name in estimate.columns:
-                true = _held(truth, name, estimate.time)
-                errors[name] = _floats(estimate, name) - true
-    nees, states = _nees(estimate, errors)
-    settled = estimate.time >= _end_of_transient(estimate.time)
-    innovations = {
-        name.removeprefix("innovation_"): _floats(estimate, name)
-        for name in estimate.columns
-        if name.startswith("innovation_") and not name.startswith("innovation_sd_")
-    }
-    spreads = {
-        name: _floats(estimate, f"innovation_sd_{name}")
-        if f"innovation_sd_{name}" in estimate.columns
-        else np.full(values.shape, np.nan)
-        for name, values in innovations.items()
-    }
-    return {
-        "rmse": {name: metrics.rmse(error) for name, error in errors.items()},
-        "nees_mean": nees,
-        "nees_expected": states or math.nan,
-        "innovation_whiteness_p": consistency.joint_p(
-            [consistency.whiteness_p(values[settled]) for values in innovations.values()]
-        ),
-        "innovations": {
-            name: {
-                "normalised_square": consistency.normalised_square(
-                    values[settled], spreads[name][settled]
-                ),
-                "correlation": consistency.neighbour_correlation(values[settled]),
-            }
-            for name, values in innovations.items()
-        },
-        "prediction_rmse": {name: metrics.rmse(values) for name, values in innovations.items()},
-        "units": {name: _unit(estimate, name) for name in errors}
-        | {name: _unit(estimate, f"innovation_{name}") for name in innovations},
-    }
-
-
-def _nees(estimate: Columns, errors: Mapping[str, Array]) -> tuple[float, int]:
-    """Mean NEES, and of how many states; only of those with a deviation above zero."""
-    columns = []
-    for name, error in errors.items():
-        if f"sd_{name}" in estimate.columns:
-            deviation = _floats(estimate, f"sd_{name}")
-            if np.all(deviation[~np.isnan(deviation)] > 0) and not np.all(np.isnan(deviation)):
-                columns.append((error, deviation))
-    if not columns:
-        return math.nan, 0
-    error, deviation = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
-    values = consistency.nees(error, deviation)
-    present = values[~np.isnan(values)]
-    return (float(np.mean(present)) if present.size else math.nan), len(columns)
 
 
 def _solver(tables: Mapping[str, Columns]) -> dict[str, Any]:
@@ -322,14 +224,14 @@ def _violations(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]
         source = "/command" if is_input else _source_of(name, tables)
         if source is None:
             continue
-        beyond = metrics.excess(_floats(tables[source], name), lower, upper)
+        beyond = metrics.excess(floats(tables[source], name), lower, upper)
         if beyond.size:
             # rounding at a limit that is reached exactly is no violation
             tolerance = 1e-9 * (1.0 + min(abs(lower), abs(upper)))
             found[name] = {
                 "samples": int(np.sum(beyond > tolerance)),
                 "worst": float(np.max(beyond)) if np.max(beyond) > tolerance else 0.0,
-                "unit": _unit(tables[source], name),
+                "unit": unit(tables[source], name),
             }
     return found
 
@@ -343,30 +245,8 @@ def _source_of(name: str, tables: Mapping[str, Columns]) -> str | None:
     return None
 
 
-def _held(table: Columns, name: str, time: Array) -> Array:
-    """A signal at other times: its last sample until then, NaN before the first one."""
-    values = _floats(table, name)
-    if np.array_equal(table.time, time):
-        return values
-    index = np.searchsorted(table.time, time + 1e-9, side="right") - 1
-    return np.where(index >= 0, values[np.maximum(index, 0)], np.nan)
-
-
-def _floats(table: Columns, name: str) -> Array:
-    return np.asarray(table.columns[name], dtype=float)
-
-
-def _unit(table: Columns, name: str) -> str:
-    """The unit that the log's schema tells; a name alone tells none."""
-    return table.units.get(name, "")
-
-
 def _median(values: list[float]) -> float:
     return float(np.median(values)) if values else math.nan
-
-
-def _end_of_transient(time: Array) -> float:
-    return float(time[0] + _TRANSIENT * (time[-1] - time[0])) if time.size else 0.0
 
 
 def _without_nan(value: Any) -> Any:
