@@ -37,6 +37,7 @@ COMMANDS: dict[str, str] = {
     "compare": "many runs ranked: tracking, effort, robustness, time of a step, failures",
     "import": "turn a recording (CSV, MAT) into an MCAP log",
     "export": "turn an MCAP log into CSV, Parquet or MAT",
+    "export-controller": "a controller as C source for a rig's own computer",
     "list": "the plugins there are, with one line each",
     "doctor": "tell whether this machine is ready, and what to install",
     "completion": "print the tab completion for bash, zsh or fish",
@@ -122,7 +123,8 @@ def load_command(name: str) -> ModuleType:
     import keyword
 
     clashes = keyword.iskeyword(name) or name in ("list", "help")
-    return importlib.import_module(f"trms_cli.commands.{name}{'_' if clashes else ''}")
+    module = name.replace("-", "_")
+    return importlib.import_module(f"trms_cli.commands.{module}{'_' if clashes else ''}")
 
 
 def help_text(module: ModuleType) -> str:

@@ -228,23 +228,6 @@ static int mpc_ss_within_reach(mpc_ctx *c, const double *asked, mpc_target *targ
     return 0;
 }
 
-/* The reference itself where it can be held with no input at its bound. */
-static int mpc_ss_within_reach(mpc_ctx *c, const double *asked, mpc_target *target) {
-    static const int none[MPC_N_U] = {0};
-    mpc_target candidate;
-    int i, start, n_signs = 1;
-    for (i = 0; i < MPC_N_U; i++) n_signs *= 2;
-    for (start = 0; start < n_signs; start++) {
-        mpc_ss_start(c, 1, start);
-        if (!mpc_ss_converge(c, none, 0) || mpc_ss_outside(c, none)) continue;
-        mpc_ss_target(c, asked, none, &candidate);
-        if (candidate.projected) continue;
-        *target = candidate;
-        return 1;
-    }
-    return 0;
-}
-
 static void mpc_ss_solve(mpc_ctx *c, const double *asked, const double *w,
                          const mpc_target *guess, mpc_target *target) {
     mpc_steady *s = &c->steady;

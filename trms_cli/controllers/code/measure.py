@@ -1,0 +1,155 @@
+"""Compiles an exported folder and runs its example: sizes, agreement and times of this machine."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from trms_cli.core.errors import TrmsError
+
+FLAGS = ("-std=c99", "-O3")
+WARNINGS = ("-Wall", "-Wextra", "-pedantic")
+_PASSES = 5
+_TIMEOUT = 600.0  # s
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the example said.
+
+    Attributes
+    ----------
+    compiler, processor : str
+    samples, failed : int
+        Steps, and those that ended in a fall-back.
+    largest_difference : float
+        V, to the Python controller's commands.
+    median, p99, longest : float
+        µs, of a step.
+    context_bytes, observer_bytes : int
+        Of the structs; 0 without an observer.
+    code_bytes, data_bytes : int or None
+        Of the object file: instructions and constants, and what is written to; None where
+        ``size`` is missing.
+    stack_bytes : int or None
+        Sum of all stack frames: no call needs more. None where the compiler does not say.
+    """
+
+    compiler: str
+    processor: str
+    samples: int
+    failed: int
+    largest_difference: float
+    median: float
+    p99: float
+    longest: float
+    context_bytes: int
+    observer_bytes: int
+    code_bytes: int | None
+    data_bytes: int | None
+    stack_bytes: int | None
+
+
+def measure(folder: Path, name: str, compiler: str) -> Measured:
+    """Build in a folder of its own and run.
+
+    Raises
+    ------
+    TrmsError
+        If the source does not compile here or the example fails.
+    """
+    build = folder / "build"
+    build.mkdir()
+    try:
+        return _measured(folder, build, name, compiler)
+    finally:
+        shutil.rmtree(build, ignore_errors=True)
+
+
+def _measured(folder: Path, build: Path, name: str, compiler: str) -> Measured:
+    source, include = folder.resolve(), f"-I{folder.resolve()}"
+    stack = ["-fstack-usage"] if _knows(compiler, "-fstack-usage", build) else []
+    compile_ = [compiler, *FLAGS, *WARNINGS, include, "-c"]
+    _run([*compile_, *stack, str(source / f"{name}.c")], build)
+    _run([*compile_, str(source / f"{name}_example.c")], build)
+    program = f"{name}_example"
+    _run([compiler, "-o", program, f"{name}.o", f"{name}_example.o", "-lm"], build)
+    said = _run([f"./{program}", str(source / "example.csv"), str(_PASSES)], build)
+    figures = dict(line.split() for line in said.splitlines())
+    code, data = _sizes(build / f"{name}.o", build)
+    return Measured(
+        compiler=_run([compiler, "--version"], build).splitlines()[0],
+        processor=_processor(),
+        samples=int(figures["samples"]),
+        failed=int(figures["failed"]),
+        largest_difference=float(figures["largest_difference_V"]),
+        median=float(figures["median_us"]),
+        p99=float(figures["p99_us"]),
+        longest=float(figures["max_us"]),
+        context_bytes=int(figures["context_bytes"]),
+        observer_bytes=int(figures.get("observer_bytes", 0)),
+        code_bytes=code,
+        data_bytes=data,
+        stack_bytes=_stack(build / f"{name}.su"),
+    )
+
+
+def _run(command: list[str], folder: Path) -> str:
+    try:
+        done = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise TrmsError(
+            f"{Path(command[0]).name} could not be run: {error}", where="measure",
+            remedy="measure=false writes the source alone",
+        ) from error  # fmt: skip
+    if done.returncode:
+        raise TrmsError(
+            f"{Path(command[0]).name} ended with {done.returncode}: {done.stderr.strip()[:600]}",
+            where="measure",
+            remedy="measure=false writes the source alone",
+        )
+    return done.stdout
+
+
+def _knows(compiler: str, flag: str, folder: Path) -> bool:
+    """Whether a compiler takes a flag."""
+    command = [compiler, flag, "-Werror", "-x", "c", "-c", os.devnull, "-o", "probe.o"]
+    try:
+        done = subprocess.run(command, cwd=folder, capture_output=True, timeout=60, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return done.returncode == 0
+
+
+def _sizes(file: Path, folder: Path) -> tuple[int | None, int | None]:
+    program = shutil.which("size")
+    if program is None:
+        return None, None
+    lines = _run([program, str(file)], folder).splitlines()
+    try:
+        text, data, bss = (int(word) for word in lines[1].split()[:3])
+    except (IndexError, ValueError):
+        return None, None
+    return text, data + bss
+
+
+def _stack(file: Path) -> int | None:
+    if not file.is_file():
+        return None
+    return sum(int(line.split("\t")[1]) for line in file.read_text().splitlines() if line)
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
