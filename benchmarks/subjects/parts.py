@@ -1,4 +1,4 @@
-"""What a step of the loop costs besides the controller: runner and log, rig, filter."""
+"""What a step of the loop costs besides the controller: runner and log, rig, observers."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.document import LIMIT, Column, Table
+from benchmarks.filters import PEERS, filter_setup
 from benchmarks.hollow import HollowController, HollowObserver, HollowPlant
 from benchmarks.options import Options
 from benchmarks.setups import experiment
-from trms_cli.observers.observer import ObserverSetup
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.simulation.closed_loop import Experiment, Loop
 from trms_cli.simulation.history import History
@@ -23,12 +23,21 @@ from trms_cli.simulation.history import History
 TITLE = "the parts of a step"
 #: µs.
 LIMIT_RUNNER, LIMIT_PLANT, LIMIT_FILTER = 50.0, 2.0, 100.0
+#: What a moving-horizon estimator may take of a sample of 20 ms, µs.
+LIMIT_SAMPLE = 2000.0
+OBSERVERS = {
+    "ukf": "UKF: 8 states, 4 measurements",
+    "ekf": "EKF, the same",
+    "state_dependent_ekf": "state-dependent EKF, the same",
+    "kalman": "linear Kalman filter, the same",
+    "mhe": "moving horizon of 15 samples, the same",
+}
 _STEPS = 20_000
 _BATCH = 100
 
 
 def run(options: Options) -> list[Table]:
-    """Runner with and without log, plant step, UKF beside filterpy's."""
+    """Runner with and without log, plant step, observers beside filterpy's."""
     steps = 500 if options.quick else _STEPS
     table = Table(
         "parts",
@@ -49,16 +58,29 @@ def run(options: Options) -> list[Table]:
         _add(table, name, times, limit)
     _add(table, "rig: integration of 10 ms", _plant_times(steps, integrate_only=True), LIMIT_PLANT)
     _add(table, "rig: integration, torques, checks", _plant_times(steps), None)
-    ours, theirs = _filter_times(max(steps // 10, 3 * _BATCH))
-    _add(
-        table,
-        "UKF: 8 states, 4 measurements",
-        ours,
-        LIMIT_FILTER,
-        float(np.median(theirs) / np.median(ours)),
-    )
-    _add(table, "UKF of filterpy, same model and noise", theirs, None)
+    for name, label in OBSERVERS.items():
+        _add_filter(table, name, label, max(steps // 10, 3 * _BATCH))
     return [table]
+
+
+def _add_filter(table: Table, name: str, label: str, steps: int) -> None:
+    """An observer, beside filterpy's of the same kind where it has one; interleaved by batches."""
+    setup, observer, y, u = filter_setup(name)
+    state = observer.init(setup)
+    peer = PEERS[name](setup, y, u) if name in PEERS else None
+    ours, theirs = [], []
+    for _ in range(max(2, steps // _BATCH)):
+        ours.append(_batches(lambda: observer.step(state, u, y, None), _BATCH))
+        if peer is not None:
+            theirs.append(_batches(peer, _BATCH))
+    times = np.concatenate(ours[1:])
+    limit = LIMIT_SAMPLE if name == "mhe" else LIMIT_FILTER
+    if peer is None:
+        _add(table, label, times, limit)
+        return
+    of_peer = np.concatenate(theirs[1:])
+    _add(table, label, times, limit, float(np.median(of_peer) / np.median(times)))
+    _add(table, f"{name} of filterpy, same model and noise", of_peer, None)
 
 
 def _add(
@@ -128,64 +150,3 @@ def _plant_times(steps: int, *, integrate_only: bool = False) -> np.ndarray:
         rig.advance(command)
         return _batches(rig._step, steps)
     return _batches(lambda: rig.advance(command), steps)
-
-
-def _filter_times(steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Ours and filterpy's on the same augmented model, interleaved by batches."""
-    chosen = experiment(
-        "controller=newton_mpc", "ref=square", "observer=ukf", "sim.sample_time=0.02"
-    )
-    plant = chosen.plant.init(PlantSetup(0.02, 2, 0))
-    outputs = tuple(signal.name for signal in plant.outputs)
-    setup = ObserverSetup(
-        chosen.model, 0.02, outputs, plant.noise_sd, plant.measure(), plant.first_command
-    )
-    y, u = plant.measure().copy(), np.array([1.0, 0.1])
-    state = chosen.observer.init(setup)
-    theirs = _filterpy(setup, y, u)
-    ours_times, their_times = [], []
-    for _ in range(steps // _BATCH):
-        ours_times.append(_batches(lambda: chosen.observer.step(state, u, y, None), _BATCH))
-        their_times.append(_batches(theirs, _BATCH))
-    return np.concatenate(ours_times[1:]), np.concatenate(their_times[1:])
-
-
-def _filterpy(setup: ObserverSetup, y: np.ndarray, u: np.ndarray) -> Callable[[], None]:
-    """A step of filterpy's filter; its model functions are the same compiled ones."""
-    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-
-    from trms_cli.core.compilation import BufferedFunction
-    from trms_cli.models.discretisation import discretise
-    from trms_cli.models.model import names
-
-    model = setup.model
-    discrete = discretise(model, setup.sample_time, 1)
-    advance, sense = BufferedFunction(discrete.step), BufferedFunction(discrete.measurement)
-    advance.inputs[2][:] = sense.inputs[2][:] = model.parameters.values
-    n_x = model.n_x
-    equations = [names(model.disturbances).index(axis.moment) for axis in model.axes.values()]
-    n = n_x + len(equations)
-
-    def fx(z: np.ndarray, dt: float) -> np.ndarray:
-        advance.inputs[0][:], advance.inputs[1][:] = z[:n_x], u
-        advance.inputs[3][equations] = z[n_x:]
-        advance()
-        return np.concatenate([advance.outputs[0], z[n_x:]])
-
-    def hx(z: np.ndarray) -> np.ndarray:
-        sense.inputs[0][:] = z[:n_x]
-        sense()
-        return sense.outputs[0].copy()
-
-    points = MerweScaledSigmaPoints(n, alpha=1.0, beta=2.0, kappa=0.0)
-    peer = UnscentedKalmanFilter(n, len(y), setup.sample_time, hx, fx, points)
-    peer.x = np.concatenate([model.rest(), np.zeros(len(equations))])
-    peer.P = np.diag(np.full(n, 1e-2))
-    peer.Q = np.diag(np.full(n, 1e-4))
-    peer.R = np.diag([setup.noise_sd[name] ** 2 for name in setup.outputs])
-
-    def step() -> None:
-        peer.predict()
-        peer.update(y)
-
-    return step
