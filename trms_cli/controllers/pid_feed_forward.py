@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers import operating_point
+from trms_cli.controllers import operating_point, steady_state_step
 from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.core.result_cache import cached_result
 from trms_cli.models.model import Model, names
@@ -137,7 +137,7 @@ def _all_that_steady_states_follow_from(model: Model) -> list[object]:
         sorted(model.axes.items()),
         sorted(model.input_limits.items()),
         sorted(model.stops.items()),
-        Path(operating_point.__file__).read_bytes(),
+        *(Path(m.__file__).read_bytes() for m in (operating_point, steady_state_step)),
     ]
 
 
