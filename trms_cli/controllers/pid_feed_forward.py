@@ -137,7 +137,7 @@ def _all_that_steady_states_follow_from(model: Model) -> list[object]:
         sorted(model.axes.items()),
         sorted(model.input_limits.items()),
         sorted(model.stops.items()),
-        *(Path(m.__file__).read_bytes() for m in (operating_point, steady_state_step)),
+        *(Path(str(m.__file__)).read_bytes() for m in (operating_point, steady_state_step)),
     ]
 
 

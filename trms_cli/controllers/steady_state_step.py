@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model
 from trms_cli.models.rest import RestEquations
 
