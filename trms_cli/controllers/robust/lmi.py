@@ -1,0 +1,251 @@
+"""The linear matrix inequalities of robust MPC, parametrised once.
+
+After Kothare, Balakrishnan & Morari 1996 (Automatica 32): of all linear laws v = K z, K = Y G⁻¹, the
+one with the least bound γ on the worst cost  Σ z'C'C z + v'R v  that any sequence of models from the
+polytope can run up from the present z,
+
+    minimise γ + ρ Σ s   subject to, at every vertex j (and l),
+
+    [1  z'; z  Q_j] ⪰ 0                                   z is in the ellipsoid z'Q⁻¹z ≤ 1
+    [G + G' − Q_j − T  (A_j G + B_j Y)'; ·  Q_l] ⪰ 0      the cost to go falls by the stage's cost
+    [T  S'; S  γ I] ⪰ 0,  S = [C G; R^½ Y]
+    [ū_i² + s_i  Y_i; ·  G + G' − Q_j] ⪰ 0                |v_i| ≤ ū_i in the whole ellipsoid
+    (Q_j)_ii ≤ z̄_i² + s_i                                 |z_i| ≤ z̄_i in the whole ellipsoid
+
+With ``common`` there is one Q = G for all vertices: Kothare's LMIs. T is the stage's cost brought
+out of them: the same set of Q, Y, γ, and the blocks shrink from 3n + m to 2n rows, which the solver's
+time goes with the sixth power of. With ``parameter_dependent`` each vertex has its own Q_j and G is
+free (Cuzzola, Geromel & Morari 2002, Automatica 38); the vertex of the next sample may be any other,
+so that the inequality must hold for all pairs (j, l): that is the correction of Mao 2003 (Automatica
+39), without which the cost need not fall when the model varies in time.
+
+The slacks s are nought wherever the constraints can be met (an exact penalty); otherwise they say
+by how much they cannot.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Lyapunov = Literal["common", "parameter_dependent"]
+
+#: ρ, relative to γ in units in which the stage cost of typical deviations is about one.
+_PENALTY = 1e4
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Task:
+    """The data of one problem, in units of the scales.
+
+    Attributes
+    ----------
+    A : (L, n, n) array
+    B : (L, n, m) array
+    C : (q, n) array
+        C'C weighs z.
+    R : (m,) array
+        Weighs v.
+    z : (n,) array
+        Where the bound is to be least.
+    input_bounds : (m,) array
+        ū.
+    state_bounds : (n,) array
+        z̄; infinite for none.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    R: FloatArray
+    z: FloatArray
+    input_bounds: FloatArray
+    state_bounds: FloatArray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solver said; believed after :func:`trms_cli.controllers.robust.certificate.certify`.
+
+    Attributes
+    ----------
+    Q : (1 or L, n, n) array
+    K : (m, n) array
+    gamma : float
+    slack : float
+        Largest s, relative to the squared bounds.
+    iterations : int
+    status : str
+        The solver's word.
+    """
+
+    Q: FloatArray
+    K: FloatArray
+    gamma: float
+    slack: float
+    iterations: int
+    status: str
+
+
+class Inequalities:
+    """The problem for given sizes.
+
+    Parameters
+    ----------
+    n, m, q : int
+        Coordinates, inputs, rows of C.
+    vertices : int
+    bounded : sequence of int
+        Coordinates whose bounds may be finite.
+    lyapunov : {"common", "parameter_dependent"}
+    solver : {"clarabel", "scs"}
+    max_iterations : int
+        Of an interior-point method; a first-order one has a thousand times as many.
+    soft : bool
+        Whether the constraints may be relaxed.
+    nested : bool
+        Whether the ellipsoid is to lie within another: :meth:`solve`'s ``inside``.
+    """
+
+    def __init__(
+        self,
+        n: int,
+        m: int,
+        q: int,
+        vertices: int,
+        bounded: Sequence[int] = (),
+        lyapunov: Lyapunov = "common",
+        solver: Literal["clarabel", "scs"] = "clarabel",
+        max_iterations: int = 60,
+        *,
+        soft: bool = True,
+        nested: bool = False,
+    ) -> None:
+        import cvxpy as cp
+
+        self.n, self.m, self.vertices = n, m, vertices
+        self._bounded = list(bounded)
+        kept = len(self._bounded)
+        self._options = _options(solver, max_iterations)
+        own = vertices if lyapunov == "parameter_dependent" else 1
+        self._Q = [cp.Variable((n, n), symmetric=True) for _ in range(own)]
+        self._G = cp.Variable((n, n)) if own > 1 else self._Q[0]
+        self._Y = cp.Variable((m, n))
+        self._gamma = cp.Variable()
+        T = cp.Variable((n, n), symmetric=True)
+        self._slack = cp.Variable(m + kept, nonneg=True)
+        self._A = [cp.Parameter((n, n)) for _ in range(vertices)]
+        self._B = [cp.Parameter((n, m)) for _ in range(vertices)]
+        self._C, self._R = cp.Parameter((q, n)), cp.Parameter((m, m))
+        self._z = cp.Parameter((n, 1))
+        self._input, self._state = (cp.Parameter(k, nonneg=True) if k else None for k in (m, kept))
+        self._inside = cp.Parameter((n, n), symmetric=True) if nested else None
+
+        Q, G, Y = self._Q, self._G, self._Y
+        wide = [G + G.T - Qj if own > 1 else Qj for Qj in Q]
+        S = cp.vstack([self._C @ G, self._R @ Y])
+        constraints = [cp.bmat([[T, S.T], [S, self._gamma * np.eye(q + m)]]) >> 0]
+        for Qj in Q:
+            constraints.append(cp.bmat([[np.ones((1, 1)), self._z.T], [self._z, Qj]]) >> 0)
+            if self._state is not None:
+                held = cp.hstack([Qj[i, i] for i in self._bounded])
+                constraints.append(held <= self._state + self._slack[m:])
+            if self._inside is not None:
+                constraints.append(self._inside - Qj >> 0)
+        for j in range(vertices):
+            after = self._A[j] @ G + self._B[j] @ Y
+            now = wide[j % own] - T
+            for Ql in Q:
+                constraints.append(cp.bmat([[now, after.T], [after, Ql]]) >> 0)
+        for i in range(m):
+            limit = cp.reshape(self._input[i] + self._slack[i], (1, 1), order="C")
+            row = Y[i : i + 1, :]
+            constraints += [cp.bmat([[limit, row], [row.T, block]]) >> 0 for block in wide]
+        if not soft:
+            constraints.append(self._slack == 0)
+        self.problem = cp.Problem(
+            cp.Minimize(self._gamma + _PENALTY * cp.sum(self._slack)), constraints
+        )
+
+    def solve(self, task: Task, inside: FloatArray | None = None) -> Solution | None:
+        """The best law for a task; None where the solver found none.
+
+        Parameters
+        ----------
+        inside : (n, n) array, optional
+            Q of the ellipsoid to lie within.
+        """
+        import cvxpy as cp
+
+        # The stage's cost is brought to the order of one, that the tolerances mean the same to all.
+        unit = max(float(task.z @ (task.C.T @ task.C) @ task.z), 1e-12)
+        size = math.sqrt(unit)
+        for j in range(self.vertices):
+            self._A[j].value, self._B[j].value = task.A[j], task.B[j]
+        self._C.value = task.C
+        self._R.value = np.diag(np.sqrt(task.R))
+        self._z.value = task.z[:, None] / size
+        input_bounds = np.minimum(task.input_bounds / size, _FAR)
+        state_bounds = np.minimum(task.state_bounds[self._bounded] / size, _FAR)
+        self._input.value = input_bounds**2
+        if self._state is not None:
+            self._state.value = state_bounds**2
+        if self._inside is not None:
+            self._inside.value = inside / unit if inside is not None else _FAR**2 * np.eye(self.n)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # what is inaccurate is found by the certificate
+                self.problem.solve(**self._options)
+        except (cp.error.SolverError, ArithmeticError, ValueError):
+            return None
+        if self._Y.value is None or self._gamma.value is None:
+            return None
+        try:
+            K = np.linalg.solve(self._G.value.T, self._Y.value.T).T
+        except np.linalg.LinAlgError:
+            return None
+        Q = np.array([(Qj.value + Qj.value.T) / 2 for Qj in self._Q]) * unit
+        bounds = np.concatenate([input_bounds, state_bounds]) ** 2
+        slack = np.maximum(self._slack.value, 0.0) / bounds
+        stats: Any = self.problem.solver_stats
+        return Solution(
+            Q,
+            np.ascontiguousarray(K),
+            float(self._gamma.value) * unit,
+            float(slack.max()),
+            int(stats.num_iters or 0),
+            str(self.problem.status),
+        )
+
+
+#: Bounds this many times the present deviation bind nowhere.
+_FAR = 1e3
+
+
+def _options(solver: str, max_iterations: int) -> dict[str, Any]:
+    if solver == "clarabel":
+        tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), _TOLERANCE)
+        return {
+            "solver": "CLARABEL",
+            "warm_start": True,
+            "max_iter": max_iterations,
+            "max_threads": 1,
+            "presolve_enable": False,
+            "chordal_decomposition_enable": False,
+            **tolerances,
+        }
+    return {
+        "solver": "SCS",
+        "warm_start": True,
+        "max_iters": 1000 * max_iterations,
+        "eps_abs": 1e-5,
+        "eps_rel": 1e-5,
+    }

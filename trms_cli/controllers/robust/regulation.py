@@ -1,0 +1,298 @@
+"""What the online and the offline robust MPC share: targets, coordinates, bounds, weights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.controllers import operating_point
+from trms_cli.controllers.controller import ControlSample, ControlSetup
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.controllers.robust.coordinates import Coordinates
+from trms_cli.controllers.robust.demand import thrust_demand
+from trms_cli.controllers.robust.lmi import Task
+from trms_cli.controllers.robust.polytope import Coefficients, Polytope, Region, Target
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.model import Model, names
+
+FloatArray = npt.NDArray[np.float64]
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+
+#: Share of a bound on the input below which a target is held by its own input alone.
+_NO_ROOM = 0.02
+_NO_STOP = math.pi  # rad, of an axis without stops
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """What is regulated, and how dear deviations are.
+
+    Attributes
+    ----------
+    thrust_inputs : tuple of str
+        Commands whose rotors are regulated by their thrust.
+    smallest_speed : float
+        ε, rad/s: below it the thrust counts as linear in the speed.
+    thrust_band : float
+        Distance of a thrust from its target, as a rotor speed in rad/s, within which the reaction
+        of that rotor on the other axis is a bounded disturbance and no coefficient.
+    thrust_pole : float
+        λ, of a thrust without demand, a period.
+    state_weights, rate_weights, input_weights : dict of str to float
+        Of the controlled angles (1/rad²), their rates (1/(rad/s)²) and the inputs (1/V²; of a
+        demand of thrust, whose bound counts as the command's limit).
+    principal_components : int
+        K; the polytope has 2^K vertices.
+    margin : float
+        Share by which the polytope is widened beyond the samples.
+    points : int
+        Samples of the coefficients.
+    rate_range : float
+        Half-width of the region of operation in states that are neither angles nor rotor speeds,
+        rad/s.
+    """
+
+    thrust_inputs: tuple[str, ...] = ("u_h",)
+    smallest_speed: Positive = 5.0
+    thrust_band: Positive = 60.0
+    thrust_pole: Annotated[float, Meta(gt=0, lt=1)] = 0.9
+    state_weights: Mapping[str, Positive] = field(default_factory=dict)
+    rate_weights: Mapping[str, NotNegative] = field(default_factory=dict)
+    input_weights: Mapping[str, Positive] = field(default_factory=dict)
+    principal_components: Annotated[int, Meta(ge=1, le=5)] = 2
+    margin: NotNegative = 0.05
+    points: Annotated[int, Meta(ge=32)] = 256
+    rate_range: Positive = 1.5
+
+
+@dataclass
+class Aim:
+    """Where the regulation is going.
+
+    Attributes
+    ----------
+    steady : operating_point.Target
+    target : Target
+        The same in the coordinates.
+    message : str
+    moved : bool
+        Whether the reference asked for changed with this sample.
+    """
+
+    steady: operating_point.Target
+    target: Target
+    message: str
+    moved: bool
+
+
+class Regulation:
+    """The regulation of one model to its steady states.
+
+    Parameters
+    ----------
+    design : Design
+    setup : ControlSetup
+
+    Raises
+    ------
+    ConfigurationError
+        For a model that it does not work with, or names that the model does not have.
+    """
+
+    def __init__(self, design: Design, setup: ControlSetup) -> None:
+        model = setup.model
+        self.design, self.model = design, model
+        self.coordinates = Coordinates(
+            model, setup.sample_time, design.thrust_inputs, design.smallest_speed
+        )
+        self.demands = tuple(
+            thrust_demand(self.coordinates, rotor, design.thrust_pole)
+            for rotor in self.coordinates.rotors
+        )
+        self.n, self.m = self.coordinates.n, self.coordinates.m
+        self.lower, self.upper = model.input_bounds()
+        self.scale_z = np.maximum(self.coordinates.sizes / 2, 1e-6)
+        self.scale_v = np.ones(self.m)
+        for demand in self.demands:
+            if demand.scale <= 0:
+                raise ConfigurationError(
+                    "within a period the rotor cannot keep up with the thrust it is asked for",
+                    where="controller.thrust_pole",
+                    remedy="a pole nearer to 1, or a longer controller.sample_time",
+                )
+            rotor = demand.rotor
+            self.scale_z[rotor.coordinate] = 4 * demand.scale
+            self.scale_v[rotor.input] = demand.scale / self.upper[rotor.input]
+        #: What counts as a volt of each input.
+        self._volt = np.ones(self.m)
+        for demand in self.demands:
+            self._volt[demand.rotor.input] = self.scale_v[demand.rotor.input]
+        self.coefficients = Coefficients(
+            self.coordinates,
+            self.demands,
+            self.scale_z,
+            self.scale_v,
+            design.points,
+            design.thrust_band**2,
+        )
+        self.steady = SteadyState(model)
+        self._rows = [self.coordinates.kept.index(model.state_index(n)) for n in model.controlled]
+        self._q = _by_name(design.state_weights, model.controlled, 1.0, "state_weights")
+        self._dq = _by_name(design.rate_weights, model.controlled, 0.5, "rate_weights")
+        self._r = _by_name(design.input_weights, names(model.inputs), 0.05, "input_weights")
+        self._free: list[int] = []
+        self.operation = self._operation()
+        #: Coordinates that mechanical stops bound.
+        self.bounded = tuple(
+            row
+            for row, name in zip(self._rows, model.controlled, strict=True)
+            if np.isfinite(model.stops.get(name, np.inf))
+        )
+
+    def aim(self, sample: ControlSample, previous: Aim | None, disturbance: FloatArray) -> Aim:
+        """The steady state of the reference under the torques that are estimated."""
+        asked = sample.reference[-1]
+        last = previous.steady if previous is not None else None
+        found = self.steady.solve(asked, disturbance, last)
+        message = ""
+        if not found.converged and last is not None:
+            assert previous is not None
+            return Aim(
+                last,
+                previous.target,
+                "nothing holds the rig at the estimated disturbance; the last target stays",
+                moved=False,
+            )
+        if found.projected:
+            message = "the reference is out of reach; the closest is the target"
+        z = self.coordinates.forward(found.x)
+        target = Target(z, self.coordinates.demand(z, found.u), disturbance.copy())
+        return Aim(found, target, message, moved=last is None or found.asked != last.asked)
+
+    def deviation(self, x: FloatArray, target: Target) -> FloatArray:
+        """z − z_s in units of the scales, shape (n,)."""
+        return np.asarray((self.coordinates.forward(x) - target.z) / self.scale_z)
+
+    def command(self, x: FloatArray, aim: Aim, deviation: FloatArray, dv: FloatArray) -> FloatArray:
+        """Commands within their limits that give v − v_s (in units of the scales), shape (n_u,)."""
+        v = aim.target.v + dv * self.scale_v
+        for demand in self.demands:
+            i = demand.rotor.coordinate
+            v[demand.rotor.input] += demand.pole * deviation[i] * self.scale_z[i]
+        if self.demands:
+            v = self.coordinates.command(x, v, aim.target.w)
+        return np.minimum(np.maximum(v, self.lower), self.upper)
+
+    def input_bounds(self, aim: Aim) -> FloatArray:
+        """What the limits leave around the steady inputs, in units of the scales, shape (m,)."""
+        u = aim.steady.u
+        room = np.minimum(self.upper - u, u - self.lower)
+        least = _NO_ROOM * self.upper
+        for demand in self.demands:
+            rotor = demand.rotor
+            room[rotor.input] = demand.bound(float(aim.target.z[rotor.coordinate]))
+            least[rotor.input] = _NO_ROOM * demand.scale
+        return np.asarray(np.maximum(room, least) / self.scale_v)
+
+    def state_bounds(self, target: Target) -> FloatArray:
+        """What the mechanical stops leave around the target, in units of the scales, (n,)."""
+        bounds = np.full(self.n, np.inf)
+        for row, name in zip(self._rows, self.model.controlled, strict=True):
+            stop = self.model.stops.get(name, np.inf)
+            if np.isfinite(stop):
+                bounds[row] = max(stop - abs(target.z[row]), 0.05) / self.scale_z[row]
+        return bounds
+
+    def weights(self, A: FloatArray) -> FloatArray:
+        """C (2 n_r, n) in units of the scales: angles, and their mean rates over a period.
+
+        Parameters
+        ----------
+        A : (n, n) array
+            A typical one.
+        """
+        rows = np.array(self._rows)
+        C = np.zeros((2 * len(rows), self.n))
+        for k, row in enumerate(rows):
+            C[2 * k, row] = math.sqrt(self._q[k]) * self.scale_z[row]
+            rate = A[row].copy()
+            rate[row] -= 1.0
+            for demand in self.demands:
+                rate[demand.rotor.coordinate] = 0.0
+            scale = self.scale_z[row] / self.coordinates.period
+            C[2 * k + 1] = math.sqrt(self._dq[k]) * scale * rate
+        return C
+
+    def task(self, polytope: Polytope, aim: Aim, deviation: FloatArray) -> Task:
+        """The inequalities' data for a deviation (n,) from a target."""
+        return Task(
+            polytope.A,
+            polytope.B,
+            self.weights(polytope.centre[:, : self.n]),
+            self._r * (self.scale_v / self._volt) ** 2,
+            deviation,
+            self.input_bounds(aim),
+            self.state_bounds(aim.target),
+        )
+
+    def region_of(self, target: Target, extents: FloatArray) -> Region:
+        """The box target ± extents (n,), in units of the scales, within the region of operation."""
+        half = extents * self.scale_z
+        return Region(target.z - half, target.z + half).within(self.around(target))
+
+    def around(self, target: Target) -> Region:
+        """The region of operation with the target's own momenta in its middle."""
+        lower, upper = self.operation.lower.copy(), self.operation.upper.copy()
+        for i in self._free:
+            lower[i] += target.z[i]
+            upper[i] += target.z[i]
+        return Region(lower, upper)
+
+    def _operation(self) -> Region:
+        """All that the frame and the motors let be; momenta within the configured range."""
+        model, half = self.model, np.full(self.n, self.design.rate_range)
+        angles = {axis.angle for axis in model.axes.values()} | set(model.controlled)
+        for i, row in enumerate(self.coordinates.kept):
+            name = model.states[row].name
+            if name in angles and model.states[row].unit == "rad":
+                stop = model.stops.get(name, np.inf)
+                half[i] = stop if np.isfinite(stop) else _NO_STOP
+            elif model.states[row].unit == "rad/s" and not name.startswith("omega"):
+                self._free.append(i)
+            else:
+                half[i] = self.coordinates.sizes[i]
+        for demand in self.demands:
+            half[demand.rotor.coordinate] = demand.largest
+        return Region(-half, half)
+
+
+def _by_name(
+    given: Mapping[str, float], known: tuple[str, ...], default: float, key: str
+) -> FloatArray:
+    everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *known}
+    for name in given:
+        if name not in everywhere:
+            raise ConfigurationError(
+                f"{name!r} is not a name that a weight can have here",
+                where=f"controller.{key}",
+                remedy=nearest(name, known),
+            )
+    return np.array([given.get(name, default) for name in known])
+
+
+def require_angles(model: Model) -> None:
+    """Refuse a model without angles to regulate."""
+    if not model.axes:
+        raise ConfigurationError(
+            f"model {model.name!r} has no mechanical axis to regulate",
+            where="controller",
+            remedy="choose newton_mpc, lqr or pid for a rotor alone",
+        )

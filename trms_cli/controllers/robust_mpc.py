@@ -1,0 +1,241 @@
+"""Robust model predictive control by linear matrix inequalities, solved online.
+
+After Kothare, Balakrishnan & Morari 1996 (Automatica 32). The nonlinear model is, around the steady
+state of the reference, a linear one whose coefficients depend on the state; over the region in which
+the state is, they lie in a polytope (:mod:`trms_cli.controllers.robust.polytope`). At each sample the
+law v = v_s + K (z − z_s) is found whose worst cost over all models in it is least, with the inputs
+within their limits and the angles within their stops for all time
+(:mod:`trms_cli.controllers.robust.lmi`). A law acts only if its certificate holds
+(:mod:`trms_cli.controllers.robust.certificate`).
+
+With ``polytope: sub`` the region shrinks with the state: the sub-polytope. The coordinates, in which
+the yaw has a gain where the tail rotor stands still, are those of
+:mod:`trms_cli.controllers.robust.coordinates`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.robust.certificate import Certificate, certify
+from trms_cli.controllers.robust.lmi import Inequalities, Solution, Task
+from trms_cli.controllers.robust.polytope import Region, box
+from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law that acts.
+
+    Attributes
+    ----------
+    solution : Solution
+    certificate : Certificate
+    task : Task
+        What it was designed for.
+    region : Region
+        Over which its polytope was taken.
+    """
+
+    solution: Solution
+    certificate: Certificate
+    task: Task
+    region: Region
+
+
+@dataclass
+class RobustMpcState:
+    """What changes during a run.
+
+    Attributes
+    ----------
+    regulation : Regulation
+    inequalities : Inequalities
+        The problem, parametrised once.
+    aim : Aim or None
+        The target of the last sample.
+    law : Law or None
+        The last whose certificate held.
+    """
+
+    regulation: Regulation
+    inequalities: Inequalities
+    aim: Aim | None = None
+    law: Law | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustMpc(Design):
+    """Robust MPC, its inequalities solved at each sample.
+
+    Attributes
+    ----------
+    sample_time : float
+        Control period, s.
+    polytope : {"sub", "region"}
+        Whether the coefficients are taken around the present state, or over all the region of
+        operation.
+    reach, least_reach : float
+        Half-width of the sub-polytope's region: ``reach`` times the present deviation, and at
+        least ``least_reach`` typical sizes, in each state.
+    lyapunov : {"common", "parameter_dependent"}
+        One Lyapunov matrix for all vertices, or one for each.
+    redesign_below : float
+        A law goes on while the state is in its ellipsoid and at more than this level of it; 1
+        designs one at each sample.
+    solver : {"clarabel", "scs"}
+    max_iterations : int
+        Of the solver; beyond it the last law goes on.
+    disturbance_compensation : bool
+        Whether the observer's constant disturbances enter the target (offset-free).
+    fallback : {"last_law", "steady_input", "hold"}
+        What acts where no law is certified: the last certified one, cut to the limits (the steady
+        input of the target if there was none), the steady input, or the last command.
+    """
+
+    sample_time: Positive = 0.1
+    polytope: Literal["sub", "region"] = "sub"
+    reach: Annotated[float, Meta(ge=1)] = 1.3
+    least_reach: Positive = 0.3
+    lyapunov: Literal["common", "parameter_dependent"] = "common"
+    redesign_below: Annotated[float, Meta(ge=0, le=1)] = 1.0
+    solver: Literal["clarabel", "scs"] = "clarabel"
+    max_iterations: Annotated[int, Meta(ge=5)] = 60
+    disturbance_compensation: bool = True
+    fallback: Literal["last_law", "steady_input", "hold"] = "last_law"
+
+    def preview(self, setup: ControlSetup) -> int:
+        return 0
+
+    def init(self, setup: ControlSetup) -> RobustMpcState:
+        """The coordinates, compiled, and the inequalities, canonicalised."""
+        regulation = Regulation(self, setup)
+        inequalities = Inequalities(
+            regulation.n,
+            regulation.m,
+            2 * len(setup.model.controlled),
+            2**self.principal_components,
+            regulation.bounded,
+            self.lyapunov,
+            self.solver,
+            self.max_iterations,
+        )
+        return RobustMpcState(regulation, inequalities)
+
+    def step(
+        self, state: RobustMpcState, sample: ControlSample, *, want_prediction: bool
+    ) -> Command:
+        """One sample: target, polytope, law, certificate, command."""
+        regulation = state.regulation
+        x, w = sample.estimate.x, sample.estimate.disturbance
+        total = sum(x.tolist()) + sum(w.tolist()) + float(sample.reference.sum())
+        if not math.isfinite(total):
+            return Command(
+                np.clip(sample.previous_command, regulation.lower, regulation.upper),
+                Status.FAILED,
+                fallback="hold",
+                message="the estimate or the reference is not finite; the last command is held",
+            )
+        if not self.disturbance_compensation:
+            w = np.zeros_like(w)
+        aim = state.aim = regulation.aim(sample, state.aim, w)
+        if aim.moved:
+            state.law = None
+        z = regulation.deviation(x, aim.target)
+        law = state.law
+        if law is not None and self.redesign_below < _level(law.solution, z) <= 1.0:
+            return self._acting(state, x, aim, z, law)
+        began = perf_counter()
+        region = self.region(regulation, aim, z)
+        task = self.task(regulation, aim, z, region)
+        made = perf_counter()
+        solution = state.inequalities.solve(task)
+        command: Command
+        if solution is None:
+            command = self._fall_back(state, sample, x, aim, z, "no law was found")
+        else:
+            certificate = certify(task, solution)
+            if certificate.stable:
+                state.law = Law(solution, certificate, task, region)
+                command = self._acting(state, x, aim, z, state.law)
+            else:
+                command = self._fall_back(
+                    state, sample, x, aim, z, "the solution's certificate does not hold"
+                )
+            command.iterations = solution.iterations
+        command.linearise_time, command.qp_time = made - began, perf_counter() - made
+        return command
+
+    def region(self, regulation: Regulation, aim: Aim, z: FloatArray) -> Region:
+        """Where the coefficients are taken for a deviation z (n,) from the target."""
+        if self.polytope == "region":
+            return regulation.around(aim.target)
+        return regulation.region_of(aim.target, self.reach * np.abs(z) + self.least_reach)
+
+    def task(self, regulation: Regulation, aim: Aim, z: FloatArray, region: Region) -> Task:
+        """The inequalities' data over a region."""
+        coefficients = regulation.coefficients.over(aim.target, region)
+        polytope = box(coefficients, self.principal_components, self.margin)
+        return regulation.task(polytope, aim, z)
+
+    def _acting(
+        self, state: RobustMpcState, x: FloatArray, aim: Aim, z: FloatArray, law: Law
+    ) -> Command:
+        """The command of a certified law."""
+        u = state.regulation.command(x, aim, z, law.solution.K @ z)
+        words = [aim.message] if aim.message else []
+        certain = law.certificate.constrained
+        if not certain:
+            words.append(
+                "no law keeps to the limits for all time from here; this one is cut to them"
+            )
+        return Command(
+            u,
+            Status.OK if certain else Status.RELAXED,
+            objective=law.certificate.gamma * _level(law.solution, z),
+            slack=law.solution.slack,
+            message="; ".join(words),
+        )
+
+    def _fall_back(
+        self,
+        state: RobustMpcState,
+        sample: ControlSample,
+        x: FloatArray,
+        aim: Aim,
+        z: FloatArray,
+        reason: str,
+    ) -> Command:
+        """The declared command where no law is certified."""
+        regulation, law, policy = state.regulation, state.law, self.fallback
+        if policy == "last_law" and law is not None:
+            u = regulation.command(x, aim, z, law.solution.K @ z)
+        elif policy == "hold":
+            u = np.clip(sample.previous_command, regulation.lower, regulation.upper)
+        else:
+            policy = "steady_input"
+            u = np.clip(aim.steady.u, regulation.lower, regulation.upper)
+        return Command(
+            u,
+            Status.FAILED,
+            fallback=policy,
+            message=f"{reason}; {policy.replace('_', ' ')} acts",
+        )
+
+
+def _level(solution: Solution, z: FloatArray) -> float:
+    """Largest z'Q⁻¹z over the Lyapunov matrices."""
+    return float(max(z @ np.linalg.solve(Q, z) for Q in solution.Q))
+
+
+__all__ = ["Certificate", "Law", "RobustMpc", "RobustMpcState"]
