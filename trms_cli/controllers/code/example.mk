@@ -1,5 +1,5 @@
 # Builds the controller and its example. The flags that count for speed and exactness:
-#   -O3                  vectorises the Hessian; -O2 costs 10-30 %
+#   -O3                  vectorises the Hessian; -O2 is close to it
 #   -std=c99             keeps operations as they are written (no fused multiply-add)
 #   NATIVE=-march=native is faster on some processors, no longer portable, and rounds differently
 # Never -ffast-math: it takes the checks for NaN away.

@@ -272,11 +272,67 @@ static void mpc_find_target(mpc_ctx *c, const double *goal) {
     c->has_target = 1;
 }
 
+#if MPC_FORECAST
+#define MPC_WINDOW 6            /* differences that have to agree with the recursion */
+#define MPC_UNEXPLAINED 1e-3    /* part of their power that it may leave */
+#define MPC_FASTEST 0.5         /* cosine of the fastest phase a period */
+#define MPC_STILL 1e-9          /* rad, differences of a constant */
+
+/* Carry one reference on as the constant, ramp or sine that it has been so far: differences d obey
+ * d(k+1) = 2 c d(k) - d(k-1). Whether they do; `ahead` has MPC_FORECAST + 1 rows. */
+static int mpc_forecast_one(mpc_ctx *c, int i, double value) {
+    double *d = c->moves[i];
+    double middle = 0, product = 0, left = 0, cosine, largest = 0, sum = 0, before, now, after;
+    int k;
+    if (c->reference_seen) {
+        if (c->n_moves[i] == MPC_WINDOW) memmove(d, d + 1, (MPC_WINDOW - 1) * sizeof *d);
+        else c->n_moves[i]++;
+        d[c->n_moves[i] - 1] = value - c->last_reference[i];
+    }
+    c->last_reference[i] = value;
+    for (k = 0; k <= MPC_FORECAST; k++) c->ahead[k * MPC_N_R + i] = value;
+    if (c->n_moves[i] < MPC_WINDOW) return 0;
+    for (k = 0; k < MPC_WINDOW; k++)
+        if (fabs(d[k]) > largest) largest = fabs(d[k]);
+    for (k = 1; k < MPC_WINDOW - 1; k++) {
+        middle += d[k] * d[k];
+        product += d[k] * (d[k - 1] + d[k + 1]);
+    }
+    if (largest < MPC_STILL || middle == 0) return 0;
+    cosine = product / (2 * middle);
+    if (cosine > 1) cosine = 1;
+    for (k = 1; k < MPC_WINDOW - 1; k++) {
+        const double off = d[k - 1] + d[k + 1] - 2 * cosine * d[k];
+        left += off * off;
+    }
+    if (cosine < MPC_FASTEST || left > MPC_UNEXPLAINED * middle) return 0;
+    before = d[MPC_WINDOW - 2];
+    now = d[MPC_WINDOW - 1];
+    for (k = 1; k <= MPC_FORECAST; k++) {
+        after = 2 * cosine * now - before;
+        before = now;
+        now = after;
+        sum += now;
+        c->ahead[k * MPC_N_R + i] += sum;
+    }
+    return 1;
+}
+
+/* Forecasts of all references; how many periods they reach, 0 where none can be made. */
+static int mpc_forecast(mpc_ctx *c, const double *reference) {
+    int i, found = 0;
+    for (i = 0; i < MPC_N_R; i++) found |= mpc_forecast_one(c, i, reference[i]);
+    c->reference_seen = 1;
+    return found ? MPC_FORECAST : 0;
+}
+#endif
+
 /* Take in a sample: state, references, target, and the plan shifted in time. Whether to try a
  * second start. */
 static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
-    const double *asked = reference + MPC_PREVIEW * MPC_N_R;
     const int had_target = c->has_target;
+    int known = MPC_PREVIEW, foreseen = 0;
+    const double *asked;
     double goal[MPC_N_R], previous[MPC_N_R];
     int i, k, changed = !had_target;
     if (!c->first && MPC_N_FULL > MPC_N_X) {
@@ -285,10 +341,16 @@ static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
         for (i = MPC_N_X; i < MPC_N_FULL; i++) c->full[i] = c->stage_next[i];
     }
     for (i = 0; i < MPC_N_X; i++) c->full[i] = x_hat[i];
+#if MPC_FORECAST
+    known = mpc_forecast(c, reference);
+    foreseen = known > 0;
+    reference = c->ahead;
+#endif
+    asked = reference + known * MPC_N_R;
     for (k = 0; k < MPC_N; k++) {
-        const int known = k < MPC_PREVIEW ? k + 1 : MPC_PREVIEW;
+        const int row = k < known ? k + 1 : known;
         for (i = 0; i < MPC_N_R; i++)
-            c->reference[k * MPC_N_R + i] = reference[known * MPC_N_R + i];
+            c->reference[k * MPC_N_R + i] = reference[row * MPC_N_R + i];
     }
     for (i = 0; i < MPC_N_R; i++) {
         const int limit = mpc_goal_limit[i];
@@ -314,7 +376,7 @@ static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
     mpc_shift_plan(c);
     /* What overflowed once must not stay in the plan. */
     if (!mpc_finite(c->plan, MPC_N_Z)) mpc_hold_everywhere(c->target.u, c->plan);
-    return changed;
+    return changed && !foreseen;
 }
 
 /* The declared command of a step without a solution. */

@@ -75,12 +75,15 @@ typedef struct {
     double last_u[MPC_N_U];
     mpc_target target;
     double solved_for[MPC_N_R + MPC_N_W];
+    double last_reference[MPC_N_R], moves[MPC_N_R][6]; /* what forecasts are made of */
+    int n_moves[MPC_N_R], reference_seen;
     int sense[MPC_N_Z + MPC_ROWS];           /* active sets of the last QPs: without */
     int sense_limited[MPC_N_Z + MPC_ROOM(MPC_ROWS_LIMITED)]; /* and with soft limits */
 
     mpc_steady steady;
     int steady_iterations, qp_iterations;
     double start[MPC_N_U], w[MPC_ROOM(MPC_N_W)], reference[MPC_N * MPC_N_R];
+    double ahead[(MPC_FORECAST + 1) * MPC_N_R];
     double plan_kept[MPC_N_Z], trial[MPC_N_Z];
     double trajectory[MPC_N * MPC_N_FULL];
     double sensitivity[2][MPC_N_FULL * MPC_N_Z];

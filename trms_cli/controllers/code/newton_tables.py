@@ -48,6 +48,7 @@ def sizes(state: Any, preview: int) -> dict[str, tuple[int, str]]:
         "N_P": (len(model.parameters), "parameters of the model"),
         "N": (horizon.n_periods, "control periods ahead"),
         "PREVIEW": (preview, "control periods that the reference is known ahead"),
+        "FORECAST": (_forecast(state), "periods that an unknown reference is carried on for"),
         "N_FULL": (state.discrete.n_x, "states, and what is remembered of past commands"),
         "N_S": (steady, "unknowns of a steady state"),
         "N_BLOCKS": (horizon.n_blocks, "blocks of constant inputs"),
@@ -167,6 +168,13 @@ def parameter_comments(state: Any) -> str:
         for i, p in enumerate(state.model.parameters)
     ]
     return "/* Parameters of the model:\n" + "\n".join(map(text, lines)) + "\n */"
+
+
+def _forecast(state: Any) -> int:
+    config = state.config
+    if config.preview_horizon:
+        return 0
+    return min(config.forecast_horizon, config.prediction_horizon)
 
 
 def _largest_moves(state: Any) -> FloatArray:

@@ -164,7 +164,7 @@ def _figures(export: Export, measured: Measured | None) -> str:
     if measured.code_bytes is not None:
         rows.append(("code and constants", _bytes(measured.code_bytes)))
     if measured.data_bytes is not None:
-        rows.append(("static memory that is written to", _bytes(measured.data_bytes)))
+        rows.append(("`.data` and `.bss`", _bytes(measured.data_bytes)))
     if measured.stack_bytes is not None:
         rows.append(("stack, at the most (all frames together)", _bytes(measured.stack_bytes)))
     table = "\n".join(f"| {key} | {value} |" for key, value in rows)
