@@ -12,6 +12,7 @@ _METHODS = {
     "observer": ("init", "step"),
     "plant": ("init",),
     "ref": ("restricted_to", "sample"),
+    "supervisor": ("init",),
 }
 
 

@@ -32,7 +32,7 @@ OVERRIDES_KEY, CONFIG_DIRS_KEY, VERSIONS_KEY = "overrides", "config_dirs", "vers
 #: The same, with the option chosen in each group: what `trms compare` tells runs apart by.
 CHOICES_KEY = "choices"
 #: The plugins that a closed loop calls, by their keys.
-PARTS = ("plant", "observer", "controller", "ref")
+PARTS = ("plant", "observer", "controller", "ref", "supervisor")
 #: Packages whose version may change a figure of a run.
 _COMPUTING_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "hydra-core", "mcap")
 
@@ -59,7 +59,7 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
         sample_time=number(simulation["sample_time"], "sim.sample_time"),
         seed=whole_number(config["seed"], "seed"),
         prediction_every=whole_number(simulation["prediction_every"], "sim.prediction_every"),
-        supervisor=build(config["supervisor"], "supervisor"),
+        supervisor=parts["supervisor"],
     )
 
 
@@ -99,6 +99,7 @@ def raise_explained(
         "observer": experiment.observer,
         "plant": experiment.plant,
         "ref": experiment.reference,
+        "supervisor": experiment.supervisor,
     }
     failure = plugin_failure(error, parts, time)
     if failure is None:

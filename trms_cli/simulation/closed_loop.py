@@ -33,7 +33,7 @@ from trms_cli.simulation.command_gate import CommandGate
 from trms_cli.simulation.history import History
 from trms_cli.simulation.supervisor import (
     Mode,
-    Supervisor,
+    SupervisorPlugin,
     SupervisorRun,
     SupervisorSetup,
     Unsupervised,
@@ -60,7 +60,7 @@ class Experiment:
     seed : int
     prediction_every : int
         Every how many control samples the controller's prediction is logged; 0 for never.
-    supervisor : Supervisor or Unsupervised
+    supervisor : SupervisorPlugin
     """
 
     model: Model
@@ -72,7 +72,7 @@ class Experiment:
     sample_time: float
     seed: int = 0
     prediction_every: int = 10
-    supervisor: Supervisor | Unsupervised = field(default_factory=Unsupervised)
+    supervisor: SupervisorPlugin = field(default_factory=Unsupervised)
 
     def __post_init__(self) -> None:
         if not (self.sample_time > 0 and math.isfinite(self.sample_time)):

@@ -130,6 +130,14 @@ class SupervisorRun(Protocol):
         ...
 
 
+class SupervisorPlugin(Protocol):
+    """An immutable configuration of a supervisor."""
+
+    def init(self, setup: SupervisorSetup) -> SupervisorRun:
+        """A fresh state; two of them never share anything."""
+        ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class Supervisor:
     """Watches measurement, estimate and controller.
