@@ -61,7 +61,11 @@ def test_predictions_come_as_often_as_it_says(run_folder):
 
 def test_its_kinds_of_events_are_those_that_are_written():
     package = PAGE.parents[1] / "trms_cli"
-    files = [package / name for name in ("simulation/closed_loop.py", "plants/replay.py")]
+    files = [*package.glob("simulation/*.py"), package / "plants" / "replay.py"]
     source = "".join(file.read_text(encoding="utf-8") for file in files)
-    for kind in re.findall(r"`(saturation_\w+|fault\w*|solver|gap)`", PAGE.read_text("utf-8")):
+    text = PAGE.read_text("utf-8")
+    table = text[text.index("| `kind` of an event") : text.index("## Times")]
+    named = set(re.findall(r"`(\w+)`", "".join(re.findall(r"\n\|[^|]+\|", table)))) - {"kind"}
+    assert {"outlier", "degraded_begin", "fault_injected", "solver"} <= named
+    for kind in named:
         assert f'"{kind}"' in source, kind
