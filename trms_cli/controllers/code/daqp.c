@@ -39,7 +39,9 @@
 
 #define QP_NONE (-1)
 #define QP_INF 1e30
-#define QP_PRIMAL_TOL 1e-6
+#ifndef QP_PRIMAL_TOL
+#define QP_PRIMAL_TOL 1e-6 /* rows may be off by so much in their units */
+#endif
 #define QP_DUAL_TOL 1e-12
 #define QP_ZERO_TOL 1e-11
 #define QP_PROGRESS_TOL 1e-14

@@ -1,0 +1,290 @@
+"""The exported Newton MPC against Python's, sample by sample in closed loops."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import subprocess
+from typing import Any
+
+import numpy as np
+import pytest
+from exported_controller import PERIOD, Exported, build, compare, contiguous
+
+from trms_cli.controllers.code.newton_source import newton_source
+from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
+from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.controllers.qp.osqp import Osqp
+from trms_cli.core.compilation import compiler
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.observers.observer import Estimate
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+
+#: V; what is left is rounding.
+EQUAL = 1e-9
+SHORT = {"prediction_horizon": 20, "move_blocks": (1,) * 20}
+ONE = {**SHORT, "max_iterations": 1}
+LIMITED: dict[str, Any] = {
+    **SHORT,
+    "input_rate_limits": {"u_v": 3.0, "u_h": 5.0},
+    "soft_limits": {"alpha_v": (-0.3, 0.25)},
+    "preview_horizon": 6,
+    "input_weights": {"u_v": 0.05},
+}
+
+
+def setup_of(model: Any) -> ControlSetup:
+    return ControlSetup(model, PERIOD, np.zeros(model.n_u))
+
+
+def squares(time: float) -> tuple[float, float]:
+    return (0.3, 0.5) if time % 16 < 8 else (-0.3, -0.5)
+
+
+def sines(time: float) -> tuple[float, float]:
+    return 0.3 * np.sin(0.3 * time), 0.8 * np.sin(0.2 * time + 1)
+
+
+def levels(time: float) -> tuple[float, float]:
+    draw = np.random.default_rng(int(time / 3.7))
+    return draw.uniform(-0.8, 0.8), draw.uniform(-1.5, 1.5)
+
+
+def beyond(time: float) -> tuple[float, float]:
+    return (1.2, 3.0) if time % 16 < 8 else (-1.4, -3.0)
+
+
+def wandering(k: int) -> np.ndarray:
+    return 1e-3 * np.random.default_rng(k).standard_normal(4)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    return lambda name: tmp_path_factory.mktemp(name)
+
+
+@pytest.fixture(scope="module")
+def one(folder: Any) -> tuple[Any, ...]:
+    """One iteration a sample."""
+    controller, setup = NewtonMpc(**ONE), setup_of(Newtonian())
+    return build(folder("one"), controller, setup, optimise="-O2"), controller, setup
+
+
+@pytest.fixture(scope="module")
+def converged(folder: Any) -> tuple[Any, ...]:
+    """The default tuning."""
+    controller, setup = NewtonMpc(), setup_of(Newtonian())
+    return build(folder("converged"), controller, setup), controller, setup
+
+
+@pytest.fixture(scope="module")
+def limited(folder: Any) -> tuple[Any, ...]:
+    """Rates, a soft limit, preview, input weights."""
+    controller, setup = NewtonMpc(**LIMITED), setup_of(Newtonian())
+    return build(folder("limited"), controller, setup), controller, setup
+
+
+@pytest.mark.parametrize("reference", [squares, sines, levels])
+def test_one_iteration(one, reference):
+    found = compare(*one, reference, 200, estimated=wandering, noise=1e-3)
+    assert found.worst <= EQUAL
+    assert Status.BUDGET in found.statuses()
+
+
+@pytest.mark.parametrize("reference", [squares, sines, levels, beyond])
+def test_iterated_to_convergence(converged, reference):
+    found = compare(*converged, reference, 150, estimated=wandering)
+    assert found.worst <= EQUAL
+    assert Status.OK in found.statuses()
+    for command, said in zip(found.python, found.exported, strict=True):
+        assert (said.status, said.iterations) == (command.status, command.iterations)
+        assert said.objective == pytest.approx(command.objective, rel=1e-9, abs=1e-12)
+        assert said.projected == command.out_of_reach
+    assert any(said.projected for said in found.exported) == (reference is beyond)
+
+
+def test_a_torque_on_the_rig_that_the_observer_tells(converged):
+    def push(time):
+        return (0.02 if 3 < time < 9 else 0.0, 0.01 if time > 6 else 0.0, 0.0, 0.0)
+
+    found = compare(*converged, squares, 150, torque=push, estimated=lambda k: push(k * PERIOD))
+    assert found.worst <= EQUAL
+
+
+def test_rates_a_limit_and_a_preview(limited):
+    _, controller, _ = limited
+    found = compare(*limited, levels, 200)
+    assert found.worst <= EQUAL
+    u = np.array([command.u for command in found.python])
+    moves = np.abs(np.diff(u, axis=0)).max(axis=0) / PERIOD
+    assert moves == pytest.approx(list(controller.input_rate_limits.values()), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_limit_that_fights_the_end_agrees_to_the_tolerance(folder):
+    # The line search then goes by the rounding of an exact penalty: both stop within the tolerance
+    # of convergence, 1e-4 V, of the same plan.
+    controller = NewtonMpc(**SHORT, soft_limits={"omega_h": (-150.0, 150.0)})
+    setup = setup_of(Newtonian())
+    found = compare(build(folder("fight"), controller, setup), controller, setup, levels, 150)
+    assert found.worst <= controller.tolerance
+    assert Status.RELAXED in found.statuses()
+
+
+@pytest.mark.slow
+def test_without_a_terminal_constraint(folder):
+    controller, setup = NewtonMpc(**SHORT, terminal="none", fallback="hold"), setup_of(Newtonian())
+    found = compare(
+        build(folder("none"), controller, setup), controller, setup, levels, 100,
+        estimated=wandering,
+    )  # fmt: skip
+    assert found.worst <= EQUAL
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(Newtonian(freedom="vertical"), id="vertical"),
+        pytest.param(Newtonian(freedom="horizontal"), id="horizontal", marks=pytest.mark.slow),
+        pytest.param(
+            extended(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)}), id="delay"
+        ),
+    ],
+)
+def test_other_models(folder, model):
+    controller, setup = NewtonMpc(**SHORT), setup_of(model)
+    chosen = [name in ("alpha_v", "alpha_h") for name in model.controlled]
+    found = compare(
+        build(folder("model"), controller, setup), controller, setup,
+        lambda time: np.array(squares(time))[: len(chosen)], 100,
+    )  # fmt: skip
+    assert found.worst <= EQUAL
+
+
+@pytest.mark.parametrize("spoilt", ["estimate", "torques", "reference"])
+def test_what_is_not_finite_meets_the_declared_fall_back(one, spoilt):
+    def spoil(k, x, w, r):
+        if k % 7 == 5:
+            {"estimate": x, "torques": w, "reference": r[0]}[spoilt][k % 2] = (np.nan, np.inf)[
+                k % 2
+            ]
+
+    found = compare(*one, levels, 80, spoil=spoil)
+    assert found.worst <= EQUAL
+    for k, (command, said) in enumerate(zip(found.python, found.exported, strict=True)):
+        assert (said.status is Status.FAILED) == (k % 7 == 5)
+        assert said.fallback == command.fallback
+
+
+@pytest.mark.parametrize("size", [1e3, 1e30, 1e200, 1.7e308])
+def test_nothing_makes_it_leave_the_limits_and_it_comes_back(converged, size):
+    library, _, setup = converged
+    exported, draw = Exported(library, 2), np.random.default_rng(3)
+    lower, upper = setup.model.input_bounds()
+    for k in range(40):
+        x, w, r = (size * draw.uniform(-1, 1, n) for n in (6, 4, 2))
+        before = draw.uniform(-3, 3, 2) if k % 5 else np.array([np.nan, np.inf])
+        said = exported.step(x, w if k % 2 else 0 * w, r if k % 3 else 0 * r, before)
+        assert np.isfinite(said.u).all()
+        assert (said.u >= lower).all() and (said.u <= upper).all()
+    x, u = setup.model.rest(), np.zeros(2)
+    for _ in range(60):
+        said = exported.step(x, np.zeros(4), [x[5], x[2]], u)
+        u = said.u
+    assert said.status in (Status.OK, Status.BUDGET)
+
+
+def test_two_contexts_share_nothing(one):
+    library, _, setup = one
+    x = setup.model.rest()
+    alone, first, second = (Exported(library, 2) for _ in range(3))
+    u, v = np.zeros(2), np.zeros(2)
+    for k in range(20):
+        expected = alone.step(x, np.zeros(4), squares(k * PERIOD), u).u
+        said = first.step(x, np.zeros(4), squares(k * PERIOD), u).u
+        v = second.step(x + 0.1, wandering(k), levels(k), v).u
+        assert (said == expected).all()
+        u = expected
+
+
+def test_a_context_may_be_moved_in_memory(one):
+    library, _, setup = one
+    here, there = Exported(library, 2), Exported(library, 2)
+    x, u = setup.model.rest(), np.zeros(2)
+    for k in range(10):
+        u = here.step(x, wandering(k), squares(k), u).u
+    ctypes.memmove(there.context, here.context, len(here.context))
+    for k in range(10, 20):
+        u, moved = (c.step(x, wandering(k), squares(k), u).u for c in (here, there))
+        assert (u == moved).all()
+
+
+def test_settings_that_are_changed_between_steps_count(one):
+    """The iterations of a controller that was exported with one, set to ten."""
+    library, controller, setup = one
+    many = NewtonMpc(**{**ONE, "max_iterations": 10})
+    text = newton_source(controller, setup, "rig", "").header
+    fields = re.search(r"typedef struct \{\n    double p\[.*?\} rig_settings;", text, re.S)
+    assert fields is not None
+    state, exported = many.init(setup), Exported(library, 2)
+    library.shim_settings.restype = ctypes.c_void_p
+    size = _settings_size(text, fields[0])
+    at = library.shim_settings(exported.context)
+    # max_iterations is the last field.
+    ctypes.c_int.from_address(at + size).value = 10
+    x, u, w = setup.model.rest(), np.zeros(2), np.zeros(4)
+    for k in range(5):
+        r = contiguous([squares(8 * k)])
+        said = exported.step(x, w, r, u)
+        command = many.step(
+            state, ControlSample(0, r, Estimate(x, x, w, w), u), want_prediction=False
+        )
+        assert np.abs(said.u - command.u).max() <= EQUAL
+        assert said.iterations == command.iterations
+        u = command.u
+
+
+def _settings_size(header: str, fields: str) -> int:
+    """Bytes of the doubles before ``max_iterations``."""
+    sizes = {key: int(value) for key, value in re.findall(r"#define RIG_(\w+) (\d+) ", header)}
+    count = 0
+    for bounds in re.findall(r"double \w+((?:\[.*?\])*);", fields):
+        product = 1
+        for bound in re.findall(r"\[(.*?)\]", bounds):
+            key = re.sub(r"RIG_ROOM\((.*)\)", r"\1", bound).removeprefix("RIG_")
+            product *= max(1, int(key) if key.isdigit() else sizes[key])
+        count += product
+    return 8 * count
+
+
+def test_it_needs_nothing_but_libm(one):
+    """No allocation, no input or output: what is undefined in the object file."""
+    library, *_ = one
+    object_file = str(library._name).replace("rig.so", "rig.o")
+    listed = subprocess.run(["nm", object_file], capture_output=True, text=True, check=True).stdout
+    undefined = {line.split()[-1] for line in listed.splitlines() if " U " in line}
+    allowed = {"memcpy", "memset", "memmove", "memcmp", "_GLOBAL_OFFSET_TABLE_"}
+    mathematics = {"sin", "cos", "sincos", "sqrt", "fmax", "fmin", "exp", "pow", "atan", "tanh"}
+    assert undefined <= allowed | mathematics
+    written = [line.split()[-1] for line in listed.splitlines() if re.search(r" [bBD] ", line)]
+    assert written == []
+    exported = {line.split()[-1] for line in listed.splitlines() if " T " in line}
+    assert exported == {"rig_init", "rig_init_at", "rig_step"}
+
+
+@pytest.mark.parametrize(
+    ("options", "where"),
+    [
+        ({"terminal": "quasi_infinite"}, "controller.terminal"),
+        ({"fallback": "stop"}, "controller.fallback"),
+        ({"qp": Osqp()}, "controller.qp"),
+    ],
+)
+def test_what_has_no_c_is_refused_by_name(options, where):
+    with pytest.raises(ConfigurationError) as caught:
+        newton_source(NewtonMpc(**options), setup_of(Newtonian()), "rig", "")
+    assert caught.value.where == where
