@@ -21,7 +21,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test slow lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
+	chapter2 chapter3 chapter4 chapter6 chapter7 chapter8 tournament coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -81,6 +81,18 @@ chapter3: $(READY) ## study: neural networks, thirteen training algorithms, stru
 
 chapter4: $(READY) ## study: grey-box fits, genetic algorithm and better, white against grey
 	@$(BIN)/python -m experiments.chapter4 $(ARGS)
+
+chapter6: $(READY) ## study: Newton-type MPC, its stability and its feasible set
+	@$(BIN)/python -m experiments.chapter6 $(ARGS)
+
+chapter7: $(READY) ## study: observers, output feedback, a rig with withheld parameters
+	@$(BIN)/python -m experiments.chapter7 $(ARGS)
+
+chapter8: $(READY) ## study: robust MPC by linear matrix inequalities
+	@$(BIN)/python -m experiments.chapter8 $(ARGS)
+
+tournament: $(READY) ## all controllers, observers and references on hundreds of rigs, ranked (half an hour)
+	@$(BIN)/python -m experiments.tournament $(ARGS)
 
 coverage: $(READY) ## study: do the intervals of a fit hold the truth? (half an hour)
 	@$(BIN)/python -m experiments.coverage $(ARGS)
