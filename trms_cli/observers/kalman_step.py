@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from trms_cli.models.discretisation import discretise
 from trms_cli.observers.augmentation import Augmentation
 from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS
 from trms_cli.observers.update import diagonal, disturbances, gain_stage, gated
@@ -83,11 +84,11 @@ def exact_transition(augmented: Augmentation) -> ca.Function:
     """The model's own step with its Jacobian: ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
 
     A model that steps several times in a sample is differentiated once, and its slopes follow by
-    the chain rule.
+    the chain rule: the code does not grow with the number of steps.
     """
     n_s, n = augmented.n_s, augmented.n
     z, memory, u, p, known = augmented.symbols()
-    parts = augmented.discrete.parts
+    parts = _equal_steps(augmented)
     single: dict[int, ca.Function] = {}
     for part in parts:
         if id(part) in single:
@@ -108,6 +109,17 @@ def exact_transition(augmented: Augmentation) -> ca.Function:
         state, one, remembered = single[id(part)](state, remembered, *rest)
         slope = one @ slope
     return ca.Function("transition", [at, held, *rest], [state, ca.densify(slope), remembered])
+
+
+def _equal_steps(augmented: Augmentation) -> tuple[ca.Function, ...]:
+    """Steps that make up a sample: the model's own, or its substeps where nothing remembers.
+
+    A memory changes at some part of the sample, and makes the substeps unequal.
+    """
+    discrete, count = augmented.discrete, augmented.substeps
+    if len(discrete.parts) > 1 or count == 1 or discrete.n_x > augmented.model.n_x:
+        return discrete.parts
+    return (discretise(augmented.model, discrete.step_length / count).step,) * count
 
 
 def exact_measurement(augmented: Augmentation) -> ca.Function:

@@ -1,0 +1,1 @@
+"""Chapter 7: output feedback, observers joined with the predictive controller."""

@@ -1,0 +1,1 @@
+"""The study of observers of chapter 7: who is better, and where."""

@@ -1,0 +1,149 @@
+"""``python -m experiments.chapter7.observers``: observers side by side on the same records."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import msgspec
+
+from experiments.chapter7.observers.comparison import Cell, cells_of, tally
+from experiments.chapter7.observers.innovations import replay_all
+from experiments.chapter7.observers.page import recordings_table, tables_of
+from experiments.chapter7.observers.records import Outcome, run_job
+from experiments.chapter7.observers.study import HERE, STUDY, Job, Study, jobs_of, read_study
+from trms_cli.cli import describe_error
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+
+SCHEMA = "trms.observers/1"
+RESULTS = HERE / "results.json"
+PAGE = HERE.parents[2] / "docs" / "chapter7.md"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.chapter7.observers")
+    parser.add_argument("--study", type=Path, default=STUDY, help="another study.yaml")
+    parser.add_argument("--quick", action="store_true", help="two short records a condition")
+    parser.add_argument("--records", type=Path, help="folder of recordings of real rigs")
+    parser.add_argument("--no-times", action="store_true", help="leave out the times of a step")
+    parser.add_argument("--jobs", type=int, default=2, help="processes at once (default: 2)")
+    parser.add_argument("--out", type=Path, help="folder for tables and JSON")
+    parser.add_argument(
+        "--update", action="store_true", help="write docs/chapter7.md and results.json"
+    )
+    given = parser.parse_args(argv)
+    try:
+        return _run(given)
+    except TrmsError as error:
+        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
+        return error.exit_code
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+def _run(given: argparse.Namespace) -> int:
+    study = read_study(given.study)
+    if given.quick:
+        study = msgspec.structs.replace(study, seeds=2, duration=12.0)
+    begin = perf_counter()
+    outcomes = []
+    for outcome in run_all(study, given.jobs):
+        outcomes.append(outcome)
+        said = outcome.problem or "done"
+        sys.stdout.write(
+            f"{perf_counter() - begin:6.1f} s  {outcome.job.condition}, record "
+            f"{outcome.job.seed}: {said}\n"
+        )
+        sys.stdout.flush()
+    cells = cells_of(outcomes, study.observers, study.against)
+    found = replay_all(study, given.records) if given.records else {}
+    tables = tables_of(cells, study.observers, study.against, times=not given.no_times)
+    tables["recordings"] = recordings_table(found, study.observers)
+    text = _json(document_of(study, cells, found, times=not given.no_times))
+    for name, table in tables.items():
+        sys.stdout.write(f"\n{name}\n\n{table}\n")
+    if given.out is not None:
+        given.out.mkdir(parents=True, exist_ok=True)
+        (given.out / "observers.json").write_text(text, encoding="utf-8")
+        words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
+        (given.out / "observers.md").write_text(words + "\n", encoding="utf-8")
+    if given.update:
+        from experiments.chapter2.page import write_tables
+
+        if not found:
+            tables.pop("recordings")  # those that stand there were made where they are
+        write_tables(PAGE, tables)
+        RESULTS.write_text(text, encoding="utf-8")
+    failed = [outcome for outcome in outcomes if outcome.problem]
+    return 1 if failed else EXIT_OK
+
+
+def run_all(study: Study, jobs: int) -> Iterator[Outcome]:
+    """Every job of the study, in order, in worker processes."""
+    work: list[Job] = jobs_of(study)
+    if jobs <= 1:
+        yield from map(partial(run_job, study), work)
+        return
+    # A fresh process each, also where forking is usual: casadi's threads do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(max_workers=jobs, mp_context=context) as pool:
+        yield from pool.map(partial(run_job, study), work)
+
+
+def document_of(
+    study: Study, cells: Sequence[Cell], found: dict[str, Any], *, times: bool
+) -> dict[str, Any]:
+    """The JSON twin of the tables."""
+    return {
+        "schema": SCHEMA,
+        "against": study.against,
+        "conditions": [
+            {
+                "rig": cell.condition,
+                "channels": cell.channels,
+                "torques": cell.torques,
+                "records": cell.records,
+                "rmse": cell.rmse,
+                "ratio": {
+                    observer: {state: [r.mean, r.low, r.high] for state, r in of.items()}
+                    for observer, of in cell.ratios.items()
+                },
+                **({"microseconds": cell.microseconds} if times else {}),
+            }
+            for cell in cells
+        ],
+        "tally": {
+            observer: {verdict: len(where) for verdict, where in tally(cells, observer).items()}
+            for observer in study.observers
+            if observer != study.against
+        },
+        "recordings": found,
+    }
+
+
+def _json(document: Any) -> str:
+    return json.dumps(_rounded(document), indent=1, ensure_ascii=False) + "\n"
+
+
+def _rounded(node: Any) -> Any:
+    """Six digits: what comes after them depends on the machine's compiler; no infinities."""
+    if isinstance(node, dict):
+        return {str(key): _rounded(value) for key, value in node.items()}
+    if isinstance(node, list):
+        return [_rounded(value) for value in node]
+    if isinstance(node, float):
+        return float(f"{node:.6g}") if abs(node) < float("inf") else None
+    return node
+
+
+if __name__ == "__main__":
+    sys.exit(main())
