@@ -69,7 +69,12 @@ class GeneratedFunctions:
 
 def generated(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
     """C source of functions, by the names they get there. Inputs and outputs are dense."""
-    dense = {name: densified(function) for name, function in functions.items()}
+    dense: dict[str, ca.Function] = {}
+    for name, function in functions.items():
+        taken = {other.name() for other in dense.values()}
+        dense[name] = densified(
+            function, f"{function.name()}_{len(dense)}" if function.name() in taken else None
+        )
     generator = ca.CodeGenerator("functions.c")
     for function in dense.values():
         generator.add(function)
@@ -87,17 +92,17 @@ def generated(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
     )
 
 
-def densified(function: ca.Function) -> ca.Function:
-    """The same function with dense outputs."""
+def densified(function: ca.Function, name: str | None = None) -> ca.Function:
+    """The same function with dense outputs, by another name if one is given."""
     outputs = [function.sparsity_out(i) for i in range(function.n_out())]
-    if all(sparsity.is_dense() for sparsity in outputs):
+    if name is None and all(sparsity.is_dense() for sparsity in outputs):
         return function
     kind = ca.SX if function.is_a("SXFunction") else ca.MX
     arguments = [
         kind.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())
     ]
     results = [ca.densify(result) for result in function.call(arguments)]
-    return ca.Function(function.name(), arguments, results)
+    return ca.Function(name or function.name(), arguments, results)
 
 
 def _plain(text: str, entries: Mapping[str, str]) -> str:

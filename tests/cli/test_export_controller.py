@@ -1,0 +1,164 @@
+"""``trms export-controller`` as a person meets it: its folder, its figures, its refusals."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+
+import pytest
+
+from trms_cli.cli import main
+from trms_cli.core.compilation import compiler
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+SMALL = (
+    "controller.prediction_horizon=8",
+    "sim.duration=10",
+    "model=newtonian_vertical",
+    "model@plant.model=newtonian_vertical",
+)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("export") / "rig"
+    command = ["export-controller", "newton_mpc", *SMALL, "name=rig", f"out={folder}"]
+    assert main(command) == 0
+    return folder
+
+
+@needs_compiler
+def test_it_leaves_source_example_and_figures(exported):
+    files = {path.name for path in exported.iterdir()}
+    assert files == {
+        *("rig.c", "rig.h", "rig_example.c", "Makefile"),
+        *("example.csv", "README.md", "controller.json"),
+    }
+    document = json.loads((exported / "controller.json").read_text())
+    assert document["schema"] == "trms.export-controller/1"
+    assert document["observer"]["channels"] == ["alpha_v", "omega_v"]
+    measured = document["measured"]
+    assert measured["samples"] == 5 * 100 and measured["failed"] == 0
+    assert measured["largest_difference"] <= 1e-9
+    assert 0 < measured["median"] <= measured["p99"] <= measured["longest"]
+    assert measured["context_bytes"] > 1000 and measured["observer_bytes"] > 1000
+
+
+@needs_compiler
+def test_the_readme_names_every_signal_and_says_what_was_measured(exported):
+    text = (exported / "README.md").read_text()
+    for word in ("| `x_hat` | 2 | alpha_v", "| `y` | 0 | alpha_v", "torque on pitch", "N*m"):
+        assert word in text
+    median = json.loads((exported / "controller.json").read_text())["measured"]["median"]
+    assert f"{median:.1f} µs" in text
+    assert "trms export-controller" in text
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+def test_its_makefile_builds_and_checks(exported, tmp_path):
+    folder = shutil.copytree(exported, tmp_path / "copy")
+    command = ["make", "-C", str(folder), "check", f"CC={compiler()}", "CFLAGS=-std=c99 -O1"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "largest_difference_V" in done.stdout
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_nothing_is_undefined_or_out_of_bounds(exported, tmp_path):
+    flags = ["-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    sources = [str(exported / "rig.c"), str(exported / "rig_example.c")]
+    program = str(tmp_path / "checked")
+    include = f"-I{exported}"
+    built = subprocess.run(
+        [str(compiler()), *flags, include, *sources, "-o", program, "-lm"],
+        capture_output=True,
+        text=True,
+    )
+    if built.returncode and "sanitize" in built.stderr:
+        pytest.skip("the compiler has no sanitizers")
+    assert built.returncode == 0, built.stderr
+    done = subprocess.run([program, str(exported / "example.csv")], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+
+
+@needs_compiler
+def test_the_example_follows_the_table_it_is_given(exported, tmp_path):
+    flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", f"-I{exported}"]
+    program = str(tmp_path / "example")
+    sources = [str(exported / "rig.c"), str(exported / "rig_example.c")]
+    subprocess.run([str(compiler()), *flags, *sources, "-o", program, "-lm"], check=True)
+    table = exported / "example.csv"
+    printed = subprocess.run(
+        [program, "--print", str(table)], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
+    assert len(printed) == len(rows)
+    for said, row in zip(printed, rows, strict=True):
+        assert float(said) == pytest.approx(float(row.split(",")[-1]), abs=1e-9)
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text("1,2,3\n")
+    assert subprocess.run([program, str(wrong)], capture_output=True).returncode == 2
+
+
+def test_without_a_compiler_it_writes_and_says_so(tmp_path, capsys, monkeypatch):
+    compiler.cache_clear()
+    monkeypatch.setenv("TRMS_COMPILE", "0")
+    try:
+        assert main(["export-controller", "newton_mpc", *SMALL, f"out={tmp_path / 'x'}"]) == 0
+    finally:
+        compiler.cache_clear()
+    assert "not measured: no C compiler found" in capsys.readouterr().out
+    assert "Not measured here" in (tmp_path / "x" / "README.md").read_text()
+    assert json.loads((tmp_path / "x" / "controller.json").read_text())["measured"] is None
+    assert (tmp_path / "x" / "newton_mpc.c").is_file()
+
+
+def test_a_controller_without_its_observer(tmp_path):
+    out = tmp_path / "x"
+    command = ["export-controller", "newton_mpc", *SMALL, "observer=full_state", "measure=false"]
+    assert main([*command, f"out={out}"]) == 0
+    assert "observe(" not in (out / "newton_mpc.h").read_text()
+
+
+@pytest.mark.parametrize(
+    ("override", "where", "words"),
+    [
+        ("controller=pid", "controller", "Pid has no C source"),
+        ("controller.terminal=quasi_infinite", "controller.terminal", "quasi_infinite"),
+        ("controller.fallback=stop", "controller.fallback", "stop"),
+        ("qp_solver@controller.qp=osqp", "controller.qp", "Osqp has no C source"),
+        ("plant=replay", "plant", "recording"),
+        ("name=Rig", "name", "'Rig' given"),
+        ("name=mpc", "name", "'mpc' given"),
+        ("measure=perhaps", "measure", "'perhaps' given"),
+        ("sim.duration=1e6", "sim.duration", "control periods"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(override, where, words, tmp_path, capsys):
+    more = ["plant.file=x.csv"] if override == "plant=replay" else []
+    small = SMALL[:2] if override == "plant=replay" else SMALL
+    keep = [text for text in small if text.split("=")[0] != override.split("=")[0]]
+    if override.startswith("controller=pid"):
+        keep = [text for text in keep if not text.startswith("controller.")]
+    out = tmp_path / "x"
+    code = main(["export-controller", *keep, override, *more, f"out={out}"])
+    said = capsys.readouterr().err
+    assert code == 2
+    assert words in said and f"in  {where}" in said
+    assert not out.exists()
+
+
+def test_another_word_in_place_of_the_controller(capsys):
+    assert main(["export-controller", "newton_npc"]) == 2
+    assert "newton_mpc" in capsys.readouterr().err
+
+
+def test_a_folder_that_holds_something_is_left_alone(tmp_path, capsys):
+    (tmp_path / "mine.txt").write_text("keep")
+    assert main(["export-controller", "newton_mpc", f"out={tmp_path}"]) == 2
+    assert "nothing is written over" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
