@@ -1,0 +1,261 @@
+"""Feedback linearisation of the beam by virtual moments, with the rotors in an inner loop.
+
+For each axis, with the reference r̃ behind three equal lags, e = r̃ − α, and the acceleration a
+that the model expects of the present moments (:mod:`trms_cli.controllers.virtual_moments`),
+
+    v = d²r̃/dt² + (1/λ) d³r̃/dt³ + k_d ė + k_p e + I       acceleration asked for
+    m = arm F(ω) + M⁻¹ (v − a − ȧ/λ)                        virtual moments
+    ω_m = F⁻¹(m / arm)                                      within what full commands hold
+    ω̇ = λ (ω_m − ω)                                        rotor loop, by the inverse of its motor
+    I⁺ = I + T k_i e                                        held while a command is at its limit
+
+so that the moment follows the one asked for with the rotor loop's lag 1/λ, and the error obeys
+
+    s⁴ + λ s³ + λ k_d s² + λ k_p s + λ k_i = Π (s + p_i)
+
+whose rates p_i are chosen: they give λ and the gains. ȧ is the rate of the acceleration but for the
+rotors' part, so that neither gravity nor damping enters the error. Where a rotor is at its fastest,
+I takes back what the moments cannot give (back-calculation). The third derivative of r̃ is cut so
+that what is fed forward stays within the rotors' thrust.
+
+Full linearisation to the input would divide by dF/dω, which is zero at ω = 0. A cascade with the
+inverse of the thrust curve does not: it is exact for small steps around any speed but zero, and
+close to it otherwise. The reaction K ω̇ of a rotor that changes its speed is left to the feedback:
+to cancel it through the other rotor makes that one's reaction come back on the first, and the
+commands chatter.
+
+Sources: Isidori, "Nonlinear Control Systems", 1995, ch. 5; for the virtual moments of rotor rigs
+Mahony, Kumar & Corke 2012 (IEEE Robotics & Automation Magazine 19).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.operating_point import SteadyState, Target
+from trms_cli.controllers.virtual_moments import VirtualMoments, virtual_moments
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+
+FloatArray = npt.NDArray[np.float64]
+_Positive = Annotated[float, Meta(gt=0)]
+_NotNegative = Annotated[float, Meta(ge=0)]
+#: Part of the largest thrust that a reference may ask for; the rest is left to the feedback.
+_FOR_REFERENCE = 0.9
+_AXES = ("pitch", "yaw")
+
+
+def gains_of(rates: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """λ, k_d, k_p and k_i that put the poles of the error at −rates, 1/s."""
+    _, c3, c2, c1, c0 = np.poly(-np.array(rates)).tolist()
+    return c3, c2 / c3, c1 / c3, c0 / c3
+
+
+@dataclass
+class FeedbackLinearisationState:
+    """The model's parts, and what is remembered.
+
+    Attributes
+    ----------
+    parts : VirtualMoments
+    steady : SteadyState
+        What references can be held.
+    gains : (4, n_a) array
+        λ, k_d, k_p, k_i.
+    guide : (n_a, 3) array
+        r̃ and its two derivatives, rad, rad/s, rad/s².
+    integral : (n_a,) array
+        I, rad/s².
+    lags : (n_a,) array
+        1 over each of the reference's lags, 1/s; infinite for none.
+    lower, upper : (n_u,) arrays
+        V.
+    period : float
+        T, s.
+    started : bool
+        Whether there was a sample yet.
+    target : Target or None
+        The steady state of the present reference.
+    """
+
+    parts: VirtualMoments
+    steady: SteadyState
+    gains: FloatArray
+    guide: FloatArray
+    integral: FloatArray
+    lags: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    period: float
+    started: bool = False
+    target: Target | None = None
+
+    def reachable(self, reference: FloatArray) -> FloatArray:
+        """The closest reference (n_r,) that can be held."""
+        if self.target is None or self.target.asked != tuple(reference.tolist()):
+            found = self.steady.solve(reference, None, self.target)
+            if found.converged:
+                self.target = found
+        return reference if self.target is None else self.target.reference_reached
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeedbackLinearisation:
+    """Feedback linearisation with rotor loops.
+
+    Attributes
+    ----------
+    poles : dict of str to tuple of float
+        Rates p_1 … p_4 of each axis' error, 1/s; their sum is the rotor loop's.
+    reference_lag : dict of str to float
+        Each of three lags on the reference of an axis, s.
+    use_disturbance : bool
+        Whether the observer's disturbance is part of the model's acceleration.
+    tracking_time : float
+        How fast the integral takes back what a rotor at its fastest cannot give, s.
+    sample_time : float or None
+        Control period, s; None takes every sample.
+    """
+
+    poles: Mapping[str, tuple[_Positive, _Positive, _Positive, _Positive]] = field(
+        default_factory=lambda: {"pitch": (3.0, 3.0, 3.0, 0.7), "yaw": (3.0, 3.0, 3.0, 0.7)}
+    )
+    reference_lag: Mapping[str, _Positive] = field(
+        default_factory=lambda: {"pitch": 0.35, "yaw": 0.25}
+    )
+    use_disturbance: bool = True
+    tracking_time: _Positive = 0.5
+    sample_time: _Positive | None = None
+
+    def __post_init__(self) -> None:
+        for key, given in (("poles", self.poles), ("reference_lag", self.reference_lag)):
+            for name in given:
+                if name not in _AXES:
+                    raise ConfigurationError(
+                        f"{name!r} is not an axis", where=key, remedy=nearest(name, _AXES)
+                    )
+            for name in _AXES:
+                if name not in given:
+                    raise ConfigurationError(
+                        f"nothing given for {name}", where=f"{key}.{name}", remedy="give both axes"
+                    )
+
+    def preview(self, setup: ControlSetup) -> int:
+        return 0
+
+    def init(self, setup: ControlSetup) -> FeedbackLinearisationState:
+        parts = virtual_moments(setup.model)
+        lower, upper = setup.model.input_bounds()
+        n = len(parts.axes)
+        lags = [self.reference_lag[axis.name] for axis in parts.axes]
+        return FeedbackLinearisationState(
+            parts,
+            SteadyState(setup.model),
+            np.array([gains_of(self.poles[axis.name]) for axis in parts.axes]).T,
+            np.zeros((n, 3)),
+            np.zeros(n),
+            1.0 / np.array(lags),
+            lower,
+            upper,
+            setup.sample_time,
+        )
+
+    def step(
+        self, state: FeedbackLinearisationState, sample: ControlSample, *, want_prediction: bool
+    ) -> Command:
+        x, previous = sample.estimate.x, sample.previous_command
+        reference = sample.reference[0]
+        given = x.tolist() + sample.estimate.disturbance.tolist() + reference.tolist()
+        if not math.isfinite(sum(given)):
+            return _held(previous, "the estimate or the reference is not finite")
+        w = sample.estimate.disturbance * float(self.use_disturbance)
+        axes = state.parts.axes
+        rate, a, change, mobility, arms, thrusts = state.parts.motion.evaluate(x, previous, w)
+        mobility = mobility.reshape(len(axes), len(axes))  # of a single axis it comes as a vector
+        moments = arms * thrusts
+        angles = x[[axis.state for axis in axes]]
+        if not state.started:
+            state.started = True
+            state.guide[:, 0] = angles
+        reachable = state.reachable(reference)[[axis.reference for axis in axes]]
+        ends = np.array([(axis.speed.x[0], axis.speed.x[-1]) for axis in axes]).T
+        reach = a + np.diag(mobility) * (_FOR_REFERENCE * arms * ends - moments)
+        jerk = _guided(state, reachable, reach)
+        r, r_rate, r_acceleration = state.guide.T
+        rotor, kd, kp, ki = state.gains
+        error = r - angles
+        v = r_acceleration + jerk / rotor + kd * (r_rate - rate) + kp * error + state.integral
+        try:
+            wanted = (moments + np.linalg.solve(mobility, v - a - change / rotor)) / arms
+        except np.linalg.LinAlgError:
+            return _held(previous, "the moments have no influence on the axes here")
+        forces = np.clip(wanted, *ends)
+        speeds = [axis.speed.at(f) for axis, f in zip(axes, forces.tolist(), strict=True)]
+        now = x[[axis.rotor for axis in axes]]
+        u = state.parts.command.evaluate(x, previous, w, rotor * (speeds - now))[0].copy()
+        lacking = mobility @ (arms * (forces - wanted))
+        if not math.isfinite(float(u.sum()) + float(lacking.sum()) + float(jerk.sum())):
+            return _held(previous, "the model's moments are not finite at this estimate")
+        largest = np.abs(np.diag(mobility) * arms * (ends[1] - ends[0]))
+        self._integrate(state, u, ki * error, lacking, largest)
+        _advance(state, jerk)
+        projected = state.target is not None and state.target.projected
+        words = "the reference is out of reach; the closest is the target" if projected else ""
+        return Command(u, message=words, out_of_reach=projected)
+
+    def _integrate(
+        self,
+        state: FeedbackLinearisationState,
+        u: FloatArray,
+        slope: FloatArray,
+        lacking: FloatArray,
+        largest: FloatArray,
+    ) -> None:
+        """The integral of the error, what the rotors cannot give taken back.
+
+        Never more than the rotors can give at all, so that one wild estimate does no lasting harm.
+        """
+        for i, axis in enumerate(state.parts.axes):
+            limited = not state.lower[axis.channel] < u[axis.channel] < state.upper[axis.channel]
+            if lacking[i] != 0.0:
+                state.integral[i] += state.period * (slope[i] + lacking[i] / self.tracking_time)
+            elif not limited:
+                state.integral[i] += state.period * slope[i]
+        np.clip(state.integral, -largest, largest, out=state.integral)
+
+
+def _advance(state: FeedbackLinearisationState, jerk: FloatArray) -> None:
+    """The reference's filter, one period on."""
+    T, guide = state.period, state.guide
+    guide[:, 2] += T * jerk
+    guide[:, 1] += T * guide[:, 2]
+    guide[:, 0] += T * guide[:, 1]
+
+
+def _guided(
+    state: FeedbackLinearisationState, reference: FloatArray, reach: FloatArray
+) -> FloatArray:
+    """d³r̃/dt³, cut so that the acceleration fed forward (2, n_a) is within reach."""
+    f, rotor = state.lags, state.gains[0]
+    r, rate, acceleration = state.guide.T
+    jerk = f * (f * (f * (reference - r) - 3 * rate) - 3 * acceleration)
+    # Whatever the rig does now, to come to rest is never forbidden.
+    least, most = np.minimum(reach.min(axis=0), 0.0), np.maximum(reach.max(axis=0), 0.0)
+    return np.clip(jerk, (least - acceleration) * rotor, (most - acceleration) * rotor)
+
+
+def _held(previous: FloatArray, why: str) -> Command:
+    return Command(
+        previous.copy(),
+        Status.FAILED,
+        fallback="hold",
+        message=f"{why}; the last command is held",
+    )
