@@ -1,15 +1,15 @@
 """Robust model predictive control by linear matrix inequalities, solved online.
 
-After Kothare, Balakrishnan & Morari 1996 (Automatica 32). The nonlinear model is, around the steady
-state of the reference, a linear one whose coefficients depend on the state; over the region in which
-the state is, they lie in a polytope (:mod:`trms_cli.controllers.robust.polytope`). At each sample the
-law v = v_s + K (z − z_s) is found whose worst cost over all models in it is least, with the inputs
-within their limits and the angles within their stops for all time
+After Kothare, Balakrishnan & Morari 1996 (Automatica 32). The nonlinear model is, around the
+steady state of the reference, a linear one whose coefficients depend on the state; over the region
+in which the state is, they lie in a polytope (:mod:`trms_cli.controllers.robust.polytope`). At each
+sample the law v = v_s + K (z − z_s) is found whose worst cost over all models in it is least, with
+the inputs within their limits and the angles within their stops for all time
 (:mod:`trms_cli.controllers.robust.lmi`). A law acts only if its certificate holds
 (:mod:`trms_cli.controllers.robust.certificate`).
 
-With ``polytope: sub`` the region shrinks with the state: the sub-polytope. The coordinates, in which
-the yaw has a gain where the tail rotor stands still, are those of
+With ``polytope: sub`` the region shrinks with the state: the sub-polytope. The coordinates, in
+which the yaw has a gain where the tail rotor stands still, are those of
 :mod:`trms_cli.controllers.robust.coordinates`.
 """
 
@@ -125,10 +125,10 @@ class RobustMpc(Design):
             regulation.m,
             2 * len(setup.model.controlled),
             2**self.principal_components,
-            regulation.bounded,
-            self.lyapunov,
-            self.solver,
-            self.max_iterations,
+            bounded=regulation.bounded,
+            lyapunov=self.lyapunov,
+            solver=self.solver,
+            max_iterations=self.max_iterations,
         )
         return RobustMpcState(regulation, inequalities)
 
@@ -148,9 +148,10 @@ class RobustMpc(Design):
             )
         if not self.disturbance_compensation:
             w = np.zeros_like(w)
-        aim = state.aim = regulation.aim(sample, state.aim, w)
-        if aim.moved:
+        aim = regulation.aim(sample, state.aim, w)
+        if aim.moved and aim is not state.aim:
             state.law = None
+        state.aim = aim
         z = regulation.deviation(x, aim.target)
         law = state.law
         if law is not None and self.redesign_below < _level(law.solution, z) <= 1.0:

@@ -41,7 +41,7 @@ class Certificate:
         Least eigenvalue of the scaled inequality at each vertex j and next vertex l with the
         solver's γ; not below −tolerance.
     state : float
-        max z'Q_j⁻¹z of the state that the law was made for; at most 1.
+        max z'Q_j⁻¹z of the states that the law was made for; at most 1.
     inputs : (m,) array
         Largest |v_i| in the ellipsoid relative to its bound; at most 1.
     states : (n,) array
@@ -109,7 +109,7 @@ def certify(task: Task, solution: Solution) -> Certificate:
         _least_gamma(rest, price) if positive else float("inf"),
         solution.gamma,
         residuals,
-        float(max(task.z @ inverse @ task.z for inverse in inverses)),
+        float(np.einsum("ka,jab,kb->jk", task.z, inverses, task.z).max()),
         sizes / np.maximum(task.input_bounds, 1e-12),
         np.where(np.isfinite(task.state_bounds), extents / task.state_bounds, 0.0),
     )

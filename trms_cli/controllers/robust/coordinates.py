@@ -18,8 +18,8 @@ wide as can be (:class:`ThrustDemand`).
 A momentum is replaced by the rate of its angle, so that the start of the main rotor, whose reaction
 the momentum of a beam at rest already lacks, does not look like a yaw in motion; not so where that
 rate has the speed of a rotor regulated by thrust in it, which has no slope in ψ at ψ = 0. The other
-coordinates are the states as they are. States that decay within a small part of the period (armature
-currents) are left out.
+coordinates are the states as they are. States that decay within a small part of the period
+(armature currents) are left out.
 """
 
 from __future__ import annotations

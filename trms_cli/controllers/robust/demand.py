@@ -1,8 +1,8 @@
 """How much thrust may be asked for so that every command stays within its limits.
 
 For a rotor regulated by ψ (see :mod:`trms_cli.controllers.robust.coordinates`) the commands within
-their limits reach, in a period, the ψ⁺ between ψ_lo(ψ) and ψ_hi(ψ), both increasing. With the demand
-ψ⁺ = ψ_s + λ (ψ − ψ_s) + ν it is enough that
+their limits reach, in a period, the ψ⁺ between ψ_lo(ψ) and ψ_hi(ψ), both increasing. With the
+demand ψ⁺ = ψ_s + λ (ψ − ψ_s) + ν it is enough that
 
     |ν| ≤ min( min_ψ ψ_hi(ψ) − λ ψ − (1 − λ) ψ_s,   min_ψ λ ψ − ψ_lo(ψ) + (1 − λ) ψ_s )
 

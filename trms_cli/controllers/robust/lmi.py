@@ -1,8 +1,8 @@
 """The linear matrix inequalities of robust MPC, parametrised once.
 
-After Kothare, Balakrishnan & Morari 1996 (Automatica 32): of all linear laws v = K z, K = Y G⁻¹, the
-one with the least bound γ on the worst cost  Σ z'C'C z + v'R v  that any sequence of models from the
-polytope can run up from the present z,
+After Kothare, Balakrishnan & Morari 1996 (Automatica 32): of all linear laws v = K z, K = Y G⁻¹,
+the one with the least bound γ on the worst cost  Σ z'C'C z + v'R v  that any sequence of models
+from the polytope can run up from the present z,
 
     minimise γ + ρ Σ s   subject to, at every vertex j (and l),
 
@@ -13,11 +13,11 @@ polytope can run up from the present z,
     (Q_j)_ii ≤ z̄_i² + s_i                                 |z_i| ≤ z̄_i in the whole ellipsoid
 
 With ``common`` there is one Q = G for all vertices: Kothare's LMIs. T is the stage's cost brought
-out of them: the same set of Q, Y, γ, and the blocks shrink from 3n + m to 2n rows, which the solver's
+out of them: the same set of Q, Y, γ, and the blocks shrink from 3n + m to 2n rows, which a solver's
 time goes with the sixth power of. With ``parameter_dependent`` each vertex has its own Q_j and G is
-free (Cuzzola, Geromel & Morari 2002, Automatica 38); the vertex of the next sample may be any other,
-so that the inequality must hold for all pairs (j, l): that is the correction of Mao 2003 (Automatica
-39), without which the cost need not fall when the model varies in time.
+free (Cuzzola, Geromel & Morari 2002, Automatica 38); the vertex of the next sample may be any
+other, so that the inequality must hold for all pairs (j, l): that is the correction of Mao 2003
+(Automatica 39), without which the cost need not fall when the model varies in time.
 
 The slacks s are nought wherever the constraints can be met (an exact penalty); otherwise they say
 by how much they cannot.
@@ -54,8 +54,8 @@ class Task:
         C'C weighs z.
     R : (m,) array
         Weighs v.
-    z : (n,) array
-        Where the bound is to be least.
+    z : (k, n) array
+        Where the bound is to be least: the worst of these states counts.
     input_bounds : (m,) array
         ū.
     state_bounds : (n,) array
@@ -105,6 +105,8 @@ class Inequalities:
     vertices : int
     bounded : sequence of int
         Coordinates whose bounds may be finite.
+    states : int
+        k, for which the bound is to be least.
     lyapunov : {"common", "parameter_dependent"}
     solver : {"clarabel", "scs"}
     max_iterations : int
@@ -122,6 +124,7 @@ class Inequalities:
         q: int,
         vertices: int,
         bounded: Sequence[int] = (),
+        states: int = 1,
         lyapunov: Lyapunov = "common",
         solver: Literal["clarabel", "scs"] = "clarabel",
         max_iterations: int = 60,
@@ -145,8 +148,9 @@ class Inequalities:
         self._A = [cp.Parameter((n, n)) for _ in range(vertices)]
         self._B = [cp.Parameter((n, m)) for _ in range(vertices)]
         self._C, self._R = cp.Parameter((q, n)), cp.Parameter((m, m))
-        self._z = cp.Parameter((n, 1))
-        self._input, self._state = (cp.Parameter(k, nonneg=True) if k else None for k in (m, kept))
+        self._z = [cp.Parameter((n, 1)) for _ in range(states)]
+        self._input = cp.Parameter(m, nonneg=True)
+        self._state = cp.Parameter(kept, nonneg=True) if kept else None
         self._inside = cp.Parameter((n, n), symmetric=True) if nested else None
 
         Q, G, Y = self._Q, self._G, self._Y
@@ -154,7 +158,8 @@ class Inequalities:
         S = cp.vstack([self._C @ G, self._R @ Y])
         constraints = [cp.bmat([[T, S.T], [S, self._gamma * np.eye(q + m)]]) >> 0]
         for Qj in Q:
-            constraints.append(cp.bmat([[np.ones((1, 1)), self._z.T], [self._z, Qj]]) >> 0)
+            one = np.ones((1, 1))
+            constraints += [cp.bmat([[one, z.T], [z, Qj]]) >> 0 for z in self._z]
             if self._state is not None:
                 held = cp.hstack([Qj[i, i] for i in self._bounded])
                 constraints.append(held <= self._state + self._slack[m:])
@@ -186,13 +191,14 @@ class Inequalities:
         import cvxpy as cp
 
         # The stage's cost is brought to the order of one, that the tolerances mean the same to all.
-        unit = max(float(task.z @ (task.C.T @ task.C) @ task.z), 1e-12)
+        unit = max(float((np.abs(task.z @ task.C.T) ** 2).sum(axis=1).max()), 1e-12)
         size = math.sqrt(unit)
         for j in range(self.vertices):
             self._A[j].value, self._B[j].value = task.A[j], task.B[j]
         self._C.value = task.C
         self._R.value = np.diag(np.sqrt(task.R))
-        self._z.value = task.z[:, None] / size
+        for z, value in zip(self._z, task.z, strict=True):
+            z.value = value[:, None] / size
         input_bounds = np.minimum(task.input_bounds / size, _FAR)
         state_bounds = np.minimum(task.state_bounds[self._bounded] / size, _FAR)
         self._input.value = input_bounds**2
@@ -206,20 +212,23 @@ class Inequalities:
                 self.problem.solve(**self._options)
         except (cp.error.SolverError, ArithmeticError, ValueError):
             return None
-        if self._Y.value is None or self._gamma.value is None:
+        values = [v.value for v in (self._Y, self._gamma, self._G, self._slack, *self._Q)]
+        found = [np.asarray(value) for value in values if value is not None]
+        if len(found) < len(values) or not all(np.isfinite(value).all() for value in found):
             return None
+        Y, gamma, G, relaxed, *Qs = found
         try:
-            K = np.linalg.solve(self._G.value.T, self._Y.value.T).T
+            K = np.linalg.solve(G.T, Y.T).T
         except np.linalg.LinAlgError:
             return None
-        Q = np.array([(Qj.value + Qj.value.T) / 2 for Qj in self._Q]) * unit
+        Q = np.array([(Qj + Qj.T) / 2 for Qj in Qs]) * unit
         bounds = np.concatenate([input_bounds, state_bounds]) ** 2
-        slack = np.maximum(self._slack.value, 0.0) / bounds
+        slack = np.maximum(relaxed, 0.0) / bounds
         stats: Any = self.problem.solver_stats
         return Solution(
             Q,
             np.ascontiguousarray(K),
-            float(self._gamma.value) * unit,
+            float(gamma) * unit,
             float(slack.max()),
             int(stats.num_iters or 0),
             str(self.problem.status),

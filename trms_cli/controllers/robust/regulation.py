@@ -62,7 +62,7 @@ class Design:
 
     thrust_inputs: tuple[str, ...] = ("u_h",)
     smallest_speed: Positive = 5.0
-    thrust_band: Positive = 60.0
+    thrust_band: Positive = 120.0
     thrust_pole: Annotated[float, Meta(gt=0, lt=1)] = 0.9
     state_weights: Mapping[str, Positive] = field(default_factory=dict)
     rate_weights: Mapping[str, NotNegative] = field(default_factory=dict)
@@ -83,14 +83,17 @@ class Aim:
     target : Target
         The same in the coordinates.
     message : str
+    asked : (n_r,) array
+        The reference, rad.
     moved : bool
-        Whether the reference asked for changed with this sample.
+        Whether it is another than that of the aim before.
     """
 
     steady: operating_point.Target
     target: Target
     message: str
-    moved: bool
+    asked: FloatArray
+    moved: bool = False
 
 
 class Regulation:
@@ -160,6 +163,12 @@ class Regulation:
     def aim(self, sample: ControlSample, previous: Aim | None, disturbance: FloatArray) -> Aim:
         """The steady state of the reference under the torques that are estimated."""
         asked = sample.reference[-1]
+        if (
+            previous is not None
+            and np.array_equal(asked, previous.asked)
+            and np.array_equal(disturbance, previous.target.w)
+        ):
+            return previous
         last = previous.steady if previous is not None else None
         found = self.steady.solve(asked, disturbance, last)
         message = ""
@@ -169,13 +178,13 @@ class Regulation:
                 last,
                 previous.target,
                 "nothing holds the rig at the estimated disturbance; the last target stays",
-                moved=False,
+                previous.asked,
             )
         if found.projected:
             message = "the reference is out of reach; the closest is the target"
         z = self.coordinates.forward(found.x)
         target = Target(z, self.coordinates.demand(z, found.u), disturbance.copy())
-        return Aim(found, target, message, moved=last is None or found.asked != last.asked)
+        return Aim(found, target, message, asked.copy(), last is None or found.asked != last.asked)
 
     def deviation(self, x: FloatArray, target: Target) -> FloatArray:
         """z − z_s in units of the scales, shape (n,)."""
@@ -232,13 +241,13 @@ class Regulation:
         return C
 
     def task(self, polytope: Polytope, aim: Aim, deviation: FloatArray) -> Task:
-        """The inequalities' data for a deviation (n,) from a target."""
+        """The inequalities' data for deviations (n,) or (k, n) from a target."""
         return Task(
             polytope.A,
             polytope.B,
             self.weights(polytope.centre[:, : self.n]),
             self._r * (self.scale_v / self._volt) ** 2,
-            deviation,
+            np.atleast_2d(deviation),
             self.input_bounds(aim),
             self.state_bounds(aim.target),
         )
@@ -247,6 +256,12 @@ class Regulation:
         """The box target ± extents (n,), in units of the scales, within the region of operation."""
         half = extents * self.scale_z
         return Region(target.z - half, target.z + half).within(self.around(target))
+
+    def covers(self, target: Target, extents: FloatArray, reached: FloatArray) -> bool:
+        """Whether what is possible of target ± reached lies in the box of target ± extents."""
+        return self.region_of(target, extents).contains(
+            self.region_of(target, reached), 1e-6 * self.scale_z
+        )
 
     def around(self, target: Target) -> Region:
         """The region of operation with the target's own momenta in its middle."""

@@ -1,0 +1,148 @@
+"""Robust model predictive control by a family of ellipsoids made before the run.
+
+After Wan & Kothare 2003 (Automatica 39); see :mod:`trms_cli.controllers.robust.family`. The same
+inequalities as :mod:`trms_cli.controllers.robust_mpc`, solved once; a step looks its law up.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.robust.family import Family, make_family
+from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.observers.observer import Estimate
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass
+class RobustMpcOfflineState:
+    """What changes during a run.
+
+    Attributes
+    ----------
+    regulation : Regulation
+    family : Family
+    aim : Aim or None
+        The target of the last sample.
+    share : float
+        By which the family's ellipsoids are shrunk at the target.
+    """
+
+    regulation: Regulation
+    family: Family
+    aim: Aim | None = None
+    share: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustMpcOffline(Design):
+    """Robust MPC by lookup.
+
+    Attributes
+    ----------
+    sample_time : float
+        Control period, s.
+    widest : dict of str to float
+        The farthest states that laws are made for: a deviation of each controlled angle, rad.
+    targets : dict of str to float
+        Half-width of the references that the family serves, rad; beyond, its certificate does not
+        hold.
+    rings : int
+        Ellipsoids.
+    smallest : float
+        States that the innermost is made for, as a share of the farthest.
+    disturbance_compensation : bool
+        Whether the observer's constant disturbances enter the target (offset-free).
+    """
+
+    sample_time: Positive = 0.1
+    widest: Mapping[str, Positive] = field(default_factory=dict)
+    targets: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    rings: Annotated[int, Meta(ge=1)] = 12
+    smallest: Annotated[float, Meta(gt=0, lt=1)] = 0.02
+    disturbance_compensation: bool = True
+
+    def preview(self, setup: ControlSetup) -> int:
+        return 0
+
+    def init(self, setup: ControlSetup) -> RobustMpcOfflineState:
+        """The family, made or read from the user's cache."""
+        regulation = Regulation(self, setup)
+        model, coordinates = setup.model, regulation.coordinates
+        widest = _angles(self.widest, model.controlled, 0.5, "widest")
+        reach = _angles(self.targets, model.controlled, 0.0, "targets")
+        line = np.zeros((len(widest), regulation.n))
+        for k, (name, value) in enumerate(zip(model.controlled, widest, strict=True)):
+            row = coordinates.kept.index(model.state_index(name))
+            line[k, row] = value / regulation.scale_z[row]
+        aims = []
+        for corner in itertools.product((0.0, -1.0, 1.0), repeat=len(reach)):
+            rest = model.rest()
+            sample = ControlSample(
+                0.0,
+                (np.array(corner) * reach)[None, :],
+                Estimate(rest, rest, np.zeros(model.n_w), np.zeros(model.n_w)),
+                np.zeros(model.n_u),
+            )
+            aim = regulation.aim(sample, None, np.zeros(model.n_w))
+            if aim.steady.converged and not aim.steady.projected:
+                aims.append(aim)
+        positions = np.geomspace(1.0, self.smallest, self.rings).tolist()
+        return RobustMpcOfflineState(
+            regulation, make_family(self, regulation, aims, line, positions)
+        )
+
+    def step(
+        self, state: RobustMpcOfflineState, sample: ControlSample, *, want_prediction: bool
+    ) -> Command:
+        """One sample: target, lookup, command."""
+        regulation, family = state.regulation, state.family
+        x, w = sample.estimate.x, sample.estimate.disturbance
+        total = sum(x.tolist()) + sum(w.tolist()) + float(sample.reference.sum())
+        if not math.isfinite(total):
+            return Command(
+                np.clip(sample.previous_command, regulation.lower, regulation.upper),
+                Status.FAILED,
+                fallback="hold",
+                message="the estimate or the reference is not finite; the last command is held",
+            )
+        if not self.disturbance_compensation:
+            w = np.zeros_like(w)
+        aim = regulation.aim(sample, state.aim, w)
+        if aim is not state.aim:
+            state.aim, state.share = aim, family.share(regulation.input_bounds(aim))
+        z = regulation.deviation(x, aim.target)
+        K, ring, level = family.gain(z / state.share)
+        u = regulation.command(x, aim, z, K @ z)
+        message, status = aim.message, Status.OK
+        if ring < 0:
+            status = Status.RELAXED
+            message = message or "outside of all ellipsoids; the outermost law is cut to the limits"
+        cost = family.rings.gammas[max(ring, 0)] * level * state.share**2
+        return Command(u, status, objective=cost, message=message)
+
+
+def _angles(
+    given: Mapping[str, float], controlled: tuple[str, ...], default: float, key: str
+) -> FloatArray:
+    known = {"alpha_v", "alpha_h", *controlled}
+    for name in given:
+        if name not in known:
+            raise ConfigurationError(
+                f"{name!r} is not a controlled angle",
+                where=f"controller.{key}",
+                remedy=nearest(name, known),
+            )
+    return np.array([given.get(name, default) for name in controlled])
