@@ -137,7 +137,7 @@ def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
     yield rule(ranking)
     if ranking.clusters >= FEWEST_CLUSTERS:
         yield (
-            f"Intervals: {LEVEL:.0%} of a paired bootstrap over {ranking.clusters} rigs. "
+            f"Intervals: {100 * LEVEL:.0f} % of a paired bootstrap over {ranking.clusters} rigs. "
             "≠ told from the first, = not told from it."
         )
     else:
@@ -250,7 +250,7 @@ def _alarm(count: int) -> str:
 
 
 def _between(interval: Interval | None) -> str:
-    return "–" if interval is None else f"{interval.low:.2f}…{interval.high:.2f}"
+    return "–" if interval is None else f"{interval.low:.3f}–{interval.high:.3f}"
 
 
 def _ratio(value: float) -> str:

@@ -1,0 +1,1 @@
+"""The tournament: controllers × observers × references × rigs, ranked with intervals."""

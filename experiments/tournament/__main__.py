@@ -1,0 +1,148 @@
+"""``python -m experiments.tournament``: everybody against everybody, ranked with intervals."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from experiments.tournament.schedule import TOURNAMENT, Plan, Run, read_plan, runs_of
+from trms_cli.cli import describe_error
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
+
+_ABOUT = "about.json"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the tournament, print its tables, write them into the documentation on request."""
+    given = _parser().parse_args(argv)
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[variable] = "1"  # every process is one thread
+    try:
+        return _tournament(given)
+    except TrmsError as error:
+        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
+        return error.exit_code
+    except KeyboardInterrupt:
+        sys.stderr.write("\ninterrupted; --resume goes on\n")
+        return EXIT_INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments.tournament", description=__doc__)
+    parser.add_argument(
+        "--only",
+        default="*",
+        metavar="PATTERN",
+        help="runs: 'newton_mpc+*', '*/sine/*', '*/draw_*'",
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    parser.add_argument("--quick", action="store_true", help="small, to see that it works")
+    parser.add_argument("--resume", action="store_true", help="go on in a folder; no run twice")
+    parser.add_argument("--logs", action="store_true", help="keep the log of every run")
+    parser.add_argument(
+        "--publish", action="store_true", help="put tables and figures into docs/tournament.md"
+    )
+    parser.add_argument("--tournament", type=Path, default=TOURNAMENT, help="another YAML")
+    parser.add_argument(
+        "--out", type=Path, default=Path("outputs/tournament"), help="folder of runs and tables"
+    )
+    return parser
+
+
+def _tournament(given: argparse.Namespace) -> int:
+    from experiments.tournament import figures, page
+    from experiments.tournament.published import put_beside, read_published
+    from experiments.tournament.verdict import read_results
+    from trms_cli.commands.run_folder import write_document
+
+    if given.jobs < 1:
+        raise ConfigurationError(f"{given.jobs} given", where="--jobs", remedy="one at the least")
+    plan = read_plan(given.tournament)
+    runs = runs_of(plan, pattern=given.only, quick=given.quick)
+    published = read_published()
+    seconds = _run(runs, given, plan)
+    results = read_results(given.out, plan.criteria)
+    besides = [put_beside(each, given.out / "published") for each in published]
+    about = _about(given, seconds, whole=given.only == "*" and not given.quick)
+    write_document(page.report(results, besides, about, plan.criteria), given.out / "report.json")
+    drawn = figures.draw(results, given.out / "figures")
+    page.print_results(results)
+    print(f"\n{results.runs} runs; tables and figures: {given.out}; the ranking again:")
+    print(f"  trms compare {given.out / 'main'}")
+    if given.publish:
+        page.publish(page.tables(results, besides, plan.criteria), about, results, drawn)
+    return EXIT_OK
+
+
+def _run(runs: Sequence[Run], given: argparse.Namespace, plan: Plan) -> float:
+    """Run what has not been run; returns the seconds that all of it took, resumed or not."""
+    from experiments.tournament.running import is_done, run_all
+
+    given.out.mkdir(parents=True, exist_ok=True)
+    if any(given.out.iterdir()) and not given.resume:
+        raise ConfigurationError(
+            f"the folder {str(given.out)!r} is not empty, and nothing is written over",
+            where="--out",
+            remedy="--resume goes on in it, or name another",
+        )
+    before = _earlier(given.out)
+    todo = [run for run in runs if not is_done(run, given.out)]
+    begin = perf_counter()
+    with _progress(len(todo)) as advance:
+        for run in run_all(
+            todo, given.out, jobs=given.jobs, time_limit=plan.time_limit, logs=given.logs
+        ):
+            advance(run.name)
+            seconds = before + perf_counter() - begin
+            (given.out / _ABOUT).write_text(json.dumps({"seconds": seconds}), encoding="utf-8")
+    return before + perf_counter() - begin
+
+
+def _earlier(out: Path) -> float:
+    """Seconds that were spent before this was resumed."""
+    try:
+        return float(json.loads((out / _ABOUT).read_text(encoding="utf-8"))["seconds"])
+    except (OSError, ValueError, KeyError):
+        return 0.0
+
+
+def _about(given: argparse.Namespace, seconds: float, *, whole: bool) -> dict[str, Any]:
+    from benchmarks.machine import describe
+    from trms_cli.commands.git_revision import GitRevision
+
+    return {
+        "seconds": round(seconds, 1),
+        "jobs": given.jobs,
+        "whole": whole,
+        "git": GitRevision.ask().answer(),
+        "machine": describe(),
+    }
+
+
+class _progress:
+    """A rich bar on standard error if that is a terminal."""
+
+    def __init__(self, total: int) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(file=sys.stderr)
+        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._bar.add_task("runs", total=total)
+
+    def __enter__(self) -> Any:
+        self._bar.start()
+        return lambda name: self._bar.update(self._task, advance=1, description=name)
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

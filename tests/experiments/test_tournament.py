@@ -1,0 +1,296 @@
+"""The tournament: who takes part, that nothing is lost or run twice, and its verdicts."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+
+import pytest
+
+from experiments.tournament import __main__ as program
+from experiments.tournament import page, running
+from experiments.tournament.published import put_beside, read_published
+from experiments.tournament.schedule import (
+    BLOCKS,
+    FAULTS,
+    MAIN,
+    Run,
+    options,
+    read_plan,
+    rigs_of,
+    runs_of,
+)
+from experiments.tournament.verdict import read_results
+from trms_cli.commands.composition import compose
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.scoring.comparison.compared_run import State
+from trms_cli.scoring.comparison.gathering import gather
+
+PLAN = read_plan()
+
+
+def a_run(controller="pid", rig="nominal_0", ref="square", words=(), **more):
+    """A short run with no observer to be compiled."""
+    made = Run(
+        controller=controller,
+        observer="full_state",
+        ref=ref,
+        rig=rig,
+        rig_class="nominal",
+        blocks=(MAIN,),
+        entrant_words=(f"controller={controller}", "observer=full_state", *words),
+        ref_words=(f"ref={ref}",),
+        rig_words=("plant=ideal",),
+        every=("sim.duration=2.0", "sim.prediction_every=0"),
+    )
+    return replace(made, **more)
+
+
+class TestWhoTakesPart:
+    @pytest.mark.parametrize("group", ["controller", "observer", "effect", "fault"])
+    def test_every_option_is_entered_or_left_out_with_a_reason(self, group):
+        entered = {
+            "controller": {*PLAN.controllers},
+            "observer": {*PLAN.observers},
+            "effect": {r.removeprefix("effect_") for r in rigs_of(PLAN)},
+            "fault": {r.removeprefix("fault_") for r in rigs_of(PLAN)},
+        }[group]
+        left_out = PLAN.left_out.get(group, {})
+        assert all(reason.strip() for reason in left_out.values())
+        missing = set(options(group)) - entered - set(left_out)
+        assert not missing, f"enter them in tournament.yaml, or say why not: {missing}"
+        assert not entered & set(left_out)
+
+    def test_all_in_the_main_block_meet_the_same_conditions(self):
+        met: dict[tuple[str, str], set[tuple[str, str]]] = {}
+        for run in runs_of(PLAN):
+            if MAIN in run.blocks and not run.outside:
+                met.setdefault((run.controller, run.observer), set()).add((run.ref, run.rig))
+        usual = {name: who for name, who in PLAN.controllers.items() if not who.few}
+        whole = [met[name, who.observer] for name, who in usual.items()]
+        assert all(conditions == whole[0] for conditions in whole)
+
+    def test_nobody_ranked_sees_the_reference_ahead(self):
+        for name, who in PLAN.controllers.items():
+            config = compose(["model=newtonian", *who.words]).config["controller"]
+            assert not config.get("preview_horizon"), name
+
+    def test_runs_are_unique_and_hundreds(self):
+        runs = runs_of(PLAN)
+        assert len({run.name for run in runs}) == len(runs)
+        assert len(runs) > 600
+
+    def test_patterns_choose_and_refuse(self):
+        chosen = runs_of(PLAN, pattern="pid+ukf/sine/draw_*")
+        assert {run.rig for run in chosen} == {f"draw_{k}" for k in range(1, 9)}
+        with pytest.raises(ConfigurationError, match="no run matches"):
+            runs_of(PLAN, pattern="nobody*")
+
+    def test_quick_is_small_and_has_every_block(self):
+        runs = runs_of(PLAN, quick=True)
+        assert len(runs) < 120
+        assert {block for run in runs for block in run.blocks} == set(BLOCKS)
+
+
+class TestConfigurations:
+    @pytest.mark.parametrize(
+        "pick",
+        [
+            "newton_mpc+ukf/sine/draw_3",
+            "lqr+kalman/square/sensors_x4",
+            "pid+ukf/square/effect_yaw_coulomb_friction",
+            "pid+ukf/square/perfect_sensors",
+            "pid+ukf/square/fault_yaw_outliers",
+        ],
+    )
+    def test_joined_parts_are_what_is_composed_at_once(self, pick):
+        run = runs_of(PLAN, pattern=pick)[0]
+        assert running.config_of(run) == compose([*run.words, "picture=false"]).config
+
+    def test_parts_that_change_one_key_are_composed_together(self):
+        run = a_run(words=("plant.prior_seed=3",))
+        config = running.config_of(run)
+        assert config == compose([*run.words, "picture=false"]).config
+        assert config["plant"]["prior_seed"] == 3
+        assert config["plant"]["sensors"]["noise_sd"]["omega_v"] == 0.0
+
+
+class TestRunning:
+    def finish(self, runs, out, logs=False, jobs=1):
+        return list(running.run_all(runs, out, jobs=jobs, time_limit=60.0, logs=logs))
+
+    def test_a_run_without_a_log_scores_as_one_with_it(self, tmp_path):
+        running.perform(a_run(), tmp_path / "a", 60.0, logs=False)
+        running.perform(a_run(), tmp_path / "b", 60.0, logs=True)
+        one, other = (gather([tmp_path / name]).runs[0] for name in "ab")
+        assert (tmp_path / "b" / MAIN / "pid+full_state/square/nominal_0/run.mcap").is_file()
+        assert one.score["channels"] == other.score["channels"]
+        assert one.score["inputs"] == other.score["inputs"]
+        assert one.coordinates["controller"] == other.coordinates["controller"] == "pid"
+
+    def test_is_filed_in_every_block_and_not_run_twice(self, tmp_path):
+        run = a_run(blocks=(MAIN, FAULTS))
+        running.perform(run, tmp_path, 60.0, logs=False)
+        for block in run.blocks:
+            assert (running.folder_of(run, tmp_path, block) / "score.json").is_file()
+        assert running.is_done(run, tmp_path)
+        assert not running.is_done(replace(run, ref_words=("ref=sine",)), tmp_path)
+
+    def test_a_failure_is_filed_with_its_sentence(self, tmp_path):
+        run = a_run(words=("controller.sample_time=0.03",))
+        running.perform(run, tmp_path, 60.0, logs=False)
+        found = gather([tmp_path]).runs[0]
+        assert found.state is State.FAILED
+        assert "0.03" in found.message
+        assert running.is_done(run, tmp_path)  # it would fail again
+
+    def test_what_takes_too_long_fails(self, tmp_path):
+        run = a_run(every=("sim.duration=2000.0", "sim.prediction_every=0"))
+        running.perform(run, tmp_path, 1.0, logs=False)
+        assert "longer than 1 s" in gather([tmp_path]).runs[0].message
+
+    @pytest.mark.slow
+    def test_a_worker_that_dies_is_told_and_takes_nobody_with_it(self, tmp_path, monkeypatch):
+        package = tmp_path / "lab"
+        (package / "configs" / "controller").mkdir(parents=True)
+        (package / "deadly_lab.py").write_text(
+            "import os\nfrom dataclasses import dataclass\n"
+            "@dataclass(frozen=True, kw_only=True)\nclass Deadly:\n"
+            "    sample_time: float | None = None\n"
+            "    def preview(self, setup):\n        return 0\n"
+            "    def init(self, setup):\n        return None\n"
+            "    def step(self, state, sample, *, want_prediction):\n        os._exit(9)\n"
+        )
+        (package / "configs" / "controller" / "deadly.yaml").write_text(
+            "# kills its process\n_target_: deadly_lab.Deadly\nsample_time: null  # s\n"
+        )
+        words = ("--config-dir", str(package / "configs"))
+        deadly = a_run("deadly", every=(*a_run().every, *words))
+        runs = [deadly, *(a_run(ref=ref) for ref in ("square", "sine", "sawtooth", "step"))]
+        monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(package), os.getcwd()]))
+        ended = self.finish(runs, tmp_path / "out", jobs=2)
+        assert sorted(run.name for run in ended) == sorted(run.name for run in runs)
+        found = {run.coordinates["controller"]: run for run in gather([tmp_path / "out"]).runs}
+        assert found["deadly"].state is State.FAILED
+        assert "died" in found["deadly"].message
+        assert found["pid"].state is State.DONE
+        assert not running.is_done(deadly, tmp_path / "out")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A tournament of three on four rigs, with made-up scores: everything but the runs is real."""
+    out = tmp_path_factory.mktemp("finished")
+    errors = {"newton_mpc": 0.2, "nmpc": 0.2, "lqr": 0.21}
+    for name in ("newton_mpc+ukf/*", "nmpc+ukf/*", "lqr+ukf/*"):
+        for run in runs_of(PLAN, pattern=name):
+            if run.blocks[0] not in (MAIN, FAULTS):
+                continue
+            error = errors[run.controller] * (1.5 if run.rig == "draw_2" else 1.0)
+            if run.controller == "newton_mpc" and run.rig == "effect_yaw_coulomb_friction":
+                error *= 1.2
+            milliseconds = 4.0 if run.controller == "nmpc" else 0.5
+            score = {
+                "schema": "trms.score/1",
+                "complete": True,
+                "duration_s": 40.0,
+                "channels": {n: {"rmse": error / 2} for n in ("alpha_v", "alpha_h")},
+                "inputs": {"u_v": {"effort": 1.0, "total_variation": 2.0}},
+                "solver": {"time_ms": {"median": milliseconds, "p99": 1.0, "max": 2.0}},
+                "constraint_violations": {},
+                "run": {"coordinates": run.coordinates, "non_finite": 0, "fingerprint": ""},
+            }
+            for block in run.blocks:
+                folder = running.folder_of(run, out, block)
+                folder.mkdir(parents=True)
+                (folder / "score.json").write_text(json.dumps(score))
+    return out
+
+
+class TestVerdicts:
+    def test_the_aims_are_judged_by_the_figures(self, finished):
+        results = read_results(finished, PLAN.criteria)
+        met = {aim.words.split(",")[0]: aim.met for aim in results.aims}
+        assert [aim.met for aim in results.aims] == [True, False, True, True, True], met
+        assert {(each.rig, each.ref) for each in results.behind} == {
+            ("effect_yaw_coulomb_friction", ref) for ref in PLAN.rigs["effect"].references
+        }
+        assert results.behind[0].ratio == pytest.approx(0.24 / 0.2)
+        assert "8.0 times" in results.aims[-1].figures
+
+    def test_compare_prints_the_same_ranking(self, finished, capsys):
+        from trms_cli.cli import main
+
+        assert main(["compare", str(finished / MAIN), "--json", "--by", "controller,observer"]) == 0
+        compared = json.loads(capsys.readouterr().out)
+        results = read_results(finished, PLAN.criteria)
+        told = page.report(results, [], {}, PLAN.criteria)["main"]
+        assert compared == told
+
+    def test_a_tie_names_one_first_and_tells_no_difference(self, finished):
+        ranking = read_results(finished, PLAN.criteria).classes["nominal"]
+        assert [standing.rank for standing in ranking.standings] == [1, 2, 3]
+        assert ranking.standings[1].against_first == pytest.approx(1.0)
+
+    def test_is_published_between_the_marks(self, finished, tmp_path):
+        results = read_results(finished, PLAN.criteria)
+        copy = tmp_path / "tournament.md"
+        copy.write_text(page.PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+        about = {"seconds": 60.0, "jobs": 2, "whole": False, "git": "",
+                 "machine": {"processor": "x", "cores": 2, "python": "3.11"}}  # fmt: skip
+        made = page.tables(results, [], PLAN.criteria)
+        page.publish({**made, "observers": ["–"]}, about, results, [], copy, tmp_path / "figures")
+        text = copy.read_text(encoding="utf-8")
+        assert "| 1 | nmpc + ukf |" in text  # the same but for one rig
+        assert "Only a part" in text
+        again = text.count("made:")
+        page.publish({**made, "observers": ["–"]}, about, results, [], copy, tmp_path / "figures")
+        assert copy.read_text(encoding="utf-8").count("made:") == again
+
+    def test_figures_are_drawn(self, finished, tmp_path):
+        from experiments.tournament import figures
+
+        drawn = figures.draw(read_results(finished, PLAN.criteria), tmp_path)
+        assert [path.name for path in drawn] == list(figures.NAMES)
+        assert all(path.stat().st_size > 5000 for path in drawn)
+
+
+class TestProgram:
+    def test_runs_resumes_and_refuses_to_write_over(self, tmp_path, capsys):
+        words = [
+            "--only",
+            "pid+ukf/*/nominal_0",
+            "--quick",
+            "--jobs",
+            "1",
+            "--out",
+            str(tmp_path / "t"),
+        ]
+        assert program.main(words) == 0
+        report = json.loads((tmp_path / "t" / "report.json").read_text(encoding="utf-8"))
+        assert report["schema"] == "trms.tournament/1"
+        assert report["runs"] == 2
+        assert program.main(words) == 2
+        assert "--resume" in capsys.readouterr().err
+        score = next((tmp_path / "t" / MAIN).rglob("score.json"))
+        before = score.stat().st_mtime_ns
+        assert program.main([*words, "--resume"]) == 0
+        assert score.stat().st_mtime_ns == before
+
+    def test_unknown_patterns_are_explained(self, tmp_path, capsys):
+        assert program.main(["--only", "x", "--out", str(tmp_path)]) == 2
+        assert "no run matches" in capsys.readouterr().err
+
+
+def test_published_figures_have_sources_and_ours_can_be_run(tmp_path):
+    published = read_published()
+    assert all(each.author and each.condition and each.theirs for each in published)
+    ours = next(each for each in published if each.ours is not None and each.ours.limits)
+    short = [w for w in ours.ours.words if not w.startswith("sim.duration")] + ["sim.duration=2.0"]
+    import msgspec
+
+    shorter = msgspec.structs.replace(ours, ours=msgspec.structs.replace(ours.ours, words=short))
+    beside = put_beside(shorter, tmp_path)
+    assert not beside.problem
+    assert len(beside.found) == len(ours.ours.figures)
