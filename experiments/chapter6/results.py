@@ -1,0 +1,172 @@
+"""All results of the study, as figures with a name that can be held against recorded ones."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.chapter6.cases import ANGLES, Plans, Run, study_cases, study_predictions
+from experiments.chapter6.decrease import Claim, study_decrease
+from experiments.chapter6.domain import Arrivals, Found, study_box, study_loops, study_slice
+from experiments.chapter6.iterations import Economy, study_iterations
+from experiments.chapter6.rig import Record
+from experiments.chapter6.study import Study, Tolerance
+from trms_cli.core.errors import ConfigurationError
+
+_CASE_FIGURES = ("rmse", "overshoot_percent", "settling_time_s")
+
+
+@dataclass(frozen=True)
+class Results:
+    """What the parts of the study found."""
+
+    runs: list[Run]
+    plans: dict[str, Plans]
+    claims: list[Claim]
+    records: dict[str, list[Record]]
+    box: Found
+    slices: dict[str, Found]
+    arrivals: list[Arrivals]
+    economy: list[Economy]
+
+
+def compute(study: Study, jobs: int, said: Callable[[str], None]) -> Results:
+    """Every part; what measures times comes last and alone."""
+    parts: dict[str, tuple[Any, ...]] = {
+        "cases": (study_cases, study.cases),
+        "decrease": (study_decrease, study.decrease, study.seed),
+        "box": (study_box, study.domain, study.seed),
+        "loops": (study_loops, study.domain, study.seed),
+        **{name: (study_slice, study.domain, name) for name in study.domain.slices},
+        "predictions": (study_predictions, study.predictions),
+    }
+    found: dict[str, Any] = {}
+    if jobs <= 1:
+        for name, (work, *given) in parts.items():
+            found[name] = work(*given)
+            said(name)
+        economy = study_iterations(study.iterations)
+    else:
+        # A fresh process each, also where forking is usual: casadi's threads do not survive a fork.
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            futures: dict[str, Future[Any]] = {
+                name: pool.submit(work, *given) for name, (work, *given) in parts.items()
+            }
+            for name, future in futures.items():
+                found[name] = future.result()
+                said(name)
+            economy = pool.submit(study_iterations, study.iterations).result()
+    said("iterations")
+    claims, records = found["decrease"]
+    return Results(
+        found["cases"],
+        found["predictions"],
+        claims,
+        records,
+        found["box"],
+        {name: found[name] for name in study.domain.slices},
+        found["loops"],
+        economy,
+    )
+
+
+def figures_of(results: Results) -> dict[str, dict[str, float]]:
+    """Figures by part and name; times are left out."""
+    cases: dict[str, float] = {}
+    for run in results.runs:
+        for angle in ANGLES:
+            channel = run.score["channels"][angle]
+            for key in _CASE_FIGURES:
+                if channel.get(key) is not None:
+                    cases[f"{run.case}/{run.controller}/{angle}/{key}"] = channel[key]
+        cases[f"{run.case}/{run.controller}/failed"] = run.statuses.get("failed", 0)
+    decrease: dict[str, float] = {}
+    for claim in results.claims:
+        for key in ("held", "kept", "kept_with_move"):
+            decrease[f"{claim.mode}/{key}"] = getattr(claim, key)
+    domain: dict[str, float] = {}
+    for place, found in {"box": results.box, **results.slices}.items():
+        for (terminal, horizon), feasible in found.feasible.items():
+            domain[f"{place}/{terminal}/{horizon}"] = float(feasible.mean())
+    for row in results.arrivals:
+        domain[f"loops/{row.terminal}/{row.horizon}/arrived"] = row.arrived
+    iterations = {f"{r.horizon}/{r.reference}/{r.count}": r.cost for r in results.economy}
+    return {"cases": cases, "decrease": decrease, "domain": domain, "iterations": iterations}
+
+
+def differences(
+    found: Mapping[str, Mapping[str, float]],
+    expected: Mapping[str, Mapping[str, float]],
+    tolerances: Mapping[str, Tolerance],
+) -> list[str]:
+    """A sentence for each figure that is not what was recorded."""
+    words = []
+    for part, allowed in tolerances.items():
+        ours, known = found.get(part, {}), expected.get(part, {})
+        for name in sorted(ours.keys() ^ known.keys()):
+            words.append(f"{part}: {name} is {'new' if name in ours else 'gone'}")
+        for name in ours.keys() & known.keys():
+            room = allowed.absolute + allowed.relative * abs(known[name])
+            if not abs(ours[name] - known[name]) <= room:
+                words.append(f"{part}: {name} is {ours[name]:.6g}, expected {known[name]:.6g}")
+    return words
+
+
+def read_expected(path: Path, *, quick: bool) -> dict[str, dict[str, float]]:
+    """Recorded figures of the whole study or of the quick one.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file has none.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return dict(document["quick" if quick else "full"])
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigurationError(
+            "there are no recorded figures",
+            where=str(path),
+            remedy="python -m experiments.chapter6 --update records today's",
+        ) from error
+
+
+def document_of(full: Mapping[str, Any], quick: Mapping[str, Any]) -> str:
+    """The text of expected.json."""
+    words = {"schema": "trms.chapter6/1", "full": _rounded(full), "quick": _rounded(quick)}
+    return json.dumps(words, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def details_of(results: Results) -> dict[str, Any]:
+    """Everything that the tables show, for a file."""
+    return {
+        "schema": "trms.chapter6.results/1",
+        "figures": _rounded(figures_of(results)),
+        "decrease": [_plain(claim) for claim in results.claims],
+        "loops": [_plain(row) for row in results.arrivals],
+        "iterations": [_plain(row) for row in results.economy],
+        "statuses": {f"{r.case}/{r.controller}": r.statuses for r in results.runs},
+    }
+
+
+def _plain(row: Any) -> dict[str, Any]:
+    return {key: _rounded(value) for key, value in vars(row).items()}
+
+
+def _rounded(node: Any) -> Any:
+    """Six digits: what comes after them depends on the machine's compiler."""
+    if isinstance(node, Mapping):
+        return {str(key): _rounded(value) for key, value in node.items()}
+    if isinstance(node, Sequence) and not isinstance(node, str):
+        return [_rounded(value) for value in node]
+    if isinstance(node, float | np.floating):
+        return float(f"{node:.6g}") if math.isfinite(node) else None
+    return node

@@ -1,0 +1,207 @@
+"""The study of chapter 6: what it reads, that its figures are what was recorded, its page."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("experiments.chapter6", reason="the studies are in the checkout only")
+
+import itertools
+
+from experiments.chapter6.__main__ import EXPECTED, FIGURES, PAGE, main
+from experiments.chapter6.decrease import study_decrease
+from experiments.chapter6.domain import study_box, study_slice
+from experiments.chapter6.iterations import square_wave
+from experiments.chapter6.results import compute, differences, figures_of
+from experiments.chapter6.rig import MODEL, Loop, state_at
+from experiments.chapter6.study import Mode, Tolerance, read_study
+from trms_cli.core.errors import ConfigurationError
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return json.loads(EXPECTED.read_text(encoding="utf-8"))
+
+
+class TestStudy:
+    def test_six_cases_in_the_thesis_order(self):
+        kinds = [case.ref for case in read_study().cases.runs.values()]
+        assert kinds == ["square", "sine", "square", "square", "sine", "sawtooth"]
+
+    def test_references_stay_within_what_the_rig_can_hold(self):
+        loop = Loop(Mode().controller())
+        for name, case in read_study().cases.runs.items():
+            for sign_v in (-1, 1):
+                for sign_h in (-1, 1):
+                    goal = [
+                        given.get("offset", 0.0) + sign * given["amplitude"]
+                        for given, sign in ((case.alpha_v, sign_v), (case.alpha_h, sign_h))
+                    ]
+                    target = loop.state.steady_state.solve(np.array(goal))
+                    assert target.converged and not target.projected, (name, goal)
+
+    def test_the_quick_one_is_a_part_of_it(self):
+        full, quick = read_study(), read_study(quick=True)
+        assert quick.cases.runs == full.cases.runs
+        assert set(quick.decrease.only) <= set(full.decrease.modes)
+        assert quick.decrease.states < full.decrease.states
+        assert quick.domain.slices == full.domain.slices
+
+    @pytest.mark.parametrize("text", ["", "[]", "seed: x", "seed: 1"])
+    def test_what_is_no_study_is_told(self, tmp_path, text):
+        file = tmp_path / "study.yaml"
+        file.write_text(text)
+        with pytest.raises(ConfigurationError, match="no study"):
+            read_study(file)
+
+
+class TestRig:
+    def test_a_state_off_the_target_has_the_rates_it_was_given(self):
+        loop = Loop(Mode().controller())
+        target = loop.state.steady_state.solve(np.array([0.0, 0.3]))
+        offsets = {"alpha_h": 0.4, "rate_v": 0.3, "rate_h": -0.2, "omega_h": 60.0}
+        x = state_at(target.x, offsets)
+        before, after = x[[5, 2]], _moved(x, target.u, 1e-4)[[5, 2]]
+        assert (after - before) / 1e-4 == pytest.approx([0.3, -0.2], abs=1e-3)
+        assert state_at(target.x, {}) == pytest.approx(target.x, abs=1e-6)
+
+    def test_stage_costs_add_up_to_the_objective(self):
+        # Without a change of mind the costs that are paid are those that were planned.
+        loop = Loop(Mode(horizon=30, iterations=60, tolerance=1e-8).controller())
+        goal = np.array([0.0, 0.1])
+        target = loop.state.steady_state.solve(goal)
+        x = state_at(target.x, {"alpha_v": 0.1})
+        loop.begin(x, goal, target.u)
+        loop.state.newton.plan[:] = target.u[:, None]
+        outcome = loop.solve()
+        total, before = 0.0, target.u
+        for u in loop.state.newton.plan.T:
+            after = loop.after(x, u)
+            total += loop.stage_cost(x, after, u, before)
+            x, before = after, u
+        assert total == pytest.approx(outcome.objective, rel=1e-9)
+
+    def test_squares_start_high(self):
+        wave = square_wave({"alpha_v": 0.3, "alpha_h": 0.5, "period": 2.0}, 4.0, 0.1)
+        assert wave.shape == (40, 2)
+        assert wave[0].tolist() == [0.3, 0.5] and wave[10].tolist() == [-0.3, -0.5]
+
+
+class TestClaims:
+    def test_the_objective_falls_by_the_stage_cost_but_for_the_last_move(self):
+        study = read_study(quick=True).decrease
+        claims, _ = study_decrease(study, seed=77)  # other states than the recorded
+        by_mode = {claim.mode: claim for claim in claims}
+        assert by_mode["equality"].kept_with_move == 1.0
+        assert by_mode["quasi-infinite"].kept == 1.0
+        assert by_mode["equality"].shifted < 1e-6  # recursively feasible
+
+    def test_without_terminal_constraint_it_does_not(self):
+        study = read_study(quick=True).decrease
+        study.only = ["none, N = 12"]
+        ((claim,), _) = study_decrease(study, seed=77)
+        assert claim.kept < 0.1
+
+    def test_feasible_sets_grow_with_the_horizon_and_with_the_region(self):
+        study = read_study(quick=True).domain
+        for found in (study_box(study, seed=3), study_slice(study, "pitch")):
+            for terminal in study.terminals:
+                sets = [found.feasible[terminal, horizon] for horizon in study.horizons]
+                for smaller, larger in itertools.pairwise(sets):
+                    assert not (smaller & ~larger).any()
+            for horizon in study.horizons:
+                equality = found.feasible["equality", horizon]
+                assert equality.sum() <= found.feasible["quasi_infinite", horizon].sum()
+            assert found.feasible["equality", study.horizons[-1]].mean() > 0
+
+
+class TestExpectation:
+    def test_quick_study(self, expected):
+        study = read_study(quick=True)
+        found = figures_of(compute(study, 1, lambda part: None))
+        assert differences(found, expected["quick"], study.tolerances) == []
+
+    @pytest.mark.slow
+    def test_whole_study_elsewhere(self, tmp_path, capsys):
+        before = PAGE.read_bytes()
+        assert main(["--out", str(tmp_path)]) == 0, capsys.readouterr().out
+        assert PAGE.read_bytes() == before
+        drawn = {path.name for path in tmp_path.glob("*.png")}
+        assert drawn == {path.name for path in FIGURES.glob("*.png")}
+
+    def test_a_figure_that_moved_is_named(self):
+        allowed = {"cases": Tolerance(0.01, 0.1)}
+        known = {"cases": {"a": 1.0, "b": 2.0}}
+        assert differences({"cases": {"a": 1.1, "b": 2.0}}, known, allowed) == []
+        (words,) = differences({"cases": {"a": 1.12, "b": 2.0}}, known, allowed)
+        assert "cases: a is 1.12" in words
+        assert len(differences({"cases": {"a": float("nan"), "c": 2.0}}, known, allowed)) == 3
+
+
+class TestPage:
+    def test_its_tables_are_the_recorded_ones(self, expected):
+        text = PAGE.read_text(encoding="utf-8")
+        decrease = expected["full"]["decrease"]
+        for mode in {name.rpartition("/")[0] for name in decrease}:
+            row = next(line for line in text.splitlines() if line.startswith(f"| {mode} |"))
+            cells = row.split(" | ")
+            assert float(cells[2]) == pytest.approx(100 * decrease[f"{mode}/held"], abs=0.051)
+            assert float(cells[3]) == pytest.approx(100 * decrease[f"{mode}/kept"], abs=0.0051)
+        for name, value in expected["full"]["cases"].items():
+            case, controller, angle, figure = (*name.split("/"), "")[:4]
+            if figure == "rmse" and controller == "equality" and angle == "alpha_v":
+                assert re.search(
+                    rf"^\| {case.replace('_', ' ')} \| equality \| {value:.4f}, ", text, re.M
+                )
+
+    def test_its_figures_are_there_and_small(self):
+        shown = set(re.findall(r"figures/chapter6/(\w+\.png)", PAGE.read_text(encoding="utf-8")))
+        assert shown == {path.name for path in FIGURES.glob("*.png")}
+        assert all(path.stat().st_size < 200_000 for path in FIGURES.glob("*.png"))
+
+    def test_what_the_prose_claims(self, expected):
+        figures = expected["full"]
+        decrease, domain = figures["decrease"], figures["domain"]
+        for mode in ("equality", "equality, one iteration", "equality, blocked"):
+            assert decrease[f"{mode}/kept_with_move"] == 1.0
+        assert decrease["equality/kept"] < 1.0
+        assert decrease["quasi-infinite/kept"] == 1.0
+        assert decrease["none, N = 12/kept"] < 0.05
+        for place in ("box", "angles", "pitch", "yaw"):
+            for terminal in ("equality", "quasi_infinite"):
+                shares = [domain[f"{place}/{terminal}/{n}"] for n in read_study().domain.horizons]
+                assert shares == sorted(shares)
+        assert domain["loops/none/6/arrived"] == 0.0
+        for terminal in ("equality", "quasi_infinite"):
+            assert domain[f"loops/{terminal}/6/arrived"] == 1.0
+        costs = figures["iterations"]
+        for reference in ("square", "fast square"):
+            best = costs[f"default/{reference}/40"]
+            assert 1.02 < costs[f"default/{reference}/1"] / best < 1.03
+            assert costs[f"default/{reference}/2"] / best < 1.005
+            assert costs[f"default/{reference}/3"] / best < 1.0005
+
+
+def _moved(x: np.ndarray, u: np.ndarray, seconds: float) -> np.ndarray:
+    from trms_cli.models.discretisation import discretise
+
+    step = discretise(MODEL, seconds).step
+    return np.array(step(x, u, MODEL.parameters.values, np.zeros(MODEL.n_w))).ravel()
+
+
+@pytest.mark.parametrize("words", [["--update", "--quick"], ["--update", "--out", "x"]])
+def test_a_part_is_not_recorded(words, capsys):
+    assert main(words) == 2
+    assert "--update" in capsys.readouterr().err
+
+
+def test_a_bad_study_ends_with_a_message(tmp_path: Path, capsys) -> None:
+    file = tmp_path / "study.yaml"
+    file.write_text("seed: 1\n")
+    assert main(["--study", str(file), "--out", str(tmp_path)]) == 2
+    assert "no study" in capsys.readouterr().err
