@@ -197,12 +197,14 @@ class FeedbackLinearisation:
             wanted = (moments + np.linalg.solve(mobility, v - a - change / rotor)) / arms
         except np.linalg.LinAlgError:
             return _held(previous, "the moments have no influence on the axes here")
+        if not math.isfinite(float(wanted.sum()) + float(jerk.sum())):
+            return _held(previous, "the model's moments are not finite at this estimate")
         forces = np.clip(wanted, *ends)
         speeds = [axis.speed.at(f) for axis, f in zip(axes, forces.tolist(), strict=True)]
         now = x[[axis.rotor for axis in axes]]
         u = state.parts.command.evaluate(x, previous, w, rotor * (speeds - now))[0].copy()
         lacking = mobility @ (arms * (forces - wanted))
-        if not math.isfinite(float(u.sum()) + float(lacking.sum()) + float(jerk.sum())):
+        if not math.isfinite(float(u.sum()) + float(lacking.sum())):
             return _held(previous, "the model's moments are not finite at this estimate")
         largest = np.abs(np.diag(mobility) * arms * (ends[1] - ends[0]))
         self._integrate(state, u, ki * error, lacking, largest)
