@@ -214,8 +214,9 @@ def _lines(found: Export, folder: Path, measured: Measured | None, reason: str) 
         lines.append(f"  not measured: {reason}")
     else:
         lines += [
-            f"  step      median {measured.median:.1f} µs, 99 % {measured.p99:.1f} µs, longest "
-            f"{measured.longest:.1f} µs ({measured.samples} steps)",
+            f"  step      median {measured.median:.1f} µs, 99 % {measured.p99:.1f} µs, slowest "
+            f"{measured.slowest:.1f} µs ({measured.samples} steps)",
+            *_observer_line(measured),
             f"  agrees    with the Python controller to {measured.largest_difference:.2g} V",
             f"  memory    {measured.context_bytes / 1024:.0f} KiB in the context"
             + (
@@ -233,4 +234,12 @@ def _lines(found: Export, folder: Path, measured: Measured | None, reason: str) 
         *lines,
         f"  written   {folder}",
         f"  next      make -C {shlex.quote(str(folder))} check",
+    ]
+
+
+def _observer_line(measured: Measured) -> list[str]:
+    if measured.observer_median is None:
+        return []
+    return [
+        f"  observer  median {measured.observer_median:.1f} µs, 99 % {measured.observer_p99:.1f} µs"
     ]

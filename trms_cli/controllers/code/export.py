@@ -108,20 +108,20 @@ def export(
     title = f"Newton MPC of model {setup.model.name}, by trms {__version__}"
     source = newton_source(controller, setup, name, title, part)
     rows = example_rows(controller, setup, reference, samples)
-    bytes_ = "" if part is None else _OBSERVER_BYTES
+    example = _template("example.c")
+    for token, words in {
+        "MPC_OBSERVER_FUNCTION\n": "" if part is None else _template("example_observer.c"),
+        "MPC_OBSERVER_CALL\n": "" if part is None else "    time_observer();\n",
+    }.items():
+        example = example.replace(token, words)
     files = {
         f"{name}.c": source.source,
         f"{name}.h": source.header,
-        f"{name}_example.c": named(
-            _template("example.c").replace("MPC_OBSERVER_BYTES\n", bytes_), name
-        ),
+        f"{name}_example.c": named(example, name),
         "Makefile": named(_template("example.mk"), name).replace("mpc.", f"{name}."),
         "example.csv": example_csv(rows, setup, controller.preview(setup)),
     }
     return Export(name, setup, controller, source, part, files)
-
-
-_OBSERVER_BYTES = '    printf("observer_bytes %lu\\n", (unsigned long)sizeof(mpc_observer));\n'
 
 
 def _template(file: str) -> str:

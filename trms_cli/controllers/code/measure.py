@@ -30,6 +30,10 @@ class Measured:
         V, to the Python controller's commands.
     median, p99, longest : float
         µs, of a step.
+    slowest : float
+        µs, of the sample that takes longest, in the least disturbed of its passes.
+    observer_median, observer_p99, observer_longest : float or None
+        µs, of a sample of the observer; None without one.
     context_bytes, observer_bytes : int
         Of the structs; 0 without an observer.
     code_bytes, data_bytes : int or None
@@ -47,6 +51,10 @@ class Measured:
     median: float
     p99: float
     longest: float
+    slowest: float
+    observer_median: float | None
+    observer_p99: float | None
+    observer_longest: float | None
     context_bytes: int
     observer_bytes: int
     code_bytes: int | None
@@ -90,12 +98,20 @@ def _measured(folder: Path, build: Path, name: str, compiler: str) -> Measured:
         median=float(figures["median_us"]),
         p99=float(figures["p99_us"]),
         longest=float(figures["max_us"]),
+        slowest=float(figures["slowest_us"]),
+        observer_median=_number(figures.get("observer_median_us")),
+        observer_p99=_number(figures.get("observer_p99_us")),
+        observer_longest=_number(figures.get("observer_max_us")),
         context_bytes=int(figures["context_bytes"]),
         observer_bytes=int(figures.get("observer_bytes", 0)),
         code_bytes=code,
         data_bytes=data,
         stack_bytes=_stack(build / f"{name}.su"),
     )
+
+
+def _number(word: str | None) -> float | None:
+    return None if word is None else float(word)
 
 
 def _run(command: list[str], folder: Path) -> str:
