@@ -1,0 +1,132 @@
+"""``python -m experiments.chapter7``: close the loops of the chapter, compare, draw, write."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from experiments.chapter2.page import write_tables
+from experiments.chapter7.comparison import deviations
+from experiments.chapter7.page import tables_of
+from experiments.chapter7.runs import Outcome, run_all
+from experiments.chapter7.study import HERE, STUDY, Study, jobs_of, read_study
+from trms_cli.cli import describe_error
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_WORSE, TrmsError
+
+SCHEMA = "trms.chapter7/1"
+EXPECTED = HERE / "expected.json"
+DOCS = HERE.parents[1] / "docs"
+PAGE, FIGURES = DOCS / "chapter7.md", DOCS / "figures" / "chapter7"
+OBSERVERS = HERE / "observers" / "results.json"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.chapter7", description=__doc__)
+    parser.add_argument("--study", type=Path, default=STUDY, help="another study.yaml")
+    parser.add_argument("--quick", action="store_true", help="only the beginning of each case")
+    parser.add_argument("--all-pairs", action="store_true", help="more observers and controllers")
+    parser.add_argument("--only", default="", help="only runs whose name contains this")
+    parser.add_argument("--jobs", type=int, default=2, help="processes at once (default: 2)")
+    parser.add_argument("--out", type=Path, help="folder for figures, tables and JSON")
+    parser.add_argument(
+        "--update", action="store_true", help="make these the expected figures; redo the page"
+    )
+    given = parser.parse_args(argv)
+    try:
+        return _run(given)
+    except TrmsError as error:
+        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
+        return error.exit_code
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+def _run(given: argparse.Namespace) -> int:
+    study = read_study(given.study)
+    jobs = jobs_of(study, quick=given.quick, all_pairs=given.all_pairs)
+    jobs = [job for job in jobs if given.only in job.key]
+    begin, outcomes = perf_counter(), []
+    for outcome in run_all(jobs, study.last, given.jobs):
+        outcomes.append(outcome)
+        said = outcome.problem or _summary(outcome)
+        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {outcome.job.key}: {said}\n")
+        sys.stdout.flush()
+    tables = tables_of(study, outcomes)
+    for name, table in tables.items():
+        sys.stdout.write(f"\n{name}\n\n{table}\n")
+    figures = rounded({outcome.job.key: outcome.figures for outcome in outcomes})
+    section = "quick" if given.quick else "full"
+    if given.out is not None:
+        given.out.mkdir(parents=True, exist_ok=True)
+        _draw(study, outcomes, given.out)
+        document = {"schema": SCHEMA, section: figures}
+        (given.out / "chapter7.json").write_text(_json(document), encoding="utf-8")
+        words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
+        (given.out / "tables.md").write_text(words + "\n", encoding="utf-8")
+    if any(outcome.problem for outcome in outcomes):
+        return EXIT_WORSE
+    if given.update:
+        expected = read_expected() | {"schema": SCHEMA, section: figures}
+        EXPECTED.write_text(_json(expected), encoding="utf-8")
+        if not given.quick:
+            FIGURES.mkdir(parents=True, exist_ok=True)
+            _draw(study, outcomes, FIGURES)
+            write_tables(PAGE, tables)
+        return EXIT_OK
+    return _compare(study, figures, section)
+
+
+def read_expected() -> dict[str, Any]:
+    """The expected figures; empty before the first ``--update``."""
+    if not EXPECTED.is_file():
+        return {}
+    expected: dict[str, Any] = json.loads(EXPECTED.read_text(encoding="utf-8"))
+    return expected
+
+
+def _compare(study: Study, figures: dict[str, Any], section: str) -> int:
+    expected = {k: v for k, v in read_expected().get(section, {}).items() if k in figures}
+    found = list(deviations(expected, figures, study.tolerances))
+    for one in found:
+        sys.stdout.write(f"\n{one.key}: {one.now}, expected {one.expected}")
+    sys.stdout.write(f"\n{len(found)} figures deviate from {EXPECTED.name}\n")
+    return EXIT_WORSE if found else EXIT_OK
+
+
+def _draw(study: Study, outcomes: Sequence[Outcome], folder: Path) -> None:
+    from experiments.chapter7 import figures
+
+    main_pairs = [o for o in outcomes if o.job.pair in study.pairs]
+    for part in study.parts:
+        figures.draw_cases([o for o in main_pairs if o.job.part == part], folder / f"{part}.png")
+    if any(o.job.case == "step with force" for o in main_pairs):
+        figures.draw_force(study, main_pairs, folder / "force.png")
+    if OBSERVERS.is_file():
+        document = json.loads(OBSERVERS.read_text(encoding="utf-8"))
+        figures.draw_observers(document, folder / "observers.png")
+
+
+def _summary(outcome: Outcome) -> str:
+    pitch, yaw = (outcome.figures[angle]["rmse"] for angle in ("alpha_v", "alpha_h"))
+    return f"RMSE pitch {pitch:.4f}, yaw {yaw:.4f} rad"
+
+
+def rounded(node: Any) -> Any:
+    """Six digits: what comes after them depends on the machine's compiler."""
+    if isinstance(node, dict):
+        return {str(key): rounded(value) for key, value in node.items()}
+    return float(f"{node:.6g}") if isinstance(node, float) else node
+
+
+def _json(document: Any) -> str:
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

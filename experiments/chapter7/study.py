@@ -1,0 +1,105 @@
+"""What chapter 7 consists of, read from YAML: pairs of observer and controller, rigs, cases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from trms_cli.core.errors import ConfigurationError
+
+HERE = Path(__file__).parent
+STUDY = HERE / "study.yaml"
+
+
+class Case(msgspec.Struct, forbid_unknown_fields=True):
+    """A reference, and what happens during it."""
+
+    run: list[str]  #: overrides of ``trms run``
+    duration: float  #: s
+    what: str
+
+
+class Part(msgspec.Struct, forbid_unknown_fields=True):
+    """Cases on one rig."""
+
+    about: str
+    rig: list[str]  #: overrides of ``trms run``
+    cases: dict[str, Case]
+
+
+class Study(msgspec.Struct, forbid_unknown_fields=True):
+    """The whole study."""
+
+    every: list[str]
+    encoder_step: float  #: rad
+    last: float  #: s
+    quick: float  #: s
+    tolerances: dict[str, float]
+    pairs: dict[str, list[str]]
+    more_pairs: dict[str, list[str]]
+    parts: dict[str, Part]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run.
+
+    Attributes
+    ----------
+    part, case, pair : str
+    overrides : tuple of str
+        What follows ``trms run``.
+    """
+
+    part: str
+    case: str
+    pair: str
+    overrides: tuple[str, ...]
+
+    @property
+    def key(self) -> str:
+        """Its name in documents."""
+        return f"{self.part}/{self.case}/{self.pair}"
+
+
+def read_study(path: Path = STUDY) -> Study:
+    """The study of a YAML.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file is not one.
+    """
+    try:
+        return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), Study)
+    except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
+        raise ConfigurationError(
+            f"this is no study: {str(error).splitlines()[0]}",
+            where=str(path),
+            remedy="compare it with experiments/chapter7/study.yaml",
+        ) from error
+
+
+def jobs_of(study: Study, *, quick: bool = False, all_pairs: bool = False) -> list[Job]:
+    """Every run of the study; with ``quick`` short ones."""
+    pairs = study.pairs | (study.more_pairs if all_pairs else {})
+    return [
+        Job(
+            name,
+            case_name,
+            pair,
+            (
+                *part.rig,
+                *overrides,
+                *case.run,
+                *study.every,
+                f"sim.duration={min(case.duration, study.quick) if quick else case.duration}",
+            ),
+        )
+        for name, part in study.parts.items()
+        for case_name, case in part.cases.items()
+        for pair, overrides in pairs.items()
+    ]
