@@ -175,6 +175,10 @@ class RobustMpc(Design):
                 )
             command.iterations = solution.iterations
         command.linearise_time, command.qp_time = made - began, perf_counter() - made
+        if not np.isfinite(command.u).all():  # an estimate beyond all bounds
+            command.u = np.clip(sample.previous_command, regulation.lower, regulation.upper)
+            command.status, command.fallback = Status.FAILED, "hold"
+            command.message = "the law is not finite at this estimate; the last command is held"
         return command
 
     def region(self, regulation: Regulation, aim: Aim, z: FloatArray) -> Region:

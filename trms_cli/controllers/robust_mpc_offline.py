@@ -112,12 +112,7 @@ class RobustMpcOffline(Design):
         x, w = sample.estimate.x, sample.estimate.disturbance
         total = sum(x.tolist()) + sum(w.tolist()) + float(sample.reference.sum())
         if not math.isfinite(total):
-            return Command(
-                np.clip(sample.previous_command, regulation.lower, regulation.upper),
-                Status.FAILED,
-                fallback="hold",
-                message="the estimate or the reference is not finite; the last command is held",
-            )
+            return _held(sample, regulation, "the estimate or the reference is not finite")
         if not self.disturbance_compensation:
             w = np.zeros_like(w)
         aim = regulation.aim(sample, state.aim, w)
@@ -126,12 +121,23 @@ class RobustMpcOffline(Design):
         z = regulation.deviation(x, aim.target)
         K, ring, level = family.gain(z / state.share)
         u = regulation.command(x, aim, z, K @ z)
+        if not np.isfinite(u).all():  # an estimate beyond all bounds
+            return _held(sample, regulation, "the law is not finite at this estimate")
         message, status = aim.message, Status.OK
         if ring < 0:
             status = Status.RELAXED
             message = message or "outside of all ellipsoids; the outermost law is cut to the limits"
         cost = family.rings.gammas[max(ring, 0)] * level * state.share**2
         return Command(u, status, objective=cost, message=message)
+
+
+def _held(sample: ControlSample, regulation: Regulation, reason: str) -> Command:
+    return Command(
+        np.clip(sample.previous_command, regulation.lower, regulation.upper),
+        Status.FAILED,
+        fallback="hold",
+        message=f"{reason}; the last command is held",
+    )
 
 
 def _angles(

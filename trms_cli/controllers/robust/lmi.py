@@ -192,6 +192,8 @@ class Inequalities:
 
         # The stage's cost is brought to the order of one, that the tolerances mean the same to all.
         unit = max(float((np.abs(task.z @ task.C.T) ** 2).sum(axis=1).max()), 1e-12)
+        if not unit < math.inf:  # a deviation whose square is no number any more
+            return None
         size = math.sqrt(unit)
         for j in range(self.vertices):
             self._A[j].value, self._B[j].value = task.A[j], task.B[j]
