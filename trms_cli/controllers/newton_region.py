@@ -11,7 +11,7 @@ with ℓ the objective's stage cost under the law. W weighs every state and inpu
 (``terminal_weight`` times what the objective takes the weighted states' sizes for), and
 ``κ = terminal_decay (1 − ρ(A_K)²)``. Both make V fall by more than ℓ, which is what the
 nonlinearity may eat up. A law for the objective alone is harsh, its V hardly sees the rotors'
-speeds, and its region is a hundredth of a radian wide. With both 0, V is the regulator's own cost
+speeds, and its region is a thousandth of a radian wide. With both 0, V is the regulator's own cost
 to infinity. The region is ``ξᵀ P ξ ≤ α``, with α the largest on which
 
 - the law keeps the inputs' bounds, their rate limits and the soft limits of states (exact: the

@@ -55,7 +55,7 @@ class NewtonMpcState:
         weights = _tracking(model, config.state_weights, sizes)
         self.steady_state = SteadyState(model, _positive(weights))
 
-        def engine(region: bool) -> NewtonStep:
+        def engine(*, region: bool) -> NewtonStep:
             horizon = Horizon(
                 self.discrete,
                 blocks,
@@ -74,7 +74,7 @@ class NewtonMpcState:
         largest_moves = rates * setup.sample_time
         limits = [config.soft_limits.get(name, (-np.inf, np.inf)) for name in model.controlled]
         self._goal_limits = np.array(limits) if config.soft_limits else None
-        self.newton = engine(config.terminal == "quasi_infinite")
+        self.newton = engine(region=config.terminal == "quasi_infinite")
         #: Regions by target, and the equality for targets without; None with another terminal.
         self.regions = (
             TerminalRegions(
@@ -85,7 +85,7 @@ class NewtonMpcState:
                     config.terminal_decay,
                 ),
                 self.newton,
-                lambda: engine(False),
+                engine(region=False),
             )
             if config.terminal == "quasi_infinite"
             else None

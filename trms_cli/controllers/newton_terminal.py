@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
@@ -22,8 +20,9 @@ class TerminalRegions:
     design : RegionDesign
     newton : NewtonStep
         The iteration whose horizon ends in a region.
-    equality : callable
-        Makes the iteration that ends in the steady state; called when a target has no region.
+    equality : NewtonStep
+        The iteration that ends in the steady state. Made beforehand, since a run has no time to
+        compile it when a target turns up that has no region.
 
     Notes
     -----
@@ -34,11 +33,8 @@ class TerminalRegions:
 
     cell = 0.01
 
-    def __init__(
-        self, design: RegionDesign, newton: NewtonStep, equality: Callable[[], NewtonStep]
-    ) -> None:
-        self._design, self._newton, self._make_equality = design, newton, equality
-        self._equality: NewtonStep | None = None
+    def __init__(self, design: RegionDesign, newton: NewtonStep, equality: NewtonStep) -> None:
+        self._design, self._newton, self._equality = design, newton, equality
         model = newton.horizon.model
         self._grid = self.cell * np.concatenate(
             [newton.horizon.scale, np.maximum(model.input_bounds()[1], 1e-3)]
@@ -60,7 +56,7 @@ class TerminalRegions:
                 self._known[key] = self._design.at(self._centre, disturbance)
             self.region = self._known[key]
         if self.region is None:
-            chosen = self._equality = self._equality or self._make_equality()
+            chosen = self._equality
         else:
             chosen = self._newton
             chosen.set_region(self._centre, self.region.root, self.region.level)
