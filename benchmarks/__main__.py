@@ -16,7 +16,7 @@ from benchmarks.options import Options
 
 #: In the order of running; a module each under benchmarks.subjects.
 SUBJECTS = (
-    *("newton_time", "peers", "objective", "tracking"),
+    *("newton_time", "exported", "peers", "objective", "tracking"),
     *("parts", "identification", "program", "growth"),
 )
 

@@ -17,6 +17,7 @@ from benchmarks.lockstep import race
 from benchmarks.options import Options
 from benchmarks.setups import FULL_STATE, experiment, newton_horizon
 from benchmarks.subjects import (
+    exported,
     growth,
     identification,
     newton_time,
@@ -88,7 +89,7 @@ def test_a_subject_runs(subject: object, quick: Options) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "subject", [objective, peers, tracking, identification], ids=lambda s: s.__name__
+    "subject", [objective, peers, tracking, identification, exported], ids=lambda s: s.__name__
 )
 def test_a_long_subject_runs(subject: object, quick: Options) -> None:
     for table in subject.run(quick):  # type: ignore[attr-defined]
