@@ -28,7 +28,7 @@ from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
 from trms_cli.controllers.robust.certificate import Certificate, certify
 from trms_cli.controllers.robust.lmi import Inequalities, Solution, Task
 from trms_cli.controllers.robust.polytope import Region, box
-from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation
+from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation, no_law
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -130,7 +130,23 @@ class RobustMpc(Design):
             solver=self.solver,
             max_iterations=self.max_iterations,
         )
-        return RobustMpcState(regulation, inequalities)
+        state = RobustMpcState(regulation, inequalities)
+        self._require_a_law(state, setup)
+        return state
+
+    def _require_a_law(self, state: RobustMpcState, setup: ControlSetup) -> None:
+        """Refuse a model for which there is no law even near the level steady state."""
+        model, regulation = setup.model, state.regulation
+        aim = regulation.aim_at(np.zeros(len(model.controlled)))
+        for size in _PROBES:
+            z = size * regulation.angles(np.ones(len(model.controlled)))
+            task = self.task(regulation, aim, z, self.region(regulation, aim, z))
+            solution = state.inequalities.solve(task)
+            if solution is not None and certify(task, solution).contraction < 1.0:
+                return
+            if self.polytope == "region":
+                break
+        raise no_law(model)
 
     def step(
         self, state: RobustMpcState, sample: ControlSample, *, want_prediction: bool
@@ -236,6 +252,10 @@ class RobustMpc(Design):
             fallback=policy,
             message=f"{reason}; {policy.replace('_', ' ')} acts",
         )
+
+
+#: Deviations of all angles, rad, for one of which there must be a law.
+_PROBES = (0.3, 0.1, 0.03)
 
 
 def _level(solution: Solution, z: FloatArray) -> float:

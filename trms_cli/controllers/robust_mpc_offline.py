@@ -21,7 +21,6 @@ from trms_cli.controllers.robust.family import Family, make_family
 from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.observers.observer import Estimate
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -80,28 +79,16 @@ class RobustMpcOffline(Design):
     def init(self, setup: ControlSetup) -> RobustMpcOfflineState:
         """The family, made or read from the user's cache."""
         regulation = Regulation(self, setup)
-        model, coordinates = setup.model, regulation.coordinates
+        model = setup.model
         widest = _angles(self.widest, model.controlled, 0.5, "widest")
         reach = _angles(self.targets, model.controlled, 0.0, "targets")
-        line = np.zeros((len(widest), regulation.n))
-        for k, (name, value) in enumerate(zip(model.controlled, widest, strict=True)):
-            row = coordinates.kept.index(model.state_index(name))
-            line[k, row] = value / regulation.scale_z[row]
-        aims = []
-        for corner in itertools.product((0.0, -1.0, 1.0), repeat=len(reach)):
-            rest = model.rest()
-            sample = ControlSample(
-                0.0,
-                (np.array(corner) * reach)[None, :],
-                Estimate(rest, rest, np.zeros(model.n_w), np.zeros(model.n_w)),
-                np.zeros(model.n_u),
-            )
-            aim = regulation.aim(sample, None, np.zeros(model.n_w))
-            if aim.steady.converged and not aim.steady.projected:
-                aims.append(aim)
+        farthest = np.array([regulation.angles(row) for row in np.diag(widest)])
+        corners = itertools.product((0.0, -1.0, 1.0), repeat=len(reach))
+        every = [regulation.aim_at(np.array(corner) * reach) for corner in corners]
+        aims = [aim for aim in every if aim.steady.converged and not aim.steady.projected]
         positions = np.geomspace(1.0, self.smallest, self.rings).tolist()
         return RobustMpcOfflineState(
-            regulation, make_family(self, regulation, aims, line, positions)
+            regulation, make_family(self, regulation, aims, farthest, positions)
         )
 
     def step(

@@ -29,8 +29,7 @@ from trms_cli.controllers.robust import certificate, lmi, polytope
 from trms_cli.controllers.robust.certificate import Certificate, certify
 from trms_cli.controllers.robust.lmi import Inequalities, Solution, Task
 from trms_cli.controllers.robust.polytope import box
-from trms_cli.controllers.robust.regulation import Aim, Design, Regulation
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.controllers.robust.regulation import Aim, Design, Regulation, no_law
 from trms_cli.core.result_cache import cached_result
 
 FloatArray = npt.NDArray[np.float64]
@@ -126,7 +125,7 @@ def make_family(
     design: Design,
     regulation: Regulation,
     aims: Sequence[Aim],
-    line: FloatArray,
+    farthest: FloatArray,
     positions: Sequence[float],
 ) -> Family:
     """The family for all of some targets, from the cache if it was made before.
@@ -135,7 +134,7 @@ def make_family(
     ----------
     aims : sequence of Aim
         The first is the one whose room for the inputs counts.
-    line : (k, n) array
+    farthest : (k, n) array
         The farthest states, in units of the scales.
     positions : sequence of float
         Shares of them, from 1 down.
@@ -148,13 +147,13 @@ def make_family(
     inputs = [
         regulation.coordinates.step.serialize(),
         repr(design),
-        line,
+        farthest,
         tuple(positions),
         *(np.concatenate([aim.target.z, aim.target.v]) for aim in aims),
         *(Path(str(module.__file__)).read_bytes() for module in (lmi, certificate, polytope)),
     ]
     rings = cached_result(
-        __file__, inputs, Rings, lambda: _make(design, regulation, aims, line, positions)
+        __file__, inputs, Rings, lambda: _make(design, regulation, aims, farthest, positions)
     )
     return Family(
         np.array(rings.inverses),
@@ -169,7 +168,7 @@ def _make(
     design: Design,
     regulation: Regulation,
     aims: Sequence[Aim],
-    line: FloatArray,
+    farthest: FloatArray,
     positions: Sequence[float],
 ) -> Rings:
     n = regulation.n
@@ -179,7 +178,7 @@ def _make(
         2 * len(regulation.model.controlled),
         2**design.principal_components,
         bounded=regulation.bounded,
-        states=len(line),
+        states=len(farthest),
         soft=False,
         nested=True,
     )
@@ -190,7 +189,7 @@ def _make(
     for position in positions:
         found = None
         for _ in range(_SHORTENINGS if inside is None else 1):
-            found = _ring(design, regulation, aims, inequalities, far * position * line, inside)
+            found = _ring(design, regulation, aims, inequalities, far * position * farthest, inside)
             if found is not None or inside is not None:
                 break
             far *= _SHORTER
@@ -208,11 +207,7 @@ def _make(
         rings.contractions.append(held.contraction)
         rings.positions.append(far * position)
     if not rings.gains:
-        raise ConfigurationError(
-            "no law is certified for any state on the way to the target",
-            where="controller.widest",
-            remedy="narrow controller.targets, or lower controller.rate_range",
-        )
+        raise no_law(regulation.model)
     return rings
 
 

@@ -21,6 +21,7 @@ from trms_cli.controllers.robust.polytope import Coefficients, Polytope, Region,
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
+from trms_cli.observers.observer import Estimate
 
 FloatArray = npt.NDArray[np.float64]
 Positive = Annotated[float, Meta(gt=0)]
@@ -112,6 +113,12 @@ class Regulation:
 
     def __init__(self, design: Design, setup: ControlSetup) -> None:
         model = setup.model
+        if not model.axes:
+            raise ConfigurationError(
+                f"model {model.name!r} has no axis to regulate",
+                where="controller",
+                remedy="choose newton_mpc for a rotor alone",
+            )
         self.design, self.model = design, model
         self.coordinates = Coordinates(
             model, setup.sample_time, design.thrust_inputs, design.smallest_speed
@@ -185,6 +192,19 @@ class Regulation:
         z = self.coordinates.forward(found.x)
         target = Target(z, self.coordinates.demand(z, found.u), disturbance.copy())
         return Aim(found, target, message, asked.copy(), last is None or found.asked != last.asked)
+
+    def aim_at(self, reference: FloatArray) -> Aim:
+        """The steady state of a reference (n_r,) without disturbances."""
+        rest, w = self.model.rest(), np.zeros(self.model.n_w)
+        estimate = Estimate(rest, np.zeros_like(rest), w, w)
+        sample = ControlSample(0.0, reference[None, :], estimate, np.zeros(self.m))
+        return self.aim(sample, None, w)
+
+    def angles(self, values: FloatArray) -> FloatArray:
+        """A deviation (n,) of the controlled angles alone, given in rad, shape (n_r,)."""
+        z = np.zeros(self.n)
+        z[self._rows] = values / self.scale_z[self._rows]
+        return z
 
     def deviation(self, x: FloatArray, target: Target) -> FloatArray:
         """z − z_s in units of the scales, shape (n,)."""
@@ -303,11 +323,12 @@ def _by_name(
     return np.array([given.get(name, default) for name in known])
 
 
-def require_angles(model: Model) -> None:
-    """Refuse a model without angles to regulate."""
-    if not model.axes:
-        raise ConfigurationError(
-            f"model {model.name!r} has no mechanical axis to regulate",
-            where="controller",
-            remedy="choose newton_mpc, lqr or pid for a rotor alone",
-        )
+def no_law(model: Model) -> ConfigurationError:
+    """What to say where no law is certified even near a target."""
+    both = ", ".join(names(model.inputs))
+    return ConfigurationError(
+        f"no law is certified for model {model.name!r} near its level steady state",
+        where="controller",
+        remedy=f"where a rotor stands still there: controller.thrust_inputs=[{both}]; else narrow "
+        "controller.least_reach or controller.targets, or choose newton_mpc",
+    )
