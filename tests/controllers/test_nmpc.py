@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from trms_cli.commands.composition import compose
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.controllers.nmpc_solver import Solution
 from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.plugins import build
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -209,6 +211,23 @@ def test_a_failed_solve_falls_back_as_declared(policy: Any, monkeypatch: Any) ->
     np.testing.assert_allclose(answer.u, expected, atol=1e-9)
     monkeypatch.undo()
     assert law.step(state, sample, want_prediction=False).status is not Status.FAILED
+
+
+def test_its_defaults_are_those_of_newton_mpc() -> None:
+    """The classes' and the files': whoever compares the two compares the solvers."""
+    ours, theirs = (build(yaml_of(name)) for name in ("nmpc", "newton_mpc"))
+    assert replace(ours.problem(), qp=theirs.qp) == replace(theirs, max_iterations=10)
+    # The file also names the weights that are zero.
+    assert replace(Nmpc(), input_weights=ours.input_weights) == ours
+    assert not any(ours.input_weights.values())
+    shared = {f.name for f in fields(NewtonMpc)} & {f.name for f in fields(Nmpc)}
+    apart = {f.name for f in fields(NewtonMpc)} - shared
+    assert apart == {"qp", "terminal_weight", "terminal_decay"}
+
+
+def yaml_of(name: str) -> dict[str, Any]:
+    composed = compose([f"controller={name}"]).config
+    return dict(composed["controller"])
 
 
 def test_a_terminal_region_has_no_counterpart() -> None:

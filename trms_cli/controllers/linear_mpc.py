@@ -50,6 +50,7 @@ from trms_cli.controllers.newton_problem import (
 from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.controllers.qp.daqp import Daqp
 from trms_cli.controllers.qp.problem import QpResult, QpSolver
+from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discretisation import discretise
@@ -83,6 +84,9 @@ class LinearMpc:
         Lengths of the blocks over which an input is constant, in control periods.
     preview_horizon : int
         How many control periods ahead the reference is known, at most N.
+    forecast_horizon : int
+        How many control periods ahead a reference that is not known is carried on as the constant,
+        ramp or sine that it has been (:mod:`trms_cli.controllers.reference_forecast`), at most N.
     state_weights, rate_weights, input_weights, move_weights : dict of str to float
         See :class:`trms_cli.controllers.newton_problem.Weights`.
     input_rate_limits : dict of str to float
@@ -109,6 +113,7 @@ class LinearMpc:
     prediction_horizon: Annotated[int, Meta(ge=2)] = 40
     move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
     preview_horizon: Annotated[int, Meta(ge=0)] = 0
+    forecast_horizon: Annotated[int, Meta(ge=0)] = 15
     state_weights: Mapping[str, _NotNegative] = field(
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
@@ -117,7 +122,7 @@ class LinearMpc:
     )
     input_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
     move_weights: Mapping[str, _NotNegative] = field(
-        default_factory=lambda: {"u_v": 0.1, "u_h": 0.2}
+        default_factory=lambda: {"u_v": 0.01, "u_h": 0.02}
     )
     input_rate_limits: Mapping[str, _Positive] = field(default_factory=dict)
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -253,6 +258,8 @@ class LinearMpcState:
         self._full = self.discrete.initial(model.rest(), setup.first_command)
         self._at_target = self._full.copy()
         self._goals = np.zeros((len(self.blocks), len(controlled)))
+        ahead = 0 if config.preview_horizon else config.forecast_horizon
+        self._forecast = ReferenceForecast(min(ahead, len(self.blocks)), len(controlled))
         self._last = setup.first_command.copy()
         self._free = np.zeros((len(self.blocks) + 1, self.discrete.n_x))
         self.plan = np.zeros((model.n_u, int(self.blocks[-1]) + 1))
@@ -280,10 +287,12 @@ class LinearMpcState:
         self._last = sample.previous_command
         if self.config.disturbance_compensation:
             self._disturbance = w.copy()
-        known = len(sample.reference)
-        self._goals[: known - 1] = sample.reference[1:]
-        self._goals[known - 1 :] = sample.reference[-1]
-        asked = sample.reference[-1]
+        references = sample.reference
+        if len(references) == 1:
+            references = self._forecast.seen(references[0])
+        known = len(references)
+        self._goals[: known - 1] = references[1:]
+        self._goals[known - 1 :] = asked = references[-1]
         goal = np.clip(asked, self._goal_limits[:, 0], self._goal_limits[:, 1])
         given = (*goal.tolist(), *self._disturbance.tolist())
         if self.target is None or given != self._solved_for:
