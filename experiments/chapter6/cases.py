@@ -29,8 +29,8 @@ class Run:
         ``trms.score/1``.
     traces : dict of str to (n,) array
         ``time`` (s), references ``r_…`` and angles (rad), inputs (V).
-    control_time, objective, slack : (m,) arrays
-        Per control sample; the slack is the largest violation or terminal residual.
+    control_time, objective, residual : (m,) arrays
+        Per control sample; the residual is the terminal one.
     statuses : dict of str to int
         Samples by status.
     """
@@ -41,7 +41,7 @@ class Run:
     traces: dict[str, FloatArray]
     control_time: FloatArray
     objective: FloatArray
-    slack: FloatArray
+    residual: FloatArray
     statuses: dict[str, int]
 
 
@@ -124,7 +124,7 @@ def run_case(name: str, case: Case, controller: str, words: list[str], duration:
         traces,
         np.asarray(control.time, dtype=float),
         np.asarray(control.columns["objective"], dtype=float),
-        np.asarray(control.columns["slack"], dtype=float),
+        np.asarray(control.columns["terminal_residual"], dtype=float),
         statuses,
     )
 

@@ -98,7 +98,7 @@ def draw_objective(runs: Sequence[Run], path: Path) -> None:
                 }
                 upper.semilogy(run.control_time, np.maximum(run.objective, 1e-7), **words)
                 lower.semilogy(
-                    run.control_time, np.where(run.slack > 0, run.slack, np.nan), **words
+                    run.control_time, np.where(run.residual > 0, run.residual, np.nan), **words
                 )
             upper.set_title(name.replace("_", " "))
             lower.axhline(1e-3, color=ALARM, lw=0.6)

@@ -286,6 +286,18 @@ def test_region_is_entered_and_the_steady_state_reached(close_loop: Callable[...
     assert ran.states[-1, 2] == pytest.approx(0.2, abs=1e-3)
 
 
+def test_terminal_residual_is_told() -> None:
+    model, x = Newtonian(), Newtonian().rest()
+    for terminal, sample in (("equality", 18), ("quasi_infinite", 10), ("none", 10)):
+        mpc = NewtonMpc(terminal=terminal, prediction_horizon=sample, move_blocks=(1,) * sample)
+        state = mpc.init(ControlSetup(model, 0.1, np.zeros(2)))
+        command = mpc.step(state, sample_at(model, x, [0.1, 0.3]), want_prediction=False)
+        if terminal == "none":
+            assert np.isnan(command.terminal_residual)
+        else:
+            assert command.terminal_residual == command.slack > 0.01
+
+
 def test_a_shorter_horizon_suffices_than_with_the_equality() -> None:
     model = Newtonian()
     blocks = {"prediction_horizon": 18, "move_blocks": (1,) * 18}

@@ -65,7 +65,7 @@ def write_sample(log: RunLog, k: int) -> None:
     log.write(
         "/controller",
         t,
-        (1e-4, 2e-5, 3e-5, 3, "optimal", 1.5, 0.0, 1e-9, False, k == 7, "", "normal", ""),
+        (1e-4, 2e-5, 3e-5, 3, "optimal", 1.5, 0.0, 1e-9, False, k == 7, "", "normal", "", 0.0),
     )
     if k % 10 == 0:
         horizon = np.arange(4) * 0.1

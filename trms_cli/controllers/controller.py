@@ -123,6 +123,8 @@ class Command:
         Whether no steady state has the reference, and the closest one is the target.
     message : str
     prediction : Prediction or None
+    terminal_residual : float
+        How far the prediction ends from where it must; NaN without a terminal constraint.
     """
 
     u: FloatArray
@@ -137,6 +139,7 @@ class Command:
     message: str = ""
     prediction: Prediction | None = None
     out_of_reach: bool = False
+    terminal_residual: float = math.nan
 
 
 class Controller(Protocol):

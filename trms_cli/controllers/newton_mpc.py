@@ -14,6 +14,7 @@ convergence.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
@@ -169,6 +170,7 @@ class NewtonMpc:
             message=_message(status, state),
             prediction=state.prediction() if want_prediction else None,
             out_of_reach=target is not None and target.projected,
+            terminal_residual=math.nan if self.terminal == "none" else outcome.terminal_residual,
         )
 
 

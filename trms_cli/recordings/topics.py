@@ -135,6 +135,7 @@ CONTROLLER_TOPIC = Topic(
         Field("message", "", "the solver's sentence, empty when all is well", "text"),
         Field("mode", "", "of the loop: normal, degraded or landing", "text"),
         Field("reasons", "", "why the mode is not normal, empty when it is", "text"),
+        Field("terminal_residual", "1", "how far the plan ends from where it must"),
     ),
     "The controller's own words on each sample",
 )

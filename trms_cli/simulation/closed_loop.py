@@ -307,6 +307,7 @@ class Loop:
                 command.message,
                 self._supervisor.mode.value,
                 self._supervisor.reasons(),
+                command.terminal_residual,
             ),
         )
         if command.prediction is not None:
@@ -324,7 +325,7 @@ class Loop:
             self._now_ns,
             (
                 *(*nothing, 0, status.label, *nothing, False, False, status.meaning),
-                *(watch.mode.value, watch.reasons()),
+                *(watch.mode.value, watch.reasons(), math.nan),
             ),
         )
 
