@@ -188,7 +188,8 @@ def runs_of(plan: Plan, *, pattern: str = "*", quick: bool = False) -> list[Run]
     ----------
     plan : Plan
     pattern : str
-        As a shell matches file names: ``newton_mpc+*``, ``*/sine/*``, ``*/draw_*``.
+        As a shell matches file names: ``newton_mpc+*``, ``*/sine/*``, ``*/draw_*``; several with
+        commas.
     quick : bool
         A small part of it, to see that it works.
 
@@ -206,7 +207,8 @@ def runs_of(plan: Plan, *, pattern: str = "*", quick: bool = False) -> list[Run]
     runs = list(found.values())
     if quick:
         runs = [_shortened(run, plan) for run in runs if _is_quick(run, plan)]
-    chosen = [run for run in runs if fnmatch(run.name, pattern)]
+    patterns = pattern.split(",")
+    chosen = [run for run in runs if any(fnmatch(run.name, each) for each in patterns)]
     if not chosen:
         raise ConfigurationError(
             f"no run matches {pattern!r}",

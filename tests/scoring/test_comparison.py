@@ -97,7 +97,15 @@ class TestRanking:
         assert standing(ranking, "seer").rank is None
         assert standing(ranking, "seer").ratio == pytest.approx(0.5)
 
-    def test_who_was_not_in_every_condition_has_no_rank_but_is_held_against(self):
+    def test_one_run_that_lacks_costs_nobody_the_rank_but_the_condition(self):
+        runs = [run(c, 0.1 if c == "a" else 0.2, rig=str(r)) for c in "ab" for r in range(10)]
+        ranking = rank(group([each for each in runs if each.path != "a/square/3"]))
+        assert [each.rank for each in ranking.standings] == [1, 2]
+        assert ranking.first.name == "a"
+        assert ranking.left_out == 1
+        assert all(len(each.runs) == 9 for each in ranking.standings)
+
+    def test_who_was_in_few_conditions_has_no_rank_but_is_held_against(self):
         runs = [run(c, 0.2, rig=r) for c in "ab" for r in "12"] + [run("c", 0.1, rig="1")]
         ranking = rank(group(runs))
         assert standing(ranking, "c").rank is None

@@ -26,7 +26,8 @@ are told apart by what they differ in: controller, observer and model name who r
 the rig and the seed name in what. Everybody is held against the best on the same reference, rig
 and seed; a failed run counts as the worst there. Intervals are of a bootstrap over rigs, 95 %; an
 entrant is told from the first when the interval of its ratio to the first excludes 1.
-Who was not in every condition, or knew more than the others, is listed without a rank.
+Who was in far fewer conditions, or knew more than the others, is listed without a rank; the
+others are ranked on the conditions that all of them were in.
 Two logs are put side by side instead.
 
   LOG, FOLDER            MCAP logs of trms, folders of runs, of sweeps, of tournaments

@@ -63,7 +63,7 @@ def tracking_table(
     unit = METRICS[ranking.metric].replace("{}", "rad")
     title = f"{_short(ranking.metric)}\n[{unit}]"
     table = _table("tracking", "runs", title, "over\nbest", "\n95 %", "over\nfirst", "\n95 %", "")
-    for title in ("over best\np95", "\nworst"):
+    for title in ("\np95", "\nworst"):
         table.add_column(title, justify="right", no_wrap=True)
     for standing in shown:
         told = figures[standing.name]
@@ -161,7 +161,9 @@ def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
         yield f"Outside of the ranking: {'; '.join(outside)}."
     partial = [s.name for s in shown if s.rank is None and not s.outside]
     if partial:
-        yield f"Not ranked, since not in every condition: {', '.join(partial)}."
+        yield f"Not ranked, since in too few of the conditions: {', '.join(partial)}."
+    if ranking.left_out:
+        yield f"Left out: {ranking.left_out} conditions in which not all of the ranked ran."
 
 
 def _is_condition(key: str) -> bool:
@@ -294,7 +296,7 @@ def _table(title: str, *columns: str, numbered: bool = True) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     if numbered:
         table.add_column("", justify="right", no_wrap=True)
-    table.add_column(title, header_style="bold cyan", no_wrap=True, min_width=16)
+    table.add_column(title, header_style="bold cyan", no_wrap=True, min_width=14)
     for column in columns:
         table.add_column(escape(column), justify="right", no_wrap=True)
     return table

@@ -39,6 +39,7 @@ def document(ranking: Ranking, gathered: Gathered, shown: Sequence[Standing]) ->
             "by": list(ranking.contest.by),
             "conditions_by": list(ranking.contest.given_by),
             "runs": len(runs),
+            "conditions_left_out": ranking.left_out,
             "conditions": [dict(told) for told in ranking.contest.conditions],
             "interval": {
                 "of": "percentile bootstrap over rigs, paired",

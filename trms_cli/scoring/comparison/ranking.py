@@ -28,6 +28,9 @@ FloatArray = npt.NDArray[np.float64]
 
 FAILED_RATIO = 10.0
 RESAMPLES, SEED, LEVEL = 2000, 0, 0.95
+#: Who was in fewer of the conditions than this share of the busiest entrant's is not ranked; the
+#: others are ranked on the conditions that all of them were in.
+SHARE_TO_BE_RANKED = 0.8
 #: With fewer rigs, drawing them again tells nothing about others.
 FEWEST_CLUSTERS = 5
 
@@ -58,7 +61,7 @@ class Standing:
     ----------
     name : str
     rank : int or None
-        From 1; None for one that is outside the ranking, or was not in every condition.
+        From 1; None for one that is outside the ranking, or was in too few conditions.
     outside : str
         Why it is outside; "" if it is not.
     runs : tuple of ComparedRun
@@ -118,6 +121,8 @@ class Ranking:
         By condition, the entrant with the smallest error among those that may be ranked.
     clusters : int
         Rigs that were drawn again.
+    left_out : int
+        Conditions that are not counted for those with a rank, since not all of them were in.
     """
 
     metric: str
@@ -125,6 +130,7 @@ class Ranking:
     standings: tuple[Standing, ...]
     best: Mapping[int, str] = field(default_factory=dict)
     clusters: int = 0
+    left_out: int = 0
 
     @property
     def first(self) -> Standing | None:
@@ -157,7 +163,15 @@ def rank(runs: Contest, metric: str = "rmse", *, resamples: int = RESAMPLES) -> 
     ratios = _ratios(errors, floor)
     ran = ~np.isnan(ratios)
     most = int(ran[inside].sum(axis=1).max()) if inside.any() else 0
-    whole = inside & (ran.sum(axis=1) == most) & (most > 0)
+    whole = inside & (ran.sum(axis=1) >= SHARE_TO_BE_RANKED * most) & (most > 0)
+    common = ran[whole].all(axis=0)
+    if not common.any():
+        whole = inside & (ran.sum(axis=1) == most)
+        whole &= (ran == ran[np.argmax(whole)]).all(axis=1)
+        common = ran[whole].all(axis=0)
+    left_out = int(np.count_nonzero(ran[whole].any(axis=0) & ~common))
+    ratios = np.where(whole[:, None] & ~common, np.nan, ratios)
+    ran = ~np.isnan(ratios)
     means = np.array([_geometric(row[there]) for row, there in zip(ratios, ran, strict=True)])
     order = sorted(range(len(means)), key=lambda i: (not whole[i], bool(runs.outside[i]), means[i]))
     first = order[0] if order and whole[order[0]] else None
@@ -193,6 +207,7 @@ def rank(runs: Contest, metric: str = "rmse", *, resamples: int = RESAMPLES) -> 
         standings=tuple(standings),
         best=best,
         clusters=int(clusters.max()) + 1 if clusters.size else 0,
+        left_out=left_out,
     )
 
 
