@@ -30,6 +30,7 @@ is no region, and the terminal equality stays.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import casadi as ca
@@ -146,7 +147,10 @@ class RegionDesign:
             From :meth:`centre`.
         disturbance : (n_w,) array
         """
-        law = self._local_law(centre, disturbance)
+        with warnings.catch_warnings():
+            # Of poor conditioning: whether the law is any good is judged by what follows.
+            warnings.simplefilter("ignore", self._linalg.LinAlgWarning)
+            law = self._local_law(centre, disturbance)
         if law is None:
             return None
         gain, cost = law
