@@ -160,6 +160,21 @@ def test_a_wild_estimate_does_no_lasting_harm() -> None:
     assert np.abs(states[1].integral).max() < 20.0
 
 
+def test_a_smooth_reference_is_followed_without_delay() -> None:
+    """The lags of the reference cost time; a sine that is carried on does not pay it."""
+    worst = []
+    for forecast in (True, False):
+        trajectory = run(
+            FeedbackLinearisation(forecast=forecast),
+            BOTH,
+            lambda time: np.array([0.15 * np.sin(0.6 * time), 0.4 * np.sin(0.5 * time)]),
+            30.0,
+        )
+        late = slice(round(12 / SAMPLE_TIME), None)
+        worst.append([np.abs(trajectory.error(name)[late]).max() for name in BOTH.controlled])
+    assert np.all(np.array(worst[0]) < 0.5 * np.array(worst[1]))
+
+
 def test_a_reference_out_of_reach_is_said() -> None:
     law = FeedbackLinearisation()
     state = law.init(ControlSetup(BOTH, SAMPLE_TIME, np.zeros(2)))

@@ -41,6 +41,7 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.operating_point import SteadyState, Target
+from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.controllers.virtual_moments import VirtualMoments, virtual_moments
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
@@ -50,6 +51,7 @@ _Positive = Annotated[float, Meta(gt=0)]
 _NotNegative = Annotated[float, Meta(ge=0)]
 #: Part of the largest thrust that a reference may ask for; the rest is left to the feedback.
 _FOR_REFERENCE = 0.9
+_LAGS = 3  # on the reference
 _AXES = ("pitch", "yaw")
 
 
@@ -75,7 +77,10 @@ class FeedbackLinearisationState:
     integral : (n_a,) array
         I, rad/s².
     lags : (n_a,) array
-        1 over each of the reference's lags, 1/s; infinite for none.
+        1 over each of the reference's lags, 1/s.
+    forecast : ReferenceForecast
+    delays : list of int
+        Of the lags of each axis, in periods; 0 without forecast.
     lower, upper : (n_u,) arrays
         V.
     period : float
@@ -92,19 +97,23 @@ class FeedbackLinearisationState:
     guide: FloatArray
     integral: FloatArray
     lags: FloatArray
+    forecast: ReferenceForecast
+    delays: list[int]
     lower: FloatArray
     upper: FloatArray
     period: float
     started: bool = False
     target: Target | None = None
 
-    def reachable(self, reference: FloatArray) -> FloatArray:
-        """The closest reference (n_r,) that can be held."""
+    def reachable(self, reference: FloatArray, wanted: FloatArray) -> FloatArray:
+        """What the axes are to go for (n_a,): as wanted, or the closest that can be held."""
         if self.target is None or self.target.asked != tuple(reference.tolist()):
             found = self.steady.solve(reference, None, self.target)
             if found.converged:
                 self.target = found
-        return reference if self.target is None else self.target.reference_reached
+        if self.target is None or not self.target.projected:
+            return wanted
+        return self.target.reference_reached[[axis.reference for axis in self.parts.axes]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +126,9 @@ class FeedbackLinearisation:
         Rates p_1 … p_4 of each axis' error, 1/s; their sum is the rotor loop's.
     reference_lag : dict of str to float
         Each of three lags on the reference of an axis, s.
+    forecast : bool
+        Whether a reference that has been a ramp or a sine is carried on by the delay of its lags
+        (:mod:`trms_cli.controllers.reference_forecast`), so that they cost no time.
     use_disturbance : bool
         Whether the observer's disturbance is part of the model's acceleration.
     tracking_time : float
@@ -131,6 +143,7 @@ class FeedbackLinearisation:
     reference_lag: Mapping[str, _Positive] = field(
         default_factory=lambda: {"pitch": 0.35, "yaw": 0.25}
     )
+    forecast: bool = True
     use_disturbance: bool = True
     tracking_time: _Positive = 0.5
     sample_time: _Positive | None = None
@@ -156,6 +169,8 @@ class FeedbackLinearisation:
         lower, upper = setup.model.input_bounds()
         n = len(parts.axes)
         lags = [self.reference_lag[axis.name] for axis in parts.axes]
+        T = setup.sample_time
+        delays = [round(_LAGS * lag / T) if self.forecast else 0 for lag in lags]
         return FeedbackLinearisationState(
             parts,
             SteadyState(setup.model),
@@ -163,6 +178,8 @@ class FeedbackLinearisation:
             np.zeros((n, 3)),
             np.zeros(n),
             1.0 / np.array(lags),
+            ReferenceForecast(max(delays), len(setup.model.controlled)),
+            delays,
             lower,
             upper,
             setup.sample_time,
@@ -185,7 +202,14 @@ class FeedbackLinearisation:
         if not state.started:
             state.started = True
             state.guide[:, 0] = angles
-        reachable = state.reachable(reference)[[axis.reference for axis in axes]]
+        ahead = state.forecast.seen(reference)
+        wanted = np.array(
+            [
+                ahead[min(delay, len(ahead) - 1), axis.reference]
+                for axis, delay in zip(axes, state.delays, strict=True)
+            ]
+        )
+        reachable = state.reachable(reference, wanted)
         ends = np.array([(axis.speed.x[0], axis.speed.x[-1]) for axis in axes]).T
         reach = a + np.diag(mobility) * (_FOR_REFERENCE * arms * ends - moments)
         jerk = _guided(state, reachable, reach)
