@@ -62,7 +62,7 @@ def prior_of(observer: Observer) -> tuple[np.ndarray, np.ndarray]:
         Mhe(horizon=0.6, within_stops=False, **TOLD),
         Mhe(horizon=0.02, **TOLD),
         Mhe(horizon=0.4, iterations=3, **TOLD),
-        Mhe(horizon=0.1, arrival="ukf", **TOLD),
+        Mhe(horizon=0.1, arrival="ekf", **TOLD),
     ],
     ids=[
         *("ukf", "ukf, narrow", "ekf", "sd-ekf", "sd-ekf, far origin", "kalman"),
@@ -71,7 +71,7 @@ def prior_of(observer: Observer) -> tuple[np.ndarray, np.ndarray]:
             "mhe, long",
             "mhe, one sample",
             "mhe, iterated",
-            "mhe on ukf",
+            "mhe on ekf",
         ),
     ],
 )
@@ -174,7 +174,7 @@ def test_near_an_operating_point_linear_state_dependent_and_extended_filter_agre
         Ekf(),
         StateDependentEkf(origin=at, origin_command=command),
         Kalman(operating_point=angles),
-        Mhe(horizon=0.2),
+        Mhe(horizon=0.2, arrival="ekf"),
         Ukf(),
     ]
     differences = []

@@ -4,6 +4,11 @@
 
 the baseline that the others are measured against: right where the rig stays near the point, wrong
 away from it. R. E. Kalman 1960, "A new approach to linear filtering and prediction problems".
+
+Away from the point the estimated torques also hold what the linear model says wrongly of thrusts
+and gravity. A controller that adds them to the *nonlinear* model would count that twice, and may
+be driven off by it (newton_mpc was, from rest). The torques that the estimate tells are therefore
+those that make the nonlinear model move, from the estimated state, as the linear one does.
 """
 
 from __future__ import annotations
@@ -23,12 +28,16 @@ from trms_cli.observers.augmentation import Augmentation, augment
 from trms_cli.observers.kalman_step import exact_measurement, exact_transition, kalman_step
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState, RecursiveFilter
+from trms_cli.observers.state_kinds import kinds_of_states
 
 FloatArray = npt.NDArray[np.float64]
 
 #: Samples within which a covariance settles that settles at all: half an hour at 50 Hz.
 _MOST_SAMPLES = 100_000
 _SETTLED = 1e-12
+#: Kinds of states that torques push.
+_PUSHED = ("momentum", "rotor", "speed")
+_FAINT = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +74,8 @@ class Kalman(RecursiveFilter):
             z_0, settled[smooth.n_s :], u_0, model.parameters.values
         )
         step = kalman_step("kalman_step", augmented, *_linear_stages(augmented, coefficients))
-        return step, np.concatenate([np.array(part).ravel(order="F") for part in coefficients])
+        parts = [np.array(part).ravel(order="F") for part in coefficients]
+        return step, np.concatenate([*parts, model.parameters.values])
 
     def init(self, setup: ObserverSetup) -> FilterState:
         state = super().init(setup)
@@ -101,13 +111,14 @@ def _coefficients(smooth: Augmentation) -> ca.Function:
 
 def _linear_stages(
     augmented: Augmentation, coefficients: list[ca.DM]
-) -> tuple[ca.Function, ca.Function]:
-    """Transition and measurement with their coefficients as parameters.
+) -> tuple[ca.Function, ca.Function, ca.Function]:
+    """Transition, measurement and restated torques, with their coefficients as parameters.
 
     So the compiled code is the same whatever the rig's figures and the operating point are.
     """
-    z, memory, u, _, known = augmented.symbols()
-    p = ca.SX.sym("p", sum(part.numel() for part in coefficients))
+    z, memory, u, own, known = augmented.symbols()
+    count = sum(part.numel() for part in coefficients)
+    p = ca.SX.sym("p", count + own.numel())
     ends = np.cumsum([0, *(part.numel() for part in coefficients)]).tolist()
     shift, A, M, B, G, kept_0, kept, entered, y_0, C, D = (
         ca.reshape(p[begin:end, 0], *part.shape)
@@ -115,11 +126,33 @@ def _linear_stages(
     )
     after = shift + A @ z + M @ memory + B @ u + G @ known
     remembered = kept_0 + kept @ memory + entered @ u
-    transition = ca.Function(
-        "transition", [z, memory, u, p, known], [ca.densify(v) for v in (after, A, remembered)]
-    )
+    at = [z, memory, u, p, known]
+    transition = ca.Function("transition", at, [ca.densify(v) for v in (after, A, remembered)])
     y = y_0 + C @ z + D @ u
-    return transition, ca.Function("measure", [z, u, p], [ca.densify(y), ca.densify(C)])
+    measurement = ca.Function("measure", [z, u, p], [ca.densify(y), ca.densify(C)])
+    restate = ca.Function(
+        "restate", at, [_restated(augmented, after, z, memory, u, p[count:, 0], known)]
+    )
+    return transition, measurement, restate
+
+
+def _restated(
+    augmented: Augmentation, after: ca.SX, z: ca.SX, memory: ca.SX, u: ca.SX, p: ca.SX, known: ca.SX
+) -> ca.SX:
+    """z with the torques for which the model moves as the linear one, in what they push."""
+    if not augmented.equations:
+        return z
+    n_s, model = augmented.n_s, augmented.model
+    follows = exact_transition(augmented)(z, memory, u, p, known)
+    pushed = [i for i, kind in enumerate(kinds_of_states(model)) if kind in _PUSHED]
+    slope = follows[1][pushed, n_s:]
+    missing = (after - follows[0])[pushed]
+    scale = ca.DM(1.0 / augmented.sd[pushed])
+    slope, missing = ca.diag(scale) @ slope, scale * missing
+    normal = slope.T @ slope
+    # A torque that pushes nothing here (one inside a stuck rotor) stays as it is.
+    faint = _FAINT * ca.trace(normal) * ca.SX.eye(normal.shape[0])
+    return ca.vertcat(z[:n_s, 0], z[n_s:, 0] + ca.solve(normal + faint, slope.T @ missing))
 
 
 def _settled_covariance(state: FilterState) -> FloatArray:

@@ -20,7 +20,11 @@ from trms_cli.observers.update import diagonal, disturbances, gain_stage, gated
 
 
 def kalman_step(
-    name: str, augmented: Augmentation, transition: ca.Function, measurement: ca.Function
+    name: str,
+    augmented: Augmentation,
+    transition: ca.Function,
+    measurement: ca.Function,
+    restate: ca.Function | None = None,
 ) -> ca.Function:
     """One sample; see :mod:`trms_cli.observers.recursive_filter` for inputs and outputs.
 
@@ -32,6 +36,8 @@ def kalman_step(
         ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
     measurement : casadi.Function
         ``(z, u, p) → y, H``.
+    restate : casadi.Function, optional
+        ``(z, memory, u, p, known) → z`` with the torques that the estimate is to tell.
     """
     model = augmented.model
     n, n_y, n_m = augmented.n, len(augmented.channels), augmented.n_m
@@ -66,13 +72,14 @@ def kalman_step(
     )
     P_next = (P_next + P_next.T) / 2
     sd = ca.sqrt(ca.diag(P_next))
+    told = m_next if restate is None else restate(m_next, memory_next, u, p, known)
     health = ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P_next))
     return ca.Function(
         name,
         [m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate],
         [
             *(m_next, P_next, memory_next, health, sd),
-            *disturbances(augmented, m_next, sd, known),
+            *disturbances(augmented, told, sd, known),
             *(predicted, innovation, ca.sqrt(variance), mask - believed),
         ],
         list(INPUTS),

@@ -101,8 +101,10 @@ class Mhe(FilterOptions):
     iterations : int
         Gauss–Newton steps a sample; the window is linearised anew along the last result at each
         sample, so that one is seldom far from the optimum.
-    arrival : {"ekf", "ukf"}
-        The filter whose covariance weighs the window's beginning.
+    arrival : {"ukf", "ekf"}
+        The filter whose covariance weighs the window's beginning. Sigma points see that a rotor
+        that stands still can turn yaw either way; a Jacobian there, where thrust has no slope, does
+        not.
     bounds : dict of str to (float, float)
         Lowest and highest value of states or disturbances, by name, in their units.
     within_stops : bool
@@ -111,7 +113,7 @@ class Mhe(FilterOptions):
 
     horizon: Annotated[float, Meta(gt=0)] = 0.3
     iterations: Annotated[int, Meta(ge=1)] = 1
-    arrival: Literal["ekf", "ukf"] = "ekf"
+    arrival: Literal["ekf", "ukf"] = "ukf"
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     within_stops: bool = True
 
