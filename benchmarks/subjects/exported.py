@@ -12,9 +12,9 @@ from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.lockstep import WARM_UP, quantiles
 from benchmarks.options import Options
 from benchmarks.setups import experiment, newton_horizon, newton_of
-from trms_cli.controllers.code.example_run import example_rows
+from trms_cli.controllers.code.example_run import example_rows, rounding_difference
 from trms_cli.controllers.code.export import export
-from trms_cli.controllers.code.measure import FLAGS, Measured, measure
+from trms_cli.controllers.code.measure import FLAGS, PASSES, Measured, measure
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.core.compilation import compiler
 from trms_cli.models.model import names
@@ -32,9 +32,79 @@ _CASES = {
     "default": (None, (), None),
 }
 
+#: Difference that is rounding, V.
+_ROUNDING = 1e-9
+#: Overrides by what a loop is about.
+_LOOPS: dict[str, tuple[str, ...]] = {
+    "squares": (),
+    "squares, one iteration": ("controller.max_iterations=1",),
+    "sines": ("ref=sine",),
+    "sawteeth": ("ref=sawtooth",),
+    "squares out of reach": ("ref.alpha_v.amplitude=1.3", "ref.alpha_h.amplitude=3.0"),
+    "limits on rates": ("controller.input_rate_limits={u_v: 3.0, u_h: 5.0}",),
+    "limit on pitch, preview": (
+        "controller.soft_limits={alpha_v: [-0.25, 0.25]}",
+        "controller.preview_horizon=8",
+    ),
+    "no terminal constraint": ("controller.terminal=none",),
+    "pitch alone": ("model=newtonian_vertical", "model@plant.model=newtonian_vertical"),
+    "limit on a rotor against the end": (
+        "controller.soft_limits={omega_h: [-120, 120]}",
+        "ref.alpha_h.amplitude=1.2",
+    ),
+}
+
 
 def run(options: Options) -> list[Table]:
     """Export, compile and drive through the samples of a closed loop; Python over the same."""
+    program = compiler()
+    return [_times(options, program), _agreement(options, program)]
+
+
+def _agreement(options: Options, program: str | None) -> Table:
+    """How far the commands of C and Python are apart, loop by loop."""
+    table = Table(
+        "exported_agreement",
+        "newton_mpc exported to C: largest difference to Python's commands with equal inputs",
+        [
+            Column("loop", "loop"),
+            Column("difference", "difference", "V", 2),
+            Column("itself", "Python to itself", "V", 2),
+            Column("samples", "samples"),
+            *LIMIT,
+        ],
+    )
+    if program is None:
+        return table
+    for name, overrides in _LOOPS.items():
+        chosen = experiment(
+            "controller=newton_mpc",
+            "observer=full_state",
+            *([] if any(word.startswith("ref=") for word in overrides) else ["ref=square"]),
+            *overrides,
+            f"sim.duration={options.duration(120.0)}",
+        )
+        example = _Example(chosen)
+        measured = example.measured(program, passes=1)
+        itself = rounding_difference(example.controller, example.setup, example.rows)
+        # What changes Python so much in the last bit of an estimate has no nearer neighbour.
+        table.add_limited(
+            "difference",
+            measured.largest_difference,
+            max(_ROUNDING, 10 * itself),
+            loop=name,
+            itself=itself,
+            samples=measured.samples,
+        )
+    table.notes.append(
+        "“Python to itself”: the same loop again with each estimate changed in its last bit. The "
+        f"limit is {_ROUNDING:g} V, or ten times that difference."
+    )
+    return table
+
+
+def _times(options: Options, program: str | None) -> Table:
+    """What a sample takes."""
     table = Table(
         "exported",
         TITLE,
@@ -51,10 +121,9 @@ def run(options: Options) -> list[Table]:
             *LIMIT,
         ],
     )
-    program = compiler()
     if program is None:
         table.notes.append("no C compiler on this machine: nothing measured")
-        return [table]
+        return table
     for name, (limit, horizon, iterations) in _CASES.items():
         chosen = experiment(
             "controller=newton_mpc",
@@ -63,7 +132,8 @@ def run(options: Options) -> list[Table]:
             *([f"controller.max_iterations={iterations}"] if iterations else []),
             f"sim.duration={options.duration(80.0)}",
         )
-        measured, python = _measured(chosen, program)
+        example = _Example(chosen)
+        measured, python = example.measured(program), example.python_median()
         cells: dict[str, Value] = {
             "case": name,
             "p99": measured.p99,
@@ -93,45 +163,53 @@ def run(options: Options) -> list[Table]:
         "sample, so that each has a steady state to find. “Slowest” is the sample that takes "
         "longest, in the least disturbed of five passes."
     )
-    return [table]
+    return table
 
 
-def _measured(chosen: Experiment, program: str) -> tuple[Measured, float]:
-    """What the example of an export says, and the median of Python over its samples, µs."""
-    controller = newton_of(chosen)
-    plant = chosen.plant.init(PlantSetup(chosen.sample_time, 1, chosen.seed))
-    setup = ControlSetup(chosen.model, controller.sample_time, plant.first_command)
-    observing = ObserverSetup(
-        chosen.model,
-        chosen.sample_time,
-        names(plant.outputs),
-        plant.noise_sd,
-        plant.measure(),
-        plant.first_command,
-    )
-    samples = max(2 * WARM_UP, round(chosen.duration / controller.sample_time))
-    found = export(
-        controller,
-        setup,
-        chosen.reference,
-        name="rig",
-        samples=samples,
-        observer=chosen.observer,
-        observing=observing,
-    )
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for file, content in found.files.items():
-            (folder / file).write_text(content, encoding="utf-8")
-        measured = measure(folder, "rig", program)
-    rows = example_rows(controller, setup, chosen.reference, samples)
-    state, model = controller.init(setup), chosen.model
-    ends = np.cumsum([model.n_x, model.n_w, len(model.controlled), model.n_u])
-    times = []
-    for row in rows:
-        x, w, r, u, _ = np.split(row, ends)
-        sample = ControlSample(0.0, r[None, :], Estimate(x, 0 * x, w, 0 * w), u)
-        begin = perf_counter()
-        controller.step(state, sample, want_prediction=False)
-        times.append(perf_counter() - begin)
-    return measured, 1e6 * quantiles(np.array(times[WARM_UP:]))[0]
+class _Example:
+    """An export of an experiment's controller and observer, with the samples that go with it."""
+
+    def __init__(self, chosen: Experiment) -> None:
+        self.controller = controller = newton_of(chosen)
+        plant = chosen.plant.init(PlantSetup(chosen.sample_time, 1, chosen.seed))
+        self.setup = ControlSetup(chosen.model, controller.sample_time, plant.first_command)
+        observing = ObserverSetup(
+            chosen.model,
+            chosen.sample_time,
+            names(plant.outputs),
+            plant.noise_sd,
+            plant.measure(),
+            plant.first_command,
+        )
+        samples = max(2 * WARM_UP, round(chosen.duration / controller.sample_time))
+        self.rows = example_rows(controller, self.setup, chosen.reference, samples)
+        self._files = export(
+            controller,
+            self.setup,
+            chosen.reference,
+            name="rig",
+            samples=samples,
+            observer=chosen.observer,
+            observing=observing,
+        ).files
+
+    def measured(self, program: str, passes: int = PASSES) -> Measured:
+        """What the example says."""
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            for file, content in self._files.items():
+                (folder / file).write_text(content, encoding="utf-8")
+            return measure(folder, "rig", program, passes)
+
+    def python_median(self) -> float:
+        """Time of Python over the same samples, µs; for controllers without a preview."""
+        state, model = self.controller.init(self.setup), self.setup.model
+        ends = np.cumsum([model.n_x, model.n_w, len(model.controlled), model.n_u])
+        times = []
+        for row in self.rows:
+            x, w, r, u, _ = np.split(row, ends)
+            sample = ControlSample(0.0, r[None, :], Estimate(x, 0 * x, w, 0 * w), u)
+            begin = perf_counter()
+            self.controller.step(state, sample, want_prediction=False)
+            times.append(perf_counter() - begin)
+        return 1e6 * quantiles(np.array(times[WARM_UP:]))[0]

@@ -1,7 +1,8 @@
 # Builds the controller and its example. The flags that count for speed and exactness:
 #   -O3                  vectorises the Hessian; -O2 is close to it
-#   -std=c99             keeps operations as they are written (no fused multiply-add)
-#   NATIVE=-march=native is faster on some processors, no longer portable, and rounds differently
+#   -std=c99             GCC then keeps operations as they are written (no fused multiply-add);
+#                        clang needs -ffp-contract=off for that, where the last digits count
+#   NATIVE=-march=native uses all of this processor; the result runs on no older one
 # Never -ffast-math: it takes the checks for NaN away.
 CC ?= cc
 NATIVE ?=

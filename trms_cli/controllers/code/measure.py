@@ -13,7 +13,7 @@ from trms_cli.core.errors import TrmsError
 
 FLAGS = ("-std=c99", "-O3")
 WARNINGS = ("-Wall", "-Wextra", "-pedantic")
-_PASSES = 5
+PASSES = 5
 _TIMEOUT = 600.0  # s
 
 
@@ -62,8 +62,8 @@ class Measured:
     stack_bytes: int | None
 
 
-def measure(folder: Path, name: str, compiler: str) -> Measured:
-    """Build in a folder of its own and run.
+def measure(folder: Path, name: str, compiler: str, passes: int = PASSES) -> Measured:
+    """Build in a folder of its own and run, so many times through the samples.
 
     Raises
     ------
@@ -73,12 +73,12 @@ def measure(folder: Path, name: str, compiler: str) -> Measured:
     build = folder / "build"
     build.mkdir()
     try:
-        return _measured(folder, build, name, compiler)
+        return _measured(folder, build, name, compiler, passes)
     finally:
         shutil.rmtree(build, ignore_errors=True)
 
 
-def _measured(folder: Path, build: Path, name: str, compiler: str) -> Measured:
+def _measured(folder: Path, build: Path, name: str, compiler: str, passes: int) -> Measured:
     source, include = folder.resolve(), f"-I{folder.resolve()}"
     stack = ["-fstack-usage"] if _knows(compiler, "-fstack-usage", build) else []
     compile_ = [compiler, *FLAGS, *WARNINGS, include, "-c"]
@@ -86,7 +86,7 @@ def _measured(folder: Path, build: Path, name: str, compiler: str) -> Measured:
     _run([*compile_, str(source / f"{name}_example.c")], build)
     program = f"{name}_example"
     _run([compiler, "-o", program, f"{name}.o", f"{name}_example.o", "-lm"], build)
-    said = _run([f"./{program}", str(source / "example.csv"), str(_PASSES)], build)
+    said = _run([f"./{program}", str(source / "example.csv"), str(passes)], build)
     figures = dict(line.split() for line in said.splitlines())
     code, data = _sizes(build / f"{name}.o", build)
     return Measured(
