@@ -21,6 +21,12 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "tournament.md", ROOT / "docs" / "figures" / "tournament"
 SCHEMA = "trms.tournament/1"
 BEGIN, END = "<!-- made: {} begin -->", "<!-- made: {} end -->"
+#: What figures show, by file name.
+_SHOWN = {
+    "ratios.png": "Error over the best's in every run, by entrant and class of rigs",
+    "effects.png": "Error over the best's, entrants by effects",
+    "cost.png": "Tracking against how much the commands move, and against the time of a step",
+}
 #: Rows of a list; report.json has all.
 _MOST = 40
 
@@ -293,6 +299,9 @@ def publish(
     """
     text = page.read_text(encoding="utf-8")
     parts: dict[str, list[str] | Rows] = {"about": [_about(about, results)], **made}
+    for figure in figures:
+        link = f"![{_SHOWN[figure.name]}](figures/tournament/{figure.name})"
+        parts[f"figure {figure.stem}"] = [link]
     for name, content in parts.items():
         before, begin, rest = text.partition(BEGIN.format(name))
         _, end, after = rest.partition(END.format(name))

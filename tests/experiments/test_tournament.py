@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import replace
 
 import pytest
 
 from experiments.tournament import __main__ as program
-from experiments.tournament import page, running
+from experiments.tournament import figures, page, running
 from experiments.tournament.published import put_beside, read_published
 from experiments.tournament.schedule import (
     BLOCKS,
@@ -240,17 +241,20 @@ class TestVerdicts:
         about = {"seconds": 60.0, "jobs": 2, "whole": False, "git": "",
                  "machine": {"processor": "x", "cores": 2, "python": "3.11"}}  # fmt: skip
         made = page.tables(results, [], PLAN.criteria)
-        page.publish({**made, "observers": ["–"]}, about, results, [], copy, tmp_path / "figures")
+        drawn = figures.draw(results, tmp_path / "drawn")
+        place = copy.parent / "figures" / "tournament"
+        page.publish({**made, "observers": ["–"]}, about, results, drawn, copy, place)
         text = copy.read_text(encoding="utf-8")
         assert "| 1 | nmpc + ukf |" in text  # the same but for one rig
         assert "Only a part" in text
         again = text.count("made:")
-        page.publish({**made, "observers": ["–"]}, about, results, [], copy, tmp_path / "figures")
+        links = re.findall(r"\]\((figures/[^)]*)\)", text)
+        assert len(links) == len(drawn)
+        assert all((tmp_path / link).is_file() for link in links)
+        page.publish({**made, "observers": ["–"]}, about, results, drawn, copy, place)
         assert copy.read_text(encoding="utf-8").count("made:") == again
 
     def test_figures_are_drawn(self, finished, tmp_path):
-        from experiments.tournament import figures
-
         drawn = figures.draw(read_results(finished, PLAN.criteria), tmp_path)
         assert [path.name for path in drawn] == list(figures.NAMES)
         assert all(path.stat().st_size > 5000 for path in drawn)
