@@ -15,12 +15,15 @@ from trms_cli.reporting.style import (
     GREY,
     INK,
     LABELS,
+    PALETTE,
     house_style,
     legend_above,
     new_figure,
     save_png,
 )
 
+#: Curves that lie on each other: the first one wide and pale, the next narrow.
+_OVER_EACH_OTHER = ((PALETTE["sky"], 3.2), (PALETTE["vermilion"], 1.1))
 _FORCE = "step with force"
 #: Of the force, N m and s: `configs/disturbance/yaw_push.yaml`.
 _TORQUE, _FROM = 0.01, 30.0
@@ -35,9 +38,12 @@ def draw_cases(outcomes: Sequence[Outcome], path: Path) -> None:
         for row, case in enumerate(cases):
             members = [o for o in outcomes if o.job.case == case and o.traces]
             for panel, angle in zip(panels[row], ANGLES, strict=True):
-                for colour, outcome in zip(COLOURS, members, strict=False):
+                for (colour, width), outcome in zip(_OVER_EACH_OTHER, members, strict=False):
                     traces = outcome.traces
-                    panel.plot(traces["time"], traces[angle], color=colour, label=outcome.job.pair)
+                    panel.plot(
+                        traces["time"], traces[angle], color=colour, lw=width,
+                        label=outcome.job.pair,
+                    )  # fmt: skip
                 if members:
                     traces = members[0].traces
                     panel.plot(

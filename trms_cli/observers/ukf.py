@@ -23,10 +23,16 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.observers.augmentation import Augmentation
+
+# Names that were here before there were other filters, and that others import from here.
+from trms_cli.observers.noise_tables import InitialSd, ProcessNoise
 from trms_cli.observers.observer import ObserverSetup
+from trms_cli.observers.recursive_filter import FilterState as UkfState
 from trms_cli.observers.recursive_filter import RecursiveFilter
 from trms_cli.observers.sigma_points import SigmaPoints
 from trms_cli.observers.ukf_step import filter_step
+
+__all__ = ["InitialSd", "ProcessNoise", "Ukf", "UkfState"]
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -133,7 +133,8 @@ class OneStepFilter:
 
     def __init__(self, model: Model, dataset: Dataset, options: PredictorOptions) -> None:
         self._dataset, self._n_x = dataset, model.n_x
-        self._observer = Ukf(disturbances=options.torques)
+        # Every sample judges the model; none is an outlier because the model did not foresee it.
+        self._observer = Ukf(disturbances=options.torques, gate=None)
         self._state = self._observer.init(
             ObserverSetup(
                 model,
