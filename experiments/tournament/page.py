@@ -224,7 +224,7 @@ def failure_lines(results: Results) -> list[str]:
     failed = {
         tuple(run.coordinates.values()): run
         for run in results.all_runs()
-        if run.state is not State.DONE
+        if run.state is State.FAILED
     }
     if not failed:
         return ["No run failed."]
