@@ -51,7 +51,7 @@ def run_job(job: Job, last: float) -> Outcome:
     """
     outcome = Outcome(job)
     try:
-        tables, limits, duration = _closed(job.overrides)
+        tables, limits, duration = closed(job.overrides)
         outcome.figures = _figures(tables, limits, duration, last)
         outcome.traces = _traces(tables)
     except Exception as error:  # a failing run must not hide the others
@@ -71,7 +71,7 @@ def run_all(jobs: Sequence[Job], last: float, processes: int) -> Iterator[Outcom
         yield from pool.map(work, jobs)
 
 
-def _closed(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any], float]:
+def closed(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any], float]:
     """Tables by topic, limits by name, and the length (s) of a run kept in memory."""
     from trms_cli.commands.composition import compose
     from trms_cli.commands.run_assembly import experiment_of, topics_of

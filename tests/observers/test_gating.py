@@ -156,3 +156,19 @@ def test_the_gate_opens_after_its_patience_and_closes_after_as_long_an_agreement
 
 def test_without_a_gate_the_steps_are_the_same_bit_for_bit() -> None:
     np.testing.assert_array_equal(run(Ukf(gate=None), clean)[0], run(Ukf(), clean)[0])
+
+
+def test_outliers_are_told_in_the_log_and_counted() -> None:
+    closed = pytest.importorskip("experiments.chapter7.runs").closed
+
+    from trms_cli.scoring.score import score_tables
+
+    fault = ["fault=[yaw_outliers]", "controller=lqr", "sim.duration=15", "supervisor=none"]
+    tables, limits, duration = closed(fault)
+    events = tables["/event"]
+    told = events.columns["source"][np.asarray(events.columns["kind"] == "outlier", dtype=bool)]
+    assert set(told) == {"alpha_h"}
+    estimate = score_tables(tables, limits=limits, duration_s=duration)["estimate"]
+    assert estimate["rejected_samples"] == estimate["innovations"]["alpha_h"]["rejected"]
+    assert estimate["rejected_samples"] == len(told) > 3
+    assert estimate["rmse"]["alpha_h"] < 1e-3
