@@ -55,8 +55,8 @@ int main(int argc, char **argv) {
         return 2;
     }
     for (pass = 0; pass < passes; pass++) {
+        int started = 0;
         rewind(file);
-        mpc_init(&controller);
         sample = 0;
         for (number = 1; fgets(line, sizeof line, file) != NULL; number++) {
             double v[N_COLUMNS], u[MPC_N_U];
@@ -71,6 +71,8 @@ int main(int argc, char **argv) {
                         N_COLUMNS);
                 return 2;
             }
+            if (!started) mpc_init_at(&controller, before);
+            started = 1;
             clock_gettime(CLOCK_MONOTONIC, &begin);
             mpc_step(&controller, v, w, r, before, u, &info);
             clock_gettime(CLOCK_MONOTONIC, &end);
