@@ -1,0 +1,164 @@
+"""``python -m experiments.chapter8``: laws, runs, domain; draw, write the tables, check."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from experiments.chapter8.coverage import study_coverage, study_standstill
+from experiments.chapter8.domain import study_domain
+from experiments.chapter8.laws import LawResult, study_laws
+from experiments.chapter8.runs import Ran, cases, run_all
+from experiments.chapter8.study import HERE, STUDY, read_study
+from trms_cli.cli import describe_error
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+
+DOCS = HERE.parents[1] / "docs"
+PAGE, FIGURES, EXPECTED = (
+    DOCS / "chapter8.md",
+    DOCS / "figures" / "chapter8",
+    HERE / "expected.json",
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.chapter8", description=__doc__)
+    parser.add_argument("--study", type=Path, default=STUDY, help="another study.yaml")
+    parser.add_argument("--quick", action="store_true", help="two starts, the fast controllers")
+    parser.add_argument("--jobs", type=int, default=2, help="runs at once")
+    parser.add_argument("--out", type=Path, help="where tables, figures and JSON go")
+    parser.add_argument(
+        "--update", action="store_true", help="write docs/chapter8.md and expected.json"
+    )
+    parser.add_argument(
+        "--timed", action="store_true", help="write the times too: on a quiet machine, --jobs 1"
+    )
+    given = parser.parse_args(argv)
+    if given.update and given.quick:
+        parser.error("--update takes the whole study")
+    try:
+        return _run(given)
+    except TrmsError as error:
+        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
+        return error.exit_code
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+def _run(given: argparse.Namespace) -> int:
+    from experiments.chapter2.page import write_tables
+    from experiments.chapter8 import figures, page
+
+    study = read_study(given.study)
+    folder = FIGURES if given.update else (given.out or Path("outputs", "chapter8"))
+    folder.mkdir(parents=True, exist_ok=True)
+    begin = perf_counter()
+
+    def said(what: str) -> None:
+        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {what}\n")
+        sys.stdout.flush()
+
+    contained, clouds = study_coverage(study)
+    figures.draw_polytope(clouds, folder / "polytope.png")
+    tables = {"coverage": page.coverage_table(contained)}
+    said(f"polytopes: {len(contained)} against {study.coverage.points} points each")
+
+    gains = study_standstill(study)
+    tables["standstill"] = page.standstill_table(gains)
+    said("the standing tail rotor")
+
+    laws: list[LawResult] = []
+    if not given.quick:
+        laws = study_laws(study)
+        figures.draw_switching(laws, folder / "switching.png")
+        tables |= page.laws_tables(laws)
+        said(f"laws: {len(laws)}, each switched to its worst and at random")
+
+    found = study_domain(study, quick=given.quick)
+    figures.draw_domain(found, study.starts, folder / "domain.png")
+    tables["domain"] = page.domain_table(found)
+    said(f"domain: {found.yaw.size * found.pitch.size} starts twice")
+
+    runs: list[Ran] = []
+    for ran in run_all(cases(study, quick=given.quick), given.jobs):
+        runs.append(ran)
+    for observer in dict.fromkeys(ran.case.observer for ran in runs):
+        figures.draw_runs(runs, observer, folder / f"runs_{observer}.png")
+    tables |= page.runs_tables(runs)
+    said(f"runs: {len(runs)}")
+
+    document = {
+        "schema": "trms.chapter8/1",
+        "coverage": [
+            {"size": c.size, "components": c.components, "inside": c.inside, "largest": c.largest}
+            for c in contained
+        ],
+        "standstill": {g.name: {"weakest": g.weakest, "gamma": g.gamma} for g in gains},
+        "laws": [_law(law) for law in laws],
+        "domain": found.shares,
+        "runs": [_ran(ran) for ran in runs],
+    }
+    text = json.dumps(_rounded(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    if given.update:
+        if not given.timed:
+            del tables["times"]
+        EXPECTED.write_text(text, encoding="utf-8")
+        write_tables(PAGE, tables)
+        said(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
+    else:
+        (folder / "chapter8.json").write_text(text, encoding="utf-8")
+        words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
+        (folder / "tables.md").write_text(words + "\n", encoding="utf-8")
+        said(f"written: {folder}")
+    return EXIT_OK
+
+
+def _law(law: LawResult) -> dict[str, Any]:
+    held = law.certificate
+    return {
+        "start": list(law.start),
+        "kind": law.kind,
+        "region": law.region,
+        "vertices": law.vertices,
+        "gamma": math.nan if held is None else held.gamma,
+        "contraction": math.nan if held is None else held.contraction,
+        "slack": law.slack,
+        "cost": None if law.greedy is None else law.greedy.cost,
+        "rise": None if law.greedy is None else law.greedy.rise,
+        "decreasing": law.decreasing,
+    }
+
+
+def _ran(ran: Ran) -> dict[str, Any]:
+    return {
+        "controller": ran.case.controller,
+        "observer": ran.case.observer,
+        "start": list(ran.case.start),
+        "ise": ran.ise,
+        "settling": ran.settling,
+        "largest": ran.largest,
+        "relaxed": ran.relaxed,
+        "failed": ran.failed,
+    }
+
+
+def _rounded(node: Any) -> Any:
+    """Four digits, and null for what is not there: an interior point ends where it ends."""
+    if isinstance(node, dict):
+        return {str(key): _rounded(value) for key, value in node.items()}
+    if isinstance(node, list):
+        return [_rounded(value) for value in node]
+    if isinstance(node, float):
+        return float(f"{node:.4g}") if math.isfinite(node) else None
+    return node
+
+
+if __name__ == "__main__":
+    sys.exit(main())

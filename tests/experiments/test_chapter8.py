@@ -1,0 +1,161 @@
+"""The study of chapter 8: what it reads, what its page claims, and that its figures are its own."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("experiments.chapter8", reason="the studies are in the checkout only")
+
+from experiments.chapter8.__main__ import EXPECTED, FIGURES, PAGE, main
+from experiments.chapter8.coverage import study_coverage, study_standstill
+from experiments.chapter8.laws import Bench, study_laws
+from experiments.chapter8.runs import cases, run_case
+from experiments.chapter8.study import read_study
+from trms_cli.core.errors import ConfigurationError
+
+
+@pytest.fixture(scope="module")
+def study():
+    return read_study()
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return json.loads(EXPECTED.read_text(encoding="utf-8"))
+
+
+class TestStudy:
+    def test_the_starts_are_those_of_the_thesis(self, study):
+        assert study.starts == [(1.2, 0.65), (-0.65, -0.35), (-1.27, -0.47), (0.64, 0.43)]
+
+    @pytest.mark.parametrize("text", ["", "[]", "seed: x", "starts: 3"])
+    def test_what_is_no_study_is_told(self, tmp_path, text):
+        file = tmp_path / "study.yaml"
+        file.write_text(text)
+        with pytest.raises(ConfigurationError, match="no study"):
+            read_study(file)
+
+
+class TestExpectation:
+    def test_the_standing_rotor(self, study, expected):
+        for gain in study_standstill(study):
+            known = expected["standstill"][gain.name]
+            assert gain.weakest == pytest.approx(known["weakest"], rel=0.02, abs=1e-4)
+            if known["gamma"] is not None:
+                assert gain.gamma == pytest.approx(known["gamma"], rel=0.02)
+
+    def test_polytopes_hold_the_model(self, study, expected):
+        study.coverage.points, study.coverage.sizes = 2000, [0.3]
+        found, _ = study_coverage(study)
+        known = [c for c in expected["coverage"] if c["size"] == 0.3]
+        for here, there in zip(found, known, strict=True):
+            assert here.inside == pytest.approx(there["inside"], abs=0.01)
+            assert here.largest == pytest.approx(there["largest"], rel=0.3)
+
+    def test_offline_from_a_start(self, study, expected):
+        case = next(c for c in cases(study, quick=True) if c.controller == "offline")
+        ran = run_case(case)
+        (known,) = (
+            r
+            for r in expected["runs"]
+            if (r["controller"], r["observer"], tuple(r["start"]))
+            == ("offline", case.observer, case.start)
+        )
+        for angle, value in ran.ise.items():
+            assert value == pytest.approx(known["ise"][angle], rel=0.02)
+        assert ran.failed == 0 and ran.largest <= 2.5
+
+    @pytest.mark.slow
+    def test_laws(self, study, expected):
+        for law, known in zip(study_laws(study), expected["laws"], strict=True):
+            assert (law.kind, law.region, law.vertices) == (
+                known["kind"], known["region"], known["vertices"]
+            )  # fmt: skip
+            if known["gamma"] is not None and known["slack"] == 0:
+                assert law.certificate is not None
+                assert law.certificate.gamma == pytest.approx(known["gamma"], rel=0.02)
+
+
+class TestPage:
+    def test_its_tables_are_those_of_the_expected_figures(self, expected):
+        text = PAGE.read_text(encoding="utf-8")
+        for name, share in expected["domain"].items():
+            assert f"| {name} | {100 * share:.0f} |" in text
+        rows = re.findall(r"^\| \(([-\d.]+), ([-\d.]+)\) \| ([\w\- ,]+) \| ([\d.]+) \| ([\d.]+) \|",
+                          text, re.MULTILINE)  # fmt: skip
+        known = {
+            (*run["start"], run["controller"]): run["ise"]
+            for run in expected["runs"]
+            if run["observer"] == "full_state"
+        }
+        assert len(rows) == len(known)
+        for yaw, pitch, controller, *values in rows:
+            ise = known[float(yaw), float(pitch), controller]
+            assert [float(v) for v in values] == pytest.approx(
+                [ise["alpha_h"], ise["alpha_v"]], abs=0.0051
+            )
+
+    def test_its_figures_are_there_and_small(self):
+        text = PAGE.read_text(encoding="utf-8")
+        shown = set(re.findall(r"figures/chapter8/(\w+\.png)", text))
+        assert shown == {path.name for path in FIGURES.glob("*.png")}
+        assert all(path.stat().st_size < 250_000 for path in FIGURES.glob("*.png"))
+
+    def test_what_the_prose_claims(self, expected):
+        runs = expected["runs"]
+        assert all(run["largest"] <= 2.5 for run in runs)
+        # Every start is regulated by every controller of the page that is meant for use.
+        for run in runs:
+            if run["controller"] in ("sub-polytope", "offline", "newton_mpc"):
+                assert run["settling"]["alpha_v"] is not None
+        # The switched cost stays below the certified one, and V never rises.
+        for law in expected["laws"]:
+            if law["cost"] is not None:
+                assert law["cost"] <= 1.0 + 1e-3 and law["rise"] <= 1.0 + 1e-3
+        # Own Lyapunov matrices are never more conservative where no slack clouds it.
+        bounds = {
+            (*law["start"], law["region"], law["kind"]): law
+            for law in expected["laws"]
+            if law["vertices"] == 4
+        }
+        for (*start, region, kind), law in bounds.items():
+            if kind == "parameter_dependent" and law["gamma"] is not None and law["slack"] == 0:
+                common = bounds[*start, region, "common"]
+                if common["gamma"] is not None and common["slack"] == 0:
+                    assert law["gamma"] <= 1.01 * common["gamma"]
+        # In the speed the yaw has a vertex without gain; in the thrust it has not.
+        still = expected["standstill"]
+        assert still["speed"]["weakest"] < 0.02 < 0.5 < still["thrust"]["weakest"]
+        # newton_mpc holds more starts.
+        held = expected["domain"]
+        for rotor in ("main rotor turning", "main rotor at rest"):
+            assert held[f"newton_mpc, {rotor}"] >= held[f"online, {rotor}"]
+
+
+def test_the_bench_is_the_controller_as_configured() -> None:
+    bench = Bench()
+    assert bench.regulation.coordinates.names[0] == "psi_omega_h"
+    z = bench.deviation((0.5, 0.0), hover=True)
+    row = bench.regulation.coordinates.names.index("alpha_h")
+    assert np.flatnonzero(np.abs(z) > 1e-6).tolist() == [row]
+
+
+@pytest.mark.slow
+def test_the_program_draws_and_writes_elsewhere(tmp_path: Path) -> None:
+    before = PAGE.read_bytes()
+    assert main(["--quick", "--out", str(tmp_path), "--jobs", "1"]) == 0
+    assert PAGE.read_bytes() == before
+    document = json.loads((tmp_path / "chapter8.json").read_text())
+    assert document["schema"] == "trms.chapter8/1" and len(document["runs"]) == 8
+
+
+def test_a_bad_study_ends_with_a_message(tmp_path: Path, capsys) -> None:
+    file = tmp_path / "study.yaml"
+    file.write_text("seed: 1\n")
+    assert main(["--study", str(file), "--out", str(tmp_path)]) == 2
+    assert "no study" in capsys.readouterr().err
