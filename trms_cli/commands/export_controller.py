@@ -24,6 +24,7 @@ COMPOSES = "export_controller"
 DOCUMENT_NAME, README_NAME = "controller.json", "README.md"
 #: Of the example: what a person waits for.
 _MOST_SAMPLES = 20_000
+_USABLE = re.compile(r"[a-z][a-z0-9_]{0,30}")
 #: Prefixes that C has words of its own for: `double_t`, `int8_t`, `math.h`.
 _TAKEN = ("mpc", "qp", "casadi", "math", "string", "float", "int", "double")
 
@@ -114,7 +115,7 @@ def _check(config: Mapping[str, Any]) -> None:
             f"{config['measure']!r} given", where="measure", remedy="true or false"
         )
     name = config["name"]
-    usable = isinstance(name, str) and re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name)
+    usable = isinstance(name, str) and _USABLE.fullmatch(name)
     if name is not None and (not usable or name in _TAKEN):
         raise ConfigurationError(
             f"{name!r} given",
@@ -169,11 +170,17 @@ def _exported(composition: Composition) -> Export:
         experiment.controller,
         ControlSetup(experiment.model, period, plant.first_command),
         experiment.reference,
-        name=composition.config["name"] or str(composition.choices["controller"]).lower(),
+        name=composition.config["name"] or _name_of(composition),
         samples=samples,
         observer=experiment.observer,
         observing=observing,
     )
+
+
+def _name_of(composition: Composition) -> str:
+    """The controller's name where C can take it."""
+    name = str(composition.choices["controller"]).lower()
+    return name if _USABLE.fullmatch(name) else "newton_mpc"
 
 
 def _check_observer(experiment: Experiment) -> None:
