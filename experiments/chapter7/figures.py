@@ -134,7 +134,9 @@ def _ratio_axis(panel: Any) -> None:
     candidates = [(1.02,), (1.05,), (1.1,), (1.2,), (1.5,), (2.0,), (4.0,), (8.0,)]
     step = next((c for (c,) in candidates if np.log(c) >= 0.6 * reach), 8.0)
     panel.set_xlim(np.exp(-1.15 * reach), np.exp(1.15 * reach))
-    panel.xaxis.set_major_locator(FixedLocator([1 / step, 1.0, step]))
+    # Beside 1 a ratio and its opposite look alike; far from it, a half would be in the way of 1.
+    ticks = [2.0 - step, 1.0, step] if step < 1.5 else [1.0, step]
+    panel.xaxis.set_major_locator(FixedLocator(ticks))
     panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
     panel.xaxis.set_minor_locator(NullLocator())
     panel.xaxis.set_minor_formatter(NullFormatter())

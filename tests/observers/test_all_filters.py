@@ -211,8 +211,6 @@ def test_a_network_is_followed(kind: type[FilterOptions], monkeypatch: pytest.Mo
     # Twice the network's own step: its slopes follow by the chain rule.
     for sample_time in (0.02, 0.04):
         setup = ObserverSetup(model, sample_time, channels, noise_sd, model.rest()[:4], np.zeros(2))
-        if kind is StateDependentEkf and sample_time > 0.02:
-            continue
         state = observer.init(setup)
         from trms_cli.models.discretisation import discretise
 
