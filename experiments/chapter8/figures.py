@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from experiments.chapter8.domain import Map
 from experiments.chapter8.laws import LawResult
@@ -78,6 +79,7 @@ def draw_polytope(clouds: Mapping[float, FloatArray], path: Path) -> None:
                 x, y = cloud[:, across[0], across[1]], cloud[:, up[0], up[1]]
                 panel.plot(x, y, ".", ms=2.0, color=shade, label=f"± {size:g}", mew=0)
             panel.set(xlabel=xlabel, ylabel=ylabel)
+            panel.xaxis.set_major_locator(MaxNLocator(4))
         handles, labels = panels[0].get_legend_handles_labels()
         page.legend(
             handles, labels, loc="outside upper left", ncols=4, fontsize=9, frameon=False,
@@ -105,6 +107,7 @@ def draw_switching(laws: Sequence[LawResult], path: Path) -> None:
                     time, w.random.values, color=colour, lw=0.8, ls="--", label=f"{word}, random"
                 )
             panel.set_ylim(1e-6, 2.0)
+            panel.set_xlim(0.0, 22.0)
             panel.set_title(f"yaw {start[0]:g}, pitch {start[1]:g} rad", fontsize=9)
             panel.set_xlabel("time [s]")
         panels[0].set_ylabel("V relative to its start")
