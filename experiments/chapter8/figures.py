@@ -24,7 +24,7 @@ from trms_cli.reporting.style import (
 
 _LOOKS = {
     "sub-polytope": (PALETTE["blue"], 2.0),
-    "whole region": (PALETTE["sky"], 1.2),
+    "fixed region": (PALETTE["sky"], 1.2),
     "own Lyapunov": (PALETTE["purple"], 1.2),
     "speed, no thrust": (PALETTE["orange"], 1.2),
     "offline": (PALETTE["green"], 1.4),

@@ -128,7 +128,9 @@ def _law(
 ) -> LawResult:
     r, c, target = bench.regulation, bench.controller, bench.aim.target
     extents = c.reach * np.abs(z) + c.least_reach
-    region = r.region_of(target, extents) if region_kind == "sub" else r.around(target)
+    if region_kind == "region":
+        extents = np.full(r.n, c.region_size)
+    region = r.region_of(target, extents)
     polytope = box(r.coefficients.over(target, region), components, c.margin)
     task = r.task(polytope, bench.aim, z)
     solution = bench.solve(task, lyapunov)

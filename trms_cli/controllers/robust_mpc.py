@@ -83,8 +83,10 @@ class RobustMpc(Design):
     sample_time : float
         Control period, s.
     polytope : {"sub", "region"}
-        Whether the coefficients are taken around the present state, or over all the region of
-        operation.
+        Whether the coefficients are taken around the present state, or over a region about the
+        target that does not change.
+    region_size : float
+        Half-width of that region, in typical sizes of the states.
     reach, least_reach : float
         Half-width of the sub-polytope's region: ``reach`` times the present deviation, and at
         least ``least_reach`` typical sizes, in each state.
@@ -105,12 +107,13 @@ class RobustMpc(Design):
 
     sample_time: Positive = 0.1
     polytope: Literal["sub", "region"] = "sub"
+    region_size: Positive = 0.7
     reach: Annotated[float, Meta(ge=1)] = 1.3
     least_reach: Positive = 0.3
     lyapunov: Literal["common", "parameter_dependent"] = "common"
     redesign_below: Annotated[float, Meta(ge=0, le=1)] = 1.0
     solver: Literal["clarabel", "scs"] = "clarabel"
-    max_iterations: Annotated[int, Meta(ge=5)] = 60
+    max_iterations: Annotated[int, Meta(ge=5)] = 40
     disturbance_compensation: bool = True
     fallback: Literal["last_law", "steady_input", "hold"] = "last_law"
 
@@ -200,7 +203,8 @@ class RobustMpc(Design):
     def region(self, regulation: Regulation, aim: Aim, z: FloatArray) -> Region:
         """Where the coefficients are taken for a deviation z (n,) from the target."""
         if self.polytope == "region":
-            return regulation.around(aim.target)
+            extents = np.full(regulation.n, self.region_size)
+            return regulation.region_of(aim.target, extents)
         return regulation.region_of(aim.target, self.reach * np.abs(z) + self.least_reach)
 
     def task(self, regulation: Regulation, aim: Aim, z: FloatArray, region: Region) -> Task:
