@@ -1,11 +1,11 @@
 /* ------------------------------------------------------------------------------------------
  * The horizon: the trajectory of a plan, its cost, and the quadratic model of the cost.
  *
- *     J(z)   = sum_k sum_i q_i e_ik^2 + sum_k sum_c d_c ((a_c,k - a_c,k-1)/T)^2
+ *     J(z)   = sum_k sum_i q_i e_ik^2 + sum_k sum_c d_c ((a_c,k - a_c,k-1)/T - rate_c,k)^2
  *              + sum_k sum_j rho_j (u_jk - u_s,j)^2 + sum_b sum_j s_j (z_jb - z_j,b-1)^2
  *     phi(z) = J(z) + sum_c (mu_c |v_c| + nu_c v_c^2)
  *
- * with v the scaled miss of the terminal steady state and the violations of soft limits.
+ * with rate that of a reference that moves smoothly and v the scaled miss of the terminal steady state and the violations of soft limits.
  * ------------------------------------------------------------------------------------------ */
 
 #define MPC_REGULARISATION 1e-6 /* 1/V^2: inputs without influence stay where they are */
@@ -43,6 +43,15 @@ static void mpc_advance_with_slopes(mpc_ctx *c, const double *x, const double *u
     mpc_model_slopes(arguments, results, c->iw, c->work, 0);
 }
 
+/* The rates at which the references move, as far as they move smoothly. */
+static void mpc_find_rates(mpc_ctx *c) {
+    const double *arguments[MPC_ROOM(MPC_RATES_ARG)];
+    double *results[MPC_ROOM(MPC_RATES_RES)];
+    arguments[0] = c->reference;
+    results[0] = c->rates;
+    mpc_reference_rates(arguments, results, c->iw, c->work, 0);
+}
+
 /* The cost of a plan whose trajectory is there. */
 static void mpc_cost_of(const mpc_ctx *c, const double *z, mpc_cost *cost) {
     const mpc_settings *s = &c->settings;
@@ -63,8 +72,9 @@ static void mpc_cost_of(const mpc_ctx *c, const double *z, mpc_cost *cost) {
         double sum = 0, before = c->full[row];
         for (k = 0; k < MPC_N; k++) {
             const double rate = (c->trajectory[k * MPC_N_FULL + row] - before) / MPC_PERIOD;
+            const double off = rate - c->rates[k * MPC_N_R + mpc_damped_reference[i]];
             before = c->trajectory[k * MPC_N_FULL + row];
-            sum += rate * rate;
+            sum += off * off;
         }
         objective += s->rate_weights[i] * sum;
     }
@@ -151,7 +161,8 @@ static void mpc_add_errors(mpc_ctx *c, int k, int width, const double *restrict 
         const int row = mpc_damped_row[i], e = MPC_N_WEIGHTED + i;
         const double root = sqrt(s->rate_weights[i]);
         double *last = c->damped_before + i * MPC_N_Z;
-        values[e] = root * ((now[row] - before[row]) / MPC_PERIOD);
+        values[e] = root * ((now[row] - before[row]) / MPC_PERIOD -
+                            c->rates[k * MPC_N_R + mpc_damped_reference[i]]);
         for (a = 0; a < width; a++) {
             const double slope = slopes[row * MPC_N_Z + a];
             errors[e * MPC_N_Z + a] = root * ((slope - last[a]) / MPC_PERIOD);

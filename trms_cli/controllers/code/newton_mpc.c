@@ -368,6 +368,7 @@ static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
             if (c->reference[k * MPC_N_R + i] == asked[i]) c->reference[k * MPC_N_R + i] = reached;
         if (c->target.asked[i] != previous[i]) changed = 1;
     }
+    mpc_find_rates(c);
     if (c->first) {
         mpc_hold_everywhere(c->target.u, c->plan);
         c->first = 0;

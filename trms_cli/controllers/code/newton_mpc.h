@@ -83,6 +83,7 @@ typedef struct {
     mpc_steady steady;
     int steady_iterations, qp_iterations;
     double start[MPC_N_U], w[MPC_ROOM(MPC_N_W)], reference[MPC_N * MPC_N_R];
+    double rates[MPC_N * MPC_N_R];
     double ahead[(MPC_FORECAST + 1) * MPC_N_R];
     double plan_kept[MPC_N_Z], trial[MPC_N_Z];
     double trajectory[MPC_N * MPC_N_FULL];

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
+
+from trms_cli.controllers import horizon
 from trms_cli.controllers.code import newton_tables
 from trms_cli.controllers.code.casadi_source import GeneratedFunctions, generated
 from trms_cli.controllers.code.literals import number
@@ -74,6 +77,7 @@ def newton_source(
         "mpc_model_step": state.discrete.step,
         "mpc_model_slopes": state.discrete.slopes(),
         "mpc_steady_state_step": state.steady_state.function,
+        "mpc_reference_rates": _reference_rates(state),
     }
     own = tuple(functions)
     if observer is not None:
@@ -203,7 +207,12 @@ def _initialiser(state: Any) -> str:
 
 def _room(code: GeneratedFunctions) -> list[str]:
     """Room for the lists of arguments and results of each generated function."""
-    short = {"model_step": "STEP", "model_slopes": "SLOPES", "steady_state_step": "STEADY"}
+    short = {
+        "model_step": "STEP",
+        "model_slopes": "SLOPES",
+        "steady_state_step": "STEADY",
+        "reference_rates": "RATES",
+    }
     lines = []
     for function in code.n_arg:
         word = function.removeprefix("mpc_")
@@ -211,6 +220,15 @@ def _room(code: GeneratedFunctions) -> list[str]:
         lines.append(f"#define MPC_{word}_ARG {code.n_arg[function]}")
         lines.append(f"#define MPC_{word}_RES {code.n_res[function]}")
     return lines
+
+
+def _reference_rates(state: Any) -> ca.Function:
+    """References over the horizon → the rates that are wanted of the angles, (n_r, N) each."""
+    shape = (len(state.model.controlled), state.newton.horizon.n_periods)
+    r = ca.SX.sym("r", *shape)
+    # Zero in a horizon whose rate weights damp all motion, also that of the reference.
+    rates = getattr(horizon, "smooth_rates", lambda r, period: ca.SX.zeros(*shape))
+    return ca.Function("reference_rates", [r], [rates(r, state.discrete.step_length)])
 
 
 def _check_size(code: GeneratedFunctions, setup: ControlSetup) -> None:
