@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -23,6 +24,7 @@ from trms_cli.controllers.controller import (
 )
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.controllers.reference_rates import smooth_rates
 from trms_cli.models.model import names
 from trms_cli.observers.observer import Estimate
 from trms_cli.plants.plant import PlantSetup
@@ -133,6 +135,11 @@ class Entrant:
         q = _row(problem.state_weights, model.state_names)
         damping = _row(problem.rate_weights, model.state_names)
         rates = np.diff(np.array(self.states), axis=0) / self.period
+        columns = [model.state_index(name) for name in model.controlled]
+        wanted = ca.Function(
+            "wanted", [r := ca.SX.sym("r", *references.T.shape)], [smooth_rates(r, self.period)]
+        )
+        rates[:, columns] -= np.asarray(wanted(references.T)).T
         return float(
             ((states - goal) ** 2 @ q).sum()
             + (rates**2 @ damping).sum()

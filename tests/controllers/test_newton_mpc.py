@@ -270,7 +270,7 @@ def test_merit_never_rises_within_a_sample() -> None:
 def test_of_two_starts_the_better_end_is_kept() -> None:
     # A tail rotor that rests and is planned to rest sees no thrust: yaw is stuck where it is.
     model = Newtonian(freedom="horizontal")
-    mpc = NewtonMpc(move_weights={"u_h": 0.2}, **CONVERGED)
+    mpc = NewtonMpc(move_weights={"u_h": 0.2}, rate_weights={"alpha_h": 0.36}, **CONVERGED)
     different = 0
     for goal in (0.3, -0.4, 0.05):
         sample = sample_at(model, model.rest(), [goal], np.zeros(1))
@@ -296,7 +296,8 @@ def test_of_two_starts_the_better_end_is_kept() -> None:
 
 def test_terminal_equality_is_met_when_it_can_be(close_loop: Callable[..., Any]) -> None:
     model = Newtonian()
-    mpc = NewtonMpc(**CONVERGED)
+    # Cheap moves from a tail rotor at rest take hundreds of iterations to the last digit.
+    mpc = NewtonMpc(move_weights={"u_v": 0.1, "u_h": 0.2}, **CONVERGED)
     ran = close_loop(mpc, model, constant(0.2, 0.4), 3.0)
     assert max(command.slack for command in ran.commands) < 1e-4
     assert all(command.status is Status.OK for command in ran.commands)

@@ -214,7 +214,8 @@ def test_terminal_cost_is_no_less_than_what_the_law_costs() -> None:
             x, u = target.x + xi[:6], region.gain @ xi
             after = step.evaluate(x, target.u + u, model.parameters.values, np.zeros(4))[0].copy()
             total += 1.2 * (after - target.x)[5] ** 2 + (after - target.x)[2] ** 2
-            total += 0.73 * ((after - x)[5] / 0.1) ** 2 + 0.36 * ((after - x)[2] / 0.1) ** 2
+            damping = [mpc.rate_weights[name] for name in ("alpha_v", "alpha_h")]
+            total += np.square((after - x)[[5, 2]] / 0.1) @ damping
             total += np.square(u - xi[6:]) @ [mpc.move_weights["u_v"], mpc.move_weights["u_h"]]
             xi = np.concatenate([after - target.x, u])
         assert np.abs(xi[:6] / [100, 1, 1, 100, 1, 1]).max() < 0.01
@@ -320,7 +321,8 @@ def test_objective_falls_by_the_stage_cost_every_sample(close_loop: Callable[...
     goal = np.array([0.1, 0.2])
     angles = x[:, [5, 2]]
     stage = np.square(angles[1:] - goal) @ [1.2, 1.0]
-    stage += np.square(np.diff(angles, axis=0) / 0.1) @ [0.73, 0.36]
+    damping = [mpc.rate_weights[name] for name in ("alpha_v", "alpha_h")]
+    stage += np.square(np.diff(angles, axis=0) / 0.1) @ damping
     moves = [mpc.move_weights[name] for name in ("u_v", "u_h")]
     stage += np.square(np.diff(u, axis=0))[: len(stage)] @ moves
     # The rig is integrated in finer steps than the prediction.

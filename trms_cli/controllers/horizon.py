@@ -4,12 +4,14 @@ The future inputs are the only unknowns (single shooting): each input is constan
 control periods, ``u_k = z[:, block(k)]``, and the states follow by simulation, so that every
 iterate is dynamically consistent. With ``e_k`` the deviation of the weighted states,
 
-    J(z) = Σ_k Σ_i q_i e_ik² + Σ_k Σ_c d_c ((α_c,k − α_c,k−1)/T)²
+    J(z) = Σ_k Σ_i q_i e_ik² + Σ_k Σ_c d_c ((α_c,k − α_c,k−1)/T − ṙ_c,k)²
            + Σ_k Σ_j ρ_j (u_jk − u_s,j)² + Σ_b Σ_j s_j (z_jb − z_j,b−1)²
     φ(z) = J(z) + Σ_c (μ_c |v_c| + ν_c v_c²)
 
-where ``v`` are the scaled terminal residual ``x_N − x_s`` and the violations of soft limits. φ is
-an exact penalty function: with μ above the multipliers its minimum meets the constraints exactly.
+where ``ṙ`` is the rate of a reference that moves smoothly
+(:mod:`trms_cli.controllers.reference_rates`) and ``v`` are the scaled terminal residual
+``x_N − x_s`` and the violations of soft limits. φ is an exact penalty function: with μ above the
+multipliers its minimum meets the constraints exactly.
 
 With a terminal region (:mod:`trms_cli.controllers.newton_region`) J also has the terminal cost
 ``‖L ξ_N‖²`` of ``ξ_N = (x_N − x_s, u_N−1 − u_s)``, and the terminal v is ``max(0, ‖L ξ_N‖ − √α)``.
@@ -31,6 +33,7 @@ from trms_cli.controllers.newton_problem import (
     check_names,
     check_problem,
 )
+from trms_cli.controllers.reference_rates import smooth_rates
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.model import names
@@ -247,10 +250,12 @@ class Horizon:
             controlled = name in model.controlled
             goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
             errors.append(trajectory[row, :] - goal)
+        wanted = smooth_rates(at["r"], self.discrete.step_length)
         for name in self.damped:
             row = model.state_index(name)
             before = ca.horzcat(at["x0"][row], trajectory[row, :-1])
-            errors.append((trajectory[row, :] - before) / self.discrete.step_length)
+            rate = (trajectory[row, :] - before) / self.discrete.step_length
+            errors.append(rate - wanted[model.controlled.index(name), :])
         return ca.vertcat(*errors)
 
     def _moves(self, at: Mapping[str, ca.MX]) -> ca.MX:

@@ -101,11 +101,11 @@ class NewtonMpc:
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
     rate_weights: Mapping[str, NotNegative] = field(
-        default_factory=lambda: {"alpha_v": 0.73, "alpha_h": 0.36}
+        default_factory=lambda: {"alpha_v": 0.5, "alpha_h": 0.38}
     )
     input_weights: Mapping[str, NotNegative] = field(default_factory=dict)
     move_weights: Mapping[str, NotNegative] = field(
-        default_factory=lambda: {"u_v": 0.01, "u_h": 0.02}
+        default_factory=lambda: {"u_v": 0.02, "u_h": 0.005}
     )
     input_rate_limits: Mapping[str, Positive] = field(default_factory=dict)
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)

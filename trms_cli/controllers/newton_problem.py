@@ -23,9 +23,10 @@ class Weights:
         q: of the squared deviation of a state, 1/unit². A controlled angle deviates from its
         reference, any other state from its value at the steady-state target.
     rates : dict of str to float
-        d: of the squared mean rate of a controlled angle over each control period, s²/unit². It
-        damps the motion itself; a weight on the angular momentum S would also punish the momentum
-        that holds an axis still while the other axis' rotor changes its speed.
+        d: of the squared mean rate of a controlled angle over each control period, less that of
+        a reference that moves smoothly, s²/unit². It damps the motion itself; a weight on the
+        angular momentum S would also punish the momentum that holds an axis still while the other
+        axis' rotor changes its speed.
     inputs : dict of str to float
         ρ: of the squared deviation from the steady-state input, 1/V².
     moves : dict of str to float

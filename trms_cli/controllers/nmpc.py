@@ -93,11 +93,11 @@ class Nmpc:
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
     rate_weights: Mapping[str, _NotNegative] = field(
-        default_factory=lambda: {"alpha_v": 0.73, "alpha_h": 0.36}
+        default_factory=lambda: {"alpha_v": 0.5, "alpha_h": 0.38}
     )
     input_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
     move_weights: Mapping[str, _NotNegative] = field(
-        default_factory=lambda: {"u_v": 0.01, "u_h": 0.02}
+        default_factory=lambda: {"u_v": 0.02, "u_h": 0.005}
     )
     input_rate_limits: Mapping[str, _Positive] = field(default_factory=dict)
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)

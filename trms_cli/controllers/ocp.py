@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.horizon import ARGUMENTS, Horizon
+from trms_cli.controllers.reference_rates import smooth_rates
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -233,11 +234,12 @@ class _Builder:
             controlled = name in model.controlled
             goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
             total += at["q"][i] * ca.sumsqr(states[row, 1:] - goal)
+        wanted = smooth_rates(at["r"], self.discrete.step_length)
         for i, name in enumerate(horizon.damped, start=len(horizon.weighted)):
             row = model.state_index(name)
             # From the step, not from the next state: the stages stay apart.
             rate = (after[row, :] - states[row, : self.n]) / self.discrete.step_length
-            total += at["q"][i] * ca.sumsqr(rate)
+            total += at["q"][i] * ca.sumsqr(rate - wanted[model.controlled.index(name), :])
         periods = ca.repmat(ca.DM(np.bincount(horizon.blocks)).T, self.n_u, 1)
         deviation = plan - ca.repmat(at["u_s"], 1, horizon.n_blocks)
         total += ca.dot(at["rho"], ca.sum2(periods * deviation**2))

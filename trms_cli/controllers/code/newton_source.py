@@ -10,7 +10,6 @@ from typing import Any
 
 import casadi as ca
 
-from trms_cli.controllers import horizon
 from trms_cli.controllers.code import newton_tables
 from trms_cli.controllers.code.casadi_source import GeneratedFunctions, generated
 from trms_cli.controllers.code.literals import number
@@ -18,6 +17,7 @@ from trms_cli.controllers.code.observer_source import ObserverSource
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.daqp import Daqp
+from trms_cli.controllers.reference_rates import smooth_rates
 from trms_cli.core.errors import ConfigurationError
 
 _TEMPLATES = Path(__file__).parent
@@ -226,9 +226,7 @@ def _reference_rates(state: Any) -> ca.Function:
     """References over the horizon → the rates that are wanted of the angles, (n_r, N) each."""
     shape = (len(state.model.controlled), state.newton.horizon.n_periods)
     r = ca.SX.sym("r", *shape)
-    # Zero in a horizon whose rate weights damp all motion, also that of the reference.
-    rates = getattr(horizon, "smooth_rates", lambda r, period: ca.SX.zeros(*shape))
-    return ca.Function("reference_rates", [r], [rates(r, state.discrete.step_length)])
+    return ca.Function("reference_rates", [r], [smooth_rates(r, state.discrete.step_length)])
 
 
 def _check_size(code: GeneratedFunctions, setup: ControlSetup) -> None:
