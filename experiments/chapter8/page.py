@@ -131,7 +131,7 @@ def laws_tables(laws: Sequence[LawResult]) -> dict[str, str]:
         if w.greedy is not None
     ]
     kinds = [
-        f"{way} {what}" for way in ("greedy:", "random:") for what in ("cost/γ", "rise", "|v|")
+        f"{way} {what}" for way in ("greedy:", "random:") for what in ("cost/γ", "rise", "input")
     ]
     start = ["start (yaw, pitch)", "region", "vertices", "Lyapunov"]
     return {

@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.robust import certificate, lmi, polytope
+from trms_cli.controllers.robust import regulation as regulation_
 from trms_cli.controllers.robust.certificate import Certificate, certify
 from trms_cli.controllers.robust.lmi import Inequalities, Solution, Task
 from trms_cli.controllers.robust.polytope import box
@@ -150,7 +151,10 @@ def make_family(
         farthest,
         tuple(positions),
         *(np.concatenate([aim.target.z, aim.target.v]) for aim in aims),
-        *(Path(str(module.__file__)).read_bytes() for module in (lmi, certificate, polytope)),
+        *(
+            Path(str(module.__file__)).read_bytes()
+            for module in (lmi, certificate, polytope, regulation_)
+        ),
     ]
     rings = cached_result(
         __file__, inputs, Rings, lambda: _make(design, regulation, aims, farthest, positions)

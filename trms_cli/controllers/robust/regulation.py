@@ -218,6 +218,8 @@ class Regulation:
             v[demand.rotor.input] += demand.pole * deviation[i] * self.scale_z[i]
         if self.demands:
             v = self.coordinates.command(x, v, aim.target.w)
+        if not np.isfinite(v).all():
+            v = aim.steady.u
         return np.minimum(np.maximum(v, self.lower), self.upper)
 
     def input_bounds(self, aim: Aim) -> FloatArray:
