@@ -15,8 +15,9 @@ from experiments.chapter2.axes import ANGLES, Comparison, one_axis, two_axes
 from experiments.chapter2.bench_tests import study_bench_tests
 from experiments.chapter2.rotors import ROTORS, study_rotor
 from experiments.chapter2.study import HERE, STUDY, read_study
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+from experiments.command_line import ended
+from experiments.page_tables import write_tables
+from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
 PAGE, FIGURES, EXPECTED = (
@@ -34,13 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--out", type=Path, help="put tables, figures and JSON there and leave docs/ as it is"
     )
     given = parser.parse_args(argv)
-    try:
-        return _run(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -102,7 +97,7 @@ def _run(given: argparse.Namespace) -> int:
     text = json.dumps(_rounded(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     if given.out is None:
         EXPECTED.write_text(text, encoding="utf-8")
-        page.write_tables(PAGE, tables)
+        write_tables(PAGE, tables)
         said(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
     else:
         (folder / "chapter2.json").write_text(text, encoding="utf-8")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from experiments.chapter2.agreement import Agreement, TermStudy
 from experiments.chapter2.axes import ANGLES, Comparison
@@ -12,30 +11,8 @@ from experiments.chapter2.bench_tests import Found
 from experiments.chapter2.bridge import TERMS
 from experiments.chapter2.rotors import RotorStudy
 from experiments.chapter2.simulation import Difference
-from trms_cli.core.errors import ConfigurationError
 
 _ROTOR_OF_AXIS = {"v": "main", "h": "tail"}
-
-
-def write_tables(page: Path, tables: Mapping[str, str]) -> None:
-    """Put each table between ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
-
-    Raises
-    ------
-    ConfigurationError
-        If the page has lost a mark.
-    """
-    text = page.read_text(encoding="utf-8")
-    for name, table in tables.items():
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        before, found, rest = text.partition(begin)
-        _, closed, after = rest.partition(end)
-        if not (found and closed):
-            raise ConfigurationError(
-                f"the page has lost its marks {begin} … {end}", where=str(page), remedy="add them"
-            )
-        text = f"{before}{begin}\n{table}\n{end}{after}"
-    page.write_text(text, encoding="utf-8")
 
 
 def rotor_tables(rotors: Sequence[RotorStudy]) -> dict[str, str]:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from experiments.study_file import read_as
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
@@ -95,14 +96,7 @@ def read_study(path: Path = STUDY) -> Study:
     ConfigurationError
         If the file is not one.
     """
-    try:
-        return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), Study)
-    except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
-        raise ConfigurationError(
-            f"this is no study: {str(error).splitlines()[0]}",
-            where=str(path),
-            remedy="compare it with experiments/chapter2/study.yaml",
-        ) from error
+    return read_as(Study, path, "experiments/chapter2/study.yaml")
 
 
 def signal(given: Mapping[str, Any], where: str) -> Signal:

@@ -11,8 +11,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from time import perf_counter
 
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+from experiments.command_line import ended
+from trms_cli.core.errors import EXIT_OK
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -20,13 +20,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(argv)
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"  # every process is one thread
-    try:
-        return _study(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _study(given))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -20,13 +20,11 @@ from experiments.chapter6.results import (
     read_expected,
 )
 from experiments.chapter6.study import HERE, STUDY, Study, read_study
-from trms_cli.cli import describe_error
+from experiments.command_line import ended
 from trms_cli.core.errors import (
-    EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_WORSE,
     ConfigurationError,
-    TrmsError,
 )
 
 DOCS = HERE.parents[1] / "docs"
@@ -47,13 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = parser.parse_args(argv)
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"  # of the processes begun here: each is one thread
-    try:
-        return _run(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -93,9 +85,9 @@ def _run(given: argparse.Namespace) -> int:
 
 def _show(study: Study, results: Results, folder: Path, *, page: bool) -> None:
     """Figures, and tables into the page or beside the figures."""
-    from experiments.chapter2.page import write_tables
     from experiments.chapter6 import figures
     from experiments.chapter6 import page as pages
+    from experiments.page_tables import write_tables
     from trms_cli.controllers.newton_mpc import NewtonMpc
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -10,13 +10,13 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from experiments.chapter2.page import write_tables
 from experiments.chapter7.comparison import deviations
 from experiments.chapter7.page import tables_of
 from experiments.chapter7.runs import Outcome, run_all
 from experiments.chapter7.study import HERE, STUDY, Study, jobs_of, read_study
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_WORSE, TrmsError
+from experiments.command_line import ended
+from experiments.page_tables import write_tables
+from trms_cli.core.errors import EXIT_OK, EXIT_WORSE
 
 SCHEMA = "trms.chapter7/1"
 EXPECTED = HERE / "expected.json"
@@ -38,13 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--update", action="store_true", help="make these the expected figures; redo the page"
     )
     given = parser.parse_args(argv)
-    try:
-        return _run(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:

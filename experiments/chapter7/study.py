@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
-import yaml
 
-from trms_cli.core.errors import ConfigurationError
+from experiments.study_file import read_as
 
 HERE = Path(__file__).parent
 STUDY = HERE / "study.yaml"
@@ -73,14 +72,7 @@ def read_study(path: Path = STUDY) -> Study:
     ConfigurationError
         If the file is not one.
     """
-    try:
-        return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), Study)
-    except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
-        raise ConfigurationError(
-            f"this is no study: {str(error).splitlines()[0]}",
-            where=str(path),
-            remedy="compare it with experiments/chapter7/study.yaml",
-        ) from error
+    return read_as(Study, path, "experiments/chapter7/study.yaml")
 
 
 def jobs_of(study: Study, *, quick: bool = False, all_pairs: bool = False) -> list[Job]:

@@ -16,8 +16,8 @@ from experiments.chapter8.domain import study_domain
 from experiments.chapter8.laws import LawResult, study_laws
 from experiments.chapter8.runs import Ran, cases, run_all
 from experiments.chapter8.study import HERE, STUDY, read_study
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+from experiments.command_line import ended
+from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
 PAGE, FIGURES, EXPECTED = (
@@ -43,18 +43,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = parser.parse_args(argv)
     if given.update and given.quick:
         parser.error("--update takes the whole study")
-    try:
-        return _run(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
-    from experiments.chapter2.page import write_tables
     from experiments.chapter8 import figures, page
+    from experiments.page_tables import write_tables
 
     study = read_study(given.study)
     folder = FIGURES if given.update else (given.out or Path("outputs", "chapter8"))

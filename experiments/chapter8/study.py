@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from experiments.study_file import read_as
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.robust_mpc import RobustMpc
-from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.models.newtonian import Newtonian
@@ -93,14 +93,7 @@ def read_study(path: Path = STUDY) -> Study:
     ConfigurationError
         If the file is not one.
     """
-    try:
-        return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), Study)
-    except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
-        raise ConfigurationError(
-            f"this is no study: {str(error).splitlines()[0]}",
-            where=str(path),
-            remedy="compare it with experiments/chapter8/study.yaml",
-        ) from error
+    return read_as(Study, path, "experiments/chapter8/study.yaml")
 
 
 def controller(name: str = "robust_mpc", **other: Any) -> Any:

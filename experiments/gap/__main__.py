@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from time import process_time
 
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
+from experiments.command_line import ended
+from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.plugins import nearest
 
 
@@ -20,13 +20,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(argv)
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    try:
-        return _study(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _study(given))
 
 
 def _parser() -> argparse.ArgumentParser:

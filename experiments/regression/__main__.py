@@ -10,12 +10,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from experiments.command_line import ended
 from experiments.regression import comparison as comparing
 from experiments.regression.matrix import MATRIX, Case, read_matrix
 from experiments.regression.runs import Outcome, run_all
-from trms_cli.cli import describe_error
 from trms_cli.core.errors import (
-    EXIT_INTERRUPTED,
     EXIT_OK,
     EXIT_WORSE,
     ConfigurationError,
@@ -26,13 +25,7 @@ from trms_cli.core.errors import (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code: 1 when a score got worse, 2 for bad input."""
     given = _parser().parse_args(argv)
-    try:
-        return _regression(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _regression(given))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -18,10 +18,10 @@ from experiments.chapter2.agreement import study_agreement
 from experiments.chapter2.axes import ANGLES, one_axis, pair_of_commands, two_axes
 from experiments.chapter2.bench_tests import study_bench_tests
 from experiments.chapter2.bridge import TERMS, Bridge
-from experiments.chapter2.page import write_tables
 from experiments.chapter2.rotors import study_rotor
 from experiments.chapter2.simulation import difference
 from experiments.chapter2.study import read_study, signal
+from experiments.page_tables import write_tables
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian

@@ -20,8 +20,8 @@ from experiments.chapter7.observers.innovations import replay_all
 from experiments.chapter7.observers.page import recordings_table, tables_of
 from experiments.chapter7.observers.records import Outcome, run_job
 from experiments.chapter7.observers.study import HERE, STUDY, Job, Study, jobs_of, read_study
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+from experiments.command_line import ended
+from trms_cli.core.errors import EXIT_OK
 
 SCHEMA = "trms.observers/1"
 RESULTS = HERE / "results.json"
@@ -41,13 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--update", action="store_true", help="write docs/chapter7.md and results.json"
     )
     given = parser.parse_args(argv)
-    try:
-        return _run(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -77,7 +71,7 @@ def _run(given: argparse.Namespace) -> int:
         words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
         (given.out / "observers.md").write_text(words + "\n", encoding="utf-8")
     if given.update:
-        from experiments.chapter2.page import write_tables
+        from experiments.page_tables import write_tables
 
         if not found:
             tables.pop("recordings")  # those that stand there were made where they are

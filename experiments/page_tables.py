@@ -1,0 +1,29 @@
+"""Tables that a study writes into its page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from trms_cli.core.errors import ConfigurationError
+
+
+def write_tables(page: Path, tables: Mapping[str, str]) -> None:
+    """Put each table between ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
+
+    Raises
+    ------
+    ConfigurationError
+        If the page has lost a mark.
+    """
+    text = page.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, found, rest = text.partition(begin)
+        _, closed, after = rest.partition(end)
+        if not (found and closed):
+            raise ConfigurationError(
+                f"the page has lost its marks {begin} … {end}", where=str(page), remedy="add them"
+            )
+        text = f"{before}{begin}\n{table}\n{end}{after}"
+    page.write_text(text, encoding="utf-8")
