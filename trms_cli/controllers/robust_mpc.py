@@ -230,6 +230,7 @@ class RobustMpc(Design):
             objective=law.certificate.gamma * _level(law.solution, z),
             slack=law.solution.slack,
             message="; ".join(words),
+            out_of_reach=aim.steady.projected,
         )
 
     def _fall_back(

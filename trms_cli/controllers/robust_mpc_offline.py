@@ -115,7 +115,13 @@ class RobustMpcOffline(Design):
             status = Status.RELAXED
             message = message or "outside of all ellipsoids; the outermost law is cut to the limits"
         cost = family.rings.gammas[max(ring, 0)] * level * state.share**2
-        return Command(u, status, objective=cost, message=message)
+        return Command(
+            u,
+            status,
+            objective=cost,
+            message=message,
+            out_of_reach=aim.steady.projected,
+        )
 
 
 def _held(sample: ControlSample, regulation: Regulation, reason: str) -> Command:
