@@ -62,6 +62,10 @@ def main(argv: Sequence[str]) -> int:
     """Compose and run."""
     from trms_cli.commands.run_repeat import repeat, take_log
 
+    # The matrices of a control step are small: threads of the linear algebra only wait for each
+    # other, and on a busy machine for milliseconds. Set before NumPy is loaded.
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     log, rest = take_log(argv)
     with _rare_collection(), _termination():
         if log is not None:
