@@ -171,19 +171,19 @@ class TestPage:
             assert decrease[f"{mode}/kept_with_move"] == 1.0
         assert decrease["equality/kept"] < 1.0
         assert decrease["quasi-infinite/kept"] == 1.0
-        assert decrease["none, N = 12/kept"] < 0.05
+        assert decrease["none, N = 12/kept"] == decrease["none/kept"] == 0.0
         for place in ("box", "angles", "pitch", "yaw"):
             for terminal in ("equality", "quasi_infinite"):
                 shares = [domain[f"{place}/{terminal}/{n}"] for n in read_study().domain.horizons]
                 assert shares == sorted(shares)
-        assert domain["loops/none/6/arrived"] == 0.0
+        assert domain["loops/none/6/arrived"] == pytest.approx(2 / 60, abs=1e-6)
         for terminal in ("equality", "quasi_infinite"):
             assert domain[f"loops/{terminal}/6/arrived"] == 1.0
         costs = figures["iterations"]
         for reference in ("square", "fast square"):
             best = costs[f"default/{reference}/40"]
-            assert 1.02 < costs[f"default/{reference}/1"] / best < 1.03
-            assert costs[f"default/{reference}/2"] / best < 1.005
+            assert 1.028 < costs[f"default/{reference}/1"] / best < 1.035
+            assert 1.003 < costs[f"default/{reference}/2"] / best < 1.0055
             assert costs[f"default/{reference}/3"] / best < 1.0005
 
 
