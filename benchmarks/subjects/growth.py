@@ -44,7 +44,7 @@ def run(options: Options) -> list[Table]:
     horizon, states, length = _horizons(options), _states(options), _lengths(options)
     figure = options.out / FIGURE
     draw([horizon, states, length], figure)
-    length.notes.append(f"figure: {figure}")
+    length.notes.append(f"figure: {FIGURE}, beside the document")
     return [horizon, states, length]
 
 
