@@ -126,25 +126,41 @@ def _cost(main: Ranking) -> Any:
         (panels[0], "variation", "mean Σ|Δu| of a run [V]"),
         (panels[1], "step_ms", "median time of a control step [ms]"),
     ):
+        points = []
         for standing in shown:
             x = getattr(figures_of(standing, main.metric), figure_name)
             ranked = standing.rank is not None
             panel.plot(x, standing.ratio, "o" if ranked else "s", ms=5,
                        color=COLOURS[0] if ranked else GREY)  # fmt: skip
-            panel.annotate(
-                standing.name.replace(" + ukf", ""),
-                (x, standing.ratio),
-                xytext=(5, 3),
-                textcoords="offset points",
-                fontsize=7,
-            )
+            points.append((x, standing.ratio, standing.name.replace(" + ukf", "")))
         panel.set_xscale("log")
-        panel.margins(x=0.2)
+        panel.margins(x=0.3, y=0.12)
+        panel.autoscale_view()
         _plain(panel.xaxis)
+        _name(panel, points)
         panel.set_xlabel(words)
     panels[0].set_ylabel("RMSE over the best")
     panels[0].set_title("with ukf unless another observer is named; grey: not ranked")
     return figure
+
+
+def _name(panel: Any, points: Sequence[tuple[float, float, str]]) -> None:
+    """Names beside their points, moved up where they would lie on another name or point."""
+    size = 7.0  # points
+    scale = 72.0 / panel.figure.dpi
+    panel.figure.draw_without_rendering()
+    places = [scale * panel.transData.transform((x, y)) for x, y, _ in points]
+    taken = [(left - 3.0, left + 3.0, height - 2.0) for left, height in places]
+    for (x, y, name), (left, height) in sorted(
+        zip(points, places, strict=True), key=lambda pair: float(pair[1][1])
+    ):
+        begin, end, at = left + 6.0, left + 6.0 + 0.6 * size * len(name), height - 2.0
+        while any(begin < r and b < end and abs(at - h) < 1.2 * size for b, r, h in taken):
+            at += 1.0
+        taken.append((begin, end, at))
+        panel.annotate(
+            name, (x, y), xytext=(6, at - height), textcoords="offset points", fontsize=size
+        )
 
 
 def _label(standing: Standing) -> str:
@@ -162,9 +178,11 @@ def _ticks(panel: Any, left: float, right: float) -> None:
 
 
 def _plain(axis: Any) -> None:
-    """1, 2, 5, 10 … in figures instead of powers of ten."""
+    """1, 2, 5, 10 … in figures instead of powers of ten; over many decades 1, 10, 100 …"""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    low, high = axis.get_view_interval()
+    wide = np.log10(high / low) > 2.5
+    axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

@@ -31,10 +31,10 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.linear_design import Linearisation, LinearModel, require_drivable
+from trms_cli.controllers.named_weights import in_order
 from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.model import names
 
@@ -185,13 +185,13 @@ class Lqr:
         A[:n, :n], A[n:, :n] = linear.A, T * linear.C
         B = np.vstack([linear.B, np.zeros((n_r, n_u))])
         rates = (linear.C @ linear.A - linear.C) / T
-        outputs = _by_name(self.output_weights, model.controlled, 100.0, "output_weights")
-        smooth = _by_name(self.rate_weights, model.controlled, 30.0, "rate_weights")
-        integrals = _by_name(self.integral_weights, model.controlled, 20.0, "integral_weights")
+        outputs = in_order(self.output_weights, model.controlled, 100.0, "output_weights")
+        smooth = in_order(self.rate_weights, model.controlled, 30.0, "rate_weights")
+        integrals = in_order(self.integral_weights, model.controlled, 20.0, "integral_weights")
         Q = np.zeros((n + n_r, n + n_r))
         Q[:n, :n] = linear.C.T * outputs @ linear.C + rates.T * smooth @ rates
         Q[n:, n:] = np.diag(integrals)
-        r = _by_name(self.input_weights, names(model.inputs), 1.0, "input_weights")
+        r = in_order(self.input_weights, names(model.inputs), 1.0, "input_weights")
         try:
             P = solve_discrete_are(A, B, T * Q, T * np.diag(r))
         except (np.linalg.LinAlgError, ValueError) as error:
@@ -262,18 +262,3 @@ def _memory_function(discrete: DiscreteModel) -> BufferedFunction:
     p = ca.DM(model.parameters.values)
     after = discrete.step(ca.vertcat(ca.SX.zeros(model.n_x), memory), u, p, ca.DM.zeros(model.n_w))
     return BufferedFunction(ca.Function("memory_step", [memory, u], [after[model.n_x :]]))
-
-
-def _by_name(
-    given: Mapping[str, float], known: tuple[str, ...], default: float, key: str
-) -> FloatArray:
-    """Weights in the order of ``known``. Names of an axis that this model lacks are passed over."""
-    everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *known}
-    for name in given:
-        if name not in everywhere:
-            raise ConfigurationError(
-                f"{name!r} is not a name that a weight can have here",
-                where=f"controller.{key}",
-                remedy=nearest(name, known),
-            )
-    return np.array([given.get(name, default) for name in known])

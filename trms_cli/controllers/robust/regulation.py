@@ -13,13 +13,13 @@ from msgspec import Meta
 
 from trms_cli.controllers import operating_point
 from trms_cli.controllers.controller import ControlSample, ControlSetup
+from trms_cli.controllers.named_weights import in_order
 from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.controllers.robust.coordinates import Coordinates
 from trms_cli.controllers.robust.demand import thrust_demand
 from trms_cli.controllers.robust.lmi import Task
 from trms_cli.controllers.robust.polytope import Coefficients, Polytope, Region, Target
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import Estimate
 
@@ -155,9 +155,9 @@ class Regulation:
         )
         self.steady = SteadyState(model)
         self._rows = [self.coordinates.kept.index(model.state_index(n)) for n in model.controlled]
-        self._q = _by_name(design.state_weights, model.controlled, 1.0, "state_weights")
-        self._dq = _by_name(design.rate_weights, model.controlled, 0.5, "rate_weights")
-        self._r = _by_name(design.input_weights, names(model.inputs), 0.05, "input_weights")
+        self._q = in_order(design.state_weights, model.controlled, 1.0, "state_weights")
+        self._dq = in_order(design.rate_weights, model.controlled, 0.5, "rate_weights")
+        self._r = in_order(design.input_weights, names(model.inputs), 0.05, "input_weights")
         self._free: list[int] = []
         self.operation = self._operation()
         #: Coordinates that mechanical stops bound.
@@ -309,20 +309,6 @@ class Regulation:
         for demand in self.demands:
             half[demand.rotor.coordinate] = demand.largest
         return Region(-half, half)
-
-
-def _by_name(
-    given: Mapping[str, float], known: tuple[str, ...], default: float, key: str
-) -> FloatArray:
-    everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *known}
-    for name in given:
-        if name not in everywhere:
-            raise ConfigurationError(
-                f"{name!r} is not a name that a weight can have here",
-                where=f"controller.{key}",
-                remedy=nearest(name, known),
-            )
-    return np.array([given.get(name, default) for name in known])
 
 
 def no_law(model: Model) -> ConfigurationError:
