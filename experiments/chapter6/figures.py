@@ -198,9 +198,8 @@ def draw_domain(study: Domain, slices: Mapping[str, Found], path: Path) -> None:
     horizons = study.horizons
     colours = LinearSegmentedColormap.from_list(
         "horizons", [PALETTE["blue"], PALETTE["sky"], "#f4f4f4"]
-    )
+    ).with_extremes(over="white")
     norm = BoundaryNorm(np.arange(len(horizons) + 1) - 0.5, colours.N)
-    colours = colours.with_extremes(over="white")
     with house_style():
         page = new_figure(10.0, 5.6)
         grid = page.subplots(len(study.terminals), len(slices), squeeze=False, sharex="col",
