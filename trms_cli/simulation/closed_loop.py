@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.controller import (
+    Command,
     Controller,
     ControlSample,
     ControlSetup,
@@ -235,7 +236,7 @@ class Loop:
             watch.judge(estimate, self._tell)
             if watch.mode is Mode.LANDING:
                 landing = True
-                u = watch.landed(u)
+                u = self._gate.applied(Command(watch.landed(u)), u)
                 if k % ratio == 0:
                     self._log_landing()
             elif k % ratio == 0:
