@@ -1,0 +1,1 @@
+"""Equilibria, local stability, phase portraits, limit cycles, Lyapunov functions, loop margins."""

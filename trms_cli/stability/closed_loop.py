@@ -1,0 +1,180 @@
+"""The loop around a rig, run from any state, as :mod:`trms_cli.simulation.closed_loop` runs it.
+
+The rig is the subject's model with its effects and perfect sensors; controller and observer
+believe the model without them. A rig may get its commands late, scaled, or with a signal added:
+what margins and tolerances are measured by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import SimulationError
+from trms_cli.models.model import Model, names
+from trms_cli.plants.plant import PlantRun, PlantSetup
+from trms_cli.plants.sensors import Sensors
+from trms_cli.plants.simulated import SimulatedRig
+from trms_cli.references.constant import Constant
+from trms_cli.references.trajectory import ReferenceTrajectory
+from trms_cli.simulation.closed_loop import Experiment, Loop
+from trms_cli.simulation.history import History
+from trms_cli.stability.operating_point import OperatingPoint
+from trms_cli.stability.subject import LoopParts
+
+FloatArray = npt.NDArray[np.float64]
+#: What reaches the motors instead of a command (n_u,) at a sample's number.
+Path = Callable[[int, FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class LoopRun:
+    """What a run of the loop gave, at the rig's samples.
+
+    Attributes
+    ----------
+    time : (n,) array
+        s.
+    x : (n, n_x) array
+        True states of the rig.
+    u : (n, n_u) array
+        Commands that the controller gave.
+    applied : (n, n_u) array
+        What reached the motors.
+    failures : int
+        Control samples whose solve failed.
+    ended : str
+        Why it ended early; empty if it did not.
+    """
+
+    time: FloatArray
+    x: FloatArray
+    u: FloatArray
+    applied: FloatArray
+    failures: int = 0
+    ended: str = ""
+
+
+@dataclass
+class RecordedPlant:
+    """A rig that remembers its states and what reached its motors.
+
+    Attributes
+    ----------
+    rig : PlantRun
+    path : callable or None
+    visited, commands, applied : list of arrays
+        States before each sample; commands as given and as they arrived.
+    """
+
+    rig: PlantRun
+    path: Path | None = None
+    visited: list[FloatArray] = field(default_factory=list)
+    commands: list[FloatArray] = field(default_factory=list)
+    applied: list[FloatArray] = field(default_factory=list)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.rig, name)
+
+    def advance(self, command: FloatArray) -> None:
+        """A sample of the rig, its command changed on the way."""
+        k = len(self.applied)
+        arriving = command if self.path is None else self.path(k, command)
+        self.visited.append(self.rig.state.copy())
+        self.commands.append(command.copy())
+        self.applied.append(np.array(arriving, dtype=float))
+        self.rig.advance(arriving)
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """The rig as a plant of an experiment."""
+
+    rig: SimulatedRig
+    made: list[RecordedPlant]
+    path: Path | None
+
+    def init(self, setup: PlantSetup) -> RecordedPlant:
+        self.made.append(RecordedPlant(self.rig.init(setup), self.path))
+        return self.made[-1]
+
+
+def run_loop(
+    model: Model,
+    loop: LoopParts,
+    point: OperatingPoint,
+    duration: float,
+    *,
+    offset: Mapping[str, float] | None = None,
+    reference: Mapping[str, float] | None = None,
+    path: Path | None = None,
+    integration_step: float = 0.005,
+) -> LoopRun:
+    """Close the loop around an operating point.
+
+    Parameters
+    ----------
+    model : Model
+        The rig, with its effects.
+    loop : LoopParts
+    point : OperatingPoint
+        Of the model: the run starts there with its command in force.
+    duration : float
+        s.
+    offset : dict of str to float
+        By how much the start differs from the point, by state.
+    reference : dict of str to float
+        Constant references by controlled state; default the point's.
+    path : callable, optional
+        What reaches the motors instead of the command.
+
+    Returns
+    -------
+    LoopRun
+        Shorter than asked for where the run had to end (a state that is no longer finite).
+    """
+    start = dict(zip(model.state_names, point.x.tolist(), strict=True))
+    for name, change in (offset or {}).items():
+        start[name] += change
+    goal = {name: float(point.x[model.state_index(name)]) for name in model.controlled} | dict(
+        reference or {}
+    )
+    rig = SimulatedRig(
+        model=model,
+        integration_step=integration_step,
+        sensors=Sensors(noise_sd={}, quantum={}),
+        initial=start,
+        first_command=dict(zip(names(model.inputs), point.u.tolist(), strict=True)),
+        mechanical_stops=False,
+    )
+    signals: dict[str, Any] = {name: Constant(offset=value) for name, value in goal.items()}
+    made: list[RecordedPlant] = []
+    experiment = Experiment(
+        model=loop.model,
+        plant=_Bench(rig, made, path),
+        observer=loop.observer,
+        controller=loop.controller,
+        reference=ReferenceTrajectory(
+            **{name: Constant(offset=value) for name, value in goal.items()}
+        ),
+        duration=duration,
+        sample_time=loop.sample_time,
+        prediction_every=0,
+    )
+    running = Loop.start(experiment, lambda plant: History({}, None))
+    ended = ""
+    try:
+        running.run()
+    except (ArithmeticError, SimulationError) as error:
+        ended = str(error)
+    plant = made[0]
+    n = len(plant.applied)
+    kept = plant.visited[:n], plant.commands[:n], plant.applied
+    x, u, applied = (np.array(rows).reshape(n, -1) for rows in kept)
+    failures = sum(kind == "solver" for _, kind, *_ in running.history.events)
+    time = np.arange(n, dtype=np.float64) * loop.sample_time
+    return LoopRun(time, x, u, applied, failures, ended)

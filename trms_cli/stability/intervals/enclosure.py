@@ -1,0 +1,309 @@
+"""A CasADi function evaluated on boxes: bounds that hold for every point of a box.
+
+The very expressions of a model are evaluated, operation by operation, in interval arithmetic:
+there is no second copy of an equation. A switch by sign (a coefficient for each direction) gives
+the hull of its two branches where a box lies on both sides.
+
+The natural extension (Moore et al. 2009, ch. 5) is wide where a variable occurs often; on small
+boxes the mean value form
+
+    f(x) ∈ f(c) + f'(box) (box − c)
+
+is tighter. :meth:`Enclosure.mean_value` intersects the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.core.errors import ModelError
+from trms_cli.stability.intervals.interval import Interval
+
+
+@dataclass(frozen=True)
+class _Branch:
+    """What an ``if`` without ``else`` gave: to be joined with its other half."""
+
+    condition: int
+    holds: bool
+    value: Interval
+
+
+class Enclosure:
+    """Interval extension of a CasADi function of scalars and vectors.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Made of SX expressions; its inputs are column vectors, its outputs may be matrices.
+
+    Raises
+    ------
+    ModelError
+        If an operation in it is unknown here.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self.function = function
+        self._program = [
+            (
+                function.instruction_id(k),
+                function.instruction_output(k),
+                function.instruction_input(k),
+                function.instruction_constant(k)
+                if function.instruction_id(k) == ca.OP_CONST
+                else 0,
+            )
+            for k in range(function.n_instructions())
+        ]
+        known = {*_UNARY, *_BINARY, *_SPECIAL}
+        for operation, *_ in self._program:
+            if operation not in known:
+                raise ModelError(
+                    f"function {function.name()!r} has operation {_name(operation)}, of which no "
+                    "bounds are known",
+                    remedy="statements by intervals are not possible for this model",
+                )
+        self._rows = [_positions(function.sparsity_out(i)) for i in range(function.n_out())]
+        self._slope: Enclosure | None = None
+
+    def __call__(self, *arguments: Interval) -> list[Interval]:
+        """Bounds of all outputs.
+
+        Parameters
+        ----------
+        arguments : Interval
+            One an input, of shape (n_boxes, size); (size,) for one that all boxes share.
+
+        Returns
+        -------
+        list of Interval
+            One an output: (n_boxes, rows) for a column, (n_boxes, rows, columns) for a matrix.
+        """
+        count = max((len(a.lower) for a in arguments if a.lower.ndim == 2), default=1)
+        results = [_zeros(count, self.function.size_out(i)) for i in range(self.function.n_out())]
+        _run(self._program, arguments, results, self._rows, count)
+        return [
+            Interval(r.lower[:, :, 0], r.upper[:, :, 0]) if r.lower.shape[2] == 1 else r
+            for r in results
+        ]
+
+    def mean_value(self, box: Interval, *others: Interval) -> Interval:
+        """Bounds of the first output, by the mean value form in the first input.
+
+        Parameters
+        ----------
+        box : Interval
+            (n_boxes, n).
+        others : Interval
+            The other inputs, as in a call.
+
+        Returns
+        -------
+        Interval
+            (n_boxes, rows), never wider than the natural extension.
+        """
+        if self._slope is None:
+            arguments = self.function.sx_in()
+            outputs = self.function.call(arguments)
+            slope = ca.densify(ca.jacobian(outputs[0], arguments[0]))
+            self._slope = Enclosure(ca.Function("slope", arguments, [slope]))
+        natural = self(box, *others)[0]
+        centre = box.middle
+        at_centre = self(Interval.point(centre), *others)[0]
+        slope = self._slope(box, *others)[0]
+        if slope.lower.ndim == 2:  # one variable
+            slope = slope[:, :, None]
+        away = Interval(box.lower - centre, box.upper - centre)
+        away = Interval(np.nextafter(away.lower, -np.inf), np.nextafter(away.upper, np.inf))
+        total = at_centre
+        for j in range(centre.shape[1]):
+            total = total + slope[:, :, j] * away[:, None, j]
+        return natural.intersection(total)
+
+
+def _run(
+    program: list[tuple[int, list[int], list[int], float]],
+    arguments: Sequence[Interval],
+    results: list[Interval],
+    rows: list[list[tuple[int, int]]],
+    count: int,
+) -> None:
+    work: dict[int, Interval] = {}
+    # Which condition a register holds, and whether negated; which half of a switch.
+    conditions: dict[int, tuple[int, bool]] = {}
+    branches: dict[int, _Branch] = {}
+    for number, (operation, outputs, inputs, constant) in enumerate(program):
+        if operation == ca.OP_OUTPUT:
+            row, column = rows[outputs[0]][outputs[1]]
+            target, value = results[outputs[0]], work[inputs[0]]
+            target.lower[:, row, column] = value.lower
+            target.upper[:, row, column] = value.upper
+            continue
+        into = outputs[0]
+        condition: tuple[int, bool] | None = None
+        branch: _Branch | None = None
+        if operation == ca.OP_CONST:
+            value = Interval.point(np.full(count, constant))
+        elif operation == ca.OP_INPUT:
+            given = arguments[inputs[0]]
+            value = Interval(
+                np.broadcast_to(given.lower[..., inputs[1]], count),
+                np.broadcast_to(given.upper[..., inputs[1]], count),
+            )
+        elif operation in _COMPARISONS:
+            value = _COMPARISONS[operation](work[inputs[0]], work[inputs[1]])
+            condition = (number, True)
+        elif operation == ca.OP_NOT:
+            a = work[inputs[0]]
+            value = Interval(1.0 - a.upper, 1.0 - a.lower)
+            if inputs[0] in conditions:
+                which, holds = conditions[inputs[0]]
+                condition = (which, not holds)
+        elif operation == ca.OP_IF_ELSE_ZERO:
+            value, branch = _half(work[inputs[0]], work[inputs[1]], conditions.get(inputs[0]))
+        elif operation == ca.OP_ADD and _belong(branches, inputs):
+            value = _joined(
+                branches[inputs[0]], branches[inputs[1]], work[inputs[0]], work[inputs[1]]
+            )
+        elif operation in _UNARY:
+            value = _UNARY[operation](work[inputs[0]])
+        else:
+            value = _BINARY[operation](work[inputs[0]], work[inputs[1]])
+        work[into] = value
+        conditions.pop(into, None)
+        branches.pop(into, None)
+        if condition is not None:
+            conditions[into] = condition
+        if branch is not None:
+            branches[into] = branch
+
+
+def _half(
+    truth: Interval, value: Interval, condition: tuple[int, bool] | None
+) -> tuple[Interval, _Branch | None]:
+    """``value`` if the condition holds, else 0."""
+    never, always = truth.upper < 0.5, truth.lower > 0.5
+    zero = np.zeros_like(value.lower)
+    hull = value.hull(Interval(zero, zero))
+    found = Interval(
+        np.where(never, 0.0, np.where(always, value.lower, hull.lower)),
+        np.where(never, 0.0, np.where(always, value.upper, hull.upper)),
+    )
+    return found, None if condition is None else _Branch(*condition, value)
+
+
+def _belong(branches: dict[int, _Branch], inputs: list[int]) -> bool:
+    first, second = branches.get(inputs[0]), branches.get(inputs[1])
+    return (
+        first is not None
+        and second is not None
+        and first.condition == second.condition
+        and first.holds != second.holds
+    )
+
+
+def _joined(first: _Branch, second: _Branch, one: Interval, other: Interval) -> Interval:
+    """Both halves of a switch: their sum where it is decided, else the hull of the branches.
+
+    Both bounds hold everywhere, so that the narrower may be taken.
+    """
+    return (one + other).intersection(first.value.hull(second.value))
+
+
+def _compare(
+    always: Callable[[Interval, Interval], np.ndarray],
+    never: Callable[[Interval, Interval], np.ndarray],
+) -> Callable[[Interval, Interval], Interval]:
+    def truth(a: Interval, b: Interval) -> Interval:
+        return Interval(always(a, b).astype(float), 1.0 - never(a, b).astype(float))
+
+    return truth
+
+
+_COMPARISONS = {
+    ca.OP_LT: _compare(lambda a, b: a.upper < b.lower, lambda a, b: a.lower >= b.upper),
+    ca.OP_LE: _compare(lambda a, b: a.upper <= b.lower, lambda a, b: a.lower > b.upper),
+    ca.OP_EQ: _compare(
+        lambda a, b: (a.lower == a.upper) & (b.lower == b.upper) & (a.lower == b.lower),
+        lambda a, b: ~a.meets(b),
+    ),
+    ca.OP_NE: _compare(
+        lambda a, b: ~a.meets(b),
+        lambda a, b: (a.lower == a.upper) & (b.lower == b.upper) & (a.lower == b.lower),
+    ),
+}
+
+
+def _sign(a: Interval) -> Interval:
+    return Interval(np.sign(a.lower), np.sign(a.upper))
+
+
+def _tangent(a: Interval) -> Interval:
+    return a.sine() / a.cosine()
+
+
+def _to_the_power(a: Interval, b: Interval) -> Interval:
+    exponent = b.lower.flat[0] if b.lower.size else 0.0
+    constant = bool(np.all(b.lower == exponent) and np.all(b.upper == exponent))
+    if constant and exponent == round(exponent) and abs(exponent) <= 64:
+        found = a.power(int(abs(exponent)))
+        return found if exponent >= 0 else found.reciprocal()
+    # a^b = exp(b log a), for a > 0
+    return (b * a.rising(np.log)).rising(np.exp)
+
+
+_UNARY: dict[int, Callable[[Interval], Interval]] = {
+    ca.OP_ASSIGN: lambda a: a,
+    ca.OP_NEG: lambda a: -a,
+    ca.OP_TWICE: lambda a: a + a,
+    ca.OP_SQ: Interval.square,
+    ca.OP_SQRT: Interval.square_root,
+    ca.OP_INV: Interval.reciprocal,
+    ca.OP_FABS: Interval.absolute,
+    ca.OP_SIGN: _sign,
+    ca.OP_SIN: Interval.sine,
+    ca.OP_COS: Interval.cosine,
+    ca.OP_TAN: _tangent,
+    ca.OP_EXP: lambda a: a.rising(np.exp),
+    ca.OP_EXPM1: lambda a: a.rising(np.expm1),
+    ca.OP_LOG: lambda a: a.rising(np.log),
+    ca.OP_LOG1P: lambda a: a.rising(np.log1p),
+    ca.OP_ATAN: lambda a: a.rising(np.arctan),
+    ca.OP_SINH: lambda a: a.rising(np.sinh),
+    ca.OP_TANH: lambda a: a.rising(np.tanh),
+    ca.OP_FLOOR: lambda a: Interval(np.floor(a.lower), np.floor(a.upper)),
+    ca.OP_CEIL: lambda a: Interval(np.ceil(a.lower), np.ceil(a.upper)),
+}
+_BINARY: dict[int, Callable[[Interval, Interval], Interval]] = {
+    ca.OP_ADD: Interval.__add__,
+    ca.OP_SUB: Interval.__sub__,
+    ca.OP_MUL: Interval.__mul__,
+    ca.OP_DIV: Interval.__truediv__,
+    ca.OP_FMIN: lambda a, b: Interval(np.minimum(a.lower, b.lower), np.minimum(a.upper, b.upper)),
+    ca.OP_FMAX: lambda a, b: Interval(np.maximum(a.lower, b.lower), np.maximum(a.upper, b.upper)),
+    ca.OP_POW: _to_the_power,
+    ca.OP_CONSTPOW: _to_the_power,
+    ca.OP_AND: lambda a, b: Interval(np.minimum(a.lower, b.lower), np.minimum(a.upper, b.upper)),
+    ca.OP_OR: lambda a, b: Interval(np.maximum(a.lower, b.lower), np.maximum(a.upper, b.upper)),
+}
+_SPECIAL = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_NOT, ca.OP_IF_ELSE_ZERO, *_COMPARISONS}
+
+
+def _zeros(count: int, size: tuple[int, int]) -> Interval:
+    return Interval(np.zeros((count, *size)), np.zeros((count, *size)))
+
+
+def _positions(sparsity: ca.Sparsity) -> list[tuple[int, int]]:
+    """Row and column of each nonzero, in CasADi's order."""
+    rows, columns = sparsity.get_triplet()
+    return list(zip(rows, columns, strict=True))
+
+
+def _name(operation: int) -> str:
+    found = [n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == operation]
+    return found[0] if found else str(operation)

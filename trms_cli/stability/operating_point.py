@@ -1,0 +1,172 @@
+"""Where a model rests, asked for by its angles or by its commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.controllers.operating_point import SteadyState
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.model import Model, names
+from trms_cli.stability.vector_field import VectorField
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Rates below this, in the states' units per s, count as none.
+TOLERANCE = 1e-9
+_ITERATIONS = 50
+#: Steps in which the commands go from zero to where they are asked for: the branch that begins at
+#: the rest without command is followed, not one that lies across.
+_STEPS = 25
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """An equilibrium.
+
+    Attributes
+    ----------
+    x : (n_x,) array
+    u : (n_u,) array
+    """
+
+    x: FloatArray
+    u: FloatArray
+
+    def words(self, model: Model) -> str:
+        """``u_v = 1.41 V, u_h = 0.2 V: alpha_v = 0, alpha_h = 0.1 rad``."""
+        commands = ", ".join(
+            f"{signal.name} = {_short(value)} {signal.unit}"
+            for signal, value in zip(model.inputs, self.u, strict=True)
+        )
+        angles = ", ".join(
+            f"{name} = {_short(self.x[model.state_index(name)])}" for name in model.controlled
+        )
+        unit = model.states[model.state_index(model.controlled[0])].unit
+        return f"{commands}: {angles} {unit}"
+
+
+def operating_point(model: Model, at: Mapping[str, float], where: str = "at") -> OperatingPoint:
+    """The equilibrium at given controlled angles, or at given commands.
+
+    Parameters
+    ----------
+    model : Model
+        With equations.
+    at : dict of str to float
+        Controlled states by name (rad), or inputs (V); what is not named is zero. Nothing named:
+        the rest without command. For commands, the equilibrium is taken that the rest without
+        command turns into when they are raised.
+    where : str
+        Configuration key of ``at``, for messages.
+
+    Raises
+    ------
+    ConfigurationError
+        For names that are neither, and where the model has no such equilibrium.
+    """
+    inputs = names(model.inputs)
+    for name in at:
+        if name not in (*inputs, *model.controlled):
+            raise ConfigurationError(
+                f"{name!r} is neither a controlled state nor an input",
+                where=f"{where}.{name}",
+                remedy=nearest(name, (*model.controlled, *inputs)),
+            )
+    by_angle = [name for name in at if name in model.controlled]
+    if by_angle and len(by_angle) < len(at):
+        raise ConfigurationError(
+            f"angles and commands given together: {', '.join(at)}",
+            where=where,
+            remedy=f"give angles ({', '.join(model.controlled)}) or commands "
+            f"({', '.join(inputs)}); the others follow",
+        )
+    if by_angle:
+        return _at_angles(model, at, where)
+    return at_command(model, np.array([at.get(name, 0.0) for name in inputs]), where)
+
+
+def _at_angles(model: Model, at: Mapping[str, float], where: str) -> OperatingPoint:
+    asked = np.array([at.get(name, 0.0) for name in model.controlled])
+    target = SteadyState(model).solve(asked)
+    if not target.converged or target.projected:
+        wanted, reached = (
+            ", ".join(f"{n}={v:.4g}" for n, v in zip(model.controlled, values, strict=True))
+            for values in (asked, target.reference_reached)
+        )
+        raise ConfigurationError(
+            f"model {model.name!r} has no equilibrium at {wanted} within its inputs and stops",
+            where=where,
+            remedy=f"the closest that it has: {reached}" if target.converged else "",
+        )
+    return OperatingPoint(target.x, target.u)
+
+
+def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint:
+    """The equilibrium that the rest without command turns into at a command, (n_u,).
+
+    Raises
+    ------
+    ConfigurationError
+        If it ends before the command is reached: it tells where.
+    """
+    field = VectorField(model)
+    x = refined(field, model.rest(), np.zeros(model.n_u))
+    if x is None:
+        raise ModelError(
+            f"model {model.name!r} finds no rest without command",
+            where=where,
+            remedy="ask for it by angles, as at.alpha_v=0",
+        )
+    share, step = 0.0, 1.0 / _STEPS
+    while share < 1.0:
+        goal = min(share + step, 1.0)
+        following = refined(field, x, goal * u)
+        if following is None or np.abs(following - x).max() > _jump(x, step):
+            step /= 4.0
+            if step < 1e-6:
+                reached = ", ".join(
+                    f"{name}={_short(share * value)}"
+                    for name, value in zip(names(model.inputs), u, strict=True)
+                )
+                raise ConfigurationError(
+                    f"the equilibrium that begins at rest ends at {reached}",
+                    where=where,
+                    remedy="ask for a smaller command; study=equilibria shows where they all end",
+                )
+            continue
+        x, share = following, goal
+    return OperatingPoint(x, u)
+
+
+def _jump(x: FloatArray, step: float) -> float:
+    """A change beyond this is another branch, not the next point of this one."""
+    return 0.5 + 20.0 * step * (1.0 + float(np.abs(x).max()))
+
+
+def refined(field: VectorField, x: FloatArray, u: FloatArray) -> FloatArray | None:
+    """Newton's method on f(x, u) = 0 from a guess; None where it does not converge.
+
+    A direction in which nothing changes (a yaw that nothing pulls back) is left where it is.
+    """
+    x = x.copy()
+    for _ in range(_ITERATIONS):
+        rate = field.rates(x, u)
+        if not np.all(np.isfinite(rate)):
+            return None
+        if np.abs(rate).max() <= TOLERANCE:
+            return x
+        slope, _ = field.linearised(x, u)
+        if not np.all(np.isfinite(slope)):
+            return None
+        x = x - np.linalg.lstsq(slope, rate, rcond=1e-12)[0]
+    return None
+
+
+def _short(value: float) -> str:
+    """Four digits; what is rounding is zero."""
+    return f"{0.0 if abs(value) < 5e-10 else value:.4g}"

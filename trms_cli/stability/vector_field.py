@@ -1,0 +1,124 @@
+"""A model's equations as numbers: rates, slopes, and motions of many starts at once."""
+
+from __future__ import annotations
+
+import copy
+import math
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.model import Model
+
+FloatArray = npt.NDArray[np.float64]
+
+#: s. Longest integration step: a tenth of the fastest time constant that is of interest.
+LONGEST_STEP = 0.005
+
+
+class VectorField:
+    """``ẋ = f(x, u)`` of a model with its present parameters and no disturbance.
+
+    Parameters
+    ----------
+    model : Model
+        With equations; what impulses, delays and sensors add to it is no part of f, but of
+        :meth:`motions`.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.parameters = model.parameters.values
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """``(x, u, p, w) → ẋ``."""
+        at = self.model.symbols()
+        return ca.Function("field", list(at), [self.model.dynamics(*at)])
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """``(x, u, p, w) → ∂f/∂x, ∂f/∂u, ∂f/∂p, ∂f/∂w``, dense."""
+        x, u, p, w = self.model.symbols()
+        f = self.model.dynamics(x, u, p, w)
+        found = [ca.densify(ca.jacobian(f, v)) for v in (x, u, p, w)]
+        return ca.Function("slopes", [x, u, p, w], found)
+
+    @cached_property
+    def _w(self) -> FloatArray:
+        return np.zeros(self.model.n_w)
+
+    def rates(self, x: npt.ArrayLike, u: npt.ArrayLike) -> FloatArray:
+        """f at one state (n_x,) or at many (n, n_x); u is (n_u,) or (n, n_u)."""
+        x, u = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
+        columns = np.atleast_2d(x).T
+        inputs = np.broadcast_to(np.atleast_2d(u).T, (self.model.n_u, columns.shape[1]))
+        found = np.array(self.function(columns, inputs, self.parameters, self._w)).T
+        return found[0] if x.ndim == 1 else found
+
+    def linearised(
+        self, x: npt.ArrayLike, u: npt.ArrayLike, parameters: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """``A = ∂f/∂x`` (n_x, n_x) and ``B = ∂f/∂u`` (n_x, n_u)."""
+        p = self.parameters if parameters is None else parameters
+        a, b, *_ = self.slopes(x, u, p, self._w)
+        return np.array(a), np.array(b)
+
+    def motions(
+        self,
+        starts: npt.ArrayLike,
+        u: npt.ArrayLike,
+        duration: float,
+        step: float,
+        *,
+        impulses: bool = True,
+    ) -> FloatArray:
+        """Motions from many starts with the command held.
+
+        Parameters
+        ----------
+        starts : (m, n_x)
+        u : (n_u,) or (m, n_u)
+        duration : float
+            s.
+        step : float
+            s between two states; integrated in equal parts of at most :data:`LONGEST_STEP`.
+        impulses : bool
+            Whether dry friction and stops act.
+
+        Returns
+        -------
+        (n + 1, m, n_x) array
+            NaN from where a motion is no longer finite.
+        """
+        starts = np.atleast_2d(np.asarray(starts, dtype=float))
+        m, steps = len(starts), max(1, round(duration / step))
+        model = self.model if impulses else without_impulses(self.model)
+        discrete = discretise(model, step, max(1, math.ceil(step / LONGEST_STEP - 1e-9)))
+        every = BufferedFunction(discrete.step.map(m))
+        x, commands, p, _ = every.inputs
+        columns = x.reshape(discrete.n_x, m, order="F") if m == 1 else x
+        inputs = np.broadcast_to(np.asarray(u, dtype=float), (m, model.n_u))
+        for i in range(m):
+            columns[:, i] = discrete.initial(starts[i], inputs[i])
+        commands.reshape(model.n_u, m, order="F")[:] = inputs.T
+        if p.size:
+            p.reshape(self.parameters.size, m, order="F")[:] = self.parameters[:, None]
+        found = np.empty((steps + 1, m, model.n_x))
+        found[0] = columns[: model.n_x].T
+        for k in range(steps):
+            every()
+            x[...] = every.outputs[0]
+            found[k + 1] = columns[: model.n_x].T
+        return found
+
+
+def without_impulses(model: Model) -> Model:
+    """The model with its axes gliding freely: no dry friction, no stops."""
+    gliding = copy.copy(model)
+    gliding.impulse = lambda x, u, p, w, duration: x  # type: ignore[method-assign]
+    return gliding
