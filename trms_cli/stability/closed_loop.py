@@ -158,9 +158,7 @@ def run_loop(
         plant=_Bench(rig, made, path),
         observer=loop.observer,
         controller=loop.controller,
-        reference=ReferenceTrajectory(
-            **{name: Constant(offset=value) for name, value in goal.items()}
-        ),
+        reference=ReferenceTrajectory(**signals),
         duration=duration,
         sample_time=loop.sample_time,
         prediction_every=0,
