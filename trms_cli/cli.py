@@ -31,6 +31,7 @@ COMMANDS: dict[str, str] = {
     "excite": "design an excitation: band and amplitude from the model",
     "identify": "fit a model's parameters, or a network, to recordings",
     "validate": "how well models foretell recordings: errors, residual tests, spectra",
+    "stability": "equilibria, modes, phase portraits, limit cycles, Lyapunov sets, margins",
     "diagnose": "where a model and a rig differ, which effect causes it, how far the gap shrinks",
     "blind": "prove diagnoses on sealed rigs: make a set, diagnose it, open its key",
     "score": "metrics of logs, and comparison with a baseline",

@@ -73,11 +73,23 @@ def check_files(config: Mapping[str, Any]) -> None:
     """
     from trms_cli.core.errors import ConfigurationError
 
-    out, picture = config["out"], config["picture"]
-    if out is not None and not (isinstance(out, str) and out):
-        raise ConfigurationError(f"{out!r} given", where="out", remedy="name a folder, or null")
+    picture = config["picture"]
+    check_out(config["out"])
     if not isinstance(picture, bool):
         raise ConfigurationError(f"{picture!r} given", where="picture", remedy="true or false")
+
+
+def check_out(out: Any) -> None:
+    """Refuse what is neither a folder's name nor null.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    from trms_cli.core.errors import ConfigurationError
+
+    if out is not None and not (isinstance(out, str) and out):
+        raise ConfigurationError(f"{out!r} given", where="out", remedy="name a folder, or null")
 
 
 def raise_explained(

@@ -15,6 +15,7 @@ from trms_cli.commands.recording_request import (
     model_of,
     several,
 )
+from trms_cli.commands.run_assembly import check_out
 from trms_cli.commands.run_assembly import versions as versions
 from trms_cli.commands.validate_models import shown_names
 from trms_cli.core.errors import ConfigurationError
@@ -80,10 +81,7 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
     driven = several(config["driven"], "driven")
     if not isinstance(config["page"], bool):
         raise ConfigurationError(f"{config['page']!r} given", where="page", remedy="true or false")
-    if config["out"] is not None and not (isinstance(config["out"], str) and config["out"]):
-        raise ConfigurationError(
-            f"{config['out']!r} given", where="out", remedy="name a folder, or null"
-        )
+    check_out(config["out"])
     models: dict[str, Model] = {}
     recordings: dict[str, Sequence[Dataset]] = {}
     admissions: dict[str, Admission] = {}

@@ -119,14 +119,14 @@ def legend_above(panel: Axes, columns: int = 6) -> None:
     )
 
 
-def save_png(figure: Figure, path: Path) -> None:
+def save_png(figure: Figure, path: Path, colours: int = _COLOURS_OF_A_PNG) -> None:
     """Write a PNG of a limited palette, whole or not at all; equal figures give equal bytes."""
     from PIL import Image
 
     drawn = io.BytesIO()
     figure.savefig(drawn, dpi=DPI, format="png")
     # A third of the bytes at no loss that an eye sees: figures of this program have few colours.
-    picture = Image.open(drawn).convert("RGB").quantize(_COLOURS_OF_A_PNG)
+    picture = Image.open(drawn).convert("RGB").quantize(colours)
     content = io.BytesIO()
     picture.save(content, format="png", optimize=True)
     replace_whole(path, content.getvalue())

@@ -1,0 +1,80 @@
+"""``trms stability``: what to know of a model or a closed loop before it flies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+
+from trms_cli.commands.composition import Composition, Outcome, execute
+from trms_cli.core.errors import EXIT_OK
+
+SUMMARY = "equilibria, modes, phase portraits, limit cycles, Lyapunov sets, margins"
+COMPOSES = "stability"
+
+#: Files of a study in its folder.
+DOCUMENT_NAME, PAGE_NAME = "stability.json", "stability.html"
+
+HELP = """\
+usage: trms stability study=NAME [model=NAME|FILE.yaml] [effect=NAME] [controller=NAME]
+                      [study.KEY=VALUE]… [-m] [--cfg job] [--config-dir DIR]…
+
+Answers one question about a model, or about the loop that a controller closes around it, and
+leaves a folder with the figures as PNG, a page (stability.html) and all numbers (stability.json).
+Each answer says whether it is proved, or found by a search, and within which bounds.
+
+examples
+  trms stability                                            where the rig can rest, all of it
+  trms stability study=local                                modes at rest and over the range
+  trms stability study=local study.at.alpha_v=0.3 model=rahideh
+  trms stability study=root_locus study.over=k_g 'study.range=[0.0123,0.2]' model=rahideh
+  trms stability study=controllability                      what each input moves, each sensor sees
+  trms stability study=phase_portrait model=newtonian_vertical 'study.states=[alpha_v,S_v]'
+  trms stability study=phase_portrait controller=pid        the same plane, the loop closed
+  trms stability study=limit_cycles model=rahideh
+  trms stability study=hunting controller=pid effect=pitch_stribeck_friction
+  trms stability study=lyapunov model=newtonian_vertical    functions of energy, checked
+  trms stability study=region_of_attraction model=newtonian_vertical
+  trms stability study=margins controller=newton_mpc observer=ukf
+  trms stability study=tolerance controller=lqr             delay, gain, friction until it fails
+  trms stability -m study=margins controller=lqr,pid,newton_mpc
+
+options
+  -m, --multirun     one study for each combination of the values that commas part
+  --cfg job          print the composed configuration and stop
+  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Compose and study."""
+    return execute(argv, COMPOSES, perform)
+
+
+def perform(composition: Composition) -> Outcome:
+    """Answer the question of a configuration.
+
+    Raises
+    ------
+    TrmsError
+        If the question makes no sense for the model; it says what is possible.
+    """
+    from trms_cli.commands import stability_request as request
+    from trms_cli.commands.run_folder import write_document
+    from trms_cli.commands.stability_screen import StabilityScreen
+
+    begin = perf_counter()
+    asked = request.asked_of(composition)
+    screen = StabilityScreen(composition)
+    with screen:
+        findings = request.answered(asked, screen.progress)
+        document = request.document_of(composition, asked, findings)
+        folder = composition.folder("stability")
+        write_document(document, folder / DOCUMENT_NAME)
+        page = None
+        if asked.page:
+            from trms_cli.commands.stability_page import write_page
+
+            screen.progress("figures")
+            page = write_page(document, findings, folder, PAGE_NAME)
+    screen.say_finished(document, findings, folder / DOCUMENT_NAME, page, perf_counter() - begin)
+    return Outcome(EXIT_OK)

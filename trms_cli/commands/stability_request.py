@@ -1,0 +1,137 @@
+"""From a composed configuration to a study and its subject, and from findings to the document."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+from trms_cli.commands.composition import Composition
+from trms_cli.commands.plugin_contract import check_contract
+from trms_cli.commands.recording_request import model_of
+from trms_cli.commands.run_assembly import check_out, number, versions
+from trms_cli.core.chart import as_data
+from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.core.plugins import TARGET, build
+from trms_cli.stability.findings import Findings, Judged, Table
+from trms_cli.stability.study import Study
+from trms_cli.stability.subject import LoopParts, Subject, effects_of
+
+SCHEMA = "trms.stability/1"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is studied, and how.
+
+    Attributes
+    ----------
+    study : Study
+    subject : Subject
+    page : bool
+        Whether figures and page are made.
+    """
+
+    study: Study
+    subject: Subject
+    page: bool
+
+
+def asked_of(composition: Composition) -> Asked:
+    """Build everything that was asked for.
+
+    Raises
+    ------
+    TrmsError
+        For the first key that is wrong.
+    """
+    config = composition.config
+    check_out(config["out"])
+    if not isinstance(config["page"], bool):
+        raise ConfigurationError(f"{config['page']!r} given", where="page", remedy="true or false")
+    study = build(config["study"], "study")
+    if not isinstance(study, Study):
+        raise ConfigurationError(
+            f"{config['study'].get(TARGET)!r} is no study",
+            where="study",
+            remedy="choose one that `trms list study` shows",
+        )
+    name = str(composition.choices.get("model"))
+    if name == "from_file":
+        name = str(config["model"].get("path", name))
+    return Asked(study, Subject(model_of(config), name, _loop_of(composition)), page=config["page"])
+
+
+def _loop_of(composition: Composition) -> LoopParts | None:
+    config = composition.config
+    if config["controller"] is None:
+        return None
+    parts = {key: build(config[key], key) for key in ("model", "controller", "observer")}
+    for key in ("controller", "observer"):
+        check_contract(parts[key], key)
+    sample_time = number(config["sim"]["sample_time"], "sim.sample_time")
+    if not sample_time > 0:
+        raise ConfigurationError(
+            f"{sample_time!r} given", where="sim.sample_time", remedy="a time above 0 s"
+        )
+    chosen = {key: str(composition.choices.get(key)) for key in ("controller", "observer")}
+    return LoopParts(parts["model"], parts["controller"], parts["observer"], sample_time, chosen)
+
+
+def answered(asked: Asked, tell: Callable[[str], None]) -> Findings:
+    """What the study finds.
+
+    Raises
+    ------
+    TrmsError
+        A study's own keys are named as they are typed.
+    """
+    try:
+        return asked.study.run(asked.subject, tell)
+    except TrmsError as error:
+        own = {field.name for field in fields(asked.study)}  # type: ignore[arg-type]
+        if error.where.split(".")[0].split("[")[0] in own:
+            error.where = f"study.{error.where}"
+        raise
+
+
+def document_of(composition: Composition, asked: Asked, findings: Findings) -> dict[str, Any]:
+    """The JSON twin: ``trms.stability/1``."""
+    subject = asked.subject
+    loop = None if subject.loop is None else dict(subject.loop.names)
+    return {
+        "schema": SCHEMA,
+        "study": str(composition.choices.get("study")),
+        "title": findings.title,
+        "model": subject.name,
+        "effects": [name for name, _ in effects_of(subject.model)],
+        "loop": loop,
+        "lead": list(findings.lead),
+        "warnings": [*findings.warnings, *_left_out(subject)],
+        "results": dict(findings.results),
+        "tables": [_table(table) for table in findings.tables],
+        "charts": [as_data(chart) for chart in findings.charts],
+        "settings": composition.config["study"],
+        "command": shlex.join(["trms", *sys.argv[1:]]),
+        "versions": versions(),
+    }
+
+
+def _left_out(subject: Subject) -> list[str]:
+    outside = subject.left_out_of_equations()
+    if not outside or subject.loop is not None:
+        return []
+    verb = "is" if len(outside) == 1 else "are"
+    return [
+        f"{', '.join(outside)} {verb} no part of ẋ = f(x, u) (dry friction, a delay or a sensor): "
+        "eigenvalues and equilibria are those without"
+    ]
+
+
+def _table(table: Table) -> dict[str, Any]:
+    rows = [
+        [cell.value if isinstance(cell, Judged) else cell for cell in row] for row in table.rows
+    ]
+    return {"caption": table.caption, "columns": list(table.columns), "rows": rows}

@@ -1,0 +1,141 @@
+"""What a person sees of a study of stability: progress, then the answer, tables and files."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from time import perf_counter
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from trms_cli.reporting.page import shown_cell
+from trms_cli.stability.findings import Findings, Judged, Table
+
+if TYPE_CHECKING:
+    from trms_cli.commands.composition import Composition
+
+_COLOURS = {"good": "green", "bad": "red", "doubtful": "yellow", "": ""}
+#: Rows of a table on the screen; the page and the document have them all.
+_MOST_ROWS = 16
+
+
+class StabilityScreen:
+    """Progress on standard error if that is a terminal; the findings on standard output."""
+
+    _PATIENCE = 0.5  # s, before progress is worth a line
+
+    def __init__(self, composition: Composition) -> None:
+        self._composition = composition
+        self._begin = perf_counter()
+        self._width = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._width:
+            sys.stderr.write("\r" + " " * self._width + "\r")
+
+    def progress(self, doing: str) -> None:
+        """What is being done."""
+        if not sys.stderr.isatty() or perf_counter() - self._begin < self._PATIENCE:
+            return
+        sys.stderr.write("\r" + doing.ljust(self._width))
+        sys.stderr.flush()
+        self._width = max(self._width, len(doing))
+
+    def say_finished(
+        self,
+        document: Mapping[str, Any],
+        findings: Findings,
+        path: Path,
+        page: Path | None,
+        spent: float,
+    ) -> None:
+        """The answer, its tables, and the files; one line for a job of a sweep."""
+        if self._composition.job is not None:
+            what = " ".join(self._composition.overrides)
+            print(f"{self._composition.job:>4}  {what}  {document['lead'][0]}")
+            return
+        from rich.console import Console
+
+        console = Console()
+
+        def say(text: str, style: str = "") -> None:
+            console.print(text, style=style, highlight=False, markup=False, soft_wrap=False)
+
+        say(f"{document['title'].lower():10} {subject_words(document)}")
+        console.print()
+        for sentence in document["lead"]:
+            say(sentence, "bold")
+        console.print()
+        for table in findings.tables:
+            if table.on_screen and table.rows:
+                _print_table(console, table)
+        for warning in document["warnings"]:
+            say(f"! {warning}", "yellow")
+        if document["warnings"]:
+            console.print()
+        print(f"time       {spent:.1f} s")
+        print(f"figures    {path}")
+        if page is not None:
+            print(f"page       {page}")
+
+
+def subject_words(document: Mapping[str, Any]) -> str:
+    """``newtonian with pitch_coulomb_friction, under pid with full_state``."""
+    words = str(document["model"])
+    if document["effects"]:
+        words += f" with {', '.join(document['effects'])}"
+    if document["loop"]:
+        words += f", under {document['loop']['controller']} with {document['loop']['observer']}"
+    return words
+
+
+def _print_table(console: Any, table: Table) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.markup import escape
+    from rich.table import Table as Grid
+
+    grid = Grid(
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1),
+        caption=escape(table.caption) or None,
+        caption_style="dim",
+        caption_justify="left",
+    )
+    numeric = [
+        all(isinstance(_value(row[i]), int | float | None) for row in table.rows)
+        for i in range(len(table.columns))
+    ]
+    for i, column in enumerate(table.columns):
+        style = "bold cyan" if i < table.heads else "bold"
+        grid.add_column(
+            escape(column), header_style=style, justify="right" if numeric[i] else "left"
+        )
+    for row in table.rows[:_MOST_ROWS]:
+        grid.add_row(*(_cell(cell) for cell in row))
+    console.print(grid, highlight=False)
+    more = len(table.rows) - _MOST_ROWS
+    if more > 0:
+        console.print(f"… {more} more rows in the document and on the page", style="dim")
+    console.print()
+
+
+def _value(cell: Any) -> Any:
+    return cell.value if isinstance(cell, Judged) else cell
+
+
+def _cell(cell: Any) -> str:
+    from rich.markup import escape
+
+    text = escape(shown_cell(_value(cell)))
+    colour = _COLOURS[cell.judgement] if isinstance(cell, Judged) else ""
+    return f"[{colour}]{text}[/{colour}]" if colour else text

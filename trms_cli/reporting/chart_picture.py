@@ -1,0 +1,127 @@
+"""Draws a :class:`trms_cli.core.chart.Chart` in the look of the house."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
+
+from trms_cli.core.chart import Axis, Chart, Panel
+from trms_cli.reporting.chart_marks import Handle, draw_mark
+from trms_cli.reporting.style import new_figure
+
+#: Letters of a legend that fit into an inch, its handle counted as some.
+_LETTERS_PER_INCH, _HANDLE_LETTERS = 15.0, 6
+
+
+def picture_of(chart: Chart) -> Figure:
+    """The figure, to be called within :func:`trms_cli.reporting.style.house_style`."""
+    columns = max(1, min(chart.columns, len(chart.panels)))
+    rows = math.ceil(len(chart.panels) / columns)
+    width = max(chart.width * columns, 3.0)
+    figure = new_figure(width, chart.height * rows)
+    legends: list[dict[str, Handle]] = []
+    places: list[Axes] = []
+    for number, panel in enumerate(chart.panels, 1):
+        projection = None if panel.z is None else "3d"
+        axes = figure.add_subplot(rows, columns, number, projection=projection)
+        legends.append(_draw_panel(axes, panel))
+        places.append(axes)
+    if _one_legend_serves(legends):
+        union = {label: handle for legend in legends for label, handle in legend.items()}
+        _legend_beneath(figure, union, width)
+    else:
+        for axes, legend in zip(places, legends, strict=True):
+            _legend_above(axes, legend, chart.width)
+    return figure
+
+
+def _draw_panel(axes: Any, panel: Panel) -> dict[str, Handle]:
+    """Draw everything; what the legend shows, by label."""
+    if panel.z is not None:
+        axes.set_proj_type("ortho")
+        axes.view_init(elev=22, azim=-58)
+        axes.tick_params(labelsize=7, pad=0)
+        for side in (axes.xaxis, axes.yaxis, axes.zaxis):
+            side.pane.set_facecolor((1, 1, 1, 0))
+            side.line.set_color("#777777")
+            side._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)
+    for name, axis in (("x", panel.x), ("y", panel.y), ("z", panel.z)):
+        if axis is not None:
+            _set_axis(axes, name, axis)
+    handles: dict[str, Handle] = {}
+    for mark in panel.marks:
+        handle = draw_mark(axes, mark)
+        label = getattr(mark, "label", "")
+        if handle is not None and label and label not in handles:
+            handles[label] = handle
+    # Marks may have widened what was asked for.
+    for name, axis in (("x", panel.x), ("y", panel.y), ("z", panel.z)):
+        if axis is not None and axis.limits is not None:
+            getattr(axes, f"set_{name}lim")(*axis.limits)
+    if panel.title:
+        axes.set_title(panel.title, fontweight="bold")
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+    return handles
+
+
+def _set_axis(axes: Any, name: str, axis: Axis) -> None:
+    label = f"{axis.label} [{axis.unit}]" if axis.unit else axis.label
+    pad = {} if not hasattr(axes, "zaxis") else {"labelpad": 2.0}
+    getattr(axes, f"set_{name}label")(label, **pad)
+    if axis.log:
+        getattr(axes, f"set_{name}scale")("log")
+
+
+def _one_legend_serves(legends: Sequence[dict[str, Handle]]) -> bool:
+    """Whether no look means two things in different panels."""
+    looks: dict[object, str] = {}
+    for legend in legends:
+        for label, handle in legend.items():
+            if looks.setdefault(handle.look, label) != label:
+                return False
+    labels = {label for legend in legends for label in legend}
+    same: dict[str, object] = {}
+    for legend in legends:
+        for label, handle in legend.items():
+            if same.setdefault(label, handle.look) != handle.look:
+                return False
+    return len(labels) <= 10
+
+
+def _columns(labels: Sequence[str], width: float) -> int:
+    longest = max(len(label) for label in labels) + _HANDLE_LETTERS
+    return max(1, min(len(labels), int(width * _LETTERS_PER_INCH / longest)))
+
+
+def _legend_beneath(figure: Figure, handles: dict[str, Handle], width: float) -> None:
+    if handles:
+        figure.legend(
+            [handle.artist for handle in handles.values()],
+            list(handles),
+            loc="outside lower center",
+            ncols=_columns(list(handles), width),
+            handlelength=1.8,
+            columnspacing=1.4,
+            handler_map={tuple: HandlerTuple(ndivide=None)},
+        )
+
+
+def _legend_above(axes: Any, handles: dict[str, Handle], width: float) -> None:
+    if not handles:
+        return
+    axes.legend(
+        [handle.artist for handle in handles.values()],
+        list(handles),
+        loc="upper left",
+        bbox_to_anchor=(0.0, -0.2),
+        ncols=_columns(list(handles), width),
+        handlelength=1.6,
+        columnspacing=1.2,
+        borderaxespad=0.0,
+    )
