@@ -59,16 +59,16 @@ def perform(composition: Composition) -> Outcome:
         If the question makes no sense for the model; it says what is possible.
     """
     from trms_cli.commands import stability_request as request
-    from trms_cli.commands.run_folder import write_document
+    from trms_cli.commands.run_folder import removed_if_empty, write_document
     from trms_cli.commands.stability_screen import StabilityScreen
 
     begin = perf_counter()
     asked = request.asked_of(composition)
     screen = StabilityScreen(composition)
-    with screen:
+    folder = composition.folder("stability")  # before the work, which a wrong name would lose
+    with screen, removed_if_empty(folder):
         findings = request.answered(asked, screen.progress)
         document = request.document_of(composition, asked, findings)
-        folder = composition.folder("stability")
         write_document(document, folder / DOCUMENT_NAME)
         page = None
         if asked.page:

@@ -66,7 +66,7 @@ def asked_of(composition: Composition) -> Asked:
 
 def _loop_of(composition: Composition) -> LoopParts | None:
     config = composition.config
-    if config["controller"] is None:
+    if config.get("controller") is None:
         return None
     parts = {key: build(config[key], key) for key in ("model", "controller", "observer")}
     for key in ("controller", "observer"):

@@ -19,6 +19,8 @@ FloatArray = npt.NDArray[np.float64]
 #: Rates below this, in the states' units per s, count as none.
 TOLERANCE = 1e-9
 _ITERATIONS = 50
+_NEAR_ZERO = 1e-3  # V
+_SAME_ANGLE = 1e-6  # rad
 #: Steps in which the commands go from zero to where they are asked for: the branch that begins at
 #: the rest without command is followed, not one that lies across.
 _STEPS = 25
@@ -103,7 +105,22 @@ def _at_angles(model: Model, at: Mapping[str, float], where: str) -> OperatingPo
             where=where,
             remedy=f"the closest that it has: {reached}" if target.converged else "",
         )
-    return OperatingPoint(target.x, target.u)
+    return _without_rounding(model, OperatingPoint(target.x, target.u))
+
+
+def _without_rounding(model: Model, point: OperatingPoint) -> OperatingPoint:
+    """The point with commands of exactly zero where that changes no angle.
+
+    A target that needs no thrust is a double root of ω|ω|, which the solver comes as near to as
+    the square root of its tolerance.
+    """
+    u = np.where(np.abs(point.u) < _NEAR_ZERO, 0.0, point.u)
+    x = refined(VectorField(model), point.x, u)
+    if x is None or np.abs(x - point.x)[[model.state_index(n) for n in model.controlled]].max() > (
+        _SAME_ANGLE
+    ):
+        return point
+    return OperatingPoint(x, u)
 
 
 def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint:
