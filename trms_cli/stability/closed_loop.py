@@ -7,6 +7,7 @@ what margins and tolerances are measured by.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,6 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.controllers.controller import (
+    Command,
+    Controller,
+    ControlSample,
+    ControlSetup,
+    Status,
+)
 from trms_cli.core.errors import SimulationError
 from trms_cli.models.model import Model, names
 from trms_cli.plants.plant import PlantRun, PlantSetup
@@ -49,6 +57,8 @@ class LoopRun:
         Control samples whose solve failed.
     ended : str
         Why it ended early; empty if it did not.
+    statuses : dict of str to int
+        Control samples by how their computation ended (:class:`Status` by its label).
     """
 
     time: FloatArray
@@ -57,6 +67,44 @@ class LoopRun:
     applied: FloatArray
     failures: int = 0
     ended: str = ""
+    statuses: Mapping[str, int] = field(default_factory=dict)
+
+
+class Enough(Exception):
+    """What a path raises to end a run that has shown what it was made for."""
+
+
+@dataclass(frozen=True)
+class CountedController:
+    """A controller, the statuses of its answers counted.
+
+    Attributes
+    ----------
+    controller : Controller
+    sample_time : float or None
+        Its control period, s.
+    statuses : Counter
+        Answers by the label of their status.
+    """
+
+    controller: Controller
+    sample_time: float | None
+    statuses: Counter[str]
+
+    def preview(self, setup: ControlSetup) -> int:
+        return self.controller.preview(setup)
+
+    def init(self, setup: ControlSetup) -> Any:
+        return self.controller.init(setup)
+
+    def step(self, state: Any, sample: ControlSample, *, want_prediction: bool) -> Command:
+        """The controller's own answer."""
+        command = self.controller.step(state, sample, want_prediction=want_prediction)
+        # what is no command at all is refused by the loop, in its own words
+        status = getattr(command, "status", None)
+        if isinstance(status, Status):
+            self.statuses[status.label] += 1
+        return command
 
 
 @dataclass
@@ -130,12 +178,13 @@ def run_loop(
     reference : dict of str to float
         Constant references by controlled state; default the point's.
     path : callable, optional
-        What reaches the motors instead of the command.
+        What reaches the motors instead of the command. It may raise :class:`Enough`.
 
     Returns
     -------
     LoopRun
-        Shorter than asked for where the run had to end (a state that is no longer finite).
+        Shorter than asked for where the run had to end (a state that is no longer finite), or
+        where the path had enough.
     """
     start = dict(zip(model.state_names, point.x.tolist(), strict=True))
     for name, change in (offset or {}).items():
@@ -153,11 +202,13 @@ def run_loop(
     )
     signals: dict[str, Any] = {name: Constant(offset=value) for name, value in goal.items()}
     made: list[RecordedPlant] = []
+    period = getattr(loop.controller, "sample_time", None)
+    counted = CountedController(loop.controller, period, Counter())
     experiment = Experiment(
         model=loop.model,
         plant=_Bench(rig, made, path),
         observer=loop.observer,
-        controller=loop.controller,
+        controller=counted,
         reference=ReferenceTrajectory(**signals),
         duration=duration,
         sample_time=loop.sample_time,
@@ -167,6 +218,8 @@ def run_loop(
     ended = ""
     try:
         running.run()
+    except Enough as enough:
+        ended = str(enough)
     except (ArithmeticError, SimulationError) as error:
         ended = str(error)
     plant = made[0]
@@ -175,4 +228,4 @@ def run_loop(
     x, u, applied = (np.array(rows).reshape(n, -1) for rows in kept)
     failures = sum(kind == "solver" for _, kind, *_ in running.history.events)
     time = np.arange(n, dtype=np.float64) * loop.sample_time
-    return LoopRun(time, x, u, applied, failures, ended)
+    return LoopRun(time, x, u, applied, failures, ended, dict(counted.statuses))
