@@ -1,0 +1,1 @@
+"""Lyapunov functions of the rig at constant commands, and proofs over boxes of states."""
