@@ -142,8 +142,11 @@ def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint
     share, step = 0.0, 1.0 / _STEPS
     while share < 1.0:
         goal = min(share + step, 1.0)
-        following = refined(field, x, goal * u)
-        if following is None or np.abs(following - x).max() > _jump(x, step):
+        _, a, b = field.with_slopes(x, share * u)
+        # Along the tangent, which the branch leaves only slowly; another branch lies far from it.
+        ahead = x - (goal - share) * np.linalg.lstsq(a, b @ u, rcond=1e-12)[0]
+        following = refined(field, ahead, goal * u)
+        if following is None or not _beside(following, ahead, x):
             step /= 4.0
             if step < 1e-6:
                 reached = ", ".join(
@@ -153,16 +156,18 @@ def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint
                 raise ConfigurationError(
                     f"the equilibrium that begins at rest ends at {reached}",
                     where=where,
-                    remedy="ask for a smaller command; study=equilibria shows where they all end",
+                    remedy="ask for a smaller command, or by angles (at.alpha_v=0), which finds a "
+                    "command for each input; study=equilibria shows where they all end",
                 )
             continue
-        x, share = following, goal
+        x, share, step = following, goal, min(2.0 * step, 1.0 / _STEPS)
     return OperatingPoint(x, u)
 
 
-def _jump(x: FloatArray, step: float) -> float:
-    """A change beyond this is another branch, not the next point of this one."""
-    return 0.5 + 20.0 * step * (1.0 + float(np.abs(x).max()))
+def _beside(found: FloatArray, ahead: FloatArray, x: FloatArray) -> bool:
+    """Whether a solution is the one that the tangent pointed at, state by state."""
+    room = 0.5 * np.abs(ahead - x) + 0.02 * (1.0 + np.abs(x))
+    return bool(np.all(np.abs(found - ahead) <= room))
 
 
 def refined(field: VectorField, x: FloatArray, u: FloatArray) -> FloatArray | None:
@@ -172,14 +177,11 @@ def refined(field: VectorField, x: FloatArray, u: FloatArray) -> FloatArray | No
     """
     x = x.copy()
     for _ in range(_ITERATIONS):
-        rate = field.rates(x, u)
-        if not np.all(np.isfinite(rate)):
+        rate, slope, _ = field.with_slopes(x, u)
+        if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(slope))):
             return None
         if np.abs(rate).max() <= TOLERANCE:
             return x
-        slope, _ = field.linearised(x, u)
-        if not np.all(np.isfinite(slope)):
-            return None
         x = x - np.linalg.lstsq(slope, rate, rcond=1e-12)[0]
     return None
 

@@ -64,9 +64,25 @@ class VectorField:
         self, x: npt.ArrayLike, u: npt.ArrayLike, parameters: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """``A = ∂f/∂x`` (n_x, n_x) and ``B = ∂f/∂u`` (n_x, n_u)."""
+        _, a, b = self.with_slopes(x, u, parameters)
+        return a, b
+
+    def with_slopes(
+        self, x: npt.ArrayLike, u: npt.ArrayLike, parameters: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """f (n_x,), A and B at one state, in one evaluation."""
         p = self.parameters if parameters is None else parameters
-        a, b, *_ = self.slopes(x, u, p, self._w)
-        return np.array(a), np.array(b)
+        f, a, b = self._at_once.evaluate(x, u, p, self._w)
+        return f.copy(), a.copy().reshape(f.size, -1), b.copy().reshape(f.size, -1)
+
+    @cached_property
+    def _at_once(self) -> BufferedFunction:
+        """f, A and B: some hundreds of evaluations at the most are not worth a compiler."""
+        x, u, p, w = self.model.symbols()
+        f = self.model.dynamics(x, u, p, w)
+        slopes = [ca.jacobian(f, v) for v in (x, u)]
+        function = ca.Function("at_once", [x, u, p, w], ca.cse([f, *slopes]))
+        return BufferedFunction(function, compile=False)
 
     def motions(
         self,

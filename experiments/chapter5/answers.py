@@ -1,0 +1,117 @@
+"""Questions answered by the program itself, and their figures held against recorded ones."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from experiments.chapter5.study import Question, Study, Tolerance
+from trms_cli.core.errors import ConfigurationError
+
+#: A figure of an answer: a number, a verdict in words, or nothing.
+Figure = float | str | bool | None
+
+
+def answer(name: str, question: Question, pictures: str | None) -> dict[str, Any]:
+    """The document of one question; its pictures are kept in a folder, if there is one."""
+    from trms_cli.commands import stability
+    from trms_cli.commands.composition import compose
+
+    with tempfile.TemporaryDirectory(prefix="trms-chapter5-") as scratch:
+        folder = Path(scratch, "answer")
+        words = [*question.overrides, f"out='{folder}'"]
+        if pictures is None:
+            words.append("page=false")
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            stability.perform(compose(words, stability.COMPOSES))
+        document: dict[str, Any] = json.loads(
+            (folder / stability.DOCUMENT_NAME).read_text(encoding="utf-8")
+        )
+        if pictures is not None:
+            for picture in question.pictures:
+                shutil.copy(folder / f"{picture}.png", Path(pictures, f"{name}_{picture}.png"))
+    return document
+
+
+def answers(
+    study: Study, jobs: int, pictures: Path | None, said: Callable[[str], None]
+) -> dict[str, dict[str, Any]]:
+    """The documents of all questions, by name."""
+    kept = None if pictures is None else str(pictures)
+    found: dict[str, dict[str, Any]] = {}
+    if jobs <= 1:
+        for name, question in study.questions.items():
+            found[name] = answer(name, question, kept)
+            said(name)
+        return found
+    # A fresh process each, also where forking is usual: casadi's threads do not survive a fork.
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        futures = {
+            pool.submit(answer, name, question, kept): name
+            for name, question in study.questions.items()
+        }
+        for future in as_completed(futures):
+            found[futures[future]] = future.result()
+            said(futures[future])
+    return {name: found[name] for name in study.questions}
+
+
+def figures_of(
+    study: Study, documents: Mapping[str, Mapping[str, Any]]
+) -> dict[str, dict[str, Figure]]:
+    """The figures that are recorded, by question and key."""
+    return {
+        name: {key: _at(documents[name]["results"], key, name) for key in question.figures}
+        for name, question in study.questions.items()
+    }
+
+
+def _at(node: Any, key: str, name: str) -> Figure:
+    for part in key.split("."):
+        try:
+            node = node[int(part)] if isinstance(node, list) else node[part]
+        except (KeyError, IndexError, TypeError, ValueError):
+            raise ConfigurationError(
+                f"the answer has no {key!r}",
+                where=f"study.yaml, questions.{name}.figures",
+                remedy=f"at {part!r} there is: "
+                + (", ".join(map(str, node)) if isinstance(node, dict) else type(node).__name__),
+            ) from None
+    if isinstance(node, dict | list):
+        raise ConfigurationError(
+            f"{key!r} is no single figure", where=f"study.yaml, questions.{name}.figures"
+        )
+    return float(f"{node:.8g}") if isinstance(node, float) else node
+
+
+def differences(
+    found: Mapping[str, Mapping[str, Figure]],
+    expected: Mapping[str, Mapping[str, Figure]],
+    allowed: Tolerance,
+) -> list[str]:
+    """A sentence for each figure that is not what was recorded."""
+    words = []
+    for name, ours in found.items():
+        known = expected.get(name, {})
+        for key in sorted(ours.keys() ^ known.keys()):
+            words.append(f"{name}: {key} is {'new' if key in ours else 'gone'}")
+        for key in sorted(ours.keys() & known.keys()):
+            if not _agree(ours[key], known[key], allowed):
+                words.append(f"{name}: {key} is {ours[key]}, expected {known[key]}")
+    return words
+
+
+def _agree(ours: Figure, known: Figure, allowed: Tolerance) -> bool:
+    numbers = [v for v in (ours, known) if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(numbers) < 2:
+        return ours == known
+    room = allowed.absolute + allowed.relative * abs(numbers[1])
+    return abs(numbers[0] - numbers[1]) <= room

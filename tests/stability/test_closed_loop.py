@@ -1,0 +1,57 @@
+"""The loop around a rig from any state, its commands changed on the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trms_cli.controllers.lqr import Lqr
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.observers.full_state import FullState
+from trms_cli.stability.closed_loop import run_loop
+from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.subject import LoopParts
+
+MODEL = Newtonian()
+LOOP = LoopParts(MODEL, Lqr(), FullState(), 0.02, {"controller": "lqr", "observer": "full_state"})
+POINT = operating_point(MODEL, {"alpha_v": 0.0, "alpha_h": 0.3})
+PITCH = MODEL.state_index("alpha_v")
+
+
+def test_at_its_point_the_loop_rests():
+    run = run_loop(MODEL, LOOP, POINT, 2.0)
+    assert run.time.shape == (100,) and run.x.shape == (100, 6) and run.u.shape == (100, 2)
+    assert np.abs(run.x - POINT.x).max() < 1e-6 and not run.ended and not run.failures
+
+
+def test_from_beside_it_comes_back():
+    run = run_loop(MODEL, LOOP, POINT, 20.0, offset={"alpha_v": 0.1})
+    assert run.x[0, PITCH] == pytest.approx(0.1, abs=1e-9)
+    assert np.abs(run.x[-1] - POINT.x).max() < 0.01
+
+
+def test_to_another_reference():
+    run = run_loop(MODEL, LOOP, POINT, 20.0, reference={"alpha_v": 0.2})
+    assert run.x[-1, PITCH] == pytest.approx(0.2, abs=0.01)
+
+
+def test_what_reaches_the_motors_may_differ_from_the_command():
+    run = run_loop(MODEL, LOOP, POINT, 1.0, path=lambda k, u: u + (0.1 if k == 10 else 0.0))
+    assert run.applied[10] == pytest.approx(run.u[10] + 0.1)
+    assert np.delete(run.applied, 10, 0) == pytest.approx(np.delete(run.u, 10, 0))
+    assert np.abs(run.x[:11] - POINT.x).max() < 1e-6 < np.abs(run.x[12:] - POINT.x).max()
+
+
+def test_the_rig_may_have_what_the_controller_does_not_know():
+    effect = RotorReaction(rotor="main", drag=3e-7, inertia=1e-4)
+    rig = extended(MODEL, {"reaction": effect})
+    known = run_loop(MODEL, LOOP, POINT, 20.0)
+    other = run_loop(rig, LOOP, POINT, 20.0)
+    assert np.abs(other.x - known.x).max() > 0.01
+
+
+def test_two_runs_are_equal():
+    first, second = (run_loop(MODEL, LOOP, POINT, 3.0, offset={"alpha_h": 0.1}) for _ in "ab")
+    assert np.array_equal(first.x, second.x) and np.array_equal(first.u, second.u)
