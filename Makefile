@@ -21,7 +21,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test slow lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 chapter6 chapter7 chapter8 tournament coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
+	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -81,6 +81,9 @@ chapter3: $(READY) ## study: neural networks, thirteen training algorithms, stru
 
 chapter4: $(READY) ## study: grey-box fits, genetic algorithm and better, white against grey
 	@$(BIN)/python -m experiments.chapter4 $(ARGS)
+
+chapter5: $(READY) ## study: equilibria, modes, phase portraits, limit cycles, Lyapunov functions, margins
+	@$(BIN)/python -m experiments.chapter5 $(ARGS)
 
 chapter6: $(READY) ## study: Newton-type MPC, its stability and its feasible set
 	@$(BIN)/python -m experiments.chapter6 $(ARGS)

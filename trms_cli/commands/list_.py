@@ -35,7 +35,7 @@ examples
 """
 
 #: Primary configurations; what an earlier one says of a group counts.
-_PRIMARIES = ("run", "identify", "validate", "excite")
+_PRIMARIES = ("run", "identify", "validate", "excite", "stability")
 
 #: Groups that the primary configurations do not have: they are chosen inside others.
 _INSIDE_OTHERS = {
