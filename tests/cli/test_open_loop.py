@@ -120,3 +120,12 @@ def test_a_point_at_which_nothing_rests_is_refused(tmp_path, capsys):
     code = main(["run", *QUICK, f"out={tmp_path}/x", "controller.operating_point={alpha: 0}"])
     assert code == 2
     assert "alpha_v" in capsys.readouterr().err
+
+
+def test_a_reference_that_nobody_follows_is_told(trms):
+    quick = ("run", "controller=open_loop", "sim.duration=1", "picture=false")
+    told = trms(*quick, "ref=sine", "signal@ref.alpha_v=square", "ref.alpha_h.amplitude=0.1")
+    assert told.returncode == 0, told.stderr
+    words = "follows no reference: ref, signal@ref.alpha_v, ref.alpha_h.amplitude changes nothing"
+    assert words in told.stdout
+    assert "follows no reference" not in trms(*quick).stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
@@ -97,6 +98,7 @@ class RunScreen:
 
     def _lines(self, score: dict[str, Any], picture: Path | None, whole: float) -> Iterator[str]:
         yield f"run        {self._what()}"
+        yield from self._unheard()
         yield ""
         yield from _channel_lines(score["channels"])
         yield from _input_lines(score["inputs"])
@@ -135,6 +137,19 @@ class RunScreen:
         if faults:
             parts.append(f"fault {', '.join(faults)}")
         return f"{' · '.join(parts)} · {e.duration:g} s at {1 / e.sample_time:g} Hz"
+
+    def _unheard(self) -> Iterator[str]:
+        """What was asked for and has no part in the run."""
+        if getattr(self._experiment.controller, "follows_reference", True):
+            return
+        heads = (text.lstrip("+~").partition("=")[0] for text in self._composition.overrides)
+        asked = [head for head in heads if re.match(r"ref\b|\w+@ref\b", head)]
+        if asked:
+            name = self._composition.choices.get("controller")
+            yield (
+                f"note       {name} plays commands and follows no reference: "
+                f"{', '.join(asked)} changes nothing"
+            )
 
     def _another(self) -> str:
         """An override that would be interesting next."""
