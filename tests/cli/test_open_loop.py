@@ -126,6 +126,6 @@ def test_a_reference_that_nobody_follows_is_told(trms):
     quick = ("run", "controller=open_loop", "sim.duration=1", "picture=false")
     told = trms(*quick, "ref=sine", "signal@ref.alpha_v=square", "ref.alpha_h.amplitude=0.1")
     assert told.returncode == 0, told.stderr
-    words = "follows no reference: ref, signal@ref.alpha_v, ref.alpha_h.amplitude changes nothing"
+    words = "follows no reference; of no effect: ref, signal@ref.alpha_v, ref.alpha_h.amplitude"
     assert words in told.stdout
     assert "follows no reference" not in trms(*quick).stdout

@@ -147,8 +147,8 @@ class RunScreen:
         if asked:
             name = self._composition.choices.get("controller")
             yield (
-                f"note       {name} plays commands and follows no reference: "
-                f"{', '.join(asked)} changes nothing"
+                f"note       {name} plays commands and follows no reference; of no effect: "
+                f"{', '.join(asked)}"
             )
 
     def _another(self) -> str:
