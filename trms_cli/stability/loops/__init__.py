@@ -1,0 +1,1 @@
+"""Closed loops around an operating point: their margins, and what they tolerate."""

@@ -1,0 +1,289 @@
+"""The frequency response of a closed loop, measured as on the bench.
+
+A frequency response analyser between controller and rig adds a small periodic signal d to one
+command at a time, and reads what the controller asks for, u_c, and what reaches the motors,
+u = u_c + d. When the loop has settled, at each line of the signal
+
+    S = U D⁻¹ = (I + L)⁻¹     T = −U_c D⁻¹ = L (I + L)⁻¹     L = −U_c U⁻¹ = T S⁻¹
+
+(n_u, n_u) matrices, column j from the experiment on input j: sensitivity, complementary
+sensitivity and loop transfer at the rig's input. Nothing is asked of the controller but to run.
+The signal changes only where the command does, so that the loop, sampled at the controller's
+rate, sees a sampled signal: the response is that of the sampled loop, hold and delays in it,
+exactly, up to half that rate. Whether it is that of a linear loop is tested: the answer to another
+signal, half as strong and on all inputs at once, has to be the one that T predicts.
+
+Sources: Ljung, "System Identification", 2nd ed. 1999, sec. 6.2 and 13.5 (closed loops, the joint
+input-output approach); Pintelon & Schoukens, "System Identification: A Frequency Domain Approach",
+2nd ed. 2012, ch. 2–4 (periodic signals, lines left empty to detect distortion).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.dry_friction import SPEEDS
+from trms_cli.models.model import Model, names
+from trms_cli.stability.closed_loop import Enough, LoopRun, run_loop
+from trms_cli.stability.loops.multisine import ComplexArray, multisine
+from trms_cli.stability.operating_point import OperatingPoint
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import LoopParts
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Part of the response by which it may still differ from one period to the next: settled.
+SETTLED = 1e-4
+#: Beyond this part the answer is not periodic, and there is no response.
+NOT_PERIODIC = 0.05
+#: Control periods within which a controller that closes a loop answers to a step.
+_SOON = 50
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured.
+
+    Attributes
+    ----------
+    omega : (n,) array
+        rad/s.
+    S, T : (n, n_u, n_u) arrays
+        Sensitivity and complementary sensitivity at the rig's input.
+    inputs : tuple of str
+    step : float
+        Control period, s.
+    drift : float
+        Part of the response that still changed from the last period but one to the last.
+    beside : float
+        Power of the commands off the lines, as a share of that on them.
+    nonlinearity : float
+        Part of the answer to the signal at half the amplitude on all inputs that T does not
+        predict.
+    rest : (n_r,) array
+        Mean of the controlled angles in the last period, less the operating point's, rad.
+    swing : (n_r,) array
+        Largest excursion of the controlled angles from that mean, rad.
+    statuses : dict of str to int
+        Control samples by how their computation ended.
+    limited : int
+        Control samples at a limit of the command.
+    reversed : tuple of str
+        Rotors' speeds that changed their sign under the test signal: no thrust's slope there.
+    duration : float
+        s simulated.
+    """
+
+    omega: FloatArray
+    S: ComplexArray
+    T: ComplexArray
+    inputs: tuple[str, ...]
+    step: float
+    drift: float
+    beside: float
+    nonlinearity: float
+    rest: FloatArray
+    swing: FloatArray
+    statuses: Mapping[str, int]
+    limited: int
+    reversed: tuple[str, ...]
+    duration: float
+
+    @property
+    def L(self) -> ComplexArray:
+        """Loop transfer at the rig's input, (n, n_u, n_u)."""
+        return np.asarray(self.T @ np.linalg.inv(self.S))
+
+
+@dataclass(frozen=True)
+class NotHeld:
+    """A loop that has no response: it leaves the point, or swings by itself.
+
+    Attributes
+    ----------
+    run : LoopRun
+        Of the experiment that showed it.
+    words : str
+        What it did: ``alpha_v swings by ±0.31 rad after 100 s``.
+    """
+
+    run: LoopRun
+    words: str
+
+
+class NoLoopError(Exception):
+    """The controller's commands do not depend on what it sees."""
+
+
+@dataclass(frozen=True)
+class Analyser:
+    """How a response is measured.
+
+    Attributes
+    ----------
+    lowest : float
+        Lowest line, rad/s.
+    ratio : float
+        Of a line to the one below it, where the harmonics of the lowest are denser.
+    amplitude : float
+        rms of the signal, as a share of half the range of each input.
+    periods : int
+        Periods after which the loop has to have settled; two at the least.
+    """
+
+    lowest: float
+    ratio: float
+    amplitude: float
+    periods: int
+
+    def measure(
+        self, model: Model, loop: LoopParts, point: OperatingPoint, tell: Tell
+    ) -> Measured | NotHeld:
+        """The response around an operating point.
+
+        Raises
+        ------
+        NoLoopError
+        """
+        step = getattr(loop.controller, "sample_time", None) or loop.sample_time
+        probe = multisine(step, self.lowest, self.ratio)
+        other = multisine(step, self.lowest, self.ratio, seed=1)
+        lower, upper = model.input_bounds()
+        size = self.amplitude * (upper - lower) / 2
+        one_by_one = [np.outer(probe.values, row) for row in np.diag(size)]
+        shifts = [round(i * other.length / model.n_u) for i in range(model.n_u)]
+        together = np.column_stack(
+            [half * np.roll(other.values, s) for half, s in zip(size / 2, shifts, strict=True)]
+        )
+        inputs = names(model.inputs)
+        words = [*(f"response to {name}" for name in inputs), "half the amplitude, all inputs"]
+        _require_answer(model, loop, point, size)
+        answers: list[_Answer] = []
+        for doing, added in zip(words, [*one_by_one, together], strict=True):
+            tell(doing)
+            answers.append(self._answer(model, loop, point, probe.length, added))
+            if answers[-1].gone:
+                return NotHeld(answers[-1].run, answers[-1].gone)
+        each, check = answers[:-1], answers[-1]
+        T = np.stack(
+            [
+                -probe.spectrum(a.commands) / probe.spectrum(d[:, [j]])
+                for j, (a, d) in enumerate(zip(each, one_by_one, strict=True))
+            ],
+            axis=2,
+        )
+        predicted = -np.einsum("kij,kj->ki", T, other.spectrum(together))
+        answer = other.spectrum(check.commands)
+        return Measured(
+            omega=probe.omega,
+            S=np.eye(model.n_u) - T,
+            T=T,
+            inputs=inputs,
+            step=step,
+            drift=max(a.drift for a in answers),
+            beside=max(probe.beside(a.commands) for a in answers),
+            nonlinearity=float(np.linalg.norm(answer - predicted) / np.linalg.norm(answer)),
+            rest=check.rest,
+            swing=np.max([a.swing for a in answers], axis=0),
+            statuses=dict(sum((Counter(a.run.statuses) for a in answers), Counter())),
+            limited=sum(a.limited for a in answers),
+            reversed=tuple(sorted({name for a in answers for name in a.reversed})),
+            duration=sum(a.run.time.size for a in answers) * loop.sample_time,
+        )
+
+    def _answer(
+        self, model: Model, loop: LoopParts, point: OperatingPoint, length: int, added: FloatArray
+    ) -> _Answer:
+        """One experiment: a period (N, n_u) is added to the commands until they repeat."""
+        step = getattr(loop.controller, "sample_time", None) or loop.sample_time
+        adder = _Adder(added, round(step / loop.sample_time))
+        run = run_loop(model, loop, point, self.periods * length * step, path=adder)
+        return _answered(model, point, run, adder)
+
+
+def _require_answer(model: Model, loop: LoopParts, point: OperatingPoint, step: FloatArray) -> None:
+    """Refuse a controller whose commands are the same with and without a step added to them."""
+    period = getattr(loop.controller, "sample_time", None) or loop.sample_time
+    plain = run_loop(model, loop, point, _SOON * period)
+    pushed = run_loop(model, loop, point, _SOON * period, path=lambda k, u: u + step)
+    if np.array_equal(plain.u, pushed.u):
+        raise NoLoopError
+
+
+class _Adder:
+    """Adds a periodic signal to the commands, and ends the run when the answer repeats."""
+
+    def __init__(self, added: FloatArray, ratio: int) -> None:
+        self.ratio, self._added = ratio, added
+        self.commands: list[FloatArray] = []
+
+    def __call__(self, k: int, u: FloatArray) -> FloatArray:
+        length = len(self._added)
+        if k % self.ratio == 0:
+            done = len(self.commands)
+            if done % length == 0 and done >= 2 * length and self.drift < SETTLED:
+                raise Enough
+            self.commands.append(u.copy())
+        return np.asarray(u + self._added[(k // self.ratio) % length])
+
+    @property
+    def last(self) -> FloatArray:
+        """The last whole period of the commands, (N, n_u)."""
+        length = len(self._added)
+        end = len(self.commands) // length * length
+        return np.array(self.commands[end - length : end])
+
+    @property
+    def drift(self) -> float:
+        """Change of the answer from the last period but one to the last."""
+        length = len(self._added)
+        end = len(self.commands) // length * length
+        if end < 2 * length:
+            return np.inf
+        last, before = self.last, np.array(self.commands[end - 2 * length : end - length])
+        moved = float(np.linalg.norm(last - last.mean(axis=0)))
+        return float(np.linalg.norm(last - before)) / moved if moved > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """The last period of an experiment."""
+
+    run: LoopRun
+    commands: FloatArray
+    drift: float
+    rest: FloatArray
+    swing: FloatArray
+    limited: int
+    reversed: tuple[str, ...]
+    gone: str
+
+
+def _answered(model: Model, point: OperatingPoint, run: LoopRun, adder: _Adder) -> _Answer:
+    rows = [model.state_index(name) for name in model.controlled]
+    angles = run.x[:, rows] - point.x[rows]
+    samples = min(len(angles), adder.last.shape[0] * adder.ratio or len(angles))
+    last = angles[-samples:]
+    rest = last.mean(axis=0)
+    swing = np.abs(last - rest).max(axis=0)
+    lower, upper = model.input_bounds()
+    limited = int(np.any((run.u <= lower) | (run.u >= upper), axis=1)[:: adder.ratio].sum())
+    gone = ""
+    if run.ended or adder.drift > NOT_PERIODIC:
+        furthest = int(np.argmax(np.abs(last).max(axis=0)))
+        away = float(np.abs(last[:, furthest]).max())
+        seconds = run.time[-1] if run.time.size else 0.0
+        gone = (
+            f"{model.controlled[furthest]} is up to {away:.2g} rad away after {seconds:.0f} s, "
+            + (f"and the run ends: {run.ended}" if run.ended else "and does not repeat itself")
+        )
+    speeds = [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
+    turned = tuple(
+        name for name in speeds if np.ptp(np.sign(run.x[-samples:, model.state_index(name)])) > 0
+    )
+    return _Answer(run, adder.last, adder.drift, rest, swing, limited, turned, gone)

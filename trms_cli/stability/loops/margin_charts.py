@@ -1,0 +1,153 @@
+"""Figures of a loop's margins: Bode, Nyquist with its disks, sensitivities."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel, Points, Region
+from trms_cli.stability.loops.disk_margin import diagonal_mu, largest_singular_value
+from trms_cli.stability.loops.margins import LoopMargins, Margins
+
+FloatArray = npt.NDArray[np.float64]
+
+COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple")
+_OMEGA = Axis("ω", "rad/s", log=True)
+#: What the Nyquist figure shows of the plane.
+_REAL, _IMAGINARY = (-3.0, 2.0), (-1.85, 1.85)
+#: What the Bode figure shows of the phase, and the sensitivity's of sizes.
+_DEGREES, _SIZES = (-390.0, 90.0), (0.01, 5.0)
+#: Points along each side of a shaded disk's grid.
+_GRID = 301
+
+
+def bode(margins: Margins, condition: str) -> Chart:
+    """Gain and phase of each loop, the others closed, with the lines at which it was measured."""
+    size: list[Mark] = [Line(y=1.0)]
+    phase: list[Mark] = [Line(y=-180.0)]
+    lines = margins.measured.omega
+    at_lines = 1 / np.diagonal(margins.measured.S, axis1=1, axis2=2) - 1
+    for i, (loop, colour) in enumerate(zip(margins.loops, COLOURS, strict=False)):
+        curve, label = margins.single[:, i], f"loop of {loop.name}"
+        size.append(Curve(margins.omega, np.abs(curve), label, colour))
+        size.append(Points(lines, np.abs(at_lines[:, i]), "lines measured", "dot", "ink", size=1.6))
+        degrees = _degrees(curve)
+        phase.append(Curve(margins.omega, degrees, label, colour))
+        for limit, panel, values, marker in (
+            (loop.crossings.up, size, np.abs(curve), "triangle"),
+            (loop.crossings.phase, phase, degrees, "square"),
+        ):
+            if limit is not None:
+                value = float(np.interp(limit.omega, margins.omega, values))
+                label = "limit of the gain" if panel is size else "limit of the phase"
+                panel.append(Points([limit.omega], [value], label, marker, colour))
+    return Chart(
+        "margins_bode",
+        [
+            Panel(_OMEGA, Axis("|L|", log=True), size, "Gain"),
+            Panel(_OMEGA, Axis("arg L", "°", _DEGREES), phase, "Phase"),
+        ],
+        f"Each loop opened at its command, the others closed: {condition}.",
+    )
+
+
+def _degrees(curve: npt.NDArray[np.complex128]) -> FloatArray:
+    """The phase without jumps, between −360° and 0 where the gain is last 1."""
+    phase = np.unwrap(np.angle(curve))
+    above = np.flatnonzero(np.abs(curve) >= 1)
+    at = int(above[-1]) if above.size else len(curve) // 2
+    turns = math.ceil(phase[at] / (2 * math.pi))
+    return np.asarray(np.degrees(phase - 2 * math.pi * turns))
+
+
+def nyquist(margins: Margins, condition: str) -> Chart:
+    """Nyquist curves beside the unit circle, with the largest disk around −1 that they leave."""
+    panels = []
+    for i, (loop, colour) in enumerate(zip(margins.loops, COLOURS, strict=False)):
+        curve = margins.single[:, i]
+        inside = (curve.real > _REAL[0]) & (curve.real < _REAL[1])
+        inside &= np.abs(curve.imag) < _IMAGINARY[1]
+        shown = np.where(inside, curve, np.nan)
+        turn = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
+        marks: list[Mark] = [
+            Curve(turn.real, turn.imag, "|L| = 1", "grey", "dotted", 1.0),
+            _disk(loop),
+            Curve(shown.real, shown.imag, f"loop of {loop.name}", colour, arrow=True),
+            Points([-1.0], [0.0], "−1", "cross", "alarm"),
+        ]
+        panels.append(
+            Panel(
+                Axis("Re L"),
+                Axis("Im L"),
+                marks,
+                f"Loop of {loop.name}",
+                equal=True,
+            )
+        )
+    return Chart(
+        "margins_nyquist",
+        panels,
+        f"Nyquist curves for ω > 0: {condition}. No gain and phase within the disk leads to −1.",
+        columns=2,
+        height=3.4,
+    )
+
+
+def _disk(loop: LoopMargins) -> Region:
+    """Values of L from which a change within the disk margin leads to −1: −1/f, f in D(α)."""
+    x, y = np.linspace(*_REAL, _GRID), np.linspace(*_IMAGINARY, _GRID)
+    z = x[None, :] + 1j * y[:, None]
+    # f = (1 + δ/2)/(1 − δ/2) = −1/L solved for δ; at L = 1 it has no solution
+    inside = 2 * np.abs(1 + z) < loop.disk.alpha * np.abs(1 - z)
+    return Region(x, y, inside, "disk margin", "orange")
+
+
+def sensitivity(margins: Margins, condition: str) -> Chart:
+    """What each frequency is amplified by, and how large a disk it leaves."""
+    S, T, omega = margins.S, margins.T, margins.omega
+    size: list[Mark] = [Line(y=1.0)]
+    disks: list[Mark] = [Line(y=2.0)]
+    for i, (loop, colour) in enumerate(zip(margins.loops, COLOURS, strict=False)):
+        size.append(Curve(omega, np.abs(S[:, i, i]), f"|S| of {loop.name}", colour))
+        size.append(Curve(omega, np.abs(T[:, i, i]), f"|T| of {loop.name}", colour, "dashed"))
+        top = [loop.sensitivity, loop.complementary]
+        size.append(
+            Points([p.omega for p in top], [p.value for p in top], "peaks", "dot", "ink", size=4)
+        )
+        apart = 2 / np.abs(S[:, i, i] - T[:, i, i])
+        disks.append(Curve(omega, apart, f"{loop.name} alone", colour))
+    panels = [Panel(_OMEGA, Axis("size", limits=_SIZES, log=True), size, "Each loop")]
+    if len(margins.loops) > 1:
+        both: list[Mark] = [
+            Line(y=1.0),
+            Curve(omega, largest_singular_value(S), "σ̄(S)", "purple"),
+            Curve(omega, largest_singular_value(T), "σ̄(T)", "purple", "dashed"),
+        ]
+        panels.append(Panel(_OMEGA, Axis("size", limits=_SIZES, log=True), both, "Both loops"))
+        disks.append(Curve(omega, 2 / diagonal_mu(S - T), "each by its own factor", "ink"))
+        apart = 2 / largest_singular_value(S - T)
+        disks.append(Curve(omega, apart, "any change, coupling too", "grey", "dashed"))
+    panels.append(Panel(_OMEGA, Axis("size α of the disk", limits=(0.0, 2.1)), disks, "Disks"))
+    return Chart(
+        "margins_sensitivity",
+        panels,
+        f"Sensitivity S, complementary sensitivity T, and the disk that each frequency leaves: "
+        f"{condition}.",
+        columns=len(panels),
+        width=4.0,
+    )
+
+
+def departure(
+    time: FloatArray, angles: FloatArray, names: tuple[str, ...], condition: str
+) -> Chart:
+    """What a loop did that does not hold its point: the angles' distances from it."""
+    marks: list[Mark] = [Line(y=0.0)]
+    marks += [
+        Curve(time, angles[:, i], name, colour)
+        for i, (name, colour) in enumerate(zip(names, COLOURS, strict=False))
+    ]
+    panel = Panel(Axis("time", "s"), Axis("distance from the point", "rad"), marks)
+    return Chart("margins_departure", [panel], f"The loop does not hold: {condition}.", width=6.5)

@@ -1,0 +1,394 @@
+"""What the margins of a loop are, in sentences, tables, figures and data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from trms_cli.controllers.controller import Status
+from trms_cli.stability.findings import Findings, Judged, Judgement, Section, Table, Value
+from trms_cli.stability.loops import margin_charts
+from trms_cli.stability.loops.crossings import Crossings, Limit
+from trms_cli.stability.loops.disk_margin import DiskMargin
+from trms_cli.stability.loops.frequency_response import Measured, NotHeld
+from trms_cli.stability.loops.margins import Margins
+from trms_cli.stability.operating_point import OperatingPoint
+from trms_cli.stability.subject import LoopParts, Subject
+
+#: Parts of the answer above which a warning is due: change from period to period, what the linear
+#: response does not predict, what the interpolation between the lines may miss.
+_DRIFT, _NONLINEAR, _BETWEEN = 1e-3, 0.05, 0.1
+#: From this part on there is no talk of margins.
+_NOT_LINEAR = 0.25
+#: rad by which the loop may rest beside the point.
+_BESIDE = 0.01
+#: What is called good and bad: Åström & Murray, "Feedback Systems", 2nd ed. 2021, sec. 10.3: gain
+#: margins of 2 to 5, phase margins of 30° to 60°, peaks of S of 1.2 to 2 are reasonable.
+_GOOD_GAIN, _GOOD_PHASE, _POOR_PHASE, _GOOD_PEAK = 2.0, 45.0, 30.0, 2.0
+
+TITLE = "Margins of a loop"
+
+
+def condition_of(subject: Subject, loop: LoopParts, point: OperatingPoint) -> str:
+    """``lqr with full_state on newtonian, u_v = 1.41 V, u_h = 0.35 V: alpha_v = 0, …``."""
+    parts = loop.names
+    return (
+        f"{parts['controller']} with {parts['observer']} on {subject.name} at "
+        f"{point.words(subject.model)}"
+    )
+
+
+def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: OperatingPoint) -> Findings:
+    """The answer for a loop that has no margins."""
+    model, run = subject.model, found.run
+    rows = [model.state_index(name) for name in model.controlled]
+    where = condition_of(subject, loop, point)
+    chart = margin_charts.departure(
+        run.time, run.x[:, rows] - point.x[rows], model.controlled, where
+    )
+    return Findings(
+        TITLE,
+        [
+            f"The loop does not hold this point, and margins do not exist: {found.words}.",
+            f"Studied was {where}.",
+        ],
+        [
+            Section(
+                "What the loop did",
+                [
+                    "The run begins at rest at the point; a small test signal is added to a "
+                    "command. A stable loop answers it periodically, and this one does not: it is "
+                    "unstable here, swings by itself (study=hunting and study=limit_cycles look "
+                    "for that), or settles slower than the study waits (study.periods)."
+                ],
+                [chart],
+            )
+        ],
+        {"holds": False, "what_it_did": found.words, "statuses": dict(run.statuses)},
+        [_warning_of_statuses(run.statuses)] if _warning_of_statuses(run.statuses) else [],
+    )
+
+
+def findings_of(
+    margins: Margins, subject: Subject, loop: LoopParts, point: OperatingPoint
+) -> Findings:
+    """The answer for a loop that has been measured."""
+    where = condition_of(subject, loop, point)
+    several = len(margins.loops) > 1
+    sections = [
+        Section(
+            "Margins",
+            [
+                "Each loop is opened at its command, the others stay closed. The loop was "
+                "measured while it was closed, so it is stable as it is; a margin is the first "
+                "change at which its Nyquist curve runs through −1. A margin of the delay holds "
+                "for a linear loop; study=tolerance compares it with the simulated one.",
+            ],
+            [_single_table(margins), *([_together_table(margins)] if several else [])],
+        ),
+        Section(
+            "Figures",
+            [],
+            [
+                margin_charts.bode(margins, where),
+                margin_charts.nyquist(margins, where),
+                margin_charts.sensitivity(margins, where),
+            ],
+        ),
+        Section("How it was measured", [_method(margins)], [_quality_table(margins)]),
+    ]
+    return Findings(
+        TITLE, _lead(margins, where), sections, results_of(margins), _warnings(margins, subject)
+    )
+
+
+def _lead(margins: Margins, where: str) -> list[str]:
+    said = []
+    for loop in margins.loops:
+        c = loop.crossings
+        said.append(
+            f"{loop.name}: the gain may grow {_factor(c.up)} and shrink {_factor(c.down)}, "
+            f"{_degrees_lost(c.phase)}, {_delay(c.delay)}; the sensitivity peaks at "
+            f"{loop.sensitivity.value:.2f} ({loop.sensitivity.omega:.2g} rad/s)."
+        )
+    astray = margins.measured.nonlinearity
+    first = f"{where}: the loop is stable, with these margins."
+    if astray > _NOT_LINEAR:
+        first = (
+            f"{where}: the loop stays at the point, but {100 * astray:.0f} % of its answer is not "
+            "that of a linear loop. The figures hold for this test signal, and are no margins."
+        )
+    lead = [first, *said]
+    if len(margins.loops) > 1:
+        c, disk = margins.together, margins.disk_each
+        lead.append(
+            f"All commands changed alike: the gain may grow {_factor(c.up)}, {_delay(c.delay)}."
+        )
+        lead.append(
+            f"All commands at once, each by its own factor: {_disk_words(disk)} "
+            f"(disk margin {disk.alpha:.2f} at {disk.omega:.2g} rad/s)."
+        )
+    return lead
+
+
+def _factor(limit: Limit | None) -> str:
+    if limit is None:
+        return "without a bound in the measured band"
+    return f"{limit.value:.3g} times" if limit.value > 1 else f"to {limit.value:.2g} of it"
+
+
+def _degrees_lost(limit: Limit | None) -> str:
+    if limit is None:
+        return "no phase leads to −1"
+    return f"{math.degrees(limit.value):.0f}° may be lost"
+
+
+def _delay(limit: Limit | None) -> str:
+    if limit is None:
+        return "no delay matters in the measured band"
+    return f"{limit.value:.3g} s of delay may be added"
+
+
+def _disk_words(disk: DiskMargin) -> str:
+    up = "any gain above" if math.isinf(disk.gain_up) else f"{disk.gain_up:.2f}"
+    return (
+        f"gains from {disk.gain_down:.2f} to {up} and phases of ±{math.degrees(disk.phase):.0f}° "
+        "are stood together"
+    )
+
+
+def _single_table(margins: Margins) -> Table:
+    rows: list[list[Value | Judged]] = []
+    for loop in margins.loops:
+        c = loop.crossings
+        rows.append(
+            [
+                loop.name,
+                _judged_gain(c.up),
+                _of(c.down),
+                _judged_phase(c.phase),
+                _of(c.delay),
+                c.crossover or None,
+                Judged(loop.sensitivity.value, _peak_judgement(loop.sensitivity.value)),
+                1 / loop.sensitivity.value,
+                loop.complementary.value,
+                loop.disk.alpha,
+            ]
+        )
+    return Table(
+        [
+            "loop",
+            "gain up",
+            "gain down",
+            "phase [°]",
+            "delay [s]",
+            "crossover [rad/s]",
+            "peak |S|",
+            "modulus margin",
+            "peak |T|",
+            "disk α",
+        ],
+        rows,
+        "Margins of each command alone. Nothing stands where no such change, of any size, leads to "
+        "−1 in the measured band.",
+    )
+
+
+def _together_table(margins: Margins) -> Table:
+    c, each, any_ = margins.together, margins.disk_each, margins.disk_any
+    return Table(
+        ["all commands at once", "gain down", "gain up", "phase [°]", "delay [s]", "disk α"],
+        [
+            [
+                "the same change of each",
+                _of(c.down),
+                _of(c.up),
+                _of(c.phase, True),
+                _of(c.delay),
+                None,
+            ],
+            ["each by a factor of its own", *_disk_row(each)],
+            ["any change, coupling included", *_disk_row(any_)],
+        ],
+        f"Largest singular values: σ̄(S) = {margins.sensitivity.value:.3g} at "
+        f"{margins.sensitivity.omega:.2g} rad/s (min σ̲(I + L) = "
+        f"{1 / margins.sensitivity.value:.3g}), σ̄(T) = {margins.complementary.value:.3g} at "
+        f"{margins.complementary.omega:.2g} rad/s. The disks' gains and phases are guaranteed "
+        "together, at any frequency; they are no limits, but what is safe.",
+    )
+
+
+def _disk_row(disk: DiskMargin) -> list[Value | Judged]:
+    up = None if math.isinf(disk.gain_up) else disk.gain_up
+    return [disk.gain_down, up, math.degrees(disk.phase), None, disk.alpha]
+
+
+def _of(limit: Limit | None, degrees: bool = False) -> float | None:
+    if limit is None:
+        return None
+    return math.degrees(limit.value) if degrees else limit.value
+
+
+def _judged_gain(limit: Limit | None) -> Judged:
+    return Judged(_of(limit), "good" if limit is None or limit.value >= _GOOD_GAIN else "bad")
+
+
+def _judged_phase(limit: Limit | None) -> Judged:
+    value = _of(limit, degrees=True)
+    if value is None or value >= _GOOD_PHASE:
+        return Judged(value, "good")
+    return Judged(value, "doubtful" if value >= _POOR_PHASE else "bad")
+
+
+def _peak_judgement(value: float) -> Judgement:
+    return "good" if value <= _GOOD_PEAK else "bad"
+
+
+def _method(margins: Margins) -> str:
+    m = margins.measured
+    return (
+        f"A multisine of {m.omega.size} lines from {m.omega[0]:.3g} to {m.omega[-1]:.4g} rad/s was "
+        "added to one command at a time, held over the control period "
+        f"({m.step:g} s), in {m.duration:.0f} s of simulation; S = U/D and T = −U_c/D at each "
+        "line, and L = T S⁻¹: the sampled loop, hold, delays and observer in it, up to half the "
+        "controller's rate. A last run with another signal, half as strong and on all commands at "
+        "once, has to give what T predicts."
+    )
+
+
+def _quality_table(margins: Margins) -> Table:
+    m = margins.measured
+    rows: list[list[Value | Judged]] = [
+        ["change from one period to the next", _share(m.drift, _DRIFT)],
+        ["answer to half the signal that is not predicted", _share(m.nonlinearity, _NONLINEAR)],
+        ["power between the lines", f"{100 * m.beside:.2g} %"],
+        ["bound of what the interpolation misses", _share(margins.interpolation, _BETWEEN)],
+        ["control samples at a limit", m.limited],
+        *([f"control samples that ended {label}", count] for label, count in m.statuses.items()),
+    ]
+    return Table(["quality of the measurement", "found"], rows, on_screen=False)
+
+
+def _share(value: float, most: float) -> Judged:
+    return Judged(f"{100 * value:.2g} %", "good" if value <= most else "bad")
+
+
+def _warning_of_statuses(statuses: Mapping[str, int]) -> str:
+    """A word where it was not the controller's own law that was measured."""
+    total = sum(statuses.values())
+    poor = {
+        status: statuses[status.label]
+        for status in (Status.RELAXED, Status.FAILED, Status.OVERRIDDEN)
+        if statuses.get(status.label)
+    }
+    if not poor:
+        return ""
+    told = "; ".join(f"{count} {status.label} ({status.meaning})" for status, count in poor.items())
+    return f"of {total} control samples, {told}: the margins are in part those of the fall-back"
+
+
+def _warnings(margins: Margins, subject: Subject) -> list[str]:
+    m = margins.measured
+    said = [_warning_of_statuses(m.statuses)]
+    if m.reversed:
+        said.append(
+            f"{' and '.join(m.reversed)} changes its sign under the test signal: a rotor that "
+            "stands still has a thrust ω|ω| without slope, and what is read of its loop depends on "
+            "the signal's size; study.at.alpha_h=0.3 is a point at which it turns"
+        )
+    if m.limited:
+        said.append(
+            f"the commands were at a limit in {m.limited} control samples: the margins are not "
+            "those of the free loop; lower study.amplitude, or choose another point"
+        )
+    if m.nonlinearity > _NONLINEAR:
+        said.append(
+            f"{100 * m.nonlinearity:.0f} % of the answer is not that of a linear loop (dry "
+            "friction, a kink at the point, an active constraint, a solver's tolerance): see "
+            "whether a smaller or larger study.amplitude gives the same margins"
+        )
+    if m.drift > _DRIFT:
+        said.append(
+            f"the loop has not settled: its answer still changes by {100 * m.drift:.1g} % from one "
+            "period to the next; raise study.periods"
+        )
+    if margins.interpolation > _BETWEEN:
+        said.append(
+            "the lines are too far apart for the loop's peaks; lower study.lowest and study.ratio"
+        )
+    angles = zip(subject.model.controlled, m.rest.tolist(), strict=True)
+    beside = [f"{name} by {rest:+.2g} rad" for name, rest in angles if abs(rest) > _BESIDE]
+    if beside:
+        said.append(
+            f"the loop rests beside the point, {', '.join(beside)}: the margins are those where it "
+            "rests"
+        )
+    return [words for words in said if words]
+
+
+def results_of(margins: Margins) -> dict[str, Any]:
+    """The margins as data; angles in rad."""
+    m = margins.measured
+    return {
+        "holds": True,
+        "loops": {
+            loop.name: {
+                **_crossings_data(loop.crossings),
+                "peak_sensitivity": loop.sensitivity.value,
+                "modulus_margin": 1 / loop.sensitivity.value,
+                "peak_complementary": loop.complementary.value,
+                "disk": _disk_data(loop.disk),
+            }
+            for loop in margins.loops
+        },
+        "alike": _crossings_data(margins.together),
+        "disk_each": _disk_data(margins.disk_each),
+        "disk_any": _disk_data(margins.disk_any),
+        "peak_sensitivity": margins.sensitivity.value,
+        "least_return_difference": 1 / margins.sensitivity.value,
+        "peak_complementary": margins.complementary.value,
+        "response": _response_data(m),
+        "quality": {
+            "drift": m.drift,
+            "nonlinearity": m.nonlinearity,
+            "beside": m.beside,
+            "interpolation": margins.interpolation,
+            "limited": m.limited,
+            "reversed": list(m.reversed),
+            "statuses": dict(m.statuses),
+        },
+    }
+
+
+def _crossings_data(c: Crossings) -> dict[str, float | None]:
+    return {
+        "gain_up": _of(c.up),
+        "gain_down": _of(c.down),
+        "phase": _of(c.phase),
+        "delay": _of(c.delay),
+        "crossover": c.crossover,
+    }
+
+
+def _disk_data(disk: DiskMargin) -> dict[str, float | None]:
+    up = None if math.isinf(disk.gain_up) else disk.gain_up
+    return {
+        "alpha": disk.alpha,
+        "omega": disk.omega,
+        "gain_down": disk.gain_down,
+        "gain_up": up,
+        "phase": disk.phase,
+    }
+
+
+def _response_data(m: Measured) -> dict[str, Any]:
+    """L at the lines, row by column: real and imaginary parts."""
+    L = m.L
+    return {
+        "omega": m.omega.tolist(),
+        "control_period": m.step,
+        "inputs": list(m.inputs),
+        "L_real": L.real.tolist(),
+        "L_imaginary": L.imag.tolist(),
+    }
