@@ -1,12 +1,16 @@
-"""How a study that was called from a shell ends."""
+"""What studies that are called from a shell have in common: their options, how they end."""
 
 from __future__ import annotations
 
+import argparse
+import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
 
 from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, TrmsError
+from trms_cli.core.errors import EXIT_INTERRUPTED, ConfigurationError, TrmsError
 
 
 def ended(work: Callable[[], int]) -> int:
@@ -18,3 +22,51 @@ def ended(work: Callable[[], int]) -> int:
         return error.exit_code
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
+
+
+def recorded_parser(chapter: str, about: str | None, study: Path) -> argparse.ArgumentParser:
+    """The options of a study whose figures are recorded: part of it, elsewhere, or anew."""
+    parser = argparse.ArgumentParser(prog=f"python -m experiments.{chapter}", description=about)
+    parser.add_argument("--quick", action="store_true", help="a part of it, in seconds")
+    parser.add_argument("--out", type=Path, help="figures, tables and JSON go there")
+    parser.add_argument(
+        "--update",
+        action="store_true",
+        help=f"record the figures, write docs/{chapter}.md's tables",
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    parser.add_argument("--study", type=Path, default=study, help="another study.yaml")
+    return parser
+
+
+def refuse_part(given: argparse.Namespace) -> None:
+    """What is recorded is all of it.
+
+    Raises
+    ------
+    ConfigurationError
+        For ``--update`` with ``--quick`` or ``--out``.
+    """
+    if given.update and (given.quick or given.out):
+        raise ConfigurationError(
+            "what is recorded is the whole study, in its own place",
+            where="--update",
+            remedy="leave out --quick and --out",
+        )
+
+
+def one_thread_each() -> None:
+    """Processes begun from here on compute in one thread."""
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[variable] = "1"
+
+
+def clocked() -> Callable[[str], None]:
+    """What tells how far a study is, with the seconds since now."""
+    begin = perf_counter()
+
+    def said(what: str) -> None:
+        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {what}\n")
+        sys.stdout.flush()
+
+    return said

@@ -7,7 +7,6 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from experiments.chapter2.agreement import study_agreement
@@ -15,7 +14,7 @@ from experiments.chapter2.axes import ANGLES, Comparison, one_axis, two_axes
 from experiments.chapter2.bench_tests import study_bench_tests
 from experiments.chapter2.rotors import ROTORS, study_rotor
 from experiments.chapter2.study import HERE, STUDY, read_study
-from experiments.command_line import ended
+from experiments.command_line import clocked, ended
 from experiments.page_tables import write_tables
 from trms_cli.core.errors import EXIT_OK
 
@@ -44,11 +43,7 @@ def _run(given: argparse.Namespace) -> int:
     study = read_study(given.study)
     folder = given.out or FIGURES
     folder.mkdir(parents=True, exist_ok=True)
-    begin = perf_counter()
-
-    def said(what: str) -> None:
-        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {what}\n")
-        sys.stdout.flush()
+    said = clocked()
 
     rotors = [study_rotor(study, rotor) for rotor in ROTORS]
     figures.draw_rotors(rotors, folder / "rotors.png")

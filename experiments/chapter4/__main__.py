@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from time import perf_counter
 
-from experiments.command_line import ended
+from experiments.command_line import ended, one_thread_each
 from trms_cli.core.errors import EXIT_OK
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study, print its tables, write them into the documentation on request."""
     given = _parser().parse_args(argv)
-    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"  # every process is one thread
+    one_thread_each()
     return ended(lambda: _study(given))
 
 

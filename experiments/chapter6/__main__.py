@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from time import perf_counter
 
 from experiments.chapter6.results import (
     Results,
@@ -20,11 +18,10 @@ from experiments.chapter6.results import (
     read_expected,
 )
 from experiments.chapter6.study import HERE, STUDY, Study, read_study
-from experiments.command_line import ended
+from experiments.command_line import clocked, ended, one_thread_each, recorded_parser, refuse_part
 from trms_cli.core.errors import (
     EXIT_OK,
     EXIT_WORSE,
-    ConfigurationError,
 )
 
 DOCS = HERE.parents[1] / "docs"
@@ -34,35 +31,16 @@ EXPECTED = HERE / "expected.json"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code: 1 when a figure is not what was recorded."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.chapter6", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a part of it, in seconds")
-    parser.add_argument("--out", type=Path, help="figures, tables and JSON go there")
-    parser.add_argument(
-        "--update", action="store_true", help="record the figures, write docs/chapter6.md's tables"
-    )
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--study", type=Path, default=STUDY, help="another study.yaml")
-    given = parser.parse_args(argv)
-    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"  # of the processes begun here: each is one thread
+    given = recorded_parser("chapter6", __doc__, STUDY).parse_args(argv)
+    one_thread_each()
     return ended(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
-    if given.update and (given.quick or given.out):
-        raise ConfigurationError(
-            "what is recorded is the whole study, in its own place",
-            where="--update",
-            remedy="leave out --quick and --out",
-        )
+    refuse_part(given)
     study = read_study(given.study, quick=given.quick)
     expected = None if given.update else read_expected(EXPECTED, quick=given.quick)
-    begin = perf_counter()
-
-    def said(what: str) -> None:
-        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {what}\n")
-        sys.stdout.flush()
-
+    said = clocked()
     results = compute(study, given.jobs, said)
     found = figures_of(results)
     if given.update:

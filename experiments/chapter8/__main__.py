@@ -8,7 +8,6 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from experiments.chapter8.coverage import study_coverage, study_standstill
@@ -16,7 +15,7 @@ from experiments.chapter8.domain import study_domain
 from experiments.chapter8.laws import LawResult, study_laws
 from experiments.chapter8.runs import Ran, cases, run_all
 from experiments.chapter8.study import HERE, STUDY, read_study
-from experiments.command_line import ended
+from experiments.command_line import clocked, ended
 from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
@@ -53,11 +52,7 @@ def _run(given: argparse.Namespace) -> int:
     study = read_study(given.study)
     folder = FIGURES if given.update else (given.out or Path("outputs", "chapter8"))
     folder.mkdir(parents=True, exist_ok=True)
-    begin = perf_counter()
-
-    def said(what: str) -> None:
-        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {what}\n")
-        sys.stdout.flush()
+    said = clocked()
 
     contained, clouds = study_coverage(study)
     figures.draw_polytope(clouds, folder / "polytope.png")

@@ -52,11 +52,11 @@ options
 
 def main(argv: Sequence[str]) -> int:
     """Compose and fit."""
-    from trms_cli.commands.identify_resume import resumed, take_folder
+    from trms_cli.commands.identify_resume import RESUMPTION
 
-    folder, rest = take_folder(argv)
+    folder, rest = RESUMPTION.take_folder(argv)
     if folder is not None:
-        return resumed(folder, rest, COMPOSES, perform)
+        return RESUMPTION.go_on(folder, rest, perform)
     return execute(rest, COMPOSES, perform)
 
 

@@ -1,0 +1,115 @@
+"""``resume=FOLDER``: a stopped search goes on, as its folder says it was asked for."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from trms_cli.commands.composition import Task, execute
+from trms_cli.commands.identify_files import REQUEST_NAME
+from trms_cli.core.errors import ConfigurationError
+
+_KEY = "resume="
+
+
+@dataclass(frozen=True)
+class Resumption:
+    """How one command goes on.
+
+    Attributes
+    ----------
+    noun : str
+        What it leaves: ``fit``, ``diagnosis``.
+    verb : str
+        What one does instead: ``fit``, ``diagnose``.
+    command : str
+        ``identify``, which composes from the configuration of that name.
+    may_change : tuple of str
+        Beginnings of overrides that leave it the same search.
+    only : str
+        The same in words.
+    check : callable
+        ``(folder, text)``: raises where there is nothing to go on from; ``text`` is the folder as
+        it was typed.
+    """
+
+    noun: str
+    verb: str
+    command: str
+    may_change: tuple[str, ...]
+    only: str
+    check: Callable[[Path, str], None]
+
+    def take_folder(self, argv: Sequence[str]) -> tuple[Path | None, list[str]]:
+        """Take ``resume=FOLDER`` off `argv`.
+
+        Raises
+        ------
+        ConfigurationError
+            If that folder holds nothing to go on from.
+        """
+        given = [word for word in argv if word.startswith(_KEY)]
+        rest = [word for word in argv if not word.startswith(_KEY)]
+        if not given:
+            return None, rest
+        text = given[-1].removeprefix(_KEY).strip("'\"")
+        folder = Path(text).expanduser()
+        if not text or not folder.is_dir():
+            raise ConfigurationError(
+                f"there is no folder {text!r}",
+                where="resume",
+                remedy=f"resume=FOLDER of a {self.noun}",
+            )
+        if not (folder / REQUEST_NAME).is_file():
+            raise ConfigurationError(
+                f"{text!r} is not the folder of a {self.noun}: it has no {REQUEST_NAME}",
+                where="resume",
+                remedy=f"name the folder that `trms {self.command}` wrote into",
+            )
+        self.check(folder, text)
+        return folder, rest
+
+    def go_on(self, folder: Path, argv: Sequence[str], perform: Callable[..., Any]) -> int:
+        """Do as the folder's request says, with the overrides of `argv` on top, into that folder.
+
+        Raises
+        ------
+        ConfigurationError
+            From another working folder, and for overrides that would make it another search.
+        """
+        request = self._request(folder / REQUEST_NAME)
+        if request["working_folder"] != str(Path.cwd()):
+            raise ConfigurationError(
+                f"the {self.noun} was begun in {request['working_folder']}, from where its files "
+                "are named",
+                where="resume",
+                remedy=f"cd {shlex.quote(request['working_folder'])}, and again",
+            )
+        for word in argv:
+            if not word.lstrip("+").startswith(self.may_change):
+                raise ConfigurationError(
+                    f"{word} given",
+                    where="resume",
+                    remedy=f"a {self.noun} goes on as it was asked for, in its own folder; only "
+                    f"{self.only} may change: for all else {self.verb} anew",
+                )
+        places = [word for place in request["config_dirs"] for word in ("--config-dir", place)]
+        task: Task = partial(perform, folder=folder)
+        return execute([*places, *request["overrides"], *argv], self.command, task)
+
+    def _request(self, file: Path) -> dict[str, Any]:
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            words = {key: [str(v) for v in content[key]] for key in ("overrides", "config_dirs")}
+            return words | {"working_folder": str(content["working_folder"])}
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ConfigurationError(
+                f"cannot be read: {error}",
+                where=str(file),
+                remedy=f"{self.verb} anew into another folder",
+            ) from None
