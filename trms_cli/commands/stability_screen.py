@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _COLOURS = {"good": "green", "bad": "red", "doubtful": "yellow", "": ""}
 #: Rows of a table on the screen; the page and the document have them all.
 _MOST_ROWS = 16
+_WIDTH = 110
 
 
 class StabilityScreen:
@@ -65,12 +66,13 @@ class StabilityScreen:
             return
         from rich.console import Console
 
-        console = Console()
+        # Into a file or a pipe: as wide as the tables like it.
+        console = Console() if sys.stdout.isatty() else Console(width=_WIDTH)
 
         def say(text: str, style: str = "") -> None:
             console.print(text, style=style, highlight=False, markup=False, soft_wrap=False)
 
-        say(f"{document['title'].lower():10} {subject_words(document)}")
+        say(f"stability  {document['title'].lower()} · {subject_words(document)}")
         console.print()
         for sentence in document["lead"]:
             say(sentence, "bold")
