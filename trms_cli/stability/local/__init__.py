@@ -1,0 +1,1 @@
+"""Linearised behaviour around operating points: modes, root loci, controllability."""

@@ -1,0 +1,214 @@
+"""A model made linear at a point, on both sides of a switch where the point lies on one.
+
+With equations, ``A = ∂f/∂x``; a model that only steps has ``A = ∂x⁺/∂x`` and its eigenvalues z
+stand for ``λ = ln z / T``.
+
+Some coefficients depend on a direction (the cable's stiffness on the side of the yaw, thrust and
+drag on the sense of rotation). On such a switch there are two matrices. Small oscillations across
+it see their mean: the first harmonic of a spring with two slopes is that of the mean slope (its
+describing function), and a central difference gives the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.model import Model
+
+FloatArray = npt.NDArray[np.float64]
+#: Which matrix at a switch: the mean of both, or that of the side where the switching states are
+#: larger (``upper``) or smaller.
+Side = Literal["mean", "upper", "lower"]
+
+#: Distances to both sides of a point at which slopes are compared, relative to 1 + |x|. Across a
+#: switch they differ by the same at either, in a smooth place by a tenth as much at the second.
+_PROBES = (1e-6, 1e-7)
+#: Distance at which one side is taken.
+_ASIDE = 1e-9
+#: Differences of slopes below this, relative to 1 + |slope|, are rounding.
+_ROUNDING = 1e-8
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A state whose sign of change decides some coefficients at a point.
+
+    Attributes
+    ----------
+    state : int
+        Position of the state.
+    entries : tuple of (int, int)
+        Entries of A that differ between the sides.
+    upper, lower : tuple of float
+        Their values on either side.
+    """
+
+    state: int
+    entries: tuple[tuple[int, int], ...]
+    upper: tuple[float, ...]
+    lower: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """The linear model at a point.
+
+    Attributes
+    ----------
+    a : (n_x, n_x) array
+        ∂f/∂x, or ∂x⁺/∂x of a model that steps.
+    b : (n_x, n_u) array
+    e : (n_x, n_w) array
+        By the disturbances.
+    c : (n_y, n_x) array
+        Of the measured outputs.
+    sample_time : float or None
+        s, of a model that steps.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    e: FloatArray
+    c: FloatArray
+    sample_time: float | None = None
+
+
+class Linear:
+    """Slopes of one model as compiled expressions; keeps nothing between two calls.
+
+    Parameters
+    ----------
+    model : Model
+        With equations, or with a step of its own.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.parameters = model.parameters.values
+
+    @cached_property
+    def _slopes(self) -> ca.Function:
+        x, u, p, w = self.model.symbols()
+        f = self._rates(x, u, p, w)
+        found = [ca.densify(ca.jacobian(f, v)) for v in (x, u, w)]
+        y = ca.densify(ca.jacobian(self.model.measurement(x, u, p), x))
+        return ca.Function("slopes", [x, u, p], [*_still([*found, y], w)])
+
+    @cached_property
+    def _a(self) -> ca.Function:
+        x, u, p, w = self.model.symbols()
+        a = ca.densify(ca.jacobian(self._rates(x, u, p, w), x))
+        return ca.Function("a", [x, u, p], _still([a], w))
+
+    @cached_property
+    def _change(self) -> ca.Function:
+        x, u, p, w = self.model.symbols()
+        a = ca.vec(ca.densify(ca.jacobian(self._rates(x, u, p, w), x)))
+        along = ca.vertcat(x, u, p)
+        direction = ca.SX.sym("direction", along.shape[0])
+        slope = ca.densify(ca.jtimes(a, along, direction))
+        return ca.Function("change", [x, u, p, direction], _still([slope], w))
+
+    def matrices(
+        self, x: FloatArray, u: FloatArray, side: Side = "mean", p: FloatArray | None = None
+    ) -> Matrices:
+        """A, B, E and C at a point."""
+        p = self.parameters if p is None else p
+        sides = [[np.array(m) for m in self._slopes(at, u, p)] for at in self._sides(x, u, side, p)]
+        a, b, e, c = (np.mean(found, axis=0) for found in zip(*sides, strict=True))
+        return Matrices(a, b, e, c, self.model.sample_time)
+
+    def a(
+        self, x: FloatArray, u: FloatArray, side: Side = "mean", p: FloatArray | None = None
+    ) -> FloatArray:
+        """A alone."""
+        p = self.parameters if p is None else p
+        found = [np.array(self._a(at, u, p)) for at in self._sides(x, u, side, p)]
+        mean: FloatArray = np.mean(found, axis=0)
+        return mean
+
+    def change(
+        self,
+        x: FloatArray,
+        u: FloatArray,
+        direction: FloatArray,
+        side: Side = "mean",
+        p: FloatArray | None = None,
+    ) -> FloatArray:
+        """dA along a direction (dx, du, dp), (n_x + n_u + n_p,); exact."""
+        p = self.parameters if p is None else p
+        n = self.model.n_x
+        found = [
+            np.array(self._change(at, u, p, direction)).reshape(n, n, order="F")
+            for at in self._sides(x, u, side, p)
+        ]
+        mean: FloatArray = np.mean(found, axis=0)
+        return mean
+
+    def switches(
+        self, x: FloatArray, u: FloatArray, p: FloatArray | None = None
+    ) -> tuple[Switch, ...]:
+        """The switches that a point lies on; empty where A is continuous."""
+        p = self.parameters if p is None else p
+        n = self.model.n_x
+        if not self._differs(x, u, p, np.ones(n)).any():
+            return ()
+        found = []
+        for i in range(n):
+            away = np.zeros(n)
+            away[i] = 1.0
+            jumps = self._differs(x, u, p, away)
+            if jumps.any():
+                step = _ASIDE * (1.0 + abs(x[i])) * away
+                upper, lower = self._at([x + step, x - step], u, p)
+                entries = tuple((int(r), int(c)) for r, c in np.argwhere(jumps))
+                values = (tuple(float(side[e]) for e in entries) for side in (upper, lower))
+                found.append(Switch(i, entries, *values))
+        return tuple(found)
+
+    def _sides(
+        self, x: FloatArray, u: FloatArray, side: Side, p: FloatArray
+    ) -> tuple[FloatArray, ...]:
+        """The points whose slopes are averaged."""
+        switching = [switch.state for switch in self.switches(x, u, p)]
+        if not switching:
+            return (x,)
+        step = np.zeros(len(x))
+        step[switching] = _ASIDE * (1.0 + np.abs(x[switching]))
+        upper, lower = x + step, x - step
+        return {"upper": (upper,), "lower": (lower,), "mean": (upper, lower)}[side]
+
+    def _differs(
+        self, x: FloatArray, u: FloatArray, p: FloatArray, away: FloatArray
+    ) -> npt.NDArray[np.bool_]:
+        """Entries of A that jump in a direction."""
+        steps = [size * (1.0 + np.abs(x)) * away for size in _PROBES]
+        points = [x + sign * step for step in steps for sign in (1, -1)]
+        far_up, far_down, near_up, near_down = self._at(points, u, p)
+        far, near = np.abs(far_up - far_down), np.abs(near_up - near_down)
+        jumps: npt.NDArray[np.bool_] = (near > 0.5 * far) & (
+            near > _ROUNDING * (1.0 + np.abs(near_up))
+        )
+        return jumps
+
+    def _at(self, points: list[FloatArray], u: FloatArray, p: FloatArray) -> list[FloatArray]:
+        """A at several points, in one call."""
+        many = np.array(self._a(np.array(points).T, u, p))
+        return np.split(many, len(points), axis=1)
+
+    def _rates(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        if self.model.sample_time is None:
+            return self.model.dynamics(x, u, p, w)
+        return self.model.transition(x, u, p, w)
+
+
+def _still(expressions: list[ca.SX], w: ca.SX) -> list[ca.SX]:
+    """Expressions without disturbance."""
+    found: list[ca.SX] = ca.substitute(expressions, [w], [ca.SX.zeros(w.shape[0])])
+    return found

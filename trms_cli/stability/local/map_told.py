@@ -1,0 +1,123 @@
+"""The map of stability in words, figure and data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from trms_cli.core.chart import Axis, Chart, Contour, Line, Mark, Panel, Points, Region
+from trms_cli.stability.findings import Section, Table
+from trms_cli.stability.local.crossings import crossings
+from trms_cli.stability.local.map import StabilityMap
+from trms_cli.stability.local.sweep import Path, swept
+from trms_cli.stability.local.told import crossing_data, name_of
+from trms_cli.stability.local.tracks import tracks_of
+
+Tell = Callable[[str], None]
+
+
+def boundary_along(
+    path: Path,
+    against: str,
+    span: tuple[float, float],
+    span_2: tuple[float, float],
+    tell: Tell,
+) -> list[dict[str, Any]]:
+    """Where stability ends along the second number, at both ends and the model's own value."""
+    values = [span[0], span[1]]
+    if span[0] < path.began < span[1]:
+        values.insert(1, path.began)
+    found = []
+    for value in values:
+        tell(f"along {against} at {path.over} = {value:.4g}")
+        line = Path(path.model, path.at, against, path.side).moved(path.over, value)
+        run = swept(line, *span_2, 41)
+        tracks = tracks_of(path.model, run)
+        found.append(
+            {
+                "over": float(value),
+                "crossings": [
+                    crossing_data(c, name_of(tracks, c.track)) for c in crossings(line, run)
+                ],
+            }
+        )
+    return found
+
+
+def map_section(
+    path: Path, against: str, mapped: StabilityMap, at_ends: list[dict[str, Any]]
+) -> Section:
+    """The map, and where stability ends along the second number."""
+    unit_2 = Path(path.model, path.at, against).unit
+    grow = mapped.growth > 0
+    marks: list[Mark] = [
+        Region(mapped.over, mapped.against, grow, "unstable", "alarm", 0.14),
+    ]
+    nowhere = ~np.isfinite(mapped.growth)
+    if nowhere.any():
+        words = "no operating point within the limits"
+        marks.append(Region(mapped.over, mapped.against, nowhere, words, "grey", 0.3))
+    if np.isfinite(mapped.growth).any() and np.nanmin(mapped.growth) < 0 < np.nanmax(mapped.growth):
+        marks.append(
+            Contour(
+                mapped.over, mapped.against, mapped.growth, [0.0], "boundary", "alarm", width=2.2
+            )
+        )
+        levels = [level for level in (-0.1, -0.04, -0.02, 0.02, 0.1, 0.3) if _within(mapped, level)]
+        if levels:
+            marks.append(
+                Contour(
+                    mapped.over,
+                    mapped.against,
+                    mapped.growth,
+                    levels,
+                    "largest Re λ [1/s]",
+                    "grey",
+                    "dotted",
+                    1.0,
+                    True,
+                )
+            )
+    if len(mapped.boundary):
+        marks.append(
+            Points(
+                mapped.boundary[:, 0], mapped.boundary[:, 1], "located", "dot", "alarm", size=3.0
+            )
+        )
+    marks.append(Line(x=path.began, label=f"the model's {path.over}", colour="ink"))
+    held = {name: v for name, v in path.at.items() if name not in (path.over, against)}
+    where = "".join(f", {name} = {v:g}" for name, v in held.items() if v)
+    chart = Chart(
+        "root_locus_map",
+        [Panel(Axis(path.over, path.unit), Axis(against, unit_2), marks)],
+        f"Largest growth rate over {path.over} and {against}{where}.",
+        1,
+        7.2,
+        5.0,
+    )
+    rows = [
+        (
+            float(f"{end['over']:.5g}"),
+            c["mode"],
+            float(f"{c['value']:.5g}"),
+            float(f"{c['frequency_rad_s']:.4g}"),
+            "above" if c["unstable_above"] else "below",
+        )
+        for end in at_ends
+        for c in end["crossings"]
+    ]
+    columns = (path.over, "mode", f"{against} [{unit_2}]", "ω [rad/s]", "unstable")
+    text = [
+        f"The largest growth rate of what is not at rest on the imaginary axis, over {path.over} "
+        f"and {against}; the boundary is located along {path.over} in each row of the grid."
+    ]
+    blocks: list[Any] = [chart]
+    if rows:
+        blocks.append(Table(columns, rows, f"Where stability ends along {against}."))
+    return Section(f"{path.over} against {against}", text, blocks)
+
+
+def _within(mapped: StabilityMap, level: float) -> bool:
+    return bool(np.nanmin(mapped.growth) < level < np.nanmax(mapped.growth))

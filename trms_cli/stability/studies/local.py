@@ -1,0 +1,335 @@
+"""``study=local``: the modes at an operating point, and over the range of the rig."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.core.chart import Axis
+from trms_cli.models.model import Model, names
+from trms_cli.stability.findings import Findings, Section, Table
+from trms_cli.stability.local.charts import over_range, plane, points_alone
+from trms_cli.stability.local.crossings import Crossing, crossings
+from trms_cli.stability.local.linear import Linear, Side, Switch
+from trms_cli.stability.local.modes import Mode, Modes, modes_of
+from trms_cli.stability.local.sweep import Path, Sweep, swept
+from trms_cli.stability.local.told import (
+    crossing_data,
+    eigenvalue_words,
+    mode_data,
+    mode_table,
+    name_of,
+    participation_table,
+    range_table,
+    sweep_data,
+    switch_words,
+)
+from trms_cli.stability.local.tracks import Track, tracks_of
+from trms_cli.stability.operating_point import OperatingPoint
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import Subject
+
+
+@dataclass(frozen=True, kw_only=True)
+class Local:
+    """Eigenvalues with names.
+
+    Attributes
+    ----------
+    at : dict of str to float
+        Operating point: angles (rad) or commands (V); empty: the rest without command.
+    over : str or None
+        What is varied: a controlled state or an input; None: the first controlled state.
+    range : (float, float) or None
+        In the unit of ``over``; None: as far as the rig has operating points.
+    points : int
+        Steps over the range.
+    side : {"mean", "upper", "lower"}
+        Whose slopes are taken over the range where a coefficient depends on a direction.
+    """
+
+    at: Mapping[str, float] = field(default_factory=dict)
+    over: str | None = None
+    range: tuple[float, float] | None = None
+    points: Annotated[int, Meta(ge=2, le=2000)] = 81
+    side: Side = "mean"
+
+    def run(self, subject: Subject, tell: Tell) -> Findings:
+        """The modes.
+
+        Raises
+        ------
+        TrmsError
+            Where there is no such operating point, or with a controller.
+        """
+        subject.require_no_loop("study=local", "leave it out; for loops: study=margins")
+        model, at = subject.model, dict(self.at)
+        tell("the operating point")
+        over = self.over or model.controlled[0]
+        path = Path(model, at, over, self.side)
+        point = path.balance.first(at)
+        linear = path.linear
+        sides: dict[Side, Modes] = {
+            side: modes_of(model, linear.matrices(point.x, point.u, side))
+            for side in ("mean", "upper", "lower")
+        }
+        switches = linear.switches(point.x, point.u)
+        tell(f"over {over}")
+        low, high = path.range(self.range)
+        sweep = swept(path, low, high, self.points, _value_of(path, point))
+        tracks = tracks_of(model, sweep)
+        found = crossings(path, sweep)
+        words = point.words(model)
+        here = Section(
+            f"At {words}",
+            _text_here(model, sides["mean"], switches),
+            _blocks_here(model, sides, switches, words),
+        )
+        return Findings(
+            "Local stability",
+            (*_lead(model, words, sides, switches), *_lead_range(path, sweep, tracks, found)),
+            (here, _range_section(path, sweep, tracks, found, point)),
+            _results(path, point, sides, linear, switches, sweep, tracks, found),
+            tuple(_warnings(model, sides["mean"], switches)),
+        )
+
+
+def _lead(
+    model: Model, words: str, sides: Mapping[Side, Modes], switches: tuple[Switch, ...]
+) -> list[str]:
+    modes = sides["mean"]
+    verdict = {
+        "stable": "Small motions about it die out",
+        "marginal": "Small motions about it neither grow nor all die out",
+        "unstable": "Small motions about it grow",
+    }[modes.verdict]
+    told = [f"{verdict}: {words} is {modes.verdict}."]
+    critical = max(
+        (m for m in modes.modes if math.isfinite(m.eigenvalue.real)),
+        key=lambda m: m.eigenvalue.real,
+    )
+    told.append(f"Closest to growing is {_described(critical)}.")
+    swing = [m for m in modes.modes if m.oscillates and m is not critical and not m.alternating]
+    for mode in sorted(swing, key=lambda m: m.damping_ratio or 0.0)[:2]:
+        if not mode.name.startswith("past"):
+            told.append(f"Besides, {_described(mode)}.")
+    if switches and sides["upper"].verdict != sides["lower"].verdict:
+        told.append(
+            f"On a switch, it is {sides['upper'].verdict} on the upper side and "
+            f"{sides['lower'].verdict} on the lower."
+        )
+    return told
+
+
+def _described(mode: Mode) -> str:
+    value = eigenvalue_words(mode.eigenvalue, 3)
+    if mode.oscillates:
+        hertz = mode.damped_frequency / (2 * math.pi)
+        pace = f"{hertz:.3g} Hz, damping ratio {mode.damping_ratio:.2g}".replace("-", "−")
+        return f"the {mode.name} (λ = {value} 1/s: {pace})"
+    if mode.time_constant is None:
+        return f"the mode “{mode.name}” (λ = 0: it stays wherever it is put)"
+    grows = "doubles" if mode.eigenvalue.real > 0 else "halves"
+    return (
+        f"the mode “{mode.name}” (λ = {value} 1/s: {grows} in "
+        f"{math.log(2) * mode.time_constant:.3g} s)"
+    )
+
+
+def _lead_range(
+    path: Path, sweep: Sweep, tracks: tuple[Track, ...], found: tuple[Crossing, ...]
+) -> list[str]:
+    low, high = sweep.values[0], sweep.values[-1]
+    span = f"{path.over} from {low:.4g} to {high:.4g} {path.unit}".rstrip()
+    if len(sweep.places) < 2:
+        return [
+            f"There is no operating point beside it along {path.over}: {sweep.high or sweep.low}. "
+            f"Vary an angle instead, as study.over={path.model.controlled[0]}: the commands follow."
+        ]
+    unstable = max(float(track.slowest.real.max()) for track in tracks)
+    if not found:
+        # A mode that is at rest on the axis everywhere does not cross it.
+        always = "no mode crosses the imaginary axis"
+        return [
+            f"Over {span}, {always}{'; one is unstable throughout' if unstable > 1e-6 else ''}."
+        ]
+    told = [
+        f"{path.over} = {c.value:.4g} {path.unit} ({name_of(tracks, c.track)}, "
+        + (f"{c.frequency:.3g} rad/s, " if c.frequency else "")
+        + f"unstable {'above' if c.unstable_above else 'below'})"
+        for c in found
+    ]
+    return [f"Over {span}, modes cross the imaginary axis at {'; '.join(told)}."]
+
+
+def _text_here(model: Model, modes: Modes, switches: tuple[Switch, ...]) -> list[str]:
+    told = [
+        "Modes are named after the states that take part in them (participation factors w_i v_i, "
+        "which do not depend on units). Natural frequency ω_n = |λ|, damping ratio ζ = −Re λ/|λ|, "
+        "time constant 1/|Re λ|."
+    ]
+    if model.sample_time is not None:
+        told.append(
+            f"The model only steps, every {model.sample_time:g} s: λ = ln z / T of the eigenvalues "
+            f"z of its step where it rests. {modes.forgotten} of its states are gone within a "
+            "sample and no modes."
+        )
+    for mode in modes.modes:
+        if mode.multiplicity > 1:
+            several = "fewer eigenvectors than that (motions grow as t·e^λt before they decay)"
+            own = "an eigenvector for each"
+            told.append(
+                f"“{mode.name}” stands for {mode.multiplicity} equal eigenvalues with "
+                f"{several if mode.defective else own}."
+            )
+    told += [switch_words(model, switch) for switch in switches]
+    if switches:
+        told.append(
+            "The table of modes is for the mean of both slopes, which small oscillations across "
+            "the switch see (their first harmonic); those of either side are given beside it."
+        )
+    return told
+
+
+def _blocks_here(
+    model: Model, sides: Mapping[Side, Modes], switches: tuple[Switch, ...], words: str
+) -> list[Any]:
+    modes = sides["mean"]
+    blocks: list[Any] = [
+        mode_table(model, modes, f"Modes at {words}."),
+        participation_table(model, modes),
+    ]
+    if switches:
+        blocks.append(_sides_table(sides))
+    blocks.append(points_alone("local_modes", modes, f"Eigenvalues at {words}."))
+    return blocks
+
+
+def _sides_table(sides: Mapping[Side, Modes]) -> Table:
+    rows = []
+    for mode in sides["mean"].modes:
+        near = [
+            min(sides[side].modes, key=lambda other: abs(other.eigenvalue - mode.eigenvalue))
+            for side in ("lower", "upper")
+        ]
+        rows.append((mode.name, *(eigenvalue_words(m.eigenvalue) for m in (*near, mode))))
+    return Table(
+        ("mode", "λ below [1/s]", "λ above [1/s]", "λ of the mean [1/s]"),
+        rows,
+        "Either side of the switch.",
+    )
+
+
+def _range_section(
+    path: Path,
+    sweep: Sweep,
+    tracks: tuple[Track, ...],
+    found: tuple[Crossing, ...],
+    point: OperatingPoint,
+) -> Section:
+    text = [
+        f"The operating point is solved anew for each {path.over}; eigenvalues are followed from "
+        "one to the next by their eigenvectors."
+    ]
+    text += [f"The range ends early: {why}." for why in (sweep.low, sweep.high) if why]
+    if len(sweep.places) < 2:
+        return Section(f"Over {path.over}", text)
+    value = _value_of(path, point)
+    k = int(np.argmin(np.abs(sweep.values - value)))
+    unit = f" {path.unit}" if path.unit else ""
+    ends = (f"{sweep.values[0]:.3g}{unit}", f"{sweep.values[-1]:.3g}{unit}")
+    held = ", ".join(f"{name} = {v:g}" for name, v in path.at.items() if name != path.over)
+    where = f" ({held})" if held else ""
+    charts = (
+        plane(
+            "local_plane",
+            tracks,
+            k,
+            path.over,
+            ends,
+            found,
+            f"Eigenvalues as {path.over} goes from {ends[0]} to {ends[1]}{where}; "
+            f"discs: {path.over} = {sweep.values[k]:.3g}{unit}.",
+        ),
+        over_range(
+            "local_range",
+            sweep.values,
+            Axis(path.over, path.unit),
+            tracks,
+            value,
+            f"Damping and frequency over {path.over}{where}; dotted: the operating point.",
+        ),
+    )
+    return Section(f"Over {path.over}", text, (range_table(path, sweep, tracks), *charts))
+
+
+def _value_of(path: Path, point: OperatingPoint) -> float:
+    """Where the request stands on the line."""
+    model = path.model
+    if path.kind == "parameter":
+        return float(model.parameters[path.over].value)
+    if path.kind == "angle":
+        return float(point.x[model.state_index(path.over)])
+    return float(point.u[names(model.inputs).index(path.over)])
+
+
+def _results(
+    path: Path,
+    point: OperatingPoint,
+    sides: Mapping[Side, Modes],
+    linear: Linear,
+    switches: tuple[Switch, ...],
+    sweep: Sweep,
+    tracks: tuple[Track, ...],
+    found: tuple[Crossing, ...],
+) -> dict[str, Any]:
+    model = path.model
+    matrices = linear.matrices(point.x, point.u)
+    return {
+        "at": {
+            "x": dict(zip(model.state_names, map(float, point.x), strict=True)),
+            "u": {s.name: float(v) for s, v in zip(model.inputs, point.u, strict=True)},
+            "verdict": sides["mean"].verdict,
+            "modes": [mode_data(model, mode) for mode in sides["mean"].modes],
+            "forgotten": sides["mean"].forgotten,
+            "A": [[float(v) for v in row] for row in matrices.a],
+            "B": [[float(v) for v in row] for row in matrices.b],
+            "sample_time_s": model.sample_time,
+        },
+        "switches": [
+            {
+                "state": model.state_names[s.state],
+                "entries": [[model.state_names[i], model.state_names[j]] for i, j in s.entries],
+                "upper": list(s.upper),
+                "lower": list(s.lower),
+            }
+            for s in switches
+        ],
+        "sides": {
+            side: [mode_data(model, mode) for mode in sides[side].modes]
+            for side in ("upper", "lower")
+            if switches
+        },
+        "range": sweep_data(path, sweep, tracks),
+        "crossings": [crossing_data(c, name_of(tracks, c.track)) for c in found],
+    }
+
+
+def _warnings(model: Model, modes: Modes, switches: tuple[Switch, ...]) -> list[str]:
+    told = []
+    if switches:
+        told.append(
+            "On a switch the eigenvalues of either side do not by themselves decide about motions "
+            "that cross it; that of the mean is what a small, nearly harmonic swing sees."
+        )
+    if modes.verdict == "marginal":
+        told.append(
+            "An eigenvalue on the imaginary axis decides nothing: what the equations do beyond "
+            "first order does."
+        )
+    return told
