@@ -1,0 +1,1 @@
+"""Phase portraits: trajectories, nullclines, rest points, separatrices in two or three states."""

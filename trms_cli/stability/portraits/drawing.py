@@ -1,0 +1,240 @@
+"""Charts of portraits, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.chart import (
+    Axis,
+    Chart,
+    Colour,
+    Contour,
+    Curve,
+    Flow,
+    Line,
+    Mark,
+    Marker,
+    Panel,
+    Points,
+)
+from trms_cli.stability.portraits.journeys import End, Journey, spaced
+from trms_cli.stability.portraits.rest_points import RestPoint, grid
+from trms_cli.stability.portraits.section import Section
+from trms_cli.stability.portraits.separatrices import Separatrix
+from trms_cli.stability.portraits.sticking import StickingSet
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Points between two drawn points, and the length up to which trajectories are drawn, in shares of
+#: the window's width: a lightly damped spiral drawn to its end hides the plane.
+_APART, _LONGEST = 0.006, 2.2
+_LONGEST_IN_SPACE = 3.0
+#: Rest points beyond which their places are not written beside them.
+_MOST_NAMES = 6
+_FLOW_GRID, _NULLCLINE_GRID = 41, 101
+_AT_REST: tuple[Colour, ...] = ("blue", "green", "sky", "purple")
+_ELSEWHERE: dict[str, Colour] = {
+    "rest outside": "orange",
+    "turning": "vermilion",
+    "gone": "vermilion",
+    "moving": "purple",
+    "stuck": "sky",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a portrait shows.
+
+    Attributes
+    ----------
+    section : Section
+    window : (n_c, 2) array
+    rests : sequence of RestPoint
+    journeys : sequence of Journey
+    ends : sequence of End
+        Of the journeys.
+    labels : sequence of str
+        What the legend calls each end.
+    separatrices : sequence of Separatrix
+    sticking : sequence of StickingSet
+    beside : sequence of Journey
+        Drawn faintly: the model alone, beside its loop.
+    loop : bool
+        Whether the trajectories are those of a closed loop.
+    """
+
+    section: Section
+    window: FloatArray
+    rests: Sequence[RestPoint]
+    journeys: Sequence[Journey]
+    ends: Sequence[End]
+    labels: Sequence[str]
+    separatrices: Sequence[Separatrix] = ()
+    sticking: Sequence[StickingSet] = ()
+    beside: Sequence[Journey] = field(default_factory=tuple)
+    loop: bool = False
+
+
+def portrait(picture: Picture, name: str, caption: str) -> Chart:
+    """The figure, in the plane or in space."""
+    in_space = len(picture.section.coordinates) == 3
+    items = picture.section.coordinates.items
+    axes = [
+        Axis(item.label, item.unit, (float(low), float(high)))
+        for item, (low, high) in zip(items, picture.window, strict=True)
+    ]
+    marks: list[Mark] = []
+    if not in_space and not picture.loop:
+        marks += _field(picture)
+    if not in_space:
+        marks += _stops(picture)
+    marks += [
+        _curve(spaced(journey, picture.window, _APART, _LONGEST)[0], "without controller", "grey")
+        for journey in picture.beside
+    ]
+    marks += _trajectories(picture)
+    marks += _manifolds(picture)
+    marks += [
+        _curve(s.c, f"dry friction holds {s.what}", "alarm", width=4.5) for s in picture.sticking
+    ]
+    marks += _rest_points(picture)
+    panel = Panel(axes[0], axes[1], marks, z=axes[2] if in_space else None)
+    return Chart(name, [panel], caption, columns=1, width=6.6, height=5.2 if in_space else 4.6)
+
+
+def _field(picture: Picture) -> list[Mark]:
+    """Stream lines of the section, and where each coordinate's rate is zero."""
+    section, window = picture.section, picture.window
+    x, y, rates = _on_grid(section, window, _FLOW_GRID)
+    marks: list[Mark] = [Flow(x, y, rates[..., 0], rates[..., 1], "grey", 0.9)]
+    x, y, rates = _on_grid(section, window, _NULLCLINE_GRID)
+    colours: tuple[Colour, Colour] = ("green", "purple")
+    for place, item in enumerate(section.coordinates.items):
+        values = rates[..., place]
+        if np.nanmin(values) < 0 < np.nanmax(values):
+            label = f"{item.rate_label} = 0"
+            marks.append(Contour(x, y, values, [0.0], label, colours[place], "dashed", 1.2))
+    return marks
+
+
+def _on_grid(
+    section: Section, window: FloatArray, count: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Grid lines, and the rates (y, x, n_c) in the section."""
+    points = grid(window, count)
+    rates = section.rates(points.reshape(-1, 2)).reshape(count, count, 2).swapaxes(0, 1)
+    return points[:, 0, 0], points[0, :, 1], rates
+
+
+def _stops(picture: Picture) -> list[Mark]:
+    model = picture.section.coordinates.model
+    marks: list[Mark] = []
+    for place, item in enumerate(picture.section.coordinates.items):
+        stop = model.stops.get(item.name, np.inf)
+        for value in (-stop, stop):
+            if picture.window[place, 0] < value < picture.window[place, 1]:
+                x, y = (value, None) if place == 0 else (None, value)
+                marks.append(Line(x, y, "mechanical stop"))
+    return marks
+
+
+def _trajectories(picture: Picture) -> list[Mark]:
+    colours = iter(_AT_REST)
+    in_space = len(picture.section.coordinates) == 3
+    longest = _LONGEST_IN_SPACE if in_space else _LONGEST
+    if picture.loop or picture.sticking:
+        longest = np.inf  # they come to rest soon, and where is what matters
+    marks: list[Mark] = []
+    starts: list[FloatArray] = []
+    for end, label in zip(picture.ends, picture.labels, strict=True):
+        colour: Colour = next(colours, "blue") if end.what == "rest" else _ELSEWHERE[end.what]
+        for number in end.members:
+            points, saturated = spaced(picture.journeys[number], picture.window, _APART, longest)
+            marks.append(_curve(points, label, colour, width=1.1, arrow=True))
+            if saturated.any():
+                at_bound = points.copy()
+                at_bound[~saturated] = np.nan
+                marks.append(_curve(at_bound, "command at its bound", "orange", width=2.8))
+            starts.append(points[0])
+    c = np.array(starts)
+    marks.append(_points(c, "start", "dot", "grey", 3.0))
+    return marks
+
+
+def _manifolds(picture: Picture) -> list[Mark]:
+    marks: list[Mark] = []
+    for path in picture.separatrices:
+        c = path.c
+        if not path.into:  # it winds into a rest point: a turn and a half shows where it goes
+            steps = np.linalg.norm(np.diff(c, axis=0) / np.ptp(picture.window, axis=1), axis=1)
+            c = c[np.concatenate([[0.0], np.cumsum(steps)]) <= _LONGEST]
+        c = _clipped(c, picture.window)
+        label = "into the saddle (separatrix)" if path.into else "out of the saddle"
+        if path.surface:
+            label = f"surface of motions {'into' if path.into else 'out of'} the saddle"
+        marks.append(
+            _curve(
+                c,
+                label,
+                "ink" if not path.surface else "orange",
+                width=0.8 if path.surface else 1.8 if path.into else 1.2,
+                style="solid" if path.into else "dashed",
+            )
+        )
+    return marks
+
+
+def _rest_points(picture: Picture) -> list[Mark]:
+    marks: list[Mark] = []
+    if picture.loop:
+        point = picture.section.point
+        goal = picture.section.coordinates.values(point.x, point.u)
+        return [_points(goal[None], "goal", "star", "ink", 8.0)]
+    for rest in picture.rests:
+        marker: Marker = "saddle" if rest.kind == "saddle" else "unstable"
+        if rest.stable:
+            marker = "stable"
+        label = rest.kind if rest.in_section else f"{rest.kind}, beside the section"
+        marks.append(
+            _points(rest.c[None], label, marker, "ink" if rest.in_section else "grey", 7.0)
+        )
+    return marks
+
+
+def _name(section: Section, rest: RestPoint) -> str:
+    """The first coordinate that is no rate: 1.90."""
+    places = [place for place, item in enumerate(section.coordinates.items) if not item.is_rate]
+    value = float(rest.c[places[0]])
+    return "0" if abs(value) < 5e-4 else f"{value:.3g}"
+
+
+def _clipped(c: FloatArray, window: FloatArray) -> FloatArray:
+    """NaN where a curve is outside; a picture in space does not cut it."""
+    inside = np.all((c >= window[:, 0]) & (c <= window[:, 1]), axis=1)
+    if c.shape[1] == 2:
+        inside[1:] |= inside[:-1].copy()
+        inside[:-1] |= inside[1:].copy()
+    return np.where(inside[:, None], c, np.nan)
+
+
+def _curve(
+    c: FloatArray,
+    label: str,
+    colour: Colour,
+    *,
+    width: float = 0.8,
+    style: str = "solid",
+    arrow: bool = False,
+) -> Curve:
+    z = c[:, 2] if c.shape[1] == 3 else None
+    return Curve(c[:, 0], c[:, 1], label, colour, style, width, arrow, z)  # type: ignore[arg-type]
+
+
+def _points(c: FloatArray, label: str, marker: Marker, colour: Colour, size: float) -> Points:
+    z = c[:, 2] if c.shape[1] == 3 else None
+    return Points(c[:, 0], c[:, 1], label, marker, colour, (), size, z)

@@ -1,0 +1,143 @@
+"""Where the motions of a portrait can rest: a search by Newton's method from many starts.
+
+It is a search and no proof: ``study=equilibria`` bounds what it can have missed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.stability.operating_point import refined
+from trms_cli.stability.portraits.section import Section
+
+FloatArray = npt.NDArray[np.float64]
+Kind = Literal[
+    "stable node",
+    "stable focus",
+    "unstable node",
+    "unstable focus",
+    "saddle",
+    "centre",
+    "undecided",
+]
+
+#: Starts of the search along each coordinate, for two and for three of them.
+_STARTS = {2: 11, 3: 5}
+#: Real parts below this share of the largest eigenvalue, and below 1e-9, count as zero.
+_NO_RATE = 1e-10
+#: Two rest points closer than this, in shares of the window, are one.
+_SAME = 1e-5
+_MOST = 24
+
+
+@dataclass(frozen=True)
+class RestPoint:
+    """An equilibrium in the window.
+
+    Attributes
+    ----------
+    x : (n_x,) array
+    c : (n_c,) array
+        Its coordinates.
+    eigenvalues : (n_x,) complex array
+        Of the whole model, the slowest first, 1/s.
+    kind : Kind
+        By all of them.
+    in_section : bool
+        Whether the section goes through it; otherwise it is seen in projection.
+    """
+
+    x: FloatArray
+    c: FloatArray
+    eigenvalues: npt.NDArray[np.complex128]
+    kind: Kind
+    in_section: bool
+
+    @property
+    def isolated(self) -> bool:
+        """Whether its neighbours move; False where an eigenvalue is zero."""
+        return bool(np.all(np.abs(self.eigenvalues) > _no_rate(self.eigenvalues)))
+
+    @property
+    def stable(self) -> bool:
+        return self.kind in ("stable node", "stable focus")
+
+
+def kind_of(eigenvalues: npt.ArrayLike) -> Kind:
+    """What an equilibrium is by the eigenvalues of its linearisation, (n,) in 1/s.
+
+    Zero eigenvalues (a direction in which nothing pulls) are left out.
+    """
+    values = np.asarray(eigenvalues, dtype=complex)
+    none = _no_rate(values)
+    moving = values[np.abs(values) > none]
+    real = np.where(np.abs(moving.real) <= none, 0.0, moving.real)
+    turns = bool(np.any(np.abs(moving.imag) > none))
+    if np.any(real > 0) and np.any(real < 0):
+        return "saddle"
+    if len(moving) == 0 or np.any(real == 0):
+        return "centre" if len(moving) and np.all(real == 0) else "undecided"
+    if real[0] < 0:
+        return "stable focus" if turns else "stable node"
+    return "unstable focus" if turns else "unstable node"
+
+
+def _no_rate(eigenvalues: npt.NDArray[np.complex128]) -> float:
+    return max(1e-9, _NO_RATE * float(np.abs(eigenvalues).max()))
+
+
+def search(section: Section, window: FloatArray) -> tuple[RestPoint, ...]:
+    """Equilibria whose coordinates lie in a window (n_c, 2), sorted by them.
+
+    At most a few of a continuum (a yaw that nothing pulls back) are returned.
+    """
+    coordinates, point = section.coordinates, section.point
+    starts = section.place(grid(window, _STARTS[len(coordinates)]).reshape(-1, len(coordinates)))
+    width = np.maximum(window[:, 1] - window[:, 0], 1e-12)
+    found: list[FloatArray] = []
+    for start in (point.x, *starts[np.isfinite(starts).all(axis=1)]):
+        x = refined(coordinates.field, start, point.u)
+        if x is None or len(found) >= _MOST:
+            continue
+        c = coordinates.values(x, point.u)
+        if np.any(c < window[:, 0] - _SAME * width) or np.any(c > window[:, 1] + _SAME * width):
+            continue
+        scale = np.maximum(1.0, np.abs(x))
+        if all(np.abs((x - other) / scale).max() > _SAME for other in found):
+            found.append(x)
+    points = [rest_point(section, x) for x in found]
+    return tuple(sorted(points, key=lambda rest: tuple(rest.c.round(6))))
+
+
+def rest_point(section: Section, x: FloatArray) -> RestPoint:
+    """An equilibrium with what its linearisation tells."""
+    coordinates, point = section.coordinates, section.point
+    a, _ = coordinates.field.linearised(x, point.u)
+    eigenvalues = np.linalg.eigvals(a).astype(complex)
+    order = np.lexsort((eigenvalues.imag, np.abs(eigenvalues.real).round(9)))
+    c = coordinates.values(x, point.u)
+    placed = section.place(c)[0]
+    near = 1e-5 * np.maximum(1.0, np.abs(x))
+    on = bool(np.isfinite(placed).all() and np.all(np.abs(placed - x) <= near))
+    return RestPoint(x, c, eigenvalues[order], kind_of(eigenvalues), on)
+
+
+def grid(window: FloatArray, count: int) -> FloatArray:
+    """Points (count, …, n_c) of a window (n_c, 2), its edges included, first coordinate first."""
+    lines = [np.linspace(low, high, count) for low, high in window]
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
+
+
+def halving_time(eigenvalue: complex) -> float:
+    """s in which what belongs to an eigenvalue halves (or doubles)."""
+    return math.log(2.0) / abs(eigenvalue.real) if eigenvalue.real else math.inf
+
+
+def period(eigenvalue: complex) -> float:
+    """s of a whole swing; infinite for what does not swing."""
+    return 2.0 * math.pi / abs(eigenvalue.imag) if eigenvalue.imag else math.inf

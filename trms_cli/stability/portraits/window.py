@@ -1,0 +1,167 @@
+"""The window of a portrait where none is given: room for rest points and for typical motions.
+
+An angle's window reaches a little beyond the rest points around the operating point, and as far as
+the stops. That of any other coordinate holds what it does in free motions from the edges of the
+angles' windows; and, where these do not move it (a rotor's speed, a current), what it does when the
+command steps to its bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.stability.portraits.coordinates import Coordinates
+from trms_cli.stability.portraits.rest_points import search
+from trms_cli.stability.portraits.section import Section
+
+FloatArray = npt.NDArray[np.float64]
+
+#: rad. A little more than half a turn: rest points of a pendulum on both sides.
+_SEARCHED = 3.6
+#: rad, of an angle without stops and without a second rest point.
+_LEAST_ANGLE = 1.0
+_BEYOND = 1.3
+_MARGIN = 1.3
+#: s of the motions that show what is typical, and s between their points.
+_TYPICAL, _STEP = 6.0, 0.02
+#: Starts of the free motions, in shares of the way to an angle's edge.
+_SHARES = (0.2, 0.4, 0.6, 0.75, 0.95)
+#: A coordinate that free motions move by less than this share of what commands do is a rotor's.
+_UNMOVED = 0.05
+#: rad: reach of the default starts around the goal of a closed loop.
+LOOP_REACH = 0.5
+
+
+def checked_window(
+    coordinates: Coordinates, given: Mapping[str, tuple[float, float]]
+) -> dict[int, tuple[float, float]]:
+    """The limits that were given, by place.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name that is no coordinate of the portrait, and limits in reverse.
+    """
+    found = {}
+    for name, (low, high) in given.items():
+        if name not in coordinates.names:
+            raise ConfigurationError(
+                f"{name!r} is no coordinate of this portrait",
+                where=f"window.{name}",
+                remedy=nearest(name, coordinates.names),
+            )
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ConfigurationError(
+                f"[{low:g}, {high:g}] given",
+                where=f"window.{name}",
+                remedy="the lower limit first, and a higher one: "
+                f"[{min(low, high):g}, {max(low, high):g}]"
+                if low != high
+                else "two different limits",
+            )
+        found[coordinates.names.index(name)] = (float(low), float(high))
+    return found
+
+
+def default_window(
+    section: Section, given: Mapping[int, tuple[float, float]], *, around: bool = False
+) -> FloatArray:
+    """Limits of each coordinate, (n_c, 2); what is given stays.
+
+    Parameters
+    ----------
+    around : bool
+        Only the surroundings of the operating point, as the starts of a closed loop are.
+    """
+    coordinates, point = section.coordinates, section.point
+    centre = coordinates.values(point.x, point.u)
+    window = np.full((len(coordinates), 2), np.nan)
+    for place, limits in given.items():
+        window[place] = limits
+    angles = [
+        place
+        for place, item in enumerate(coordinates.items)
+        if not item.is_rate and item.unit == "rad"
+    ]
+    for place in angles:
+        if place not in given:
+            reach = _angle_reach(section, place, around)
+            window[place] = centre[place] - reach, centre[place] + reach
+    for place in range(len(coordinates)):
+        if np.isnan(window[place, 0]):
+            window[place] = _typical(section, place, window, angles, around)
+    return window
+
+
+def _angle_reach(section: Section, place: int, around: bool) -> float:
+    coordinates, point = section.coordinates, section.point
+    model, item = coordinates.model, coordinates.items[place]
+    centre = point.x[item.state]
+    stop = model.stops.get(item.name, math.inf)
+    if around:
+        room = stop - abs(centre)
+        return min(LOOP_REACH, 0.9 * room) if room > 0.05 else LOOP_REACH
+    least = _BEYOND * stop if math.isfinite(stop) and stop < _SEARCHED else _LEAST_ANGLE
+    values = coordinates.values(point.x, point.u)
+    wide = np.stack([values - _SEARCHED, values + _SEARCHED], axis=1)
+    far = [abs(rest.c[place] - centre) for rest in search(section, wide)]
+    return max([least, *(_BEYOND * d for d in far)])
+
+
+def _typical(
+    section: Section, place: int, window: FloatArray, angles: list[int], around: bool
+) -> tuple[float, float]:
+    """What a coordinate that is no angle does."""
+    freely, pushed = _extents(section, window, angles)
+    free, push = freely[place], pushed[place]
+    moved = free[1] - free[0] > _UNMOVED * (push[1] - push[0])
+    low, high = free if moved else push
+    centre = float(section.coordinates.values(section.point.x, section.point.u)[place])
+    if around and not moved:
+        # A loop is started near its goal, not at full speed.
+        low, high = centre + 0.3 * (low - centre), centre + 0.3 * (high - centre)
+    middle = centre if moved else (low + high) / 2
+    half = max(high - middle, middle - low, 1e-3) * _MARGIN
+    return middle - half, middle + half
+
+
+def _extents(
+    section: Section, window: FloatArray, angles: list[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Least and largest coordinates in free motions, and in those under full commands."""
+    coordinates, point = section.coordinates, section.point
+    model, centre = coordinates.model, coordinates.values(point.x, point.u)
+    starts = [point.x]
+    for angle in angles:
+        for edge in window[angle]:
+            for share in _SHARES:
+                c = centre.copy()
+                c[angle] += share * (edge - centre[angle])
+                starts.append(section.place(c)[0])
+    field = coordinates.field
+    free = coordinates.values(
+        field.motions(np.array(starts), point.u, _TYPICAL, _STEP, impulses=False), point.u
+    )
+    # What turns over the top and gains speed with every turn is not typical.
+    for angle in angles:
+        outside = ~((free[..., angle] >= window[angle, 0]) & (free[..., angle] <= window[angle, 1]))
+        free[:, outside.any(axis=0)] = np.nan
+    bound = model.input_bounds()[1]
+    commands = np.array([-bound, bound, point.u])
+    push = field.motions(
+        np.tile(point.x, (len(commands), 1)), commands, _TYPICAL, _STEP, impulses=False
+    )
+    return _range(free), _range(coordinates.values(push, commands))
+
+
+def _range(values: FloatArray) -> FloatArray:
+    """(n_c, 2) over all finite rows of (…, n_c)."""
+    rows = values.reshape(-1, values.shape[-1])
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return np.stack([rows.min(axis=0), rows.max(axis=0)], axis=1)

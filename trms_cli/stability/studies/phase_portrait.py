@@ -1,0 +1,84 @@
+"""``study=phase_portrait``: how a model, or a closed loop, moves in two or three of its states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from trms_cli.stability.findings import Findings
+from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.portraits.coordinates import Coordinates, check_states, default_states
+from trms_cli.stability.portraits.portrait import Wish, portrait_of_loop, portrait_of_model
+from trms_cli.stability.portraits.section import Section, settled_states
+from trms_cli.stability.portraits.window import checked_window
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import Subject
+from trms_cli.stability.vector_field import VectorField
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhasePortrait:
+    """Trajectories, nullclines, equilibria and separatrices.
+
+    Attributes
+    ----------
+    states : tuple of str or None
+        Two or three states, or rates of angles (``rate_v`` is dα_v/dt); None: the first axis'
+        angle and rate, or the two states of a motor.
+    at : dict of str to float
+        Operating point: controlled angles (rad) or commands (V); empty: rest without command.
+    window : dict of str to (float, float)
+        Limits by coordinate; others are chosen.
+    starts : int, tuple of dict, or None
+        How many, or each by coordinates and other states; None: 28 in a plane, 16 in space, 8 for
+        a loop.
+    others : {"held", "settled"} or tuple of str
+        The states that are no coordinates: held at the operating point, or where their own rates
+        are zero; names: these settle, the others are held.
+    duration : float or None
+        s of a trajectory; None: five time constants of the slowest mode, 20 s for a loop.
+    step : float
+        s between two points of a trajectory of the model alone.
+    open_loop_too : bool
+        For a loop: trajectories without the controller beside it.
+    """
+
+    states: tuple[str, ...] | None = None
+    at: Mapping[str, float] = field(default_factory=dict)
+    window: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    starts: Annotated[int, Meta(ge=1, le=500)] | tuple[Mapping[str, float], ...] | None = None
+    others: Literal["held", "settled"] | tuple[str, ...] = "held"
+    duration: Annotated[float, Meta(gt=0, le=1000)] | None = None
+    step: Annotated[float, Meta(ge=1e-4, le=0.5)] = 0.02
+    open_loop_too: bool = False
+
+    def run(self, subject: Subject, tell: Tell) -> Findings:
+        """The portrait.
+
+        Raises
+        ------
+        ConfigurationError, ModelError
+            For a model that only steps or has a single state, and for names and limits that make
+            no window.
+        """
+        model = subject.require_equations("study=phase_portrait")
+        tell("operating point")
+        states = tuple(self.states or default_states(model))
+        check_states(model, states)
+        point = operating_point(model, self.at)
+        coordinates = Coordinates(VectorField(model), states, point)
+        section = Section(coordinates, point, settled_states(coordinates, self.others))
+        wish = Wish(
+            section=section,
+            window=checked_window(coordinates, self.window),
+            starts=self.starts,
+            duration=self.duration,
+            step=self.step,
+            open_loop_too=self.open_loop_too,
+        )
+        if subject.loop is None:
+            return portrait_of_model(wish, tell)
+        return portrait_of_loop(wish, subject.loop, tell)
