@@ -37,6 +37,8 @@ from trms_cli.stability.subject import LoopParts
 FloatArray = npt.NDArray[np.float64]
 #: What reaches the motors instead of a command (n_u,) at a sample's number.
 Path = Callable[[int, FloatArray], FloatArray]
+#: Why a run ends at a state (n_x,); empty: it goes on.
+Until = Callable[[FloatArray], str]
 
 
 @dataclass(frozen=True)
@@ -115,12 +117,14 @@ class RecordedPlant:
     ----------
     rig : PlantRun
     path : callable or None
+    until : callable or None
     visited, commands, applied : list of arrays
         States before each sample; commands as given and as they arrived.
     """
 
     rig: PlantRun
     path: Path | None = None
+    until: Until | None = None
     visited: list[FloatArray] = field(default_factory=list)
     commands: list[FloatArray] = field(default_factory=list)
     applied: list[FloatArray] = field(default_factory=list)
@@ -130,6 +134,8 @@ class RecordedPlant:
 
     def advance(self, command: FloatArray) -> None:
         """A sample of the rig, its command changed on the way."""
+        if self.until is not None and (why := self.until(self.rig.state)):
+            raise Enough(why)
         k = len(self.applied)
         arriving = command if self.path is None else self.path(k, command)
         self.visited.append(self.rig.state.copy())
@@ -145,9 +151,10 @@ class _Bench:
     rig: SimulatedRig
     made: list[RecordedPlant]
     path: Path | None
+    until: Until | None
 
     def init(self, setup: PlantSetup) -> RecordedPlant:
-        self.made.append(RecordedPlant(self.rig.init(setup), self.path))
+        self.made.append(RecordedPlant(self.rig.init(setup), self.path, self.until))
         return self.made[-1]
 
 
@@ -160,6 +167,7 @@ def run_loop(
     offset: Mapping[str, float] | None = None,
     reference: Mapping[str, float] | None = None,
     path: Path | None = None,
+    until: Until | None = None,
     integration_step: float = 0.005,
 ) -> LoopRun:
     """Close the loop around an operating point.
@@ -179,6 +187,8 @@ def run_loop(
         Constant references by controlled state; default the point's.
     path : callable, optional
         What reaches the motors instead of the command. It may raise :class:`Enough`.
+    until : callable, optional
+        Ends the run at a state, and tells why.
 
     Returns
     -------
@@ -206,7 +216,7 @@ def run_loop(
     counted = CountedController(loop.controller, period, Counter())
     experiment = Experiment(
         model=loop.model,
-        plant=_Bench(rig, made, path),
+        plant=_Bench(rig, made, path, until),
         observer=loop.observer,
         controller=counted,
         reference=ReferenceTrajectory(**signals),
