@@ -14,9 +14,10 @@ from trms_cli.models.model import names
 from trms_cli.stability.findings import Judged, Table
 from trms_cli.stability.portraits.coordinates import symbol
 from trms_cli.stability.portraits.drawing import Picture
-from trms_cli.stability.portraits.journeys import NEAR, End
+from trms_cli.stability.portraits.ends import NEAR, End
 from trms_cli.stability.portraits.rest_points import RestPoint, halving_time, period
 from trms_cli.stability.portraits.section import Section
+from trms_cli.stability.portraits.sticking import StickingSet
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -53,6 +54,9 @@ def label(section: Section, end: End) -> str:
     if end.what == "rest":
         assert end.rest is not None
         return f"comes to rest at {place(section, end.rest)}"
+    if end.what == "held":
+        assert end.held is not None
+        return f"comes to rest where dry friction holds {_held(section, end.held)}"
     return {
         "rest outside": "comes to rest outside the window",
         "stuck": "stands still elsewhere",
@@ -62,8 +66,23 @@ def label(section: Section, end: End) -> str:
     }[end.what]
 
 
+def _held(section: Section, held: StickingSet) -> str:
+    """``α_v, α_v from −0.648 to −0.591 rad``."""
+    item = section.coordinates.items[held.along]
+    low, high = (short(value) for value in held.reach)
+    what = "" if held.what == item.label else f"{held.what} at "
+    return f"{what}{item.label} = {low} to {high} {item.unit}"
+
+
+def _rests_along(section: Section, held: StickingSet) -> bool:
+    """Whether the set extends along the angle that is held, and so consists of rest points."""
+    return held.what == section.coordinates.items[held.along].label
+
+
 def legend(section: Section, end: End, rests: Sequence[RestPoint]) -> str:
     """An end in the legend: by its kind where that is enough."""
+    if end.what == "held":
+        return "comes to rest, held by dry friction"
     if end.rest is None or end.what != "rest" or not rests:
         return "comes to rest at the goal" if end.what == "rest" else label(section, end)
     alike = [rest for rest in rests if rest.kind == end.rest.kind]
@@ -80,7 +99,7 @@ def merged(ends: Sequence[End]) -> tuple[End, ...]:
     members = tuple(number for end in outside for number in end.members)
     times = tuple(time for end in outside for time in end.times)
     rest = [end for end in ends if end.what != "rest outside"]
-    return (*rest, End("rest outside", None, members, times))
+    return (*rest, End("rest outside", members, times))
 
 
 @dataclass(frozen=True)
@@ -119,13 +138,18 @@ def lead_of_model(told: Told) -> list[str]:
             "The motions into the saddle (the separatrix) part the starts by where they end."
         )
     lead += _beyond_stops(section, saddles)
-    for sticking in picture.sticking:
-        item = section.coordinates.items[sticking.along]
-        reach = " and ".join(f"{short(low)} to {short(high)}" for low, high in sticking.reach)
+    lines = [held for held in picture.sticking if _rests_along(section, held)]
+    if lines:
+        sets = " and ".join(_held(section, held) for held in lines)
         lead.append(
-            f"Dry friction holds {sticking.what} where {item.label} is {reach} {item.unit}: "
-            "trajectories end on such a line and not at a point."
+            f"Dry friction holds {sets}: trajectories end anywhere on such a line, not at a point."
         )
+    lead += [
+        f"Dry friction holds {_held(section, held)}: a trajectory that gets there goes on along "
+        "that line, if at all."
+        for held in picture.sticking
+        if held not in lines
+    ]
     return lead
 
 
@@ -251,7 +275,8 @@ def results(told: Told) -> dict[str, Any]:
             {
                 "what": sticking.what,
                 "along": items[sticking.along].name,
-                "intervals": [list(reach) for reach in sticking.reach],
+                "from": sticking.reach[0],
+                "to": sticking.reach[1],
             }
             for sticking in picture.sticking
         ],
@@ -265,6 +290,7 @@ def _end_data(section: Section, end: End, total: int) -> dict[str, Any]:
         "at": None
         if end.rest is None
         else _by_name(section.coordinates.model.state_names, end.rest.x),
+        "held_in": None if end.held is None else list(end.held.reach),
         "starts": list(end.members),
         "share": len(end.members) / total,
         "median_time": float(np.median(end.times)) if end.times else None,
@@ -283,7 +309,7 @@ def _equilibria(section: Section, rests: Sequence[RestPoint]) -> str:
     if not rests:
         return "no equilibrium was found in the window"
     if any(not rest.isolated for rest in rests):
-        beside = " (not alone: the neighbours along one direction rest too)"
+        beside = " (none of them alone: in one direction the neighbours rest too)"
     else:
         beside = ""
     words = [f"a {rest.kind} at {place(section, rest)}" for rest in rests]

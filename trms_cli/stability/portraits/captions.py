@@ -6,6 +6,7 @@ import numpy as np
 
 from trms_cli.stability.portraits.account import Told, commands, short
 from trms_cli.stability.portraits.coordinates import symbol
+from trms_cli.stability.portraits.drawing import has_field
 
 
 def caption(told: Told) -> str:
@@ -56,6 +57,11 @@ def of_model(told: Told, rubs: bool) -> list[str]:
             "other states move. Where it crosses another or runs against the stream lines, the two "
             "differ in the states that are not seen."
         )
+        if not has_field(picture.section, picture.window):
+            text.append(
+                "In this section a rate is zero everywhere: what moves the coordinates is among "
+                "the states that are not seen. So neither stream lines nor nullclines are drawn."
+            )
     if picture.separatrices:
         text.append(
             "Out of a saddle and into it run the invariant manifolds, integrated from its "

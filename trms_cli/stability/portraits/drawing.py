@@ -21,7 +21,8 @@ from trms_cli.core.chart import (
     Panel,
     Points,
 )
-from trms_cli.stability.portraits.journeys import End, Journey, spaced
+from trms_cli.stability.portraits.ends import End
+from trms_cli.stability.portraits.journeys import Journey, spaced
 from trms_cli.stability.portraits.rest_points import RestPoint, grid
 from trms_cli.stability.portraits.section import Section
 from trms_cli.stability.portraits.separatrices import Separatrix
@@ -33,11 +34,14 @@ FloatArray = npt.NDArray[np.float64]
 #: the window's width: a lightly damped spiral drawn to its end hides the plane.
 _APART, _LONGEST = 0.006, 2.2
 _LONGEST_IN_SPACE = 3.0
+#: Trajectories drawn until dry friction holds them.
+_TO_THE_END = 4
 #: Rest points beyond which their places are not written beside them.
 _MOST_NAMES = 6
 _FLOW_GRID, _NULLCLINE_GRID = 41, 101
 _AT_REST: tuple[Colour, ...] = ("blue", "green", "sky", "purple")
 _ELSEWHERE: dict[str, Colour] = {
+    "held": "blue",
     "rest outside": "orange",
     "turning": "vermilion",
     "gone": "vermilion",
@@ -107,9 +111,21 @@ def portrait(picture: Picture, name: str, caption: str) -> Chart:
     return Chart(name, [panel], caption, columns=1, width=6.6, height=5.2 if in_space else 4.6)
 
 
+def has_field(section: Section, window: FloatArray) -> bool:
+    """Whether both rates of a plane differ from zero somewhere in it.
+
+    The two angles of a rig with its rates held have none of their own: what moves them is not seen.
+    """
+    _, _, rates = _on_grid(section, window, _FLOW_GRID)
+    size = np.nanmax(np.abs(rates), axis=(0, 1)) / np.ptp(window, axis=1)
+    return bool(size.min() > 1e-9 * max(1.0, size.max()))
+
+
 def _field(picture: Picture) -> list[Mark]:
     """Stream lines of the section, and where each coordinate's rate is zero."""
     section, window = picture.section, picture.window
+    if not has_field(section, window):
+        return []
     x, y, rates = _on_grid(section, window, _FLOW_GRID)
     marks: list[Mark] = [Flow(x, y, rates[..., 0], rates[..., 1], "grey", 0.9)]
     x, y, rates = _on_grid(section, window, _NULLCLINE_GRID)
@@ -146,14 +162,14 @@ def _stops(picture: Picture) -> list[Mark]:
 def _trajectories(picture: Picture) -> list[Mark]:
     colours = iter(_AT_REST)
     in_space = len(picture.section.coordinates) == 3
-    longest = _LONGEST_IN_SPACE if in_space else _LONGEST
-    if picture.loop or picture.sticking:
-        longest = np.inf  # they come to rest soon, and where is what matters
+    usual = np.inf if picture.loop else _LONGEST_IN_SPACE if in_space else _LONGEST
     marks: list[Mark] = []
     starts: list[FloatArray] = []
     for end, label in zip(picture.ends, picture.labels, strict=True):
         colour: Colour = next(colours, "blue") if end.what == "rest" else _ELSEWHERE[end.what]
-        for number in end.members:
+        for place, number in enumerate(end.members):
+            # Where friction holds them is what matters: some are drawn to their end.
+            longest = np.inf if end.what == "held" and place < _TO_THE_END else usual
             points, saturated = spaced(picture.journeys[number], picture.window, _APART, longest)
             marks.append(_curve(points, label, colour, width=1.1, arrow=True))
             if saturated.any():
@@ -190,19 +206,20 @@ def _manifolds(picture: Picture) -> list[Mark]:
 
 
 def _rest_points(picture: Picture) -> list[Mark]:
-    marks: list[Mark] = []
+    section = picture.section
     if picture.loop:
-        point = picture.section.point
-        goal = picture.section.coordinates.values(point.x, point.u)
+        goal = section.coordinates.values(section.point.x, section.point.u)
         return [_points(goal[None], "goal", "star", "ink", 8.0)]
+    marks: list[Mark] = []
     for rest in picture.rests:
         marker: Marker = "saddle" if rest.kind == "saddle" else "unstable"
         if rest.stable:
             marker = "stable"
         label = rest.kind if rest.in_section else f"{rest.kind}, beside the section"
-        marks.append(
-            _points(rest.c[None], label, marker, "ink" if rest.in_section else "grey", 7.0)
-        )
+        shown = _points(rest.c[None], label, marker, "ink" if rest.in_section else "grey", 7.0)
+        if len(picture.rests) <= _MOST_NAMES:
+            shown = replace(shown, names=(_name(section, rest),))
+        marks.append(shown)
     return marks
 
 

@@ -14,7 +14,8 @@ from trms_cli.stability.findings import Section as Part
 from trms_cli.stability.portraits import account, captions
 from trms_cli.stability.portraits.account import Told
 from trms_cli.stability.portraits.drawing import Picture, portrait
-from trms_cli.stability.portraits.journeys import End, Journey, ends_of, journeys
+from trms_cli.stability.portraits.ends import End, ends_of
+from trms_cli.stability.portraits.journeys import Journey, journeys
 from trms_cli.stability.portraits.loops import loop_journeys
 from trms_cli.stability.portraits.rest_points import RestPoint, grid, rest_point, search
 from trms_cli.stability.portraits.section import Section
@@ -26,7 +27,7 @@ from trms_cli.stability.portraits.starts import (
     given_starts,
     loop_starts,
 )
-from trms_cli.stability.portraits.sticking import has_dry_friction, sticking_sets
+from trms_cli.stability.portraits.sticking import StickingSet, has_dry_friction, sticking_sets
 from trms_cli.stability.portraits.window import default_window
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
@@ -79,22 +80,24 @@ def portrait_of_model(wish: Wish, tell: Tell) -> Findings:
     rests = search(section, window)
     invariant = section.is_invariant(grid(window, _INVARIANCE_GRID[n]).reshape(-1, n))
     duration = wish.duration or _settling(rest_point(section, section.point.x))
-    tell("trajectories")
     if isinstance(wish.starts, tuple):
         starts = given_starts(section, wish.starts)
     else:
         starts = default_starts(section, window, wish.starts or DEFAULT_COUNT[n])
     rubs = has_dry_friction(coordinates.model)
-    found, ends = _ended(wish, window, rests, starts, duration, rubs)
+    if rubs:
+        tell("sticking sets")
+    sticking = sticking_sets(section, window, rests)
+    tell("trajectories")
+    found, ends = _ended(wish, window, rests, starts, duration, sticking, rubs)
     duration = float(found[0].time[-1])
-    tell("sticking sets" if rubs else "separatrices")
+    tell("separatrices")
     paths = [
         path
         for rest in rests
         if not rubs
         for path in separatrices(section, invariant, window, rest, _SEPARATRIX)
     ]
-    sticking = sticking_sets(section, window, rests)
     picture = Picture(section, window, rests, found, ends, (), paths, sticking)
     told = Told(picture, duration, invariant)
     table = account.ends_table(section, account.merged(ends), len(found))
@@ -161,6 +164,7 @@ def _ended(
     rests: tuple[RestPoint, ...],
     starts: FloatArray,
     duration: float,
+    sticking: tuple[StickingSet, ...],
     rubs: bool,
 ) -> tuple[tuple[Journey, ...], tuple[End, ...]]:
     """Trajectories and their ends; longer ones where some are still on their way.
@@ -169,7 +173,7 @@ def _ended(
     """
     while True:
         found = journeys(wish.section, starts, duration, wish.step)
-        ends = ends_of(wish.section, window, rests, found, dry_friction=rubs)
+        ends = ends_of(wish.section, window, rests, found, sticking, dry_friction=rubs)
         unfinished = any(end.what == "moving" for end in ends)
         if wish.duration is not None or not unfinished or 2 * duration > _LONGEST:
             return found, ends

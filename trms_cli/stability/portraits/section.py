@@ -94,7 +94,8 @@ class Section:
         """∂ċ/∂c in the section at one point (n_c,), as an (n_c, n_c) matrix."""
         x = self.place(c)
         of_rates = np.array(self._rate_slopes(x[0], *self._rest))
-        return of_rates @ self._surface(x)[0]
+        slopes: FloatArray = of_rates @ self._surface(x)[0]
+        return slopes
 
     def leaving(self, c: npt.ArrayLike) -> FloatArray:
         """What leaves the section at points of it, d above, (m, n_x)."""
@@ -157,7 +158,7 @@ def _solved(slope: FloatArray, right: FloatArray) -> FloatArray:
     """``slope⁻¹ right`` of each; by the pseudo-inverse where one of them is singular."""
     columns = right[..., None] if right.ndim == 2 else right
     try:
-        found = np.linalg.solve(slope, columns)
+        found: FloatArray = np.asarray(np.linalg.solve(slope, columns), dtype=np.float64)
     except np.linalg.LinAlgError:
         found = np.linalg.pinv(np.nan_to_num(slope), rcond=1e-12) @ columns
     return found[..., 0] if right.ndim == 2 else found

@@ -23,7 +23,9 @@ from trms_cli.stability.portraits.section import Section
 FloatArray = npt.NDArray[np.float64]
 
 _POINTS = 400
-_STEP = 0.005
+#: s: the longest step of the trial, and the longest in time constants of the fastest mode. A
+#: current that decays within the step would not show what the friction had to hold at its start.
+_STEP, _SHARE = 1e-3, 1e-3
 #: Rate after a step, in shares of what it would be without friction, that counts as none.
 _HELD = 1e-3
 
@@ -37,17 +39,27 @@ class StickingSet:
     what : str
         ``α_v`` or ``ω_v``: what is held.
     c : (n, n_c) array
-        A line of points; NaN where it is not held.
+        Points along it, from one end to the other.
     along : int
         The coordinate along which the set extends.
-    reach : tuple of (float, float)
-        Its intervals in that coordinate.
     """
 
     what: str
     c: FloatArray
     along: int
-    reach: tuple[tuple[float, float], ...]
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Its ends, in the coordinate along which it extends."""
+        return float(self.c[0, self.along]), float(self.c[-1, self.along])
+
+    def holds(self, c: FloatArray, near: FloatArray) -> bool:
+        """Whether a point (n_c,) is on it, or as near as ``near`` (n_c,)."""
+        other = 1 - self.along
+        beside = np.interp(c[self.along], self.c[:, self.along], self.c[:, other])
+        low, high = self.reach
+        reached = low - near[self.along] <= c[self.along] <= high + near[self.along]
+        return bool(reached and abs(c[other] - beside) <= near[other])
 
 
 def has_dry_friction(model: Model) -> bool:
@@ -68,13 +80,12 @@ def sticking_sets(
     coordinates = section.coordinates
     if len(coordinates) != 2 or not has_dry_friction(coordinates.model):
         return ()
-    found = []
+    found: list[StickingSet] = []
     for name in _rates(coordinates.model):
         for along in (0, 1):
             line = _line(section, coordinates.names[along], name)
-            sticking = None if line is None else _held_on(section, line, window, rests, along)
-            if sticking is not None:
-                found.append(sticking)
+            if line is not None:
+                found += _held_on(section, line, window, rests, along)
                 break
     return tuple(found)
 
@@ -101,25 +112,28 @@ def _line(section: Section, along: str, rate: str) -> Section | None:
 
 def _held_on(
     section: Section, line: Section, window: FloatArray, rests: Sequence[RestPoint], along: int
-) -> StickingSet | None:
-    """The set on the line where the rate is zero."""
+) -> list[StickingSet]:
+    """The sets on the line where the rate is zero."""
     width = float(np.ptp(window[along]))
     near = width * np.geomspace(1e-6, 0.05, _POINTS // 20)
     around = [rest.c[along] + side * near for rest in rests for side in (-1.0, 1.0)]
     values = _within(np.concatenate([np.linspace(window[along, 0], window[along, 1], _POINTS), *around]), window[along])
     stuck = _held(line, values)
     if not stuck.any():
-        return None
+        return []
     # Then its ends, each between a point that is held and one that is not.
     edges = np.flatnonzero(np.diff(stuck.astype(int)))
     between = [np.linspace(values[i], values[i + 1], _POINTS // 4) for i in edges]
     values = _within(np.concatenate([values, *between]), window[along])
     stuck = _held(line, values)
     c = section.coordinates.values(_placed(line, values), section.point.u)
-    c[~stuck] = np.nan
     item = line.coordinates.items[1]
     what = symbol(line.coordinates.model.states[item.state].name)
-    return StickingSet(what, c, along, _intervals(values, stuck))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(int)))
+    return [
+        StickingSet(what, c[first:end], along)
+        for first, end in zip(edges[::2], edges[1::2], strict=True)
+    ]
 
 
 def _held(line: Section, values: FloatArray) -> npt.NDArray[np.bool_]:
@@ -127,6 +141,8 @@ def _held(line: Section, values: FloatArray) -> npt.NDArray[np.bool_]:
     x = _placed(line, values)
     known = np.isfinite(x).all(axis=1)
     x[~known] = line.point.x
+    slopes, _ = line.coordinates.field.linearised(line.point.x, line.point.u)
+    step = min(_STEP, _SHARE / float(np.abs(np.linalg.eigvals(slopes)).max()))
     after = []
     for impulses in (True, False):
         rates = []
@@ -135,7 +151,7 @@ def _held(line: Section, values: FloatArray) -> npt.NDArray[np.bool_]:
             part = x[first : first + _POINTS]
             full = np.vstack([part, np.tile(line.point.x, (_POINTS - len(part), 1))])
             moved = line.coordinates.field.motions(
-                full, line.point.u, _STEP, _STEP, impulses=impulses
+                full, line.point.u, step, step, impulses=impulses
             )[-1, : len(part)]
             rates.append(np.abs(line.coordinates.values(moved, line.point.u)[:, 1]))
         after.append(np.concatenate(rates))
@@ -149,11 +165,3 @@ def _placed(line: Section, values: FloatArray) -> FloatArray:
 
 def _within(values: FloatArray, limits: FloatArray) -> FloatArray:
     return np.unique(values[(values >= limits[0]) & (values <= limits[1])])
-
-
-def _intervals(
-    values: FloatArray, inside: npt.NDArray[np.bool_]
-) -> tuple[tuple[float, float], ...]:
-    padded = np.concatenate([[False], inside, [False]]).astype(int)
-    first, last = np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1) - 1
-    return tuple((float(values[i]), float(values[j])) for i, j in zip(first, last, strict=True))
