@@ -136,10 +136,10 @@ class Analyser:
         Periods after which the loop has to have settled; two at the least.
     """
 
-    lowest: float
-    ratio: float
-    amplitude: float
-    periods: int
+    lowest: float = 0.1
+    ratio: float = 1.06
+    amplitude: float = 0.003
+    periods: int = 6
 
     def measure(
         self, model: Model, loop: LoopParts, point: OperatingPoint, tell: Tell

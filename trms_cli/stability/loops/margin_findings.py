@@ -44,6 +44,7 @@ def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: Operating
     model, run = subject.model, found.run
     rows = [model.state_index(name) for name in model.controlled]
     where = condition_of(subject, loop, point)
+    words = warning_of_statuses(run.statuses)
     chart = margin_charts.departure(
         run.time, run.x[:, rows] - point.x[rows], model.controlled, where
     )
@@ -66,7 +67,7 @@ def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: Operating
             )
         ],
         {"holds": False, "what_it_did": found.words, "statuses": dict(run.statuses)},
-        [_warning_of_statuses(run.statuses)] if _warning_of_statuses(run.statuses) else [],
+        [words] if words else [],
     )
 
 
@@ -274,7 +275,10 @@ def _share(value: float, most: float) -> Judged:
     return Judged(f"{100 * value:.2g} %", "good" if value <= most else "bad")
 
 
-def _warning_of_statuses(statuses: Mapping[str, int]) -> str:
+def warning_of_statuses(
+    statuses: Mapping[str, int],
+    consequence: str = "the margins are in part those of the fall-back",
+) -> str:
     """A word where it was not the controller's own law that was measured."""
     total = sum(statuses.values())
     poor = {
@@ -285,12 +289,12 @@ def _warning_of_statuses(statuses: Mapping[str, int]) -> str:
     if not poor:
         return ""
     told = "; ".join(f"{count} {status.label} ({status.meaning})" for status, count in poor.items())
-    return f"of {total} control samples, {told}: the margins are in part those of the fall-back"
+    return f"of {total} control samples, {told}: {consequence}"
 
 
 def _warnings(margins: Margins, subject: Subject) -> list[str]:
     m = margins.measured
-    said = [_warning_of_statuses(m.statuses)]
+    said = [warning_of_statuses(m.statuses)]
     if m.reversed:
         said.append(
             f"{' and '.join(m.reversed)} changes its sign under the test signal: a rotor that "

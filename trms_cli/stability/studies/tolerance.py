@@ -1,0 +1,134 @@
+"""How much delay, gain error and friction a loop tolerates in simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.stability.findings import Findings
+from trms_cli.stability.loops.frequency_response import Analyser, NotHeld
+from trms_cli.stability.loops.impairments import impairments_of
+from trms_cli.stability.loops.margin_findings import condition_of, not_held
+from trms_cli.stability.loops.margins import Margins
+from trms_cli.stability.loops.place import measured, point_of
+from trms_cli.stability.loops.tolerance import Trial, limits_of
+from trms_cli.stability.loops.tolerance_findings import findings_of
+from trms_cli.stability.loops.tolerance_search import Tried
+from trms_cli.stability.loops.verdict import Bounds
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import Subject
+
+_Positive = Annotated[float, Meta(gt=0)]
+_Factor = Annotated[float, Meta(gt=1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance:
+    """What the loop stands from a start beside its operating point.
+
+    Attributes
+    ----------
+    at : dict of str to float
+        Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
+        tail rotor turns.
+    offset : dict of str to float
+        By how much the start differs, by state; rad for angles. Those of axes that the model does
+        not have are left out.
+    duration : float
+        s, of a run; judged are its last two thirds.
+    rest : float
+        rad that a loop may rest beside the point.
+    swing : float
+        rad by which it may swing on.
+    lost : float
+        rad from the point at which a run is ended.
+    delays : sequence of float
+        s, the scan.
+    gains : sequence of float
+        Factors above 1, the scan upwards; their inverses downwards.
+    frictions : sequence of float
+        N m, the scan.
+    precision : float
+        Factor between a size that is stood and one that is not, at which the search ends.
+    """
+
+    at: Mapping[str, float] = field(default_factory=dict)
+    offset: Mapping[str, float] = field(default_factory=lambda: {"alpha_v": -0.2, "alpha_h": -0.2})
+    duration: _Positive = 40.0
+    rest: _Positive = 0.02
+    swing: _Positive = 0.002
+    lost: _Positive = 1.0
+    delays: Sequence[_Positive] = (0.05, 0.1, 0.2, 0.4, 0.8)
+    gains: Sequence[_Factor] = (1.5, 3.0, 6.0, 12.0, 24.0)
+    frictions: Sequence[_Positive] = (0.001, 0.003, 0.01, 0.03)
+    precision: Annotated[float, Meta(gt=1)] = 1.1
+
+    def run(self, subject: Subject, tell: Tell) -> Findings:
+        """Measure the linear margins, then make everything worse until the loop fails.
+
+        Raises
+        ------
+        TrmsError
+            Without a controller, where the rig cannot rest, and for a loop that does not come back
+            with nothing wrong.
+        """
+        loop = subject.require_loop("study=tolerance")
+        model, point = subject.model, point_of(subject, self.at)
+        trial = Trial(
+            subject,
+            loop,
+            point,
+            self._start(subject),
+            self.duration,
+            Bounds(self.rest, self.swing),
+            self.lost,
+        )
+        response = measured(Analyser(), subject, loop, point, tell)
+        if isinstance(response, NotHeld):
+            return not_held(response, subject, loop, point)
+        scans = {"delay": self.delays, "gain": self.gains, "friction": self.frictions}
+        wanted = [one for one in impairments_of(model) if scans[one.kind]]
+        tell("nothing wrong")
+        nothing = trial.at(wanted[0], wanted[0].none) if wanted else None
+        self._require_back(nothing, condition_of(subject, loop, point))
+        margins = Margins(response)
+        limits = []
+        for impairment in wanted:
+            tell(impairment.words)
+            sizes = sorted(scans[impairment.kind])
+            limits.append(limits_of(trial, impairment, sizes, self.precision, nothing, margins))
+        tell("what differs from the linear margins")
+        return findings_of(limits, trial, margins)
+
+    def _start(self, subject: Subject) -> dict[str, float]:
+        model = subject.model
+        known = {"alpha_v", "alpha_h", *model.state_names}
+        for name in self.offset:
+            if name not in known:
+                raise ConfigurationError(
+                    f"{name!r} is no state of model {subject.name!r}",
+                    where=f"offset.{name}",
+                    remedy=nearest(name, model.state_names),
+                )
+        return {name: value for name, value in self.offset.items() if name in model.state_names}
+
+    def _require_back(self, nothing: Tried | None, where: str) -> None:
+        if nothing is None:
+            raise ConfigurationError(
+                "no sizes to try are given",
+                where="delays",
+                remedy="give some of study.delays, study.gains, study.frictions",
+            )
+        if not nothing.verdict.back:
+            raise ConfigurationError(
+                f"with nothing wrong, the loop {nothing.verdict.kind} already ({where})",
+                where="offset",
+                remedy="start closer to the point (study.offset.alpha_v=-0.05), run longer "
+                "(study.duration), allow more (study.rest, study.swing), or let the observer "
+                "estimate what the model lacks (observer=ukf)",
+            )
