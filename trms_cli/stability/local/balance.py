@@ -177,7 +177,7 @@ class Balance:
                 if step < _SHORTEST:
                     return None
                 continue
-            point, share = found, goal
+            point, share = self._without_rounding(held, found), goal
         return point
 
     def _across_standstill(self, held: Held) -> OperatingPoint | None:
@@ -195,14 +195,21 @@ class Balance:
         if not target.converged or target.projected:
             return None
         point = OperatingPoint(target.x, target.u)
-        # A double root is met to the square root of the tolerance: a command of nearly zero is
-        # zero where that holds the same angles.
-        u = np.where(np.abs(target.u) < _NEARLY_ZERO, 0.0, target.u)
-        exact = self.solve(Held(False, u, held.p), point)
-        rows = [self.model.state_index(name) for name in self.model.controlled]
-        if exact is not None and np.abs(exact.x[rows] - held.values).max() <= _SAME_ANGLE:
-            return exact
         return self.solve(held, point) or point
+
+    def _without_rounding(self, held: Held, point: OperatingPoint) -> OperatingPoint:
+        """The point with a command of exactly zero where that holds the same angles.
+
+        A double root is met to the square root of the tolerance only.
+        """
+        nearly = (np.abs(point.u) < _NEARLY_ZERO) & (point.u != 0.0)
+        if not held.by_angle or not nearly.any():
+            return point
+        exact = self.solve(Held(False, np.where(nearly, 0.0, point.u), held.p), point)
+        rows = [self.model.state_index(name) for name in self.model.controlled]
+        if exact is None or np.abs(exact.x[rows] - held.values).max() > _SAME_ANGLE:
+            return point
+        return exact
 
     def tangent(self, held: Held, point: OperatingPoint, direction: Held) -> FloatArray:
         """How x and u follow what is held, (n_x + n_u,): by the implicit function theorem.

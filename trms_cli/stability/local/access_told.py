@@ -1,0 +1,415 @@
+"""Controllability and observability in words, tables, figures and data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.model import Model
+from trms_cli.stability.findings import Judged, Judgement, Section, Table, Value
+from trms_cli.stability.local.access import Gramians, ModeAccess, ReachAlong
+from trms_cli.stability.local.access_charts import loss_chart, torque_chart, volts_chart
+from trms_cli.stability.local.entries import state_words
+from trms_cli.stability.local.linear import Matrices
+from trms_cli.stability.local.reach import Reach
+from trms_cli.stability.local.scales import MOTION, Scales
+from trms_cli.stability.local.sensors import set_words
+from trms_cli.stability.local.sweep import Path, Sweep
+from trms_cli.stability.local.told import finite
+from trms_cli.stability.local.torques import TorquesSeen
+from trms_cli.stability.operating_point import OperatingPoint
+
+FloatArray = npt.NDArray[np.float64]
+
+_GRADES: dict[str, tuple[str, Judgement]] = {
+    "none": ("no", "bad"),
+    "weak": ("weakly", "doubtful"),
+    "yes": ("yes", "good"),
+}
+#: Commands beyond this many limits move nothing worth the name.
+_ABSURD = 1e3
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found at the operating point.
+
+    Attributes
+    ----------
+    model : Model
+    point : OperatingPoint
+    matrices : Matrices
+    scales : Scales
+    duration, reading_time : float
+        s.
+    sets : tuple of tuple of str
+        Sensors.
+    access : tuple of ModeAccess
+    volts : (n_x, n_u) array
+        Least rms command that moves each state by its size.
+    gramians : Gramians
+    torques : dict
+        By set of sensors; the first error is that after ``duration``, the others after ``times``.
+    times : tuple of float
+        s.
+    """
+
+    model: Model
+    point: OperatingPoint
+    matrices: Matrices
+    scales: Scales
+    duration: float
+    reading_time: float
+    sets: tuple[tuple[str, ...], ...]
+    access: tuple[ModeAccess, ...]
+    volts: FloatArray
+    gramians: Gramians
+    torques: Mapping[tuple[str, ...], TorquesSeen]
+    times: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Along:
+    """What was found over the range.
+
+    Attributes
+    ----------
+    path : Path
+    sweep : Sweep
+    reach : ReachAlong
+    """
+
+    path: Path
+    sweep: Sweep
+    reach: ReachAlong
+
+
+def lead_of(found: Found, along: Along) -> list[str]:
+    """The answer in sentences."""
+    model = found.model
+    told = []
+    lost = [a.mode.name for a in found.access if a.by_input[-1].grade == "none"]
+    words = found.point.words(model)
+    told.append(
+        f"At {words} the inputs together move every mode."
+        if not lost
+        else f"At {words} no input moves: {', '.join(lost)}."
+    )
+    for i, name in enumerate(model.controlled):
+        row = model.state_index(name)
+        size = _amount(found.scales.x[row], model.states[row].unit)
+        parts = [
+            f"{signal.name} {_command(found.volts[row, j], found.scales.u[j], signal.unit)}"
+            for j, signal in enumerate(model.inputs)
+        ]
+        told.append(
+            f"To move {name} by {size} in {found.duration:g} s takes at least (rms): "
+            f"{'; '.join(parts)}."
+        )
+        told += _loss_words(along, i)
+    for one in found.sets:
+        blind = [
+            a.mode.name
+            for a, k in ((a, found.sets.index(one)) for a in found.access)
+            if a.by_sensors[k].grade == "none"
+        ]
+        if set_words(model, one) in ("all", "angles") or one == found.sets[0]:
+            seen = found.torques[one]
+            count = sum(torque.seen for torque in seen.torques)
+            told.append(
+                f"With {_set(model, one)} "
+                + ("every mode is seen" if not blind else f"not seen: {', '.join(blind)}")
+                + f"; of {len(seen.torques)} constant torques {count} can be told one at a time "
+                f"and {seen.together} at once."
+            )
+    return told
+
+
+def _loss_words(along: Along, i: int) -> list[str]:
+    """Where an input ceases to move a controlled state, if it does within the range."""
+    path, values = along.path, along.sweep.values
+    told = []
+    for j, signal in enumerate(path.model.inputs):
+        reach = along.reach.per_volt[:, i, j]
+        best = float(reach.max(initial=0.0))
+        zero = np.flatnonzero(reach <= 1e-6 * best) if best > 0 else np.array([], dtype=int)
+        if 0 < len(zero) <= 3:
+            at = values[zero[0]]
+            unit = f" {path.unit}" if path.unit else ""
+            told.append(
+                f"{signal.name} loses {path.model.controlled[i]} at {path.over} = {at:.4g}{unit}: "
+                f"to first order it does not move it there at all."
+            )
+    return told
+
+
+def sections_of(found: Found, along: Along) -> list[Section]:
+    """Inputs, the range, sensors, torques."""
+    return [_inputs(found), _range(found, along), _sensors(found), _torques(found)]
+
+
+def warnings_of(found: Found, along: Along) -> list[str]:
+    """What limits the answer."""
+    told = [
+        "All of this is of the linearised rig: where an input has no slope (a thrust goes as ω|ω|) "
+        "a large command still acts."
+    ]
+    if along.path.linear.switches(found.point.x, found.point.u):
+        told.append(
+            "The operating point lies on a switch, where a coefficient depends on a direction; the "
+            f"slopes are those of study.side={along.path.side}."
+        )
+    told += [f"The range ends early: {why}." for why in (along.sweep.low, along.sweep.high) if why]
+    return told
+
+
+def _inputs(found: Found) -> Section:
+    model = found.model
+    columns = [signal.name for signal in model.inputs] + ["together"] * (model.n_u > 1)
+    rows: list[list[Value | Judged]] = [
+        [a.mode.name, *(_judged(reach, "×") for reach in a.by_input)] for a in found.access
+    ]
+    table = Table(
+        ("mode", *columns),
+        rows,
+        "Whether an input moves a mode; in brackets how far a full command in step with it pumps "
+        f"it in {found.duration:g} s (1×: an angle of {MOTION:g} rad or its like), and the PBH "
+        "margin.",
+    )
+    volts: list[list[Value | Judged]] = []
+    for i, state in enumerate(model.states):
+        cells: list[Value | Judged] = [
+            f"{state_words(model, i)} by {_amount(found.scales.x[i], state.unit)}"
+        ]
+        for j in range(model.n_u):
+            value = float(found.volts[i, j])
+            limit = float(found.scales.u[j])
+            if value > _ABSURD * limit:
+                cells.append(Judged("never", "bad"))
+            else:
+                cells.append(Judged(_sig(value), "" if value <= limit else "doubtful"))
+        volts.append(cells)
+    units = [f"{signal.name} [{signal.unit} rms]" for signal in model.inputs]
+    moves = Table(
+        ("to move", *units),
+        volts,
+        f"Least command, root mean square over {found.duration:g} s, that moves a state by a "
+        "typical size (the others end where they may).",
+    )
+    text = [
+        "A mode is controllable if [λI − A, B] has full rank (Popov, Belevitch, Hautus); the "
+        "margin is its smallest singular value with states and inputs scaled by typical sizes.",
+        "The least command is √(d²/(c W cᵀ T)) with the Gramian W of the time T.",
+    ]
+    gramians = found.gramians
+    if gramians.hankel is not None:
+        values = ", ".join(f"{v:.3g}" for v in gramians.hankel)
+        text.append(
+            "The point is stable, so that Gramians for ever exist (Lyapunov equation, residual "
+            f"{gramians.residual:.1e}); Hankel singular values of the scaled system: {values}."
+        )
+    else:
+        text.append(
+            "The point is not asymptotically stable: Gramians exist over a finite time only."
+        )
+    return Section("What the inputs move", text, (table, moves))
+
+
+def _range(found: Found, along: Along) -> Section:
+    text = [
+        "How far one unit (rms) of each input alone moves a controlled state in "
+        f"{found.duration:g} s at best, the operating point solved anew along {along.path.over}. "
+        "Where a rotor's speed goes through zero its gain goes to zero with |ω|."
+    ]
+    charts = [loss_chart(along.path, along.sweep, along.reach, found.duration)]
+    charts.append(volts_chart(along.path, along.sweep, along.reach, found.scales, found.duration))
+    return Section(f"Over {along.path.over}", text, charts)
+
+
+def _sensors(found: Found) -> Section:
+    model = found.model
+    heads = [set_words(model, one) for one in found.sets]
+    rows: list[list[Value | Judged]] = [
+        [a.mode.name, *(_judged(reach, "σ") for reach in a.by_sensors)] for a in found.access
+    ]
+    table = Table(
+        ("mode", *heads),
+        rows,
+        "Whether sensors see a mode; in brackets how large a motion worth speaking of "
+        f"({MOTION:g} rad or its like) reads, in standard deviations σ of one reading, and the PBH "
+        "margin.",
+    )
+    return Section(
+        "What the sensors see",
+        ["A mode is observable if [λI − A; C] has full rank."],
+        (table,),
+    )
+
+
+def _torques(found: Found) -> Section:
+    model = found.model
+    heads = [set_words(model, one) for one in found.sets]
+    rows: list[list[Value | Judged]] = []
+    for j, signal in enumerate(model.disturbances):
+        cells: list[Value | Judged] = [f"{signal.name} [{signal.unit}]"]
+        for one in found.sets:
+            torque = found.torques[one].torques[j]
+            error = torque.errors[0]
+            if not torque.seen:
+                cells.append(Judged("no", "bad"))
+            else:
+                cells.append(f"±{error:.2g}" if error is not None else Judged("weakly", "doubtful"))
+        rows.append(cells)
+    rows.append(["told at once", *(found.torques[one].together for one in found.sets)])
+    table = Table(
+        ("constant torque", *heads),
+        rows,
+        f"Standard deviation of its estimate after {found.duration:g} s of readings every "
+        f"{found.reading_time * 1000:g} ms, if it is the only one and the initial state is known "
+        "to ±1 rad and ±1 rad/s; no: it cannot be told.",
+    )
+    text = [
+        "A constant torque is a state without a rate beside the others; it is observable if "
+        "[A e; C 0] has full rank. Two torques that move the sensors alike in the end cannot be "
+        "told apart, whatever the filter: the last row is how many can be told at once."
+    ]
+    blocks: list[Any] = [table]
+    chart = torque_chart(model, found.sets, found.torques, found.times)
+    if chart is not None:
+        blocks.append(chart)
+    return Section("Constant torques", text, blocks)
+
+
+def data_of(found: Found, along: Along) -> dict[str, Any]:
+    """The study as JSON data."""
+    model = found.model
+    inputs = [signal.name for signal in model.inputs]
+    with_all = [*inputs, "together"] if model.n_u > 1 else inputs
+    sets = [list(one) for one in found.sets]
+    gramians = found.gramians
+    return {
+        "at": {
+            "x": dict(zip(model.state_names, map(float, found.point.x), strict=True)),
+            "u": dict(zip(inputs, map(float, found.point.u), strict=True)),
+        },
+        "duration_s": found.duration,
+        "scales": {
+            "x": dict(zip(model.state_names, map(float, found.scales.x), strict=True)),
+            "u": dict(zip(inputs, map(float, found.scales.u), strict=True)),
+        },
+        "modes": [
+            {
+                "name": a.mode.name,
+                "real": finite(a.mode.eigenvalue.real),
+                "imag": finite(a.mode.eigenvalue.imag),
+                "by_input": {
+                    name: _reach_data(reach)
+                    for name, reach in zip(with_all, a.by_input, strict=True)
+                },
+                "by_sensors": [
+                    {"sensors": one} | _reach_data(reach)
+                    for one, reach in zip(sets, a.by_sensors, strict=True)
+                ],
+            }
+            for a in found.access
+        ],
+        "least_rms_command": {
+            name: {inputs[j]: finite(float(found.volts[i, j])) for j in range(model.n_u)}
+            for i, name in enumerate(model.state_names)
+        },
+        "gramians": {
+            "controllability": _matrix(gramians.reach),
+            "observability": _matrix(gramians.sight),
+            "controllability_forever": _matrix(gramians.reach_forever),
+            "observability_forever": _matrix(gramians.sight_forever),
+            "hankel": None if gramians.hankel is None else [float(v) for v in gramians.hankel],
+            "lyapunov_residual": finite(gramians.residual),
+        },
+        "torques": [
+            {
+                "sensors": list(one),
+                "together": found.torques[one].together,
+                "alone": {
+                    t.name: {
+                        "seen": t.seen,
+                        "error": finite(t.errors[0]),
+                        "errors_over_time": [finite(v) for v in t.errors[1:]],
+                    }
+                    for t in found.torques[one].torques
+                },
+            }
+            for one in found.sets
+        ],
+        "torque_times_s": list(found.times),
+        "range": {
+            "over": along.path.over,
+            "unit": along.path.unit,
+            "values": [float(v) for v in along.sweep.values],
+            "states": {
+                name: [float(place.point.x[i]) for place in along.sweep.places]
+                for i, name in enumerate(model.state_names)
+            },
+            "moved_per_unit_rms": {
+                name: {
+                    inputs[j]: [float(v) for v in along.reach.per_volt[:, i, j]]
+                    for j in range(model.n_u)
+                }
+                for i, name in enumerate(model.controlled)
+            },
+            "pbh_margin": {
+                name: {
+                    inputs[j]: [finite(float(v)) for v in along.reach.margin[:, i, j]]
+                    for j in range(model.n_u)
+                }
+                for i, name in enumerate(model.controlled)
+            },
+            "ended_low": along.sweep.low or None,
+            "ended_high": along.sweep.high or None,
+        },
+    }
+
+
+def _judged(reach: Reach, mark: str) -> Judged:
+    words, judgement = _GRADES[reach.grade]
+    if reach.grade == "none":
+        return Judged(words, judgement)
+    strength = f"{reach.strength:.0f}" if reach.strength >= 10 else f"{reach.strength:.2g}"
+    return Judged(f"{words} ({strength}{mark}; {reach.margin:.2g})", judgement)
+
+
+def _reach_data(reach: Reach) -> dict[str, Any]:
+    return {
+        "grade": reach.grade,
+        "margin": finite(reach.margin),
+        "strength": finite(reach.strength),
+    }
+
+
+def _matrix(matrix: FloatArray | None) -> list[list[float]] | None:
+    return None if matrix is None else [[float(v) for v in row] for row in matrix]
+
+
+def _command(volts: float, limit: float, unit: str) -> str:
+    if not volts <= _ABSURD * limit:
+        return "cannot"
+    return f"{volts:.3g} {unit}".replace(" 1", "") + (
+        " (beyond its limit)" if volts > limit else ""
+    )
+
+
+def _amount(size: float, unit: str) -> str:
+    return f"{size:.3g} {unit}" if unit not in ("", "1") else f"{size:.3g}"
+
+
+def _set(model: Model, one: tuple[str, ...]) -> str:
+    words = set_words(model, one)
+    return {"all": "all sensors", "angles": "the angles alone"}.get(words, words)
+
+
+def _sig(value: float) -> float | None:
+    return float(f"{value:.3g}") if math.isfinite(value) else None
