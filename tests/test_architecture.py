@@ -24,12 +24,12 @@ LEVELS = [
     {"models"},
     {"controllers", "observers", "references", "effects"},
     {"simulation", "plants"},
-    {"gap", "identification", "stability", "reporting", "scoring"},
+    {"gap", "identification", "stability", "reporting", "scoring", "runs"},
     {"commands"},
     {"cli", "__main__"},
 ]
 # `recordings` stands beside the levels: it knows files and the core, and these may use it.
-READERS_OF_RECORDINGS = {"commands", "plants", "references", "scoring"}
+READERS_OF_RECORDINGS = {"commands", "plants", "references", "runs", "scoring"}
 
 # Who may import what, everywhere in a module, inside functions too.
 RESTRICTED = {

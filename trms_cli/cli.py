@@ -35,6 +35,7 @@ COMMANDS: dict[str, str] = {
     "diagnose": "where a model and a rig differ, which effect causes it, how far the gap shrinks",
     "blind": "prove diagnoses on sealed rigs: make a set, diagnose it, open its key",
     "score": "metrics of logs, and comparison with a baseline",
+    "runs": "what has been run: list, filter, sort, export",
     "compare": "many runs ranked: tracking, effort, robustness, time of a step, failures",
     "import": "turn a recording (CSV, MAT) into an MCAP log",
     "export": "turn an MCAP log into CSV, Parquet or MAT",

@@ -23,6 +23,7 @@ from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig, RecordedRun
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
+from trms_cli.runs.place import tell_of_run
 from trms_cli.scoring.innovations import innovation_table
 from trms_cli.scoring.score import Series, score_tables
 from trms_cli.simulation.history import History
@@ -72,6 +73,7 @@ def perform_replay(composition: Composition) -> Outcome:
             publish_time="log",
         )
         logs.append(log)
+        tell_of_run(log.path)
         return History({t.name: {f.name: f.unit for f in t.fields} for t in topics}, log)
 
     replay = Replay.start(model, rig, observer, make_history)

@@ -1,0 +1,291 @@
+"""The table of ``trms runs``: as wide as the terminal, or aligned and whole for a pipe."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any, Self
+
+from trms_cli.runs.columns import ALIASES, Column
+from trms_cli.runs.finding import Found
+
+#: Columns of the table, in their order.
+USUAL = (
+    "path",
+    "time",
+    "controller",
+    "observer",
+    "ref",
+    "model",
+    "plant",
+    "effects",
+    "faults",
+    "seed",
+    "duration",
+    "outcome",
+    "rmse_alpha_v",
+    "rmse_alpha_h",
+    "total_variation",
+    "solve_p99",
+    "failures",
+    "deadline_misses",
+)
+#: Those that stay when a terminal is narrow, the most needed first.
+_NEEDED = (
+    "path",
+    "controller",
+    "rmse_alpha_h",
+    "rmse_alpha_v",
+    "ref",
+    "outcome",
+    "effects",
+    "seed",
+    "duration",
+    "time",
+    "solve_p99",
+    "total_variation",
+    "observer",
+    "faults",
+    "model",
+    "plant",
+    "failures",
+    "deadline_misses",
+)
+#: Worth a column only where runs differ in them.
+_IF_DIFFERENT = frozenset(USUAL) - {
+    "path",
+    "time",
+    "controller",
+    "rmse_alpha_v",
+    "rmse_alpha_h",
+    "total_variation",
+    "solve_p99",
+}
+_HEADINGS = {
+    "path": "run",
+    "rmse_alpha_v": "rmse pitch",
+    "rmse_alpha_h": "rmse yaw",
+    "total_variation": "Σ|Δu|",
+    "solve_p99": "step p99",
+    "deadline_misses": "misses",
+}
+_NOTHING = "–"
+_LEAST_PATH = 12
+_MOST_TOLD = 200  # characters of a line on trouble
+
+
+def print_runs(found: Found, told: Sequence[str], *, filtered: bool) -> None:
+    """Print the table, and a line on how much of all it is.
+
+    Parameters
+    ----------
+    told : sequence of str
+        Columns that were asked about: they are shown whatever else is.
+    """
+    if not found.runs:
+        print(_why_nothing(found, filtered))
+        return
+    names = _chosen(found, told)
+    if sys.stdout.isatty():
+        _print_rich(found, names, told)
+    else:
+        _print_plain(found, names)
+    if sys.stdout.isatty():
+        print(_count(found, filtered))
+
+
+def print_unreadable(found: Found) -> None:
+    """Print the logs that could not be read, a line each."""
+    for log, problem in found.unreadable:
+        print(f"{_clean(log)}: {_clean(problem)}")
+    if not found.unreadable:
+        print("all logs could be read")
+
+
+def say_remarks(found: Found, *, unreadable: bool) -> None:
+    """Say what limits the answer, apart from it."""
+    for remark in found.remarks:
+        sys.stderr.write(f"note   {_clean(remark)}\n")
+    if found.unreadable and unreadable:
+        log, problem = found.unreadable[0]
+        count = len(found.unreadable)
+        logs = "1 log" if count == 1 else f"{count} logs"
+        first = _cut(f"{_clean(_near(log))}: {_clean(problem)}", _MOST_TOLD)
+        more = "" if count == 1 else " (all: trms runs --unreadable)"
+        sys.stderr.write(f"note   {logs} could not be read: {first}{more}\n")
+
+
+class Progress:
+    """Tells how many logs are left to be read, on a terminal and when it takes a while."""
+
+    _PATIENCE = 0.5  # s
+
+    def __enter__(self) -> Self:
+        self._begin, self._told, self._shown = perf_counter(), 0.0, False
+        return self
+
+    def __call__(self, done: int, of: int) -> None:
+        """Say that `done` logs of `of` have been read."""
+        now = perf_counter()
+        if now - max(self._begin, self._told) < self._PATIENCE or not sys.stderr.isatty():
+            return
+        self._told, self._shown = now, True
+        sys.stderr.write(f"\rreading logs: {done} of {of}  ")
+        sys.stderr.flush()
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            sys.stderr.write("\r" + " " * 48 + "\r")
+            sys.stderr.flush()
+
+
+def _chosen(found: Found, told: Sequence[str]) -> list[str]:
+    """The columns worth showing: those asked for, and the usual ones that say something."""
+    asked = {ALIASES.get(name, name) for name in told}
+    if not told and not set(found.columns) >= set(USUAL):
+        return list(found.columns)  # those of --columns, and no others
+    chosen: dict[str, str] = {}  # by the column's own name: an alias is shown once
+    for name in found.columns:
+        own = ALIASES.get(name, name)
+        if own in chosen:
+            continue
+        values = {run[name] for run in found.runs}
+        same = len(values) < 2 and own in _IF_DIFFERENT
+        usual_end = own == "outcome" and values == {"completed"}
+        empty = values <= {None, ""}
+        if own in asked or not (same or usual_end or empty):
+            chosen[own] = name
+    return list(chosen.values())
+
+
+def _print_plain(found: Found, names: Sequence[str]) -> None:
+    """Aligned columns with two spaces between them: nothing is cut or left out."""
+    rows = [[name if name != "path" else "run" for name in names]]
+    rows += [
+        [_text(run[name], found.columns[name], whole=True) for name in names] for run in found.runs
+    ]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(names))]
+    numbers = [found.columns[name].kind not in ("text", "truth") for name in names]
+    for row in rows:
+        cells = (
+            text.rjust(width) if number else text.ljust(width)
+            for text, width, number in zip(row, widths, numbers, strict=True)
+        )
+        print("  ".join(cells).rstrip())
+
+
+def _print_rich(found: Found, names: Sequence[str], told: Sequence[str]) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    cells = {name: [_text(run[name], found.columns[name]) for run in found.runs] for name in names}
+    headings = {name: _heading(name, found.columns[name]) for name in names}
+    shown = _fitting(names, told, cells, headings, console.width)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="bold cyan")
+    for name in shown:
+        number = found.columns[name].kind not in ("text", "truth")
+        table.add_column(
+            Text(headings[name]),
+            justify="right" if number else "left",
+            no_wrap=name != "path" or "path" in told,
+            overflow="fold" if name == "path" else "ellipsis",
+            min_width=None if name != "path" else _LEAST_PATH,
+        )
+    for i, run in enumerate(found.runs):
+        style = "" if run.get("outcome", "completed") == "completed" else "yellow"
+        table.add_row(*(Text(cells[name][i]) for name in shown), style=style)
+    console.print(table)
+    left_out = [name for name in names if name not in shown]
+    if left_out:
+        console.print(
+            Text(f"not wide enough for: {', '.join(left_out)} (--columns, or a pipe)"), style="dim"
+        )
+
+
+def _fitting(
+    names: Sequence[str],
+    told: Sequence[str],
+    cells: dict[str, list[str]],
+    headings: dict[str, str],
+    width: int,
+) -> list[str]:
+    """As many columns as a terminal takes, the most needed first, in their order."""
+    order = sorted(names, key=lambda name: _need(name, told))
+    left, kept = width, list[str]()
+    for name in order:
+        lines = headings[name].splitlines()
+        wide = max(map(len, [*lines, *cells[name]]))
+        if name == "path":
+            wide = min(wide, max(_LEAST_PATH, width // 3))
+        if not kept or wide + 3 <= left:
+            left -= wide + 3
+            kept.append(name)
+    return [name for name in names if name in kept]
+
+
+def _need(name: str, told: Sequence[str]) -> int:
+    own = ALIASES.get(name, name)
+    if own == "path":
+        return -2
+    if name in told or own in told:
+        return -1
+    return _NEEDED.index(own) if own in _NEEDED else len(_NEEDED)
+
+
+def _heading(name: str, column: Column) -> str:
+    words = _HEADINGS.get(name, name)
+    return f"{words}\n[{column.unit}]" if column.unit not in ("", "1") else words
+
+
+def _text(value: Any, column: Column, *, whole: bool = False) -> str:
+    """A cell; a path is short where the working folder is above it."""
+    if value is None or value == "":
+        return _NOTHING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        if value != 0 and not 1e-3 <= abs(value) < 1e5:
+            return f"{value:.2e}"
+        return f"{value:.4g}"
+    text = _near(str(value)) if column.name in ("path", "log") else str(value)
+    return _clean(text) if whole else _cut(_clean(text), 200 if column.name == "path" else 60)
+
+
+def _near(path: str) -> str:
+    """A path from the working folder on, if that is above it."""
+    here = os.path.realpath(os.curdir).rstrip(os.sep) + os.sep
+    return path[len(here) :] if path.startswith(here) and len(path) > len(here) else path
+
+
+def _clean(text: str) -> str:
+    """Without what would steer a terminal: a log's words may be a stranger's."""
+    return "".join(c if c.isprintable() else "�" for c in text)
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def _count(found: Found, filtered: bool) -> str:
+    count = f"{found.matching} of {found.of} runs" if filtered else f"{found.of} runs"
+    if found.of == 1 and not filtered:
+        count = "1 run"
+    if len(found.runs) < found.matching:
+        return f"{len(found.runs)} of {count} (all: --limit 0)"
+    return count
+
+
+def _why_nothing(found: Found, filtered: bool) -> str:
+    if found.of and filtered:
+        return f"none of the {found.of} runs matches"
+    where = " and ".join(_clean(folder) for folder in found.folders)
+    if not where:
+        return "no run is known: make one by `trms run`"
+    return f"no run under {where}: another folder by --in FOLDER, every known run by --all"

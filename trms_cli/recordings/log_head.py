@@ -1,0 +1,145 @@
+"""What a log says of its run, without the samples.
+
+An index of thousands of runs asks each log for its name, its configuration and its score. These
+stand in records of their own: the chunks of samples, 99 % of a file, are stepped over unread, so
+that a log of any length takes about a millisecond. Their checksums are therefore not looked at;
+:func:`trms_cli.recordings.log_reader.read_log` does that.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from trms_cli.core.errors import RecordingError
+
+_MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")  # opcode, length of what follows
+_HEADER, _FOOTER, _ATTACHMENT, _METADATA = 0x01, 0x02, 0x09, 0x0C  # https://mcap.dev/spec
+#: Records of a run's own words are a few kilobytes; what is longer was not written by a run.
+_LONGEST = 16 * 2**20  # bytes
+#: Buffer: a chunk's index is read in one go, and little is read twice after a step over a chunk.
+_BUFFER = 8192
+_RUN, _SCORE, _CONFIG = "trms.run", "trms.score", "config.yaml"
+
+
+@dataclass(frozen=True)
+class LogHead:
+    """The words of a log.
+
+    Attributes
+    ----------
+    path : Path
+    finished : bool
+        The file has its end. False for a run that was killed, or that is still running.
+    of_trms : bool
+        Written by this program, not by another one that writes MCAP.
+    run : dict of str to str
+        The last ``trms.run`` record.
+    score : dict of str to anything, or None
+        The last ``trms.score`` record; None for a run that was not scored.
+    config : str
+        The resolved configuration as YAML; empty when the log has none.
+    """
+
+    path: Path
+    finished: bool
+    of_trms: bool
+    run: dict[str, str]
+    score: dict[str, Any] | None
+    config: str
+
+
+@dataclass
+class _Words:
+    library: str = ""
+    finished: bool = False
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    config: bytes = b""
+
+
+def read_log_head(path: Path | str) -> LogHead:
+    """Read what a log says of its run.
+
+    Raises
+    ------
+    RecordingError
+        When the file cannot be read, is no MCAP file, or a record of its words is damaged.
+    """
+    path = Path(path)
+    words = _Words()
+    try:
+        with path.open("rb", buffering=_BUFFER) as file:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise RecordingError(_no_mcap(path), where=str(path))
+            _walk(file, os.fstat(file.fileno()).st_size, words)
+    except OSError as error:
+        reason = error.strerror or error
+        raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
+    score = words.metadata.get(_SCORE)
+    return LogHead(
+        path=path,
+        finished=words.finished,
+        of_trms=_RUN in words.metadata or words.library.startswith("trms"),
+        run=words.metadata.get(_RUN, {}),
+        score=None if score is None else {key: _json(text) for key, text in score.items()},
+        config=words.config.decode(errors="replace"),
+    )
+
+
+def _walk(file: BinaryIO, size: int, words: _Words) -> None:
+    """Take the records of words up to the last whole record."""
+    position = len(_MAGIC)
+    while position + _RECORD.size <= size:
+        head = file.read(_RECORD.size)
+        if len(head) < _RECORD.size:
+            return
+        opcode, length = _RECORD.unpack(head)
+        position += _RECORD.size
+        if length > size - position:
+            return
+        if opcode == _FOOTER:
+            file.seek(-len(_MAGIC), os.SEEK_END)
+            words.finished = file.read() == _MAGIC
+            return
+        if opcode in (_HEADER, _METADATA, _ATTACHMENT) and length <= _LONGEST:
+            _take(opcode, file.read(length), words, Path(file.name))
+        else:
+            file.seek(length, os.SEEK_CUR)
+        position += length
+
+
+def _take(opcode: int, body: bytes, words: _Words, path: Path) -> None:
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Attachment, Header, Metadata
+
+    stream = ReadDataStream(BytesIO(body))
+    try:
+        if opcode == _HEADER:
+            words.library = Header.read(stream).library
+        elif opcode == _METADATA:
+            metadata = Metadata.read(stream)
+            words.metadata[metadata.name] = metadata.metadata
+        else:
+            attachment = Attachment.read(stream)
+            if attachment.name == _CONFIG:
+                words.config = attachment.data
+    except Exception as error:  # damage shows as any error of the decoders
+        raise RecordingError(f"a record of it is damaged ({error})", where=str(path)) from error
+
+
+def _no_mcap(path: Path) -> str:
+    empty = path.stat().st_size < len(_MAGIC)
+    return "the file is empty, or cut off in its first bytes" if empty else "it is no MCAP file"
+
+
+def _json(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):  # written by another tool
+        return None

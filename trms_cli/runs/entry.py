@@ -1,0 +1,220 @@
+"""A log as a row of the index."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.log_head import LogHead, read_log_head
+from trms_cli.runs.columns import COLUMNS, figures_of
+
+#: The file of a run in its folder; a run is called by that folder.
+LOG_NAME = "run.mcap"
+#: Options of these groups are a column each.
+_GROUPS = ("controller", "observer", "ref", "model", "plant", "supervisor", "experiment")
+_ENDINGS = frozenset({"completed", "interrupted", "failed"})
+_LARGEST = 2**63 - 1  # of the database's whole numbers
+_LONGEST_TEXT = 20_000  # of a cell
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the index keeps of a log.
+
+    Attributes
+    ----------
+    log : str
+        Its absolute path.
+    values : dict of str to anything
+        By the names of :data:`~trms_cli.runs.columns.COLUMNS`.
+    typed : dict of str to anything
+        Values that were typed as KEY=VALUE, by their dotted keys.
+    more : dict of str to float
+        Figures of other channels than the twin rotor's, and errors of estimates.
+    """
+
+    log: str
+    values: dict[str, Any]
+    typed: dict[str, Any] = field(default_factory=dict)
+    more: dict[str, float] = field(default_factory=dict)
+
+
+def read_entry(path: Path) -> Entry | None:
+    """Read a log's row; None for a log that is no run of the loop: an imported recording.
+
+    A run that was killed has no score in its log; it is scored here as far as it goes.
+
+    Raises
+    ------
+    RecordingError
+        If the log cannot be read.
+    """
+    try:
+        head = read_log_head(path)
+        if not head.of_trms or not (head.config or "choices" in head.run):
+            return None
+        return _entry(head)
+    except RecordingError:
+        raise
+    except Exception as error:  # a log from a stranger may hold anything
+        raise RecordingError(
+            f"its words are not as trms writes them ({type(error).__name__}: {error})",
+            where=str(path),
+        ) from error
+
+
+def _entry(head: LogHead) -> Entry:
+    run, path = head.run, head.path
+    outcome = run.get("outcome", "")
+    outcome = outcome if outcome in _ENDINGS else "unfinished"
+    overrides = _strings(_json(run, "overrides"))
+    choices = _choices(head, overrides)
+    versions = _json(run, "versions")
+    score = head.score or _scored(path)
+    figures = figures_of(score)
+    begin, end = _moment(run.get("start")), _moment(run.get("end"))
+    values: dict[str, Any] = dict.fromkeys(COLUMNS) | {
+        name: value for name, value in figures.items() if name in COLUMNS
+    }
+    values |= {
+        "path": str(path.parent if path.name == LOG_NAME else path),
+        "log": str(path),
+        "time": None if begin is None else begin.strftime("%Y-%m-%d %H:%M:%S"),
+        "command": run.get("command"),
+        "outcome": outcome,
+        "complete": head.finished and outcome == "completed",
+        **{group: _text(choices.get(group)) for group in _GROUPS},
+        "effects": _joined(choices.get("effect")),
+        "faults": _joined(choices.get("fault")),
+        "recording": run.get("recording.file"),
+        "loop": run.get("loop"),
+        "seed": _parsed(run.get("seed", "")),
+        "sample_time": _sample_time(head.config),
+        "took": None if begin is None or end is None else (end - begin).total_seconds(),
+        "git": run.get("git"),
+        "version": _text(versions.get("trms")) if isinstance(versions, Mapping) else None,
+        "platform": run.get("platform"),
+        "versions": run.get("versions"),
+        "overrides": json.dumps(overrides, ensure_ascii=False),
+        "choices": json.dumps(choices, ensure_ascii=False),
+    }
+    more = {k: float(v) for k, v in figures.items() if k not in COLUMNS and v is not None}
+    cells = {name: _cell(name, value) for name, value in values.items()}
+    return Entry(str(path), cells, _typed(overrides), more)
+
+
+def _choices(head: LogHead, overrides: list[str]) -> dict[str, Any]:
+    """The option of each group; logs of older versions do not name them."""
+    choices = _json(head.run, "choices")
+    if isinstance(choices, Mapping) and choices:
+        return dict(choices)
+    import yaml
+
+    from trms_cli.scoring.comparison.coordinates import choices_of
+
+    config = yaml.load(head.config, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    return choices_of(config if isinstance(config, Mapping) else {}, overrides)
+
+
+def _scored(path: Path) -> Mapping[str, Any]:
+    """The score of a log that has none; empty where there is too little to be scored."""
+    from trms_cli.recordings.log_reader import read_log
+    from trms_cli.scoring.score import score_log
+
+    try:
+        return score_log(read_log(path))
+    except (RecordingError, ValueError, KeyError, IndexError):
+        return {}
+
+
+def _sample_time(config: str) -> float | None:
+    """``sim.sample_time``: the block is cut out, since YAML takes 100 times as long as the rest."""
+    import yaml
+
+    lines = config.splitlines()
+    begin = next((i for i, line in enumerate(lines) if line.rstrip() == "sim:"), None)
+    if begin is None:
+        return None
+    length = next(
+        (i for i, line in enumerate(lines[begin + 1 :]) if line[:1] not in (" ", "")), None
+    )
+    block = lines[begin : None if length is None else begin + 1 + length]
+    try:
+        document = yaml.load("\n".join(block[:50]), Loader=yaml.SafeLoader)
+    except yaml.YAMLError:
+        return None
+    value = document["sim"].get("sample_time") if isinstance(document.get("sim"), dict) else None
+    return float(value) if isinstance(value, (int, float)) else None
+
+
+def _typed(overrides: list[str]) -> dict[str, Any]:
+    """What was typed, by its key; a sweep's own settings are none of the run's."""
+    found = {}
+    for word in overrides:
+        key, equals, value = word.lstrip("+").partition("=")
+        if equals and not key.startswith("hydra"):
+            found[key] = _parsed(value)
+    return found
+
+
+def _parsed(text: str) -> Any:
+    """A number, truth value, null or text, as it was typed."""
+    for kind in (int, float):
+        try:
+            value = kind(text)
+        except ValueError:
+            continue
+        return value if abs(value) < 1e300 else text
+    words = {"true": True, "false": False, "null": None}
+    return words.get(text.lower(), text.strip("'\""))
+
+
+def _json(run: Mapping[str, str], key: str) -> Any:
+    try:
+        return json.loads(run.get(key, "null"))
+    except (ValueError, RecursionError):
+        return None
+
+
+def _strings(value: Any) -> list[str]:
+    return [str(word) for word in value] if isinstance(value, list) else []
+
+
+def _joined(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return "+".join(map(str, value))
+    return "" if value is None else str(value)
+
+
+def _text(value: Any) -> str | None:
+    return None if value is None else _joined(value)
+
+
+def _moment(text: str | None) -> datetime | None:
+    try:
+        moment = datetime.fromisoformat(text or "")
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).astimezone(UTC)
+
+
+def _cell(name: str, value: Any) -> Any:
+    """The value as its column has it; None for what the column cannot hold."""
+    if value is None:
+        return None
+    kind = COLUMNS[name].kind
+    if kind == "text":
+        return str(value)[:_LONGEST_TEXT]
+    if kind == "truth":
+        return bool(value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    if kind == "whole":
+        whole = float(value).is_integer() and abs(value) <= _LARGEST
+        return int(value) if whole else None
+    return float(value)

@@ -1,0 +1,370 @@
+"""Filters: an expression over columns, as SQL with bound values.
+
+    controller == 'newton_mpc' and rmse_yaw < 0.05
+    not complete or failures > 0
+    controller in ('pid', 'lqr') and effects contains 'friction'
+    0.1 < rmse_yaw / rmse_pitch <= 2 and plant.prior_seed == 3
+    settling_time_yaw is None and controller like '*mpc'
+
+What a filter says is data. It is read into a syntax tree (:mod:`~trms_cli.runs.filter_words`) of
+which only the kinds of nodes below are taken; columns are looked up among those there are, and
+every value that was typed is bound as a parameter. There are no calls, subscripts or methods.
+
+A filter is true or false of every run. A figure that a run does not have (None) satisfies no
+``<``, ``<=``, ``>``, ``>=``, ``in``, ``like`` or ``contains``; it equals only None. Arithmetic with
+it gives None, as division by zero does.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+from trms_cli.runs.columns import ALIASES, COLUMNS, FIGURE_STEMS, Column, Kind
+from trms_cli.runs.filter_errors import FilterError
+from trms_cli.runs.filter_words import (
+    CONTAINS,
+    LIKE,
+    NOT_CONTAINS,
+    NOT_LIKE,
+    character,
+    parsed,
+)
+
+_ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
+_ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_MOST_NODES = 400
+_LONGEST_PATTERN = 200  # a pattern of many stars takes long to be found wanting
+_MOST_STARS = 8
+_CONSTANTS = {"null": None, "none": None, "true": True, "false": False}
+
+
+@dataclass(frozen=True)
+class Sql:
+    """A part of a statement.
+
+    Attributes
+    ----------
+    text : str
+        With ``?`` for each value.
+    values : tuple
+        To be bound, in their order.
+    """
+
+    text: str
+    values: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Value:
+    """A side of a comparison; ``kind`` None is that of None itself."""
+
+    sql: Sql
+    kind: Kind | None
+    node: ast.expr
+
+
+def translated(text: str, extra: Collection[str] | None = ()) -> Sql:
+    """A filter as an SQL condition that is 1 or 0 for each run.
+
+    Parameters
+    ----------
+    text : str
+        Empty: all runs.
+    extra : collection of str or None
+        Figures that some runs have beside the columns (:meth:`RunIndex.more_names`); None: not
+        known yet, whatever is named as a figure is.
+
+    Raises
+    ------
+    FilterError
+        If it is no filter, with the place and what to type instead.
+    """
+    if not text.strip():
+        return Sql("1")
+    tree = parsed(text)
+    nodes = sum(1 for _ in ast.walk(tree))
+    if nodes > _MOST_NODES:
+        raise FilterError(f"it has {nodes} parts, and {_MOST_NODES} are read", text, 0)
+    try:
+        return _Translation(text, extra).condition(tree)
+    except RecursionError:
+        raise FilterError("it is nested too deeply", text, 0) from None
+
+
+def column_sql(name: str, extra: Collection[str] | None = ()) -> tuple[Column, Sql] | None:
+    """A column by any of its names, and the SQL that reads it; None if there is none.
+
+    A name with a dot is a key that was typed: ``plant.prior_seed``.
+    """
+    name = ALIASES.get(name, name)
+    if name in COLUMNS:
+        return COLUMNS[name], Sql(f'"{name}"')
+    renamed = name
+    for said, ending in (("_yaw", "_alpha_h"), ("_pitch", "_alpha_v")):
+        renamed = renamed.removesuffix(said) + ending if name.endswith(said) else renamed
+    if _may_be_figure(renamed) if extra is None else renamed in extra:
+        return Column(renamed, "number"), Sql("json_extract(more, ?)", (_json_path(renamed),))
+    if "." in name:
+        return Column(name, "any"), Sql("json_extract(typed, ?)", (_json_path(name),))
+    return None
+
+
+def nearest(name: str, extra: Collection[str] | None = ()) -> str:
+    """What may have been meant, as a sentence."""
+    known = [*COLUMNS, *ALIASES, *(extra or ())]
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    if close:
+        return f"did you mean {' or '.join(close)}? all columns: trms runs --help"
+    return "all columns: trms runs --help; a key that was typed has its dots: plant.prior_seed"
+
+
+def _may_be_figure(name: str) -> bool:
+    return any(name.startswith(f"{stem}_") for stem in FIGURE_STEMS)
+
+
+def _json_path(key: str) -> str:
+    escaped = key.replace("\\", "\\\\").replace('"', '\\"')
+    return f'$."{escaped}"'
+
+
+class _Translation:
+    """One filter on its way to SQL."""
+
+    def __init__(self, text: str, extra: Collection[str] | None) -> None:
+        self._text, self._extra = text, extra
+
+    def condition(self, node: ast.expr) -> Sql:
+        """A node that is true or false."""
+        if isinstance(node, ast.BoolOp):
+            word = " AND " if isinstance(node.op, ast.And) else " OR "
+            return _joined([self.condition(value) for value in node.values], word)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            inner = self.condition(node.operand)
+            return Sql(f"(NOT {inner.text})", inner.values)
+        if isinstance(node, ast.Compare):
+            return self._comparison(node)
+        if isinstance(node, ast.BinOp) and isinstance(
+            node.op, LIKE | NOT_LIKE | CONTAINS | NOT_CONTAINS
+        ):
+            return self._match(node)
+        value = self._value(node)
+        if value.kind == "truth":
+            return Sql(f"({value.sql.text} IS 1)", value.sql.values)
+        self._refuse(
+            f"{self._said(node)} is neither true nor false",
+            node,
+            "compare it: with == != < <= > >=, in, like or contains",
+        )
+
+    def _comparison(self, node: ast.Compare) -> Sql:
+        parts, left = [], node.left
+        for operator, right in zip(node.ops, node.comparators, strict=True):
+            parts.append(self._compared(left, operator, right))
+            left = right
+        return _joined(parts, " AND ")
+
+    def _compared(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> Sql:
+        if isinstance(operator, ast.In | ast.NotIn):
+            found = self._membership(left, right)
+            return (
+                found if isinstance(operator, ast.In) else Sql(f"(NOT {found.text})", found.values)
+            )
+        a, b = self._value(left), self._value(right, beside=left)
+        if type(operator) in _ORDER:
+            return self._order(a, _ORDER[type(operator)], b)
+        word = "IS NOT" if isinstance(operator, ast.NotEq | ast.IsNot) else "IS"
+        if isinstance(operator, ast.Is | ast.IsNot) and None not in (a.kind, b.kind):
+            self._refuse("`is` goes with None", right, "write == or !=")
+        self._require_same_kind(a, b)
+        return Sql(f"({a.sql.text} {word} {b.sql.text})", a.sql.values + b.sql.values)
+
+    def _order(self, a: _Value, sign: str, b: _Value) -> Sql:
+        for side in (a, b):
+            if side.kind in (None, "truth"):
+                self._refuse(
+                    f"{self._said(side.node)} is neither less nor more than anything",
+                    side.node,
+                    "compare it with == or !=",
+                )
+        if a.kind == b.kind == "any":
+            self._refuse(
+                "it is not known whether these keys are numbers or texts",
+                b.node,
+                "compare a key that was typed with a value or a column",
+            )
+        self._require_same_kind(a, b)
+        text = f"coalesce({a.sql.text} {sign} {b.sql.text}, 0)"
+        values = a.sql.values + b.sql.values
+        for side, other in ((a, b), (b, a)):
+            if side.kind == "any":  # the database would order texts behind all numbers
+                kinds = "('text')" if other.kind == "text" else "('integer', 'real')"
+                text = f"({text} AND typeof({side.sql.text}) IN {kinds})"
+                values += side.sql.values
+        return Sql(f"({text})", values)
+
+    def _membership(self, left: ast.expr, right: ast.expr) -> Sql:
+        if isinstance(right, ast.Tuple | ast.List | ast.Set):
+            a = self._value(left)
+            parts = []
+            for element in right.elts:
+                b = self._value(element, beside=left)
+                self._require_same_kind(a, b)
+                parts.append(Sql(f"{a.sql.text} IS {b.sql.text}", a.sql.values + b.sql.values))
+            return _joined(parts, " OR ") if parts else Sql("0")
+        return self._contained(self._value(left), self._value(right))
+
+    def _contained(self, part: _Value, whole: _Value) -> Sql:
+        for side in (part, whole):
+            if side.kind not in ("text", "any"):
+                self._refuse(
+                    f"{self._said(side.node)} is no text",
+                    side.node,
+                    "a text contains a text: effects contains 'friction'; one of several values: "
+                    "seed in (1, 2, 3)",
+                )
+        text = f"coalesce(instr({whole.sql.text}, {part.sql.text}) > 0, 0)"
+        values = whole.sql.values + part.sql.values
+        for side in (part, whole):
+            if side.kind == "any":
+                text = f"({text} AND typeof({side.sql.text}) = 'text')"
+                values += side.sql.values
+        return Sql(f"({text})", values)
+
+    def _match(self, node: ast.BinOp) -> Sql:
+        if isinstance(node.op, CONTAINS | NOT_CONTAINS):
+            found = self._contained(
+                self._value(node.right, beside=node.left), self._value(node.left)
+            )
+        else:
+            found = self._like(node)
+        if isinstance(node.op, NOT_LIKE | NOT_CONTAINS):
+            return Sql(f"(NOT {found.text})", found.values)
+        return found
+
+    def _like(self, node: ast.BinOp) -> Sql:
+        value, pattern = self._value(node.left), node.right
+        if value.kind not in ("text", "any"):
+            self._refuse(f"{self._said(node.left)} is no text", node.left, "like goes with text")
+        if not (isinstance(pattern, ast.Constant) and isinstance(pattern.value, str)):
+            self._refuse("like takes a text", pattern, "controller like '*mpc'")
+        glob = pattern.value.replace("%", "*").replace("[", "[[]")
+        if len(glob) > _LONGEST_PATTERN or glob.count("*") > _MOST_STARS:
+            self._refuse("the pattern is too long, or has too many stars", pattern)
+        text = f"(coalesce({value.sql.text} GLOB ?, 0) AND typeof({value.sql.text}) = 'text')"
+        return Sql(text, (*value.sql.values, glob, *value.sql.values))
+
+    def _value(self, node: ast.expr, beside: ast.expr | None = None) -> _Value:
+        """A node that is a number, a text, a truth value or None."""
+        if isinstance(node, ast.Constant):
+            return self._constant(node, node.value)
+        if isinstance(node, ast.Name | ast.Attribute):
+            return self._column(node, beside)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+            operand = self._number(node.operand)
+            sign = "-" if isinstance(node.op, ast.USub) else "+"
+            return _Value(Sql(f"({sign} {operand.text})", operand.values), "number", node)
+        if isinstance(node, ast.BinOp) and type(node.op) in _ARITHMETIC:
+            a, b = self._number(node.left), self._number(node.right)
+            sign = _ARITHMETIC[type(node.op)]
+            return _Value(Sql(f"({a.text} {sign} {b.text})", a.values + b.values), "number", node)
+        if isinstance(node, ast.BoolOp | ast.Compare) or (
+            isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+        ):
+            self._refuse(
+                "a condition is not compared with anything", node, "join conditions by and, or, not"
+            )
+        self._refuse(
+            f"{self._said(node)} is not understood in a filter",
+            node,
+            "there are columns, numbers, 'texts', None, + - * /, comparisons, in, like, contains, "
+            "and, or, not and brackets; nothing is called",
+        )
+
+    def _constant(self, node: ast.expr, value: object) -> _Value:
+        if value is None:
+            return _Value(Sql("NULL"), None, node)
+        if isinstance(value, bool):
+            return _Value(Sql("1" if value else "0"), "truth", node)
+        if isinstance(value, int) and abs(value) < 2**63:
+            return _Value(Sql("?", (value,)), "whole", node)
+        if isinstance(value, int | float):
+            number = float(value) if abs(value) < 1e300 else float("inf") * (1 if value > 0 else -1)
+            return _Value(Sql("?", (number,)), "number", node)
+        if isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value):
+            return _Value(Sql("?", (value,)), "text", node)
+        self._refuse(f"{self._said(node)} is no value of a column", node)
+
+    def _column(self, node: ast.Name | ast.Attribute, beside: ast.expr | None) -> _Value:
+        name = dotted(node)
+        if name is None:
+            self._refuse(f"{self._said(node)} is no column", node)
+        if name.lower() in _CONSTANTS:
+            return self._constant(node, _CONSTANTS[name.lower()])
+        found = column_sql(name, self._extra)
+        if found is None:
+            remedy = nearest(name, self._extra)
+            if beside is not None and self._is_text(beside):
+                remedy = f"a text is quoted: '{name}'; or {remedy}"
+            self._refuse(f"there is no column {name!r}", node, remedy)
+        column, sql = found
+        return _Value(sql, column.kind, node)
+
+    def _is_text(self, node: ast.expr) -> bool:
+        name = dotted(node)
+        found = None if name is None else column_sql(name, self._extra)
+        return found is not None and found[0].kind == "text"
+
+    def _number(self, node: ast.expr) -> Sql:
+        value = self._value(node)
+        if value.kind == "any":
+            text = value.sql.text
+            sql = f"CASE WHEN typeof({text}) IN ('integer', 'real') THEN CAST({text} AS REAL) END"
+            return Sql(f"({sql})", value.sql.values * 2)
+        if value.kind not in ("number", "whole"):
+            self._refuse(f"{self._said(node)} is no number", node, "numbers can be reckoned with")
+        return Sql(f"CAST({value.sql.text} AS REAL)", value.sql.values)
+
+    def _require_same_kind(self, a: _Value, b: _Value) -> None:
+        kinds = {"number" if v.kind == "whole" else v.kind for v in (a, b)} - {None, "any"}
+        if len(kinds) < 2:
+            return
+        words = {"text": "a text", "number": "a number", "truth": "true or false"}
+        said = [f"{self._said(v.node)} is {words[_broad(v.kind)]}" for v in (a, b)]
+        remedy = "compare like with like"
+        if "truth" in kinds:
+            remedy = "write it alone (complete), or with not (not complete)"
+        elif isinstance(b.node, ast.Constant):
+            remedy = "a text is quoted, a number is not"
+        self._refuse(", ".join(said), b.node, remedy)
+
+    def _said(self, node: ast.expr) -> str:
+        """A node as it was typed, in short."""
+        begin = character(self._text, node.col_offset)
+        end = character(self._text, node.end_col_offset or node.col_offset)
+        typed = self._text[begin:end]
+        return typed if len(typed) <= 40 else f"{typed[:37]}…"
+
+    def _refuse(self, problem: str, node: ast.expr, remedy: str = "") -> NoReturn:
+        raise FilterError(problem, self._text, character(self._text, node.col_offset), remedy)
+
+
+def _broad(kind: Kind | None) -> str:
+    return "number" if kind in ("number", "whole") else str(kind)
+
+
+def dotted(node: ast.expr) -> str | None:
+    """``plant.prior_seed`` of a chain of attributes."""
+    parts: list[str] = []
+    while isinstance(node, ast.Attribute):
+        parts.append(node.attr)
+        node = node.value
+    return ".".join(reversed([*parts, node.id])) if isinstance(node, ast.Name) else None
+
+
+def _joined(parts: list[Sql], word: str) -> Sql:
+    values = tuple(value for part in parts for value in part.values)
+    return Sql(f"({word.join(part.text for part in parts)})", values)

@@ -1,0 +1,289 @@
+"""Brings the index up to date with the folders, and asks it.
+
+A folder is looked through for logs (``*.mcap``), however deep. Those that are new, or whose time
+or size has changed, are read; those that are gone are taken out. So runs that were copied in,
+moved, deleted or killed are right without anybody having told of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.runs.columns import COLUMNS, Column
+from trms_cli.runs.entry import read_entry
+from trms_cli.runs.filter_language import Sql, column_sql, nearest, translated
+from trms_cli.runs.index import Looked, RunIndex, Seen, scope_sql
+from trms_cli.runs.place import index_file, runs_told_of
+
+_BATCH = 200  # logs between two writes
+#: Entries of the working folder that are looked at when no folder is named: about a second.
+MOST_ENTRIES = 200_000
+_SUFFIX = ".mcap"
+#: Folders in which nobody keeps runs, and which hold many files.
+_PASSED_OVER = frozenset({"__pycache__", "node_modules", "site-packages"})
+
+Tell = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """What is asked of the index.
+
+    Attributes
+    ----------
+    filter : str
+        :mod:`~trms_cli.runs.filter_language`; empty: every run.
+    folders : tuple of path
+        Where to look; empty: the working folder.
+    everywhere : bool
+        Every run that this host knows of, instead.
+    sort : str
+        A column.
+    descending : bool
+        Largest, or latest, first.
+    columns : tuple of str
+        Empty: all.
+    limit : int or None
+        Runs at most.
+    rebuild : bool
+        Read every log again.
+    """
+
+    filter: str = ""
+    folders: tuple[str | os.PathLike[str], ...] = ()
+    everywhere: bool = False
+    sort: str = "time"
+    descending: bool = True
+    columns: tuple[str, ...] = ()
+    limit: int | None = None
+    rebuild: bool = False
+
+
+@dataclass(frozen=True)
+class Found:
+    """The answer.
+
+    Attributes
+    ----------
+    runs : list of dict
+        A run each: values by column, None for what it does not have.
+    columns : dict of str to Column
+        As asked for, by the names that they were asked for by.
+    matching : int
+        Runs for which the filter holds, also those beyond the limit.
+    of : int
+        Runs in the folders.
+    folders : tuple of str
+        That were looked through; empty for everywhere.
+    unreadable : tuple of (str, str)
+        Logs that could not be read, with the reason.
+    remarks : tuple of str
+        What limits the answer, as sentences.
+    """
+
+    runs: list[dict[str, Any]]
+    columns: dict[str, Column]
+    matching: int
+    of: int
+    folders: tuple[str, ...]
+    unreadable: tuple[tuple[str, str], ...]
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass
+class _Walk:
+    """What a walk through folders has found."""
+
+    logs: dict[str, Seen] = field(default_factory=dict)
+    odd: list[tuple[str, str]] = field(default_factory=list)
+    left: int | None = None  # entries that may still be looked at
+    remarks: list[str] = field(default_factory=list)
+
+
+def find(question: Question, tell: Tell = lambda done, of: None) -> Found:
+    """Bring the index up to date, and ask it.
+
+    Parameters
+    ----------
+    question : Question
+    tell : callable
+        Called with the number of logs read and of those to be read.
+
+    Raises
+    ------
+    FilterError
+        If the filter cannot be used.
+    ConfigurationError
+        If a folder or column does not exist.
+    """
+    # What is misspelt is told before logs are read.
+    translated(question.filter, None)
+    for name in (*question.columns, question.sort):
+        _column(name, None, "--sort" if name == question.sort else "--columns")
+    roots = None if question.everywhere else [_folder(folder) for folder in question.folders]
+    bounded = roots == []
+    if bounded:
+        roots = [os.path.realpath(os.curdir)]
+    walk = _Walk(left=MOST_ENTRIES if bounded else None)
+    with _opened(walk.remarks) as index:
+        for told in runs_told_of():
+            index.expect(told)
+        if question.rebuild:
+            index.clear(roots)
+        refresh(index, roots, walk, tell)
+        scope = scope_sql(roots)
+        more = index.more_names()
+        condition = translated(question.filter, more)
+        within = Sql(f"({condition.text}) AND {scope.text}", condition.values + scope.values)
+        columns = {
+            name: _column(name, more, "--columns") for name in question.columns or tuple(COLUMNS)
+        }
+        _, order = _column(question.sort, more, "--sort")
+        runs = index.select(
+            columns, within, order, descending=question.descending, limit=question.limit
+        )
+        return Found(
+            runs=runs,
+            columns={name: column for name, (column, _) in columns.items()},
+            matching=index.count(within),
+            of=index.count(scope),
+            folders=tuple(roots or ()),
+            unreadable=tuple(sorted([*index.unreadable(roots), *walk.odd])),
+            remarks=tuple(walk.remarks),
+        )
+
+
+def refresh(
+    index: RunIndex,
+    roots: Sequence[str] | None,
+    walk: _Walk | None = None,
+    tell: Tell | None = None,
+) -> None:
+    """Make the index say of folders what lies in them; None: of all logs that it knows."""
+    walk = walk or _Walk()
+    known = index.known(roots)
+    for root in roots or ():
+        _look_through(root, walk)
+    found, gone = walk.logs, []
+    for log in known.keys() - found.keys():  # in folders that were passed over, or gone
+        seen = _seen(log)
+        if seen is None:
+            gone.append(log)
+        else:
+            found[log] = seen
+    changed = sorted(log for log, seen in found.items() if known.get(log) != seen)
+    batch: list[Looked] = []
+    for done, log in enumerate(changed):
+        if tell is not None:
+            tell(done, len(changed))
+        batch.append(_look(log, found[log]))
+        if len(batch) == _BATCH:
+            index.put(batch)
+            batch = []
+    if batch:
+        index.put(batch)
+    index.forget(log for log in gone if _seen(log) is None)
+
+
+def _look(log: str, seen: Seen) -> Looked:
+    try:
+        return Looked(log, seen, read_entry(Path(log)))
+    except RecordingError as error:
+        return Looked(log, seen, problem=error.problem or "it cannot be read")
+
+
+def _look_through(root: str, walk: _Walk) -> None:
+    """Find the logs in a folder, or the one that it is."""
+    if os.path.isfile(root):
+        seen = _seen(root)
+        if seen is not None:
+            walk.logs[root] = seen
+        return
+    waiting = [root]
+    while waiting:
+        folder = waiting.pop()
+        try:
+            with os.scandir(folder) as entries:
+                for entry in entries:
+                    if walk.left is not None:
+                        walk.left -= 1
+                        if walk.left < 0:
+                            walk.remarks.append(
+                                f"only {MOST_ENTRIES} files of {root} were looked at: "
+                                "name the folder of the runs with --in"
+                            )
+                            return
+                    with contextlib.suppress(OSError):
+                        _take(entry, waiting, walk)
+        except OSError:
+            continue  # a folder of somebody else
+
+
+def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
+    if entry.is_dir(follow_symlinks=False):
+        if not entry.name.startswith(".") and entry.name not in _PASSED_OVER:
+            waiting.append(entry.path)
+    elif entry.name.endswith(_SUFFIX) and not entry.name.startswith(".") and entry.is_file():
+        try:
+            entry.path.encode()
+        except UnicodeEncodeError:
+            name = os.fsencode(entry.path).decode(errors="backslashreplace")
+            walk.odd.append((name, "its name is no text"))
+            return
+        status = entry.stat()
+        walk.logs[entry.path] = Seen(status.st_mtime_ns, status.st_size)
+
+
+def _seen(log: str) -> Seen | None:
+    """A file's time and size; None if there is no such file."""
+    try:
+        status = os.stat(log)
+    except (OSError, ValueError):
+        return None
+    return Seen(status.st_mtime_ns, status.st_size) if os.path.isfile(log) else None
+
+
+def _folder(folder: str | os.PathLike[str]) -> str:
+    path = os.path.realpath(os.path.expanduser(os.fspath(folder)))
+    if not os.path.exists(path):
+        raise ConfigurationError(
+            f"there is no folder {os.fspath(folder)!r}", where="--in", remedy="name one of runs"
+        )
+    return path
+
+
+def _column(name: str, more: Sequence[str] | None, where: str) -> tuple[Column, Sql]:
+    found = column_sql(name, more)
+    if found is None:
+        raise ConfigurationError(
+            f"there is no column {name!r}", where=where, remedy=nearest(name, more)
+        )
+    return found
+
+
+@contextlib.contextmanager
+def _opened(remarks: list[str]) -> Iterator[RunIndex]:
+    """The index of this host, or one for this time where it cannot be kept."""
+    file = index_file()
+    try:
+        index = RunIndex(file)
+    except (OSError, sqlite3.OperationalError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        remarks.append(f"the index {file} cannot be kept ({reason}): all logs are read each time")
+        index = RunIndex(None)
+    with index:
+        try:
+            yield index
+        except sqlite3.OperationalError as error:
+            raise RecordingError(
+                f"the index cannot be written ({error})",
+                where=str(file),
+                remedy="try again, or delete the file: it is made anew from the logs",
+            ) from error

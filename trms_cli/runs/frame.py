@@ -1,0 +1,133 @@
+"""Runs in a notebook: a list of dicts, an Arrow table or a pandas frame, in one line."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from trms_cli.core.errors import TrmsError
+from trms_cli.runs.columns import Column
+from trms_cli.runs.finding import Found, Question, find
+
+Path = str | os.PathLike[str]
+_TYPES: dict[str, type | None] = {
+    "text": str,
+    "number": float,
+    "whole": int,
+    "truth": bool,
+    "any": None,
+}
+
+
+def find_runs(
+    filter: str = "",
+    folders: Path | Sequence[Path] = (),
+    *,
+    everywhere: bool = False,
+    sort: str = "time",
+    descending: bool = False,
+    columns: Sequence[str] = (),
+    limit: int | None = None,
+) -> list[dict[str, Any]]:
+    """Runs as dicts of values by column; None for what a run does not have.
+
+    Parameters
+    ----------
+    filter : str
+        As for ``trms runs``: ``"controller == 'newton_mpc' and rmse_yaw < 0.05"``.
+    folders : path, or sequence of paths
+        Where to look, however deep; by default the working folder.
+    everywhere : bool
+        Every run that this machine knows of, instead.
+    sort : str
+        A column; runs that have no value of it come last.
+    descending : bool
+        Largest, or latest, first.
+    columns : sequence of str
+        By default all.
+    limit : int or None
+        Runs at most.
+
+    Raises
+    ------
+    FilterError
+        If the filter cannot be used; it says why and where.
+    ConfigurationError
+        If there is no such folder or column.
+    """
+    return _found(
+        filter, folders, everywhere, sort=sort, descending=descending, columns=columns, limit=limit
+    ).runs
+
+
+def runs_table(
+    filter: str = "", folders: Path | Sequence[Path] = (), *, everywhere: bool = False, **how: Any
+) -> Any:
+    """Runs as a ``pyarrow.Table``, units in the metadata of its fields; as :func:`find_runs`."""
+    return table_of(_found(filter, folders, everywhere, **how))
+
+
+def runs_frame(
+    filter: str = "", folders: Path | Sequence[Path] = (), *, everywhere: bool = False, **how: Any
+) -> Any:
+    """Runs as a ``pandas.DataFrame``, a row each; arguments as of :func:`find_runs`.
+
+    ``frame.attrs["units"]`` has the units by column, and the ``time`` column is of the type
+    ``datetime64`` in UTC.
+
+    Raises
+    ------
+    TrmsError
+        If pandas is not installed: it is no dependency of this package.
+    """
+    from importlib import import_module
+    from importlib.util import find_spec
+
+    if find_spec("pandas") is None:
+        raise TrmsError(
+            "a frame needs pandas, which is not installed",
+            where="runs_frame",
+            remedy="pip install pandas; without it: find_runs(…) gives a list of dicts, "
+            "runs_table(…) an Arrow table",
+        )
+    pandas = import_module("pandas")
+    found = _found(filter, folders, everywhere, **how)
+    frame = table_of(found).to_pandas()
+    if "time" in frame:
+        frame["time"] = pandas.to_datetime(frame["time"], utc=True)
+    frame.attrs["units"] = {name: column.unit for name, column in found.columns.items()}
+    return frame
+
+
+def table_of(found: Found) -> Any:
+    """An answer of the index as a ``pyarrow.Table``."""
+    from trms_cli.recordings.figure_table import arrow_table
+
+    columns: dict[str, Column] = found.columns
+    kinds = {name: _TYPES[column.kind] for name, column in columns.items()}
+    return arrow_table(found.runs, kinds, {name: column.unit for name, column in columns.items()})
+
+
+def _found(
+    filter: str,
+    folders: Path | Sequence[Path],
+    everywhere: bool,
+    *,
+    sort: str = "time",
+    descending: bool = False,
+    columns: Sequence[str] = (),
+    limit: int | None = None,
+) -> Found:
+    several = (folders,) if isinstance(folders, (str, os.PathLike)) else tuple(folders)
+    return find(
+        Question(
+            filter=filter,
+            folders=several,
+            everywhere=everywhere,
+            sort=sort,
+            descending=descending,
+            columns=(columns,) if isinstance(columns, str) else tuple(columns),
+            limit=limit,
+        )
+    )

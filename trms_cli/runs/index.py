@@ -1,0 +1,281 @@
+"""The database of runs: a table of logs, and a row of figures for each that is a run.
+
+SQLite of the standard library, in one file (:mod:`~trms_cli.runs.place`). All of it comes from
+the logs, so that a file which is damaged, or of another version, is made anew. Several processes
+may read and write it at once: they hold no lock while they read logs, write in short
+transactions, and what two of them write of the same log is the same.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.runs.columns import COLUMNS, Column
+from trms_cli.runs.entry import Entry
+from trms_cli.runs.filter_language import Sql
+
+_TYPES = {"text": "TEXT", "number": "REAL", "whole": "INTEGER", "truth": "INTEGER"}
+_LOGS = (
+    "CREATE TABLE IF NOT EXISTS logs (log TEXT PRIMARY KEY, mtime_ns INTEGER, size INTEGER,"
+    " kind TEXT, problem TEXT) WITHOUT ROWID"
+)
+_RUNS = (
+    "CREATE TABLE IF NOT EXISTS runs ("
+    + ", ".join(f'"{column.name}" {_TYPES[column.kind]}' for column in COLUMNS.values())
+    + ", typed TEXT, more TEXT, PRIMARY KEY (log))"
+)
+#: Changes with the columns, and with what is put into them.
+_CONTENT = 1
+_VERSION = zlib.crc32(f"{_CONTENT} {_LOGS} {_RUNS}".encode()) & 0x7FFFFFFF
+_PATIENCE = 20.0  # s, for another process that is writing
+
+#: What a file is: a run, a log of something else, or one that cannot be read; or not yet looked at.
+RUN, OTHER, UNREADABLE, UNSEEN = "run", "other", "unreadable", "unseen"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is known of a log's file.
+
+    Attributes
+    ----------
+    mtime_ns, size : int
+        When it was looked at; another time or size means that it has changed. ns, bytes.
+    """
+
+    mtime_ns: int
+    size: int
+
+
+@dataclass(frozen=True)
+class Looked:
+    """A log that has been looked at.
+
+    Attributes
+    ----------
+    log : str
+        Its absolute path.
+    seen : Seen
+    entry : Entry or None
+        None for what is no run.
+    problem : str
+        Why it cannot be read; "" if it can.
+    """
+
+    log: str
+    seen: Seen
+    entry: Entry | None = None
+    problem: str = ""
+
+    @property
+    def kind(self) -> str:
+        """``run``, ``other`` or ``unreadable``."""
+        return UNREADABLE if self.problem else RUN if self.entry else OTHER
+
+
+class RunIndex:
+    """The open index.
+
+    Parameters
+    ----------
+    file : Path or None
+        Of the database, made if it is not there; None: in memory, for this process alone.
+
+    Raises
+    ------
+    OSError, sqlite3.OperationalError
+        If the file cannot be opened or made.
+    """
+
+    def __init__(self, file: Path | None) -> None:
+        self.file = file
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self._open()
+        except sqlite3.OperationalError:
+            raise
+        except sqlite3.DatabaseError:  # damaged, or no database: it is made anew from the logs
+            self._connection.close()
+            assert file is not None
+            for name in (file, f"{file}-wal", f"{file}-shm"):
+                Path(name).unlink(missing_ok=True)
+            self._open()
+
+    def _open(self) -> None:
+        name = ":memory:" if self.file is None else str(self.file)
+        self._connection = sqlite3.connect(name, timeout=_PATIENCE, isolation_level=None)
+        self._connection.execute("PRAGMA journal_mode = WAL")
+        self._connection.execute("PRAGMA synchronous = NORMAL")
+        if self._version() != _VERSION:
+            with self._writing():
+                if self._version() != _VERSION:  # nobody else was faster
+                    self._connection.execute(_LOGS)
+                    # The paths stay: what was run elsewhere is read again, not forgotten.
+                    self._connection.execute("UPDATE logs SET mtime_ns = -1, kind = 'unseen'")
+                    self._connection.execute("DROP TABLE IF EXISTS runs")
+                    self._connection.execute(_RUNS)
+                    self._connection.execute(f"PRAGMA user_version = {_VERSION}")
+        self._connection.execute("SELECT 1 FROM runs, logs LIMIT 1").fetchall()
+
+    def _version(self) -> int:
+        return int(self._connection.execute("PRAGMA user_version").fetchone()[0])
+
+    def close(self) -> None:
+        """Close it; a second call does nothing."""
+        self._connection.close()
+
+    def __enter__(self) -> RunIndex:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        self._connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+        except BaseException:
+            with suppress(sqlite3.Error):
+                self._connection.execute("ROLLBACK")
+            raise
+        self._connection.execute("COMMIT")
+
+    def known(self, roots: Sequence[str] | None) -> dict[str, Seen]:
+        """The logs under folders (None: all) that the index has, and when they were looked at."""
+        scope = scope_sql(roots)
+        rows = self._connection.execute(
+            f"SELECT log, mtime_ns, size FROM logs WHERE {scope.text}", scope.values
+        )
+        return {log: Seen(mtime_ns, size) for log, mtime_ns, size in rows}
+
+    def expect(self, logs: Iterable[str]) -> None:
+        """Note logs that runs have told of; what is known of them already stays."""
+        rows = [(log, UNSEEN) for log in logs]
+        if rows:
+            with self._writing():
+                self._connection.executemany(
+                    "INSERT OR IGNORE INTO logs VALUES (?, -1, -1, ?, '')", rows
+                )
+
+    def put(self, looked: Sequence[Looked]) -> None:
+        """Write what was found out of logs, in place of what was known of them."""
+        names = [*COLUMNS, "typed", "more"]
+        columns = ", ".join(f'"{name}"' for name in names)
+        marks = ", ".join("?" * len(names))
+        statement = f"INSERT OR REPLACE INTO runs ({columns}) VALUES ({marks})"
+        logs = [(a.log, a.seen.mtime_ns, a.seen.size, a.kind, a.problem) for a in looked]
+        rows = [_row(a.entry) for a in looked if a.entry is not None]
+        with self._writing():
+            self._connection.executemany("DELETE FROM runs WHERE log = ?", [(a[0],) for a in logs])
+            self._connection.executemany("INSERT OR REPLACE INTO logs VALUES (?, ?, ?, ?, ?)", logs)
+            self._connection.executemany(statement, rows)
+
+    def forget(self, logs: Iterable[str]) -> None:
+        """Take out logs that are gone."""
+        rows = [(log,) for log in logs]
+        if rows:
+            with self._writing():
+                self._connection.executemany("DELETE FROM runs WHERE log = ?", rows)
+                self._connection.executemany("DELETE FROM logs WHERE log = ?", rows)
+
+    def clear(self, roots: Sequence[str] | None) -> None:
+        """Look at every log under folders (None: all) again, whether it has changed or not."""
+        scope = scope_sql(roots)
+        with self._writing():
+            self._connection.execute(f"DELETE FROM runs WHERE {scope.text}", scope.values)
+            self._connection.execute(
+                f"UPDATE logs SET mtime_ns = -1, kind = 'unseen', problem = '' WHERE {scope.text}",
+                scope.values,
+            )
+
+    def more_names(self) -> list[str]:
+        """Figures that some runs have beside the columns, by name."""
+        rows = self._connection.execute(
+            "SELECT DISTINCT j.key FROM runs, json_each(runs.more) AS j ORDER BY j.key"
+        )
+        return [name for (name,) in rows]
+
+    def count(self, condition: Sql) -> int:
+        """The number of runs for which a condition holds."""
+        statement = f"SELECT count(*) FROM runs WHERE {condition.text}"
+        return int(self._connection.execute(statement, condition.values).fetchone()[0])
+
+    def select(
+        self,
+        columns: Mapping[str, tuple[Column, Sql]],
+        condition: Sql,
+        order: Sql,
+        *,
+        descending: bool,
+        limit: int | None,
+    ) -> list[dict[str, Any]]:
+        """Rows with the columns asked for; None for what a run does not have, always last.
+
+        Raises
+        ------
+        RecordingError
+            If the database refuses: a filter that is too large for it.
+        """
+        # Positions instead of names: a name is whatever was typed.
+        chosen = ", ".join(f"{sql.text} AS c{i}" for i, (_, sql) in enumerate(columns.values()))
+        direction = "DESC" if descending else "ASC"
+        values = [value for _, sql in columns.values() for value in sql.values]
+        values += [*condition.values, *order.values, *order.values]
+        statement = (
+            f"SELECT {chosen} FROM runs WHERE {condition.text}"
+            f" ORDER BY {order.text} IS NULL, {order.text} {direction}, time {direction},"
+            f" log {direction} LIMIT ?"
+        )
+        try:
+            rows = self._connection.execute(statement, [*values, -1 if limit is None else limit])
+            kinds = {name: column.kind for name, (column, _) in columns.items()}
+            return [
+                {
+                    name: bool(value) if kind == "truth" and value is not None else value
+                    for (name, kind), value in zip(kinds.items(), row, strict=True)
+                }
+                for row in rows
+            ]
+        except sqlite3.Error as error:
+            raise RecordingError(
+                f"the index does not answer ({error})", where="trms runs", remedy="ask for less"
+            ) from error
+
+    def unreadable(self, roots: Sequence[str] | None) -> list[tuple[str, str]]:
+        """Logs under folders that cannot be read, with the reason."""
+        scope = scope_sql(roots)
+        rows = self._connection.execute(
+            "SELECT log, problem FROM logs"
+            f" WHERE kind = 'unreadable' AND {scope.text} ORDER BY log",
+            scope.values,
+        )
+        return [(log, problem) for log, problem in rows]
+
+
+def scope_sql(roots: Sequence[str] | None) -> Sql:
+    """The condition that a log lies in one of some folders, or is one of them; None: any."""
+    if roots is None:
+        return Sql("1")
+    parts, values = [], []
+    for root in roots:
+        stem = root.rstrip(os.sep)
+        # between "folder/" and the character after the slash: the key's own order finds them
+        parts.append("(log = ? OR (log >= ? AND log < ?))")
+        values += [root, f"{stem}/", f"{stem}0"]
+    return Sql(f"({' OR '.join(parts) or '0'})", tuple(values))
+
+
+def _row(entry: Entry) -> list[Any]:
+    texts = [json.dumps(part, ensure_ascii=False) for part in (entry.typed, entry.more)]
+    return [entry.values.get(name) for name in COLUMNS] + texts
