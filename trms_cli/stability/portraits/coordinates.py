@@ -170,8 +170,9 @@ class Coordinates:
             free = [i for i in range(len(slope)) if i not in taken]
             best = max(free, key=lambda i: slope[i], default=-1)
             if best < 0 or slope[best] < _LEAST_SLOPE:
+                given = ", ".join(name for name in self.names if name != item.name)
                 raise ConfigurationError(
-                    f"{item.name} follows from {', '.join(n for n in self.names if n != item.name)}",
+                    f"{item.name} follows from {given}",
                     where="states",
                     remedy="name another state beside it, as the angle itself",
                 )

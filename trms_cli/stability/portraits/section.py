@@ -16,7 +16,7 @@ cut through the field, and trajectories drawn over it are projections.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,8 +26,10 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.stability.operating_point import OperatingPoint
-from trms_cli.stability.portraits.coordinates import Coordinates
+from trms_cli.models.model import Model
+from trms_cli.stability.operating_point import OperatingPoint, operating_point
+from trms_cli.stability.portraits.coordinates import Coordinates, check_states, default_states
+from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -77,12 +79,15 @@ class Section:
         for place, item in enumerate(self.coordinates.items):
             if not item.is_rate:
                 x[:, item.state] = c[:, place]
+        if not (self.settled or self.coordinates.partners):
+            return x
         for _ in range(_ITERATIONS):
-            residual, slope = self._equations(x, c)
+            residual = self._residual(x, c)
             if not np.isfinite(residual).any() or np.nanmax(np.abs(residual)) <= _PLACED:
                 break
-            x = x - _solved(slope, residual)
-        residual, _ = self._equations(x, c)
+            x = x - _solved(self._slope(x, c), residual)
+        else:
+            residual = self._residual(x, c)
         x[~(np.abs(residual).max(axis=1) <= 1e3 * _PLACED)] = np.nan
         return x
 
@@ -140,17 +145,20 @@ class Section:
         _, flow = self.coordinates.function(x, u, p, w)
         return ca.Function("rate_slopes", [x, u, p, w], [ca.densify(ca.jacobian(flow, x))])
 
-    def _equations(self, x: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual (m, n_x) and its slope (m, n_x, n_x)."""
-        residual, slope = self._functions
+    def _residual(self, x: FloatArray, c: FloatArray) -> FloatArray:
+        """(m, n_x)."""
+        return np.array(self._functions[0](x.T, c.T, *self._rest)).T
+
+    def _slope(self, x: FloatArray, c: FloatArray) -> FloatArray:
+        """Of the residual, (m, n_x, n_x)."""
         n = self.coordinates.model.n_x
-        values = np.array(residual(x.T, c.T, *self._rest)).T
-        return values, np.array(slope(x.T, c.T, *self._rest)).T.reshape(-1, n, n).swapaxes(1, 2)
+        side_by_side = np.array(self._functions[1](x.T, c.T, *self._rest))
+        return side_by_side.T.reshape(-1, n, n).swapaxes(1, 2)
 
     def _surface(self, x: FloatArray) -> FloatArray:
         """dx/dc, (m, n_x, n_c)."""
         n_c, n = len(self.coordinates), self.coordinates.model.n_x
-        _, slope = self._equations(x, np.zeros((len(x), n_c)))
+        slope = self._slope(x, np.zeros((len(x), n_c)))
         return _solved(slope, np.broadcast_to(np.eye(n)[:, :n_c], (len(x), n, n_c)))
 
 
@@ -162,6 +170,37 @@ def _solved(slope: FloatArray, right: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError:
         found = np.linalg.pinv(np.nan_to_num(slope), rcond=1e-12) @ columns
     return found[..., 0] if right.ndim == 2 else found
+
+
+def section_of(
+    model: Model,
+    states: Sequence[str] | None = None,
+    at: Mapping[str, float] | None = None,
+    others: str | Sequence[str] = "held",
+) -> Section:
+    """The section of a model for what is asked by name.
+
+    Parameters
+    ----------
+    model : Model
+        With equations.
+    states : sequence of str or None
+        Two or three coordinates; None: :func:`default_states`.
+    at : dict of str to float or None
+        Operating point; see :func:`trms_cli.stability.operating_point.operating_point`.
+    others : str or sequence of str
+        See :func:`settled_states`.
+
+    Raises
+    ------
+    ConfigurationError, ModelError
+        For names that make no portrait, and without an equilibrium there.
+    """
+    states = tuple(states or default_states(model))
+    check_states(model, states)
+    point = operating_point(model, at or {})
+    coordinates = Coordinates(VectorField(model), states, point)
+    return Section(coordinates, point, settled_states(coordinates, others))
 
 
 def settled_states(coordinates: Coordinates, others: str | Sequence[str]) -> tuple[int, ...]:

@@ -107,8 +107,9 @@ def _entering(section: Section, window: FloatArray) -> FloatArray:
         ]
     )
     flow = section.rates(_scaled(edge, window)) / (np.ptp(window, axis=1) / 2)
-    normal = np.where(np.abs(edge) == 1.0, -edge, 0.0)
-    inwards = np.nan_to_num((flow * normal).sum(axis=1), nan=-1.0)
+    # At a corner through both of its edges.
+    across = np.where(np.abs(edge) == 1.0, -edge * flow, np.inf)
+    inwards = np.nan_to_num(across.min(axis=1), nan=-1.0)
     # Where the field runs along an edge its motions are those of the neighbours.
     steep = inwards > 0.02 * np.linalg.norm(np.nan_to_num(flow), axis=1)
     return 0.999 * edge[steep]

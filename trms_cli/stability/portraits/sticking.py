@@ -30,7 +30,7 @@ _STEP, _SHARE = 1e-3, 1e-3
 _HELD = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StickingSet:
     """A part of the portrait in which dry friction holds something still.
 
@@ -117,7 +117,10 @@ def _held_on(
     width = float(np.ptp(window[along]))
     near = width * np.geomspace(1e-6, 0.05, _POINTS // 20)
     around = [rest.c[along] + side * near for rest in rests for side in (-1.0, 1.0)]
-    values = _within(np.concatenate([np.linspace(window[along, 0], window[along, 1], _POINTS), *around]), window[along])
+    values = _within(
+        np.concatenate([np.linspace(window[along, 0], window[along, 1], _POINTS), *around]),
+        window[along],
+    )
     stuck = _held(line, values)
     if not stuck.any():
         return []

@@ -9,14 +9,11 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from trms_cli.stability.findings import Findings
-from trms_cli.stability.operating_point import operating_point
-from trms_cli.stability.portraits.coordinates import Coordinates, check_states, default_states
 from trms_cli.stability.portraits.portrait import Wish, portrait_of_loop, portrait_of_model
-from trms_cli.stability.portraits.section import Section, settled_states
+from trms_cli.stability.portraits.section import section_of
 from trms_cli.stability.portraits.window import checked_window
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
-from trms_cli.stability.vector_field import VectorField
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,14 +63,10 @@ class PhasePortrait:
         """
         model = subject.require_equations("study=phase_portrait")
         tell("operating point")
-        states = tuple(self.states or default_states(model))
-        check_states(model, states)
-        point = operating_point(model, self.at)
-        coordinates = Coordinates(VectorField(model), states, point)
-        section = Section(coordinates, point, settled_states(coordinates, self.others))
+        section = section_of(model, self.states, self.at, self.others)
         wish = Wish(
             section=section,
-            window=checked_window(coordinates, self.window),
+            window=checked_window(section.coordinates, self.window),
             starts=self.starts,
             duration=self.duration,
             step=self.step,

@@ -1,0 +1,163 @@
+"""``study=phase_portrait``: its findings for a model alone and in a loop."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from trms_cli.controllers.lqr import Lqr
+from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
+from trms_cli.core.errors import ModelError
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extended
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.single_rotor import SingleRotor
+from trms_cli.observers.full_state import FullState
+from trms_cli.stability.portraits.drawing import has_field
+from trms_cli.stability.portraits.section import section_of
+from trms_cli.stability.studies.phase_portrait import PhasePortrait
+from trms_cli.stability.study import silent
+from trms_cli.stability.subject import LoopParts, Subject
+
+VERTICAL = Newtonian(freedom="vertical")
+NAMES = {"controller": "lqr", "observer": "full_state"}
+LOOP = LoopParts(VERTICAL, Lqr(), FullState(), 0.02, NAMES)
+
+
+def found(model=VERTICAL, loop=None, **keys):
+    return PhasePortrait(**keys).run(Subject(model, "rig", loop), silent)
+
+
+@pytest.fixture(scope="module")
+def hover():
+    return found(at={"alpha_v": 0.0}, starts=12)
+
+
+def marks(findings, kind):
+    return [mark for mark in findings.charts[0].panels[0].marks if isinstance(mark, kind)]
+
+
+def test_the_lead_tells_what_a_lecturer_would_say(hover):
+    lead = " ".join(hover.lead)
+    assert "u_v = 1.413 V: a stable focus at α_v = 0 rad and a saddle at α_v = 1.903 rad" in lead
+    assert "turn over and keep turning" in lead and "loses half of itself every 14.9 s" in lead
+    assert "beyond the mechanical stop of α_v at ±1.05 rad" in lead
+
+
+def test_the_results_are_the_portrait_as_data(hover):
+    results = json.loads(json.dumps(hover.results, allow_nan=False))
+    assert [item["name"] for item in results["coordinates"]] == ["alpha_v", "rate_v"]
+    assert results["section_is_invariant"] is True
+    focus, saddle = results["equilibria"]
+    assert (focus["kind"], saddle["kind"]) == ("stable focus", "saddle")
+    ends = results["trajectories"]["ends"]
+    assert sum(end["share"] for end in ends) == pytest.approx(1.0)
+    assert sorted(n for end in ends for n in end["starts"]) == list(range(12))
+    json.dumps([as_data(chart) for chart in hover.charts], allow_nan=False)
+
+
+def test_nullclines_are_where_a_rate_is_zero(hover):
+    contourpy = pytest.importorskip("contourpy")
+    section = section_of(VERTICAL, None, {"alpha_v": 0.0})
+    contours = marks(hover, Contour)
+    assert [mark.label for mark in contours] == ["dα_v/dt = 0", "d²α_v/dt² = 0"]
+    for place, mark in enumerate(contours):
+        lines = contourpy.contour_generator(mark.x, mark.y, mark.values).lines(0.0)
+        points = np.vstack(lines)
+        assert len(points) > 50
+        typical = np.abs(mark.values).max()
+        assert np.abs(section.rates(points)[:, place]).max() < 1e-3 * typical
+
+
+def test_the_flow_is_the_field_of_the_section(hover):
+    section = section_of(VERTICAL, None, {"alpha_v": 0.0})
+    (flow,) = marks(hover, Flow)
+    i, j = 7, 30
+    rates = section.rates([[flow.x[j], flow.y[i]]])[0]
+    assert (flow.u[i, j], flow.v[i, j]) == pytest.approx(tuple(rates))
+
+
+def test_equilibria_are_marked_by_their_kind(hover):
+    shown = {mark.label: mark for mark in marks(hover, Points)}
+    assert shown["stable focus"].marker == "stable" and shown["saddle"].marker == "saddle"
+    assert shown["saddle"].x[0] == pytest.approx(1.903, abs=1e-3)
+
+
+def test_a_projection_is_told():
+    findings = found(Newtonian(), states=("alpha_v", "alpha_h"), at={"alpha_v": 0.0}, starts=3)
+    assert "A projection" in findings.charts[0].caption
+    assert any("a projection" in warning for warning in findings.warnings)
+    assert findings.results["section_is_invariant"] is False
+    # With the rates held, no angle has one: there is no field to draw.
+    section = section_of(Newtonian(), ("alpha_v", "alpha_h"), {"alpha_v": 0.0})
+    assert not has_field(section, np.array([[-1.0, 1.0], [-1.0, 1.0]]))
+    assert not marks(findings, Flow) and not marks(findings, Contour)
+
+
+def test_three_states_make_a_space():
+    findings = found(
+        states=("omega_v", "S_v", "alpha_v"), at={"alpha_v": 0.0}, starts=4, duration=20.0
+    )
+    panel = findings.charts[0].panels[0]
+    assert panel.z is not None and panel.z.label == "α_v"
+    assert all(curve.z is not None for curve in marks(findings, Curve))
+    assert not marks(findings, Flow)
+
+
+def test_a_slow_motor_is_followed_until_it_has_arrived():
+    motor = SingleRotor(rotor="main", currents="dynamic")
+    # From full speed backwards: slow where it passes standstill.
+    findings = found(motor, at={"u_v": 1.0}, starts=({"omega_v": -280.0},))
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "rest" and end["at"]["omega_v"] == pytest.approx(158.527, abs=1e-2)
+    assert "fast one halves in 0.0745 ms" in " ".join(findings.lead)
+
+
+def test_dry_friction_takes_the_separatrices_away():
+    rubbing = extended(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.005)})
+    findings = found(rubbing, at={"alpha_v": 0.0}, starts=4)
+    assert findings.results["separatrices"] == 0 and findings.results["sticking"]
+    assert any("dry friction holds α_v" in curve.label for curve in marks(findings, Curve))
+
+
+def test_a_loop_brings_every_start_to_the_goal():
+    findings = found(loop=LOOP, at={"alpha_v": 0.0}, duration=12.0, starts=4, open_loop_too=True)
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "rest" and end["share"] == 1.0
+    assert "All 4 trajectories under lqr reach the goal" in findings.lead[0]
+    assert not marks(findings, Flow) and not marks(findings, Contour)
+    labels = {curve.label for curve in marks(findings, Curve)}
+    assert {"comes to rest at the goal", "without controller"} <= labels
+    (goal,) = [mark for mark in marks(findings, Points) if mark.marker == "star"]
+    assert (goal.x[0], goal.y[0]) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert any("nullclines do not exist" in text for text in findings.sections[0].text)
+
+
+def test_a_command_at_its_bound_is_marked():
+    findings = found(
+        loop=LOOP, at={"alpha_v": 0.0}, duration=6.0, starts=({"alpha_v": -0.6, "rate_v": -1.5},)
+    )
+    share = findings.results["share_at_bound"]
+    assert 0 < share < 1
+    (at_bound,) = [c for c in marks(findings, Curve) if c.label == "command at its bound"]
+    assert 0 < np.isfinite(at_bound.x).mean() < 1
+
+
+def test_a_loop_that_does_not_arrive_is_not_praised():
+    findings = found(loop=LOOP, at={"alpha_v": 0.0}, duration=0.4, starts=2)
+    assert findings.lead[0].startswith("None of the 2 trajectories under lqr")
+
+
+def test_a_model_that_only_steps_is_refused():
+    from trms_cli.commands.composition import compose
+    from trms_cli.commands.recording_request import model_of
+
+    model = model_of(compose(["model=narx_vertical"]).config)
+    with pytest.raises(ModelError, match="only steps"):
+        found(model)
+
+
+def test_two_portraits_are_equal(hover):
+    assert found(at={"alpha_v": 0.0}, starts=12).results == hover.results
