@@ -8,7 +8,8 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.legend_handler import HandlerTuple
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.transforms import ScaledTranslation
 
 from trms_cli.core.chart import Axis, Chart, Panel
 from trms_cli.reporting.chart_marks import Handle, draw_mark
@@ -16,6 +17,10 @@ from trms_cli.reporting.style import new_figure
 
 #: Letters of a legend that fit into an inch, its handle counted as some.
 _LETTERS_PER_INCH, _HANDLE_LETTERS = 15.0, 6
+#: Inches from a panel down to its legend: tick labels and the axis' label lie between.
+_BENEATH = 0.45
+#: A logarithmic axis up to this ratio has room for 1, 2 and 5 of each decade.
+_PLAIN_SPAN = 150.0
 
 
 def picture_of(chart: Chart) -> Figure:
@@ -36,7 +41,7 @@ def picture_of(chart: Chart) -> Figure:
         _legend_beneath(figure, union, width)
     else:
         for axes, legend in zip(places, legends, strict=True):
-            _legend_above(axes, legend, chart.width)
+            _legend_beneath_panel(figure, axes, legend, chart.width)
     return figure
 
 
@@ -63,6 +68,8 @@ def _draw_panel(axes: Any, panel: Panel) -> dict[str, Handle]:
     for name, axis in (("x", panel.x), ("y", panel.y), ("z", panel.z)):
         if axis is not None and axis.limits is not None:
             getattr(axes, f"set_{name}lim")(*axis.limits)
+        if axis is not None and axis.log:
+            _set_decades(axes, name)
     if panel.title:
         axes.set_title(panel.title, fontweight="bold")
     if panel.equal:
@@ -76,6 +83,16 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
     getattr(axes, f"set_{name}label")(label, **pad)
     if axis.log:
         getattr(axes, f"set_{name}scale")("log")
+
+
+def _set_decades(axes: Any, name: str) -> None:
+    """Plain numbers on a logarithmic axis of a decade or two, powers of ten on a longer one."""
+    low, high = getattr(axes, f"get_{name}lim")()
+    side = getattr(axes, f"{name}axis")
+    side.set_minor_formatter(NullFormatter())
+    if low > 0 and high / low < _PLAIN_SPAN:
+        side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _one_legend_serves(legends: Sequence[dict[str, Handle]]) -> bool:
@@ -108,18 +125,20 @@ def _legend_beneath(figure: Figure, handles: dict[str, Handle], width: float) ->
             ncols=_columns(list(handles), width),
             handlelength=1.8,
             columnspacing=1.4,
-            handler_map={tuple: HandlerTuple(ndivide=None)},
         )
 
 
-def _legend_above(axes: Any, handles: dict[str, Handle], width: float) -> None:
+def _legend_beneath_panel(
+    figure: Figure, axes: Any, handles: dict[str, Handle], width: float
+) -> None:
     if not handles:
         return
     axes.legend(
         [handle.artist for handle in handles.values()],
         list(handles),
         loc="upper left",
-        bbox_to_anchor=(0.0, -0.2),
+        bbox_to_anchor=(0.0, 0.0),
+        bbox_transform=axes.transAxes + ScaledTranslation(0.0, -_BENEATH, figure.dpi_scale_trans),
         ncols=_columns(list(handles), width),
         handlelength=1.6,
         columnspacing=1.2,
