@@ -148,12 +148,12 @@ def _run(
         condition: tuple[int, bool] | None = None
         branch: _Branch | None = None
         if operation == ca.OP_CONST:
-            value = Interval.point(np.full(count, constant))
+            value = Interval.point(np.array([constant]))  # shared by all boxes, as p may be
         elif operation == ca.OP_INPUT:
             given = arguments[inputs[0]]
             value = Interval(
-                np.broadcast_to(given.lower[..., inputs[1]], count),
-                np.broadcast_to(given.upper[..., inputs[1]], count),
+                np.atleast_1d(given.lower[..., inputs[1]]),
+                np.atleast_1d(given.upper[..., inputs[1]]),
             )
         elif operation in _COMPARISONS:
             value = _COMPARISONS[operation](work[inputs[0]], work[inputs[1]])
@@ -188,7 +188,7 @@ def _half(
 ) -> tuple[Interval, _Branch | None]:
     """``value`` if the condition holds, else 0."""
     never, always = truth.upper < 0.5, truth.lower > 0.5
-    zero = np.zeros_like(value.lower)
+    zero = np.zeros(1)
     hull = value.hull(Interval(zero, zero))
     found = Interval(
         np.where(never, 0.0, np.where(always, value.lower, hull.lower)),

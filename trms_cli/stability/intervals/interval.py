@@ -97,10 +97,12 @@ class Interval:
         return _outwards(self.lower - other.upper, self.upper - other.lower)
 
     def __mul__(self, other: Interval) -> Interval:
-        corners = [
-            _product(a, b) for a in (self.lower, self.upper) for b in (other.lower, other.upper)
-        ]
-        return _outwards(np.minimum.reduce(corners), np.maximum.reduce(corners))
+        a, b, c, d = self.lower, self.upper, other.lower, other.upper
+        with np.errstate(invalid="ignore", over="ignore"):
+            low, high = _ends(a * c, a * d, b * c, b * d)
+            if np.isnan(low).any():
+                low, high = _ends(_product(a, c), _product(a, d), _product(b, c), _product(b, d))
+        return _outwards(low, high)
 
     def __truediv__(self, other: Interval) -> Interval:
         return self * other.reciprocal()
@@ -184,16 +186,24 @@ def stack(parts: list[Interval]) -> Interval:
     )
 
 
+def _ends(*corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The least and the largest; NaN where one is."""
+    p, q, r, s = corners
+    low = np.minimum(np.minimum(p, q), np.minimum(r, s))
+    return low, np.maximum(np.maximum(p, q), np.maximum(r, s))
+
+
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
     """a·b, where 0 times infinity is 0: the bound of a product of numbers."""
-    with np.errstate(invalid="ignore"):
-        found = a * b
-    return np.where((a == 0.0) | (b == 0.0), 0.0, found)
+    return np.where((a == 0.0) | (b == 0.0), 0.0, a * b)
 
 
 def _outwards(lower: FloatArray, upper: FloatArray, steps: int = 1) -> Interval:
-    lower = np.where(np.isnan(lower), -np.inf, lower)
-    upper = np.where(np.isnan(upper), np.inf, upper)
+    unknown = np.isnan(lower), np.isnan(upper)
+    if unknown[0].any():
+        lower = np.where(unknown[0], -np.inf, lower)
+    if unknown[1].any():
+        upper = np.where(unknown[1], np.inf, upper)
     for _ in range(steps):
         lower, upper = np.nextafter(lower, -np.inf), np.nextafter(upper, np.inf)
     return Interval(np.asarray(lower), np.asarray(upper))

@@ -1,0 +1,257 @@
+"""The equations of rest of a model as a square system, in blocks that are solved one by one.
+
+What is left after :mod:`trms_cli.stability.equilibria.elimination` are a few equations
+``g(z, v) = 0`` in unknowns z, given the inputs and constant torques v. A matching of equations to
+unknowns tells what the structure allows:
+
+- A state that no equation determines is *free*: a yaw that nothing pulls back rests anywhere.
+- An equation that no state can meet asks for an input instead, which is *released*: without a
+  cable the tail rotor has to balance yaw exactly, so that u_h follows from u_v.
+- An angle can be *held*: it is given, and an input is released for it.
+
+The strongly connected components of the matched system are blocks in an order in which each needs
+only what was solved before (Duff & Reid 1978, ACM Trans. Math. Softw. 4; Dulmage & Mendelsohn).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from trms_cli.core.errors import ModelError
+from trms_cli.models.model import Model, Signal, index_of, names
+from trms_cli.models.rest import rest_equations
+from trms_cli.stability.equilibria.elimination import eliminated
+from trms_cli.stability.equilibria.steady_input import arriving
+from trms_cli.stability.equilibria.torque_balance import torques
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Equations that are solved together, after the blocks before.
+
+    Attributes
+    ----------
+    rows, unknowns : tuple of int
+        Positions in g and in z, equally many.
+    """
+
+    rows: tuple[int, ...]
+    unknowns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class RestSystem:
+    """``g(z, v) = 0``.
+
+    Attributes
+    ----------
+    model : Model
+    unknowns : tuple of Signal
+        z: states and released inputs.
+    given : tuple of Signal
+        v: all inputs, then all disturbances; what is released or without effect is not read.
+    blocks : tuple of Block
+        In the order in which they are solved.
+    free : tuple of str
+        States that nothing determines; they stay as in :meth:`Model.rest`.
+    released : tuple of str
+        Inputs among the unknowns.
+    idle : tuple of str
+        Inputs that rest does not depend on.
+    held : dict of str to float
+        Angles that are given, rad.
+    residual : casadi.Function
+        ``(z, v, p) → g``, rates or torques.
+    point : casadi.Function
+        ``(z, v, p) → x, u, reached``: the whole state, all commands, what reaches the motors.
+    mobility : casadi.Function
+        ``(z, v, p) → W``, by columns: torques stand for accelerations in g where it is regular.
+    """
+
+    model: Model
+    unknowns: tuple[Signal, ...]
+    given: tuple[Signal, ...]
+    blocks: tuple[Block, ...]
+    free: tuple[str, ...]
+    released: tuple[str, ...]
+    idle: tuple[str, ...]
+    held: Mapping[str, float]
+    residual: ca.Function
+    point: ca.Function
+    mobility: ca.Function
+
+    @property
+    def n(self) -> int:
+        return len(self.unknowns)
+
+    def given_index(self, name: str) -> int:
+        return names(self.given).index(name)
+
+
+def rest_system(
+    model: Model,
+    varied: Collection[str] = (),
+    held: Mapping[str, float] | None = None,
+) -> RestSystem:
+    """The equations of rest of a model.
+
+    Parameters
+    ----------
+    model : Model
+        What impulses, delays and sensors do is no part of them; the input path is.
+    varied : collection of str
+        Inputs that are to stay given.
+    held : dict of str to float
+        Angles that are given (rad), each in exchange for an input.
+
+    Raises
+    ------
+    ModelError
+        If no inputs are left to be released for what has to be held.
+    """
+    held = dict(held or {})
+    s, u, p, w = model.symbols()
+    equations = rest_equations(model)
+    s = ca.SX.sym("s", len(equations.unknowns))
+    own = [model.states[i] for i in equations.unknowns]
+    residual = equations.residual(s, arriving(model, u, p), p, w)
+    for name, value in held.items():
+        row = names(own).index(name)
+        residual = ca.substitute(residual, s[row], ca.SX(value))
+    # What an effect remembers (a cable's z) stays too: it is free, not the angle that it acts on.
+    lasting = [i for i, s_i in enumerate(own) if s_i.name in _angles(model) or "." in s_i.name]
+    values = ca.DM(model.parameters.values)
+    reduced = eliminated(residual, s, ca.vertcat(u, w), p, values, lasting)
+    resting = model.rest()[list(equations.unknowns)]
+    for row, signal in enumerate(own):
+        if signal.name in held:
+            resting[row] = held[signal.name]
+
+    places = [index_of(model.disturbances, a.moment, "a torque") for a in model.axes.values()]
+    symbols = ca.vertcat(s, u, p, w)
+    balances, mobility = torques(reduced.rows, [w[i] for i in places], symbols)
+    rows = ca.vertcat(*balances) if balances else ca.SX.zeros(0)
+    columns = [i for i in reduced.kept if own[i].name not in held]
+    symbols = ca.vertcat(*(s[i] for i in columns), u)
+    candidates = [own[i] for i in columns] + list(model.inputs)
+    pattern = _pattern(rows, symbols)
+    worth = [_worth(signal.name, columns, model, varied) for signal in candidates]
+    matched = _matched(pattern, worth)
+    if len(matched) < rows.numel():
+        _refuse(model, varied, held, rows.numel() - len(matched))
+    chosen = [matched[row] for row in range(rows.numel())]
+    z = ca.SX.sym("z", len(chosen))
+    v = ca.SX.sym("v", model.n_u + model.n_w)
+    free = [i for k, i in enumerate(columns) if k not in chosen]
+
+    # What is unknown becomes z, the inputs that stay given v, what is free rests where it rests.
+    old = [s[i] for i in free] + [s[i] for i, signal in enumerate(own) if signal.name in held]
+    new = [ca.SX(float(resting[i])) for i in free]
+    new += [ca.SX(float(held[signal.name])) for signal in own if signal.name in held]
+    for k, column in enumerate(chosen):
+        old.append(symbols[column])
+        new.append(z[k])
+    taken = {candidates[column].name for column in chosen}
+    for i, signal in enumerate(model.inputs):
+        if signal.name not in taken:
+            old.append(u[i])
+            new.append(v[i])
+    old += [w[i] for i in range(model.n_w)]
+    new += [v[model.n_u + i] for i in range(model.n_w)]
+    pushing = ca.SX.eye(2) if mobility is None else mobility
+    everything = ca.vertcat(rows, reduced.state, u, ca.vec(ca.densify(pushing)))
+    everything = ca.cse(ca.substitute(everything, ca.vertcat(*old), ca.vertcat(*new)))
+    ends = np.cumsum([0, len(chosen), len(own), model.n_u, 4]).tolist()
+    g, state, commands, pushing = ca.vertsplit(everything, ends)
+    reached = arriving(model, commands, p)
+    whole = equations.state(state, reached)
+    released = tuple(
+        candidates[c].name for c in chosen if candidates[c].name in names(model.inputs)
+    )
+    return RestSystem(
+        model=model,
+        unknowns=tuple(candidates[column] for column in chosen),
+        given=(*model.inputs, *model.disturbances),
+        blocks=_blocks(_pattern(g, z)),
+        free=tuple(own[i].name for i in free),
+        released=released,
+        idle=tuple(
+            signal.name
+            for i, signal in enumerate(model.inputs)
+            if signal.name not in released and not ca.depends_on(ca.vertcat(g, state), v[i])
+        ),
+        held=held,
+        residual=ca.Function("rest", [z, v, p], [g]),
+        point=ca.Function("point", [z, v, p], [whole, commands, reached]),
+        mobility=ca.Function("mobility", [z, v, p], [pushing]),
+    )
+
+
+def _angles(model: Model) -> set[str]:
+    return {axis.angle for axis in model.axes.values()} | set(model.controlled)
+
+
+def _worth(name: str, columns: list[int], model: Model, varied: Collection[str]) -> float:
+    """How gladly an equation is matched to an unknown: as many states as can be, then inputs."""
+    if name in varied:
+        return 0.0
+    if name in names(model.inputs):
+        return 1.0
+    # The states of an effect (what a cable remembers) are free rather than the model's own.
+    return 100.0 if "." in name else 1e4
+
+
+def _pattern(rows: ca.SX, symbols: ca.SX) -> npt.NDArray[np.bool_]:
+    if rows.numel() == 0:
+        return np.zeros((0, symbols.numel()), dtype=bool)
+    slopes = ca.jacobian(rows, symbols)
+    return np.array(ca.DM(slopes.sparsity(), 1).full(), dtype=bool)
+
+
+def _matched(pattern: npt.NDArray[np.bool_], worth: list[float]) -> dict[int, int]:
+    """Column by row: a matching of the greatest worth."""
+    gain = np.where(pattern, np.asarray(worth)[None, :], 0.0)
+    rows, columns = linear_sum_assignment(gain, maximize=True)
+    return {
+        int(r): int(c) for r, c in zip(rows, columns, strict=True) if pattern[r, c] and worth[c] > 0
+    }
+
+
+def _blocks(pattern: npt.NDArray[np.bool_]) -> tuple[Block, ...]:
+    """Strongly connected components, each after those that it needs; row i belongs to unknown i."""
+    n = len(pattern)
+    if n == 0:
+        return ()
+    count, label = connected_components(csr_array(pattern), directed=True, connection="strong")
+    members = [tuple(np.flatnonzero(label == k).tolist()) for k in range(count)]
+    done: set[int] = set()
+    ordered: list[Block] = []
+    while len(ordered) < count:
+        for k, own in enumerate(members):
+            needed = {int(label[j]) for i in own for j in np.flatnonzero(pattern[i])} - {k}
+            if k not in done and needed <= done:
+                done.add(k)
+                ordered.append(Block(own, own))
+                break
+    return tuple(ordered)
+
+
+def _refuse(model: Model, varied: Collection[str], held: Mapping[str, float], missing: int) -> None:
+    fixed = ", ".join([*varied, *held])
+    raise ModelError(
+        f"rest of model {model.name!r} asks for {missing} more "
+        f"{'input' if missing == 1 else 'inputs'} than may follow from the others"
+        + (f" with {fixed} given" if fixed else ""),
+        where="study.at" if held else "model",
+        remedy="hold fewer angles" if held else "vary fewer inputs",
+    )
