@@ -1,0 +1,83 @@
+"""The equilibrium of a rig at a constant command, between bounds.
+
+It follows in turns from equations of one unknown each, ``s(ω) = 0`` of each rotor, then the
+balance of pitch and that of yaw at the thrusts found. A change of sign of each, told by interval
+arithmetic, proves an equilibrium between the bounds (intermediate values); that s rises makes the
+rotor's the only one.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ModelError
+from trms_cli.stability.intervals.enclosure import Enclosure
+from trms_cli.stability.intervals.interval import Interval, stack
+from trms_cli.stability.lyapunov.energy import Energy
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Half widths that are tried, as shares of 1 + |value|.
+_WIDTHS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
+
+
+def enclosed_rest(energy: Energy, x: FloatArray) -> Interval:
+    """Bounds of the equilibrium near a state, (3k,), as a state of motion.
+
+    Parameters
+    ----------
+    energy : Energy
+    x : (n_x,)
+        A numerical solution of f(x, u) = 0.
+
+    Raises
+    ------
+    ModelError
+        If no change of sign is found.
+    """
+    y = np.array(energy.to_motion(x)).ravel()
+    found = {name: Interval.point(0.0) for name in energy.names()}
+    thrust: dict[str, Interval] = {}
+    for axis in energy.axes:
+        speed = ca.SX.sym("speed")
+        settling = ca.Function("s", [speed], [energy.settling(axis, speed)])
+        guess = float(y[energy.index("omega", axis)])
+        omega = _zero(settling, guess, f"speed of the rotor of axis {axis}")
+        found[f"omega_{axis}"] = omega
+        thrust[axis] = _at(ca.Function("F", [speed], [energy.thrust(axis, speed)]), omega)
+    for axis in reversed(energy.axes):
+        angle, push, lever = ca.SX.sym("angle"), ca.SX.sym("push"), ca.SX.sym("lever")
+        pitch = found.get("alpha_v", Interval.point(0.0))
+        arm = Interval.point(energy.c["l_m" if axis == "v" else "l_t"])
+        lifted = arm if axis == "v" else arm * pitch.cosine()
+        balance = ca.Function(
+            "balance", [angle, push, lever], [energy.restoring(axis, angle) - lever * push]
+        )
+        guess = float(y[energy.index("alpha", axis)])
+        found[f"alpha_{axis}"] = _zero(balance, guess, f"alpha_{axis}", thrust[axis], lifted)
+    return stack([found[name] for name in energy.names()])
+
+
+def _at(function: ca.Function, *values: Interval) -> Interval:
+    columns = [Interval(np.array([[v.lower]]), np.array([[v.upper]])) for v in values]
+    bounds = Enclosure(function)(*columns)[0]
+    return Interval(bounds.lower[0, 0], bounds.upper[0, 0])
+
+
+def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> Interval:
+    """Bounds of a zero near a guess."""
+    exact = _at(function, Interval.point(0.0), *given)
+    if abs(guess) < 1e-9 and abs(exact.lower) < 1e-300 and abs(exact.upper) < 1e-300:
+        return Interval.point(0.0)  # nothing drives it: exactly zero
+    for width in _WIDTHS:
+        reach = width * (1.0 + abs(guess))
+        low, high = (_at(function, Interval.point(guess + d), *given) for d in (-reach, reach))
+        if low.upper < 0.0 < high.lower:
+            return Interval.of(guess - reach, guess + reach)
+    raise ModelError(
+        f"no equilibrium is proved near {what} = {guess:.6g}",
+        where="study.at",
+        remedy="choose one away from the fold, where the restoring moment still rises",
+    )

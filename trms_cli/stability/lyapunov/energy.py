@@ -1,0 +1,356 @@
+"""The energy-like function V of a rig at a constant command, and its decay as a quadratic form.
+
+With q̇ = Ω, α̃ = α − ᾱ, and s what settles in the rotors (:mod:`.rotor`, :mod:`.beam`)::
+
+    V = ½ q̇ᵀΓM q̇ + Σ γ_i U_i(α_i) + Σ c_i ∫s_i dω_i          kinetic, potential, stored
+        + α̃ᵀΓE M q̇ + ½ α̃ᵀΓE K α̃                                with E ≠ 0: a strict function
+
+K holds the friction coefficients, Γ = diag(γ, 1) weighs yaw against pitch (Newtonian model), and
+the wells are
+
+    U_h = cable energy − l_t F̄_h cos ᾱ_v α_h,    U_v = potential energy − l_m F̄_v α_v.
+
+Every difference from the equilibrium is a slope times a deviation (mean value theorem), the
+slopes being θ = (ψ_h, ψ_v, λ_h, λ_v, σ): lacking thrust F − F̄ = ψ s, moment of the wells
+U' = λ α̃, and cos α_v − cos ᾱ_v = −σ α̃_v. So, exactly,
+
+    V̇ = −zᵀ Q(Ω, ω, α; θ) z,      z = (q̇, s, α̃)
+
+    zᵀQz = −q̇ᵀΓ(N + ½Ṁ) q̇ + q̇ᵀΓ(Λ − Λ_d) α̃ − q̇ᵀΓΞ s − q̇ᵀΓE M q̇ + sᵀC s
+           + α̃ᵀΓE [Λ α̃ − (N + Ṁ + K) q̇ − Ξ s]
+
+and V falls wherever Q is positive definite: no neighbourhood of the equilibrium is left out.
+Squares completed, V = ½ yᵀΓM y + Σ γU + ½ α̃ᵀΓE(K − M E) α̃ + Σ c∫s with y = q̇ + E α̃.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.motor import by_direction
+from trms_cli.models.twin_rotor import TwinRotor
+from trms_cli.stability.lyapunov.beam import Place, beam_of, gravity_of
+from trms_cli.stability.lyapunov.rotor import RotorAtRest, rotor_at_rest
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Slopes θ, in this order.
+SLOPES = ("psi_h", "psi_v", "lambda_h", "lambda_v", "sigma", "thrust_h")
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What is free in V.
+
+    Attributes
+    ----------
+    rotor_h, rotor_v : float
+        c, J per (rad/s)²/s.
+    yaw : float
+        γ.
+    cross_h, cross_v : float
+        Diagonal of E, 1/s; 0 is the plain energy.
+    """
+
+    rotor_h: float = 1.0
+    rotor_v: float = 1.0
+    yaw: float = 1.0
+    cross_h: float = 0.0
+    cross_v: float = 0.0
+
+    @property
+    def strict(self) -> bool:
+        """Whether z has the angles."""
+        return self.cross_h > 0.0 or self.cross_v > 0.0
+
+    def array(self) -> FloatArray:
+        """(5,), as the functions take them."""
+        return np.array([self.rotor_h, self.rotor_v, self.yaw, self.cross_h, self.cross_v])
+
+
+class Energy:
+    """Expressions of V and Q of one model at one command.
+
+    States of motion are ``y = (Ω…, ω…, α…)``, yaw before pitch, of the axes that move: k of each.
+    Functions are of ``(y, ȳ, weights)``; nothing of them changes with the weights.
+
+    Parameters
+    ----------
+    model : TwinRotor
+        Newtonian or Lagrangian, with quasi-static currents.
+    u : (n_u,)
+        The command, V.
+    """
+
+    def __init__(self, model: TwinRotor, u: npt.ArrayLike) -> None:
+        self.model = model
+        self.u = np.asarray(u, dtype=float)
+        self.axes = tuple(a for a in "hv" if f"alpha_{a}" in model.state_names)
+        self.k = len(self.axes)
+        self.c = {p.name: p.value for p in model.parameters}
+        command = dict(zip((s.name for s in model.inputs), self.u, strict=True))
+        self.rotors = {a: self._rotor(a, command[f"u_{a}"]) for a in self.axes}
+        self.gravity = gravity_of(model, self.c)
+        #: Symbols of the state of motion, and of the equilibrium.
+        self.y = ca.SX.sym("y", 3 * self.k)
+        self.rest = ca.SX.sym("rest", 3 * self.k)
+        self.theta = ca.SX.sym("theta", len(SLOPES))
+        self.weights = ca.SX.sym("weights", 5)
+
+    def _rotor(self, axis: str, command: float) -> RotorAtRest:
+        constants = {key: ca.SX(value) for key, value in self.c.items()}
+        volt = self.model._circuits[axis].voltage(ca.SX(command), constants)
+        return rotor_at_rest(axis, float(ca.DM(volt)), self.c)
+
+    def names(self) -> tuple[str, ...]:
+        """``Omega_h, …, omega_v, …, alpha_v`` in the order of y."""
+        return tuple(f"{what}_{a}" for what in ("Omega", "omega", "alpha") for a in self.axes)
+
+    def part(self, what: str, axis: str, of: ca.SX | None = None) -> ca.SX:
+        """``Omega``, ``omega`` or ``alpha`` of an axis in y; zero where it is locked."""
+        if axis not in self.axes:
+            return ca.SX(0)
+        return (self.y if of is None else of)[self.index(what, axis)]
+
+    def index(self, what: str, axis: str) -> int:
+        """Position in y."""
+        return ("Omega", "omega", "alpha").index(what) * self.k + self.axes.index(axis)
+
+    @property
+    def weighted(self) -> bool:
+        """Whether yaw may be weighed against pitch: both move, and M is diagonal."""
+        return self.k == 2 and not isinstance(self.model, Lagrangian)
+
+    @cached_property
+    def to_motion(self) -> ca.Function:
+        """``(x) → y``: rates by the model's own equations."""
+        x, _, _, w = self.model.symbols()
+        f = self.model.dynamics(x, ca.DM(self.u), ca.DM(self.model.parameters.values), w * 0)
+        index = self.model.state_index
+        rows = [f[index(f"alpha_{a}")] for a in self.axes]
+        rows += [x[index(f"{what}_{a}")] for what in ("omega", "alpha") for a in self.axes]
+        return ca.Function("to_motion", [x], [ca.vertcat(*rows)])
+
+    @cached_property
+    def to_state(self) -> ca.Function:
+        """``(y) → x``, the inverse: rates are momenta plus what angles and speeds make of them."""
+        x = ca.SX.sym("x", self.model.n_x)
+        index = self.model.state_index
+        rows: list[ca.SX] = [ca.SX(0)] * self.model.n_x
+        for a in self.axes:
+            for what in ("omega", "alpha"):
+                rows[index(f"{what}_{a}")] = self.part(what, a)
+        without = self.to_motion(ca.vertcat(*rows))
+        for i, a in enumerate(self.axes):
+            rows[index(f"S_{a}")] = self.part("Omega", a) - without[i]
+        del x
+        return ca.Function("to_state", [self.y], [ca.vertcat(*rows)])
+
+    def settling(self, axis: str, speed: ca.SX) -> ca.SX:
+        """s at a speed."""
+        rotor = self.rotors[axis]
+        return ca.substitute(rotor.settling, rotor.omega, speed)
+
+    def thrust(self, axis: str, speed: ca.SX) -> ca.SX:
+        """F at a speed."""
+        if axis not in self.axes:
+            return ca.SX(0)
+        rotor = self.rotors[axis]
+        return ca.substitute(rotor.thrust, rotor.omega, speed)
+
+    def potential(self, axis: str, angle: ca.SX) -> ca.SX:
+        """Cable or gravity energy at an angle, without thrust, J."""
+        if axis == "h":
+            return 0.5 * self._cable(angle) * angle**2
+        a, b = self.gravity
+        return b * ca.cos(angle) - a * ca.sin(angle)
+
+    def restoring(self, axis: str, angle: ca.SX) -> ca.SX:
+        """Its derivative, N m."""
+        if axis == "h":
+            return self._cable(angle) * angle
+        a, b = self.gravity
+        return -a * ca.cos(angle) - b * ca.sin(angle)
+
+    def stiffness(self, axis: str, angle: ca.SX) -> ca.SX:
+        """Its second derivative, N m/rad."""
+        if axis == "h":
+            return self._cable(angle)
+        a, b = self.gravity
+        return a * ca.sin(angle) - b * ca.cos(angle)
+
+    def _cable(self, angle: ca.SX) -> ca.SX:
+        return by_direction(angle, ca.SX(self.c["k_chp"]), ca.SX(self.c["k_chn"]))
+
+    def well(self, axis: str) -> ca.SX:
+        """U of an axis, zero at the equilibrium, J.
+
+        The thrust's moment is what the restoring moment is at the equilibrium, so that U' vanishes
+        there by its form.
+        """
+        at, rest = self.part("alpha", axis), self.part("alpha", axis, self.rest)
+        return (
+            self.potential(axis, at)
+            - self.potential(axis, rest)
+            - self.restoring(axis, rest) * (at - rest)
+        )
+
+    def stored(self, axis: str) -> ca.SX:
+        """∫ s dω of a rotor, zero at the equilibrium."""
+        rotor = self.rotors[axis]
+        ends = [
+            ca.substitute(rotor.stored, rotor.omega, self.part("omega", axis, of))
+            for of in (None, self.rest)
+        ]
+        return ends[0] - ends[1]
+
+    @cached_property
+    def _beam(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+        """M, Γ(N + ½Ṁ), N + Ṁ, arms and reaction, of the axes that move."""
+        omega_v = self.part("omega", "v")
+        place = Place(
+            self.part("Omega", "h"),
+            self.part("Omega", "v"),
+            omega_v,
+            self.thrust("v", omega_v),
+            self.part("alpha", "v"),
+        )
+        beam = beam_of(self.model, self.c, place, self.weights[2])
+        keep = ["hv".index(a) for a in self.axes]
+        return (
+            beam.mass[keep, keep],
+            beam.power[keep, keep],
+            beam.drift[keep, keep],
+            beam.arms[keep],
+            beam.reaction[keep, keep],
+        )
+
+    def mass(self, pitch: ca.SX) -> ca.SX:
+        """M at a pitch angle, of the axes that move, kg m²."""
+        mass, *_ = self._beam
+        if "v" not in self.axes:
+            return mass
+        return ca.substitute(mass, self.part("alpha", "v"), pitch)
+
+    def _scales(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Γ, E, K and C as diagonal matrices."""
+        which = ["hv".index(a) for a in self.axes]
+        gamma = ca.vertcat(self.weights[2], 1)[which]
+        cross, rotor = self.weights[3:5][which], self.weights[0:2][which]
+        friction = ca.SX([self.c[f"k_o{a}"] for a in self.axes])
+        return ca.diag(gamma), ca.diag(cross), ca.diag(friction), ca.diag(rotor)
+
+    @cached_property
+    def moving(self) -> ca.Function:
+        """``(y, ȳ, weights) →`` ½ yᵀΓM y and ½ α̃ᵀΓE(K − ME)α̃, (2, 1), J."""
+        mass, *_ = self._beam
+        gamma, cross, friction, _ = self._scales()
+        rates, away = self.y[: self.k], (self.y - self.rest)[2 * self.k :]
+        swung = rates + cross @ away
+        # Squares of single terms are never below zero in interval arithmetic either.
+        kinetic = _quadratic(gamma @ mass, swung)
+        held = 0.5 * sum(
+            gamma[i, i] * cross[i, i] * (friction[i, i] - mass[i, i] * cross[i, i]) * away[i] ** 2
+            for i in range(self.k)
+        )
+        if self.k == 2:
+            held -= gamma[0, 0] * mass[0, 1] * cross[0, 0] * cross[1, 1] * away[0] * away[1]
+        rows = ca.vertcat(kinetic, held)
+        return ca.Function("moving", [self.y, self.rest, self.weights], [rows])
+
+    def alone(self, expression: ca.SX, what: str, axis: str) -> ca.Function:
+        """An expression of one state and its value at rest, as ``(state, at rest) →``."""
+        own = [self.part(what, axis, of) for of in (None, self.rest)]
+        new = [ca.SX.sym("state"), ca.SX.sym("at_rest")]
+        return ca.Function("alone", new, ca.substitute([expression], own, new))
+
+    @cached_property
+    def value(self) -> ca.Function:
+        """``(y, ȳ, weights) → V``, J."""
+        gamma, _, _, rotor = self._scales()
+        v = ca.sum1(self.moving(self.y, self.rest, self.weights))
+        for i, a in enumerate(self.axes):
+            v += gamma[i, i] * self.well(a) + rotor[i, i] * self.stored(a)
+        return ca.Function("V", [self.y, self.rest, self.weights], [v])
+
+    @cached_property
+    def inertia(self) -> ca.Function:
+        """``(y) → M``, (k, k), kg m²."""
+        return ca.Function("M", [self.y], [ca.densify(self._beam[0])])
+
+    @cached_property
+    def decay(self) -> ca.Function:
+        """``(y, θ, weights) → Q``, (3k, 3k), symmetric."""
+        mass, power, drift, arms, reaction = self._beam
+        gamma, cross, friction, rotor = self._scales()
+        which = ["hv".index(a) for a in self.axes]
+        wells = ca.diag(self.theta[2:4][which])
+        coupled = wells
+        if self.k == 2:
+            turned = ca.SX(2, 2)
+            turned[0, 1] = self.c["l_t"] * self.theta[5] * self.theta[4]
+            coupled = wells + turned
+        lacking = ca.diag(arms * self.theta[0:2][which]) - reaction
+        rates = -power - gamma @ cross @ mass
+        rates_speeds = -gamma @ lacking
+        rates_angles = gamma @ (coupled - wells) - (gamma @ cross @ (drift + friction)).T
+        angles = gamma @ cross @ coupled
+        speeds_angles = (-gamma @ cross @ lacking).T
+        whole = ca.blockcat(
+            [
+                [rates, rates_speeds, rates_angles],
+                [ca.SX(self.k, self.k), rotor, speeds_angles],
+                [ca.SX(self.k, self.k), ca.SX(self.k, self.k), angles],
+            ]
+        )
+        q = ca.densify(0.5 * (whole + whole.T))
+        return ca.Function("Q", [self.y, self.theta, self.weights], [q])
+
+    @cached_property
+    def deviations(self) -> ca.Function:
+        """``(y, ȳ) → z``, (3k, 1)."""
+        speeds = [self.settling(a, self.part("omega", a)) for a in self.axes]
+        away = (self.y - self.rest)[2 * self.k :]
+        return ca.Function("z", [self.y, self.rest], [ca.vertcat(self.y[: self.k], *speeds, away)])
+
+    @cached_property
+    def slopes_between(self) -> ca.Function:
+        """``(y, ȳ) → θ``, the slopes themselves, as quotients: not where a deviation is zero."""
+        rows: list[ca.SX] = [ca.SX(0)] * len(SLOPES)
+        for i, a in enumerate("hv"):
+            if a not in self.axes:
+                continue
+            omega, rest = (self.part("omega", a, of) for of in (None, self.rest))
+            rows[i] = (self.thrust(a, omega) - self.thrust(a, rest)) / self.settling(a, omega)
+            alpha, zero = (self.part("alpha", a, of) for of in (None, self.rest))
+            rows[2 + i] = (self.restoring(a, alpha) - self.restoring(a, zero)) / (alpha - zero)
+        if self.k == 2:
+            alpha, zero = (self.part("alpha", "v", of) for of in (None, self.rest))
+            rows[4] = -(ca.cos(alpha) - ca.cos(zero)) / (alpha - zero)
+            rows[5] = self.thrust("h", self.part("omega", "h", self.rest))
+        return ca.Function("theta", [self.y, self.rest], [ca.vertcat(*rows)])
+
+    @cached_property
+    def derivative(self) -> ca.Function:
+        """``(x, ȳ, weights) → V̇`` along the model's own equations, W."""
+        x, _, _, w = self.model.symbols()
+        f = self.model.dynamics(x, ca.DM(self.u), ca.DM(self.model.parameters.values), w * 0)
+        v = self.value(self.to_motion(x), self.rest, self.weights)
+        return ca.Function("V_dot", [x, self.rest, self.weights], [ca.jtimes(v, x, f)])
+
+
+def _quadratic(matrix: ca.SX, z: ca.SX) -> ca.SX:
+    """½ zᵀ A z of a symmetric matrix of one or two rows, as a sum of squares."""
+    if z.numel() == 1:
+        return 0.5 * matrix[0, 0] * z[0] ** 2
+    if matrix[0, 1].is_zero():
+        return 0.5 * (matrix[0, 0] * z[0] ** 2 + matrix[1, 1] * z[1] ** 2)
+    beside = matrix[0, 1] / matrix[0, 0]
+    rest = matrix[1, 1] - matrix[0, 1] * beside
+    return 0.5 * (matrix[0, 0] * (z[0] + beside * z[1]) ** 2 + rest * z[1] ** 2)

@@ -1,0 +1,230 @@
+"""One Lyapunov function candidate with its weights: numbers, bounds, and where its sets end."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.stability.intervals.enclosure import Enclosure
+from trms_cli.stability.intervals.interval import Interval, stack
+from trms_cli.stability.lyapunov.enclosed_rest import enclosed_rest
+from trms_cli.stability.lyapunov.energy import Energy, Weights
+from trms_cli.stability.lyapunov.falling import definite
+from trms_cli.stability.lyapunov.slopes import Slopes, over
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Candidate:
+    """V of a model at a command, with bounds that count.
+
+    Parameters
+    ----------
+    energy : Energy
+    x : (n_x,)
+        The equilibrium.
+    weights : Weights
+    """
+
+    def __init__(self, energy: Energy, x: FloatArray, weights: Weights) -> None:
+        self.energy, self.x = energy, np.asarray(x, dtype=float)
+        self.weights = weights
+        self.rest = enclosed_rest(energy, self.x)
+        self.slopes = Slopes(energy, self.rest)
+        self._moving = Enclosure(energy.moving)
+        self._well = {a: Enclosure(energy.alone(energy.well(a), "alpha", a)) for a in energy.axes}
+        self._store = {
+            a: Enclosure(energy.alone(energy.stored(a), "omega", a)) for a in energy.axes
+        }
+        self._decay = Enclosure(energy.decay)
+        self._mass = Enclosure(energy.inertia)
+        self._inverse = _inverse_inertia(energy)
+
+    def weighted(self, weights: Weights) -> Candidate:
+        """The same with other weights."""
+        other = object.__new__(Candidate)
+        other.__dict__.update(self.__dict__)
+        other.weights = weights
+        return other
+
+    @property
+    def centre(self) -> FloatArray:
+        """The equilibrium as a state of motion, (3k,)."""
+        return self.rest.middle
+
+    # Numbers
+
+    def value(self, y: npt.ArrayLike) -> FloatArray:
+        """V at states of motion (m, 3k): (m,), J."""
+        columns = np.atleast_2d(y).T
+        return np.array(self.energy.value(columns, self.centre, self.weights.array())).ravel()
+
+    def derivative(self, x: npt.ArrayLike) -> FloatArray:
+        """V̇ at states (m, n_x): (m,), W."""
+        columns = np.atleast_2d(x).T
+        return np.array(self.energy.derivative(columns, self.centre, self.weights.array())).ravel()
+
+    def states(self, y: npt.ArrayLike) -> FloatArray:
+        """States of the model (m, n_x) from states of motion (m, 3k)."""
+        return np.array(self.energy.to_state(np.atleast_2d(y).T)).T
+
+    def motions(self, x: npt.ArrayLike) -> FloatArray:
+        """States of motion (m, 3k) from states of the model (m, n_x)."""
+        return np.array(self.energy.to_motion(np.atleast_2d(x).T)).T
+
+    # Bounds
+
+    def terms(self, boxes: Interval) -> Interval:
+        """Bounds of the terms of V over boxes (m, 3k): (m, 2 + 2k); none is below zero.
+
+        Wells and stores rise away from the equilibrium (:meth:`extent` says how far), so that
+        their bounds are their values at the nearest and the farthest place.
+        """
+        weights = Interval.point(self.weights.array())
+        moving = self._moving(boxes, self.rest, weights)[0]
+        parts = [Interval(np.maximum(moving.lower[:, i], 0.0), moving.upper[:, i]) for i in (0, 1)]
+        for a in self.energy.axes:
+            part = self._rising(self._well[a], boxes, self.energy.index("alpha", a))
+            gamma = self.weights.yaw if a == "h" else 1.0
+            parts.append(part * Interval.point(gamma))
+        for a in self.energy.axes:
+            part = self._rising(self._store[a], boxes, self.energy.index("omega", a))
+            weight = self.weights.rotor_h if a == "h" else self.weights.rotor_v
+            parts.append(part * Interval.point(weight))
+        return stack(parts)
+
+    def _rising(self, function: Enclosure, boxes: Interval, j: int) -> Interval:
+        """Bounds of a function of one state that rises away from the equilibrium, (m,)."""
+        box, rest = boxes[:, j], self.rest[j]
+        nearest = np.where(box.lower > rest.upper, box.lower, box.upper)
+        near, low, high = (
+            function(Interval.point(place[:, None]), Interval(rest.lower[None], rest.upper[None]))
+            for place in (nearest, box.lower, box.upper)
+        )
+        lower = np.where(box.meets(rest), 0.0, np.maximum(near[0].lower[:, 0], 0.0))
+        upper = np.maximum(low[0].upper[:, 0], high[0].upper[:, 0])
+        return Interval(lower, np.maximum(upper, lower))
+
+    def values(self, boxes: Interval) -> Interval:
+        """Bounds of V over boxes, (m,)."""
+        parts = self.terms(boxes)
+        total = parts[:, 0]
+        for i in range(1, parts.lower.shape[1]):
+            total = total + parts[:, i]
+        return total
+
+    def matrices(self, boxes: Interval) -> Interval:
+        """Bounds of Q over boxes: (m, 2k, 2k), or (m, 3k, 3k) of a strict function."""
+        found = self._decay(boxes, self.slopes(boxes), Interval.point(self.weights.array()))[0]
+        size = (3 if self.weights.strict else 2) * self.energy.k
+        return found[:, :size, :size]
+
+    def inertias(self, boxes: Interval) -> Interval:
+        """Bounds of M over boxes, (m, k, k)."""
+        found = self._mass(boxes)[0]
+        return found if found.lower.ndim == 3 else found[:, :, None]
+
+    def at_rest(self) -> Interval:
+        """Q at the equilibrium, (1, …)."""
+        return self.matrices(Interval(self.rest.lower[None], self.rest.upper[None]))
+
+    def falls_at_rest(self) -> bool:
+        """Whether Q is positive definite at the equilibrium."""
+        return bool(definite(self.at_rest())[0][0])
+
+    # Sets
+
+    def extent(self, level: float, ends: Interval | None = None) -> Interval:
+        """A box around {V <= level}, (3k,).
+
+        Every term of V is at most the level; each well rises on both sides up to the ends given,
+        each store everywhere, so that where one has passed the level nothing beyond counts.
+
+        Parameters
+        ----------
+        level : float
+        ends : Interval, optional
+            (k,), the angles' range that is asked about: where the wells rise.
+        """
+        k, axes, y = self.energy.k, self.energy.axes, self.centre
+        lower, upper = np.empty(3 * k), np.empty(3 * k)
+        for i, a in enumerate(axes):
+            for what, row in (("omega", 2 + k + i), ("alpha", 2 + i)):
+                j = self.energy.index(what, a)
+                bound = (-np.inf, np.inf)
+                if what == "alpha" and ends is not None:
+                    bound = (float(ends.lower[i]), float(ends.upper[i]))
+                lower[j] = self._reach(j, row, level, -1.0, bound[0])
+                upper[j] = self._reach(j, row, level, 1.0, bound[1])
+        angles = slice(2 * k, 3 * k)
+        pitch = Interval.point(0.0)
+        if "v" in axes:
+            j = self.energy.index("alpha", "v")
+            pitch = Interval(lower[j], upper[j])
+        away = np.maximum(np.abs(lower[angles] - y[angles]), np.abs(upper[angles] - y[angles]))
+        for i, a in enumerate(axes):
+            between = Interval(pitch.lower[None], pitch.upper[None])
+            inverse = float(over(self._inverse[i], between, 64).upper[0])
+            gamma = self.weights.yaw if a == "h" else 1.0
+            cross = self.weights.cross_h if a == "h" else self.weights.cross_v
+            rate = float(np.sqrt(2.0 * level * inverse / gamma)) + cross * float(away[i])
+            lower[i], upper[i] = -rate * (1.0 + 1e-9), rate * (1.0 + 1e-9)
+        return Interval(lower, upper)
+
+    def _reach(self, j: int, row: int, level: float, side: float, end: float) -> float:
+        """Where one term, rising away from the equilibrium, has passed a level; else the end."""
+
+        def passed(distance: float) -> bool:
+            y = self.centre.copy()
+            y[j] += side * distance
+            return bool(self._row(row, y) >= level)
+
+        return float(self.centre[j] + side * _smallest(passed, abs(end - self.centre[j])))
+
+    def well_at(self, axis: str, angle: float) -> float:
+        """A lower bound of γU of an axis at an angle, J."""
+        y = self.centre.copy()
+        y[self.energy.index("alpha", axis)] = angle
+        return self._row(2 + self.energy.axes.index(axis), y)
+
+    def _row(self, row: int, y: FloatArray) -> float:
+        """A lower bound of one well or store at a state."""
+        a = self.energy.axes[(row - 2) % self.energy.k]
+        well = row < 2 + self.energy.k
+        j = self.energy.index("alpha" if well else "omega", a)
+        function = (self._well if well else self._store)[a]
+        point = Interval.point(np.array([[y[j]]]))
+        found = function(point, Interval(self.rest.lower[j : j + 1], self.rest.upper[j : j + 1]))
+        scales = dataclasses.asdict(self.weights)
+        weight = (scales["yaw"] if a == "h" else 1.0) if well else scales[f"rotor_{a}"]
+        return float(found[0].lower[0, 0]) * weight * (1.0 - 1e-12)
+
+
+def _smallest(passed: Callable[[float], bool], farthest: float) -> float:
+    """A distance at which a rising quantity has passed, close to the first one."""
+    high = min(1e-3, farthest)
+    while not passed(high):
+        if high >= farthest or high > 1e9:
+            return farthest
+        high = min(2.0 * high, farthest)
+    low = 0.0
+    while high - low > 1e-4 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if passed(middle) else (middle, high)
+    return high
+
+
+def _inverse_inertia(energy: Energy) -> list[Enclosure]:
+    """Diagonal of M⁻¹ by the pitch angle."""
+    t = ca.SX.sym("t")
+    mass = energy.mass(t)
+    if energy.k == 1:
+        entries = [1 / mass[0, 0]]
+    else:
+        determinant = mass[0, 0] * mass[1, 1] - mass[0, 1] ** 2
+        entries = [mass[1, 1] / determinant, mass[0, 0] / determinant]
+    return [Enclosure(ca.Function("inverse", [t], [entry])) for entry in entries]

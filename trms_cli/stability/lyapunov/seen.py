@@ -1,0 +1,127 @@
+"""V along motions of the model: what the proofs say, seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.model import Model
+from trms_cli.stability.lyapunov.claims import Claim
+from trms_cli.stability.lyapunov.function import Candidate
+from trms_cli.stability.lyapunov.search import rays
+from trms_cli.stability.lyapunov.well import Wells
+from trms_cli.stability.vector_field import VectorField
+
+FloatArray = npt.NDArray[np.float64]
+
+_STEP = 0.05
+#: Rise of V, as a share of its level at the start, that the integrator's error may make.
+_ERROR = 1e-6
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Motions from one level set.
+
+    Attributes
+    ----------
+    time : (n,) array
+        s.
+    y : (n, m, 3k) array
+        States of motion.
+    value : (n, m) array
+        V, J.
+    level : float
+        V at the start, J.
+    """
+
+    time: FloatArray
+    y: FloatArray
+    value: FloatArray
+    level: float
+
+    @property
+    def rise(self) -> float:
+        """The largest rise of V above anything it was before, as a share of the level."""
+        before = np.minimum.accumulate(self.value, axis=0)
+        return float(np.max(self.value - before) / self.level)
+
+    @property
+    def left(self) -> float:
+        """The largest share of V that is left at the end."""
+        return float(np.max(self.value[-1]) / self.level)
+
+
+def on_level(
+    candidate: Candidate, wells: Wells, level: float, directions: FloatArray
+) -> FloatArray:
+    """States of motion with V = level, one on each ray that meets it in the well: (m, 3k)."""
+    y, k = candidate.centre, candidate.energy.k
+    found = []
+    for direction in directions:
+        angles = direction[2 * k :]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.where(
+                angles > 0,
+                (wells.ends.upper - y[2 * k :]) / angles,
+                (wells.ends.lower - y[2 * k :]) / angles,
+            )
+        ends = ends[angles != 0.0]
+        high = min(float(np.nanmin(ends, initial=np.inf)), 1e6)
+        low, start = 0.0, 1e-3
+        while start < high and candidate.value(y + start * direction)[0] < level:
+            low, start = start, 1.5 * start
+        high = min(high, start)
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            if candidate.value(y + middle * direction)[0] < level:
+                low = middle
+            else:
+                high = middle
+        if abs(candidate.value(y + low * direction)[0] - level) < 1e-6 * level:
+            found.append(y + low * direction)
+    return np.array(found).reshape(-1, 3 * k)
+
+
+def plane_directions(candidate: Candidate, axis: str, count: int) -> FloatArray:
+    """Directions in the plane of one angle and its rate, the rotors settled: (count, 3k)."""
+    energy = candidate.energy
+    turn = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False) + 0.3
+    found = np.zeros((count, 3 * energy.k))
+    found[:, energy.index("alpha", axis)] = 0.5 * np.cos(turn)
+    found[:, energy.index("Omega", axis)] = np.sin(turn)
+    return found
+
+
+def random_directions(candidate: Candidate, count: int, seed: int) -> FloatArray:
+    """Directions all round, (count, 3k)."""
+    return rays(candidate, count, seed)
+
+
+def motions(
+    candidate: Candidate, model: Model, starts: FloatArray, level: float, duration: float
+) -> Motions:
+    """Motions of a model, with its effects, from states of motion (m, 3k)."""
+    states = candidate.states(starts)
+    n = states.shape[1]
+    whole = np.tile(model.rest(), (len(states), 1))
+    whole[:, :n] = states
+    path = VectorField(model).motions(whole, candidate.energy.u, duration, _STEP)
+    count, m = path.shape[:2]
+    y = candidate.motions(path[:, :, :n].reshape(-1, n)).reshape(count, m, -1)
+    value = candidate.value(y.reshape(count * m, -1)).reshape(count, m)
+    return Motions(_STEP * np.arange(count), y, value, level)
+
+
+def of_motions(seen: Motions, duration: float) -> Claim:
+    """Whether V fell along all of them."""
+    good = bool(np.isfinite(seen.value).all()) and seen.rise <= _ERROR
+    return Claim(
+        "seen",
+        f"Along {seen.value.shape[1]} motions from the edge of N′ V falls and none leaves N′",
+        "simulated" if good else "failed",
+        f"largest rise {seen.rise:.1g} of the level; at most {100 * seen.left:.2g} % of V is left "
+        f"after {duration:g} s",
+    )

@@ -1,0 +1,87 @@
+"""Which models have an energy function here, and what effects on them leave it one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trms_cli.core.errors import ModelError
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import ExtendedModel
+from trms_cli.effects.quadratic_damping import QuadraticDamping
+from trms_cli.effects.stribeck_friction import StribeckFriction
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.twin_rotor import TwinRotor
+from trms_cli.stability.subject import Subject, effects_of
+
+#: Effects that only take energy from an axis: power −F_c|Ω| and the like.
+_RESISTING = (CoulombFriction, StribeckFriction, QuadraticDamping)
+_DRY = (CoulombFriction, StribeckFriction)
+#: Parts of an effect that change what moves; an effect with none of them is about sensors.
+_MOVING = ("states", "memory", "derivative", "disturbance", "impulse", "input_path", "noise_sd")
+_INSTEAD = "study=region_of_attraction finds functions by computation for any model with equations"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What the energy is of.
+
+    Attributes
+    ----------
+    model : TwinRotor
+        Without effects.
+    resisting, dry, sensing : tuple of str
+        Names of the effects that resist motion, of those among them that hold it at rest, and of
+        those that only change what is measured.
+    """
+
+    model: TwinRotor
+    resisting: tuple[str, ...]
+    dry: tuple[str, ...]
+    sensing: tuple[str, ...]
+
+
+def rig_of(subject: Subject) -> Rig:
+    """The rig beneath a subject.
+
+    Raises
+    ------
+    ModelError
+        For a model whose energy is not stated here, and for an effect that changes it.
+    """
+    model: Model = subject.require_equations("a Lyapunov function")
+    resisting, dry, sensing = [], [], []
+    for name, effect in effects_of(model):
+        if isinstance(effect, _RESISTING):
+            resisting.append(name)
+            if isinstance(effect, _DRY):
+                dry.append(name)
+        elif all(getattr(type(effect), part) is getattr(Effect, part) for part in _MOVING):
+            sensing.append(name)
+        else:
+            raise ModelError(
+                f"effect {name!r} changes the motion in a way that the energy does not follow",
+                where=f"effect.{name}",
+                remedy="leave it out; friction and damping of an axis and sensors may stay. "
+                + _INSTEAD,
+            )
+    while isinstance(model, ExtendedModel):
+        model = model.base
+    if not isinstance(model, Newtonian | Lagrangian):
+        raise ModelError(
+            f"the energy of model {subject.name!r} is not stated here, only that of the Newtonian "
+            "and the Lagrangian TRMS",
+            where="model",
+            remedy="choose model=newtonian, newtonian_vertical, newtonian_horizontal or lagrangian "
+            f"(lagrangian_…) with any parameters; {_INSTEAD}",
+        )
+    if model.stiff:
+        raise ModelError(
+            "the functions are those of rotors with quasi-static currents, and this model has the "
+            "currents as states",
+            where="model.currents",
+            remedy="model.currents=quasi_static (it differs by less than 1e-4 rad)",
+        )
+    return Rig(model, tuple(resisting), tuple(dry), tuple(sensing))

@@ -1,0 +1,242 @@
+"""A certificate in words, tables and data."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.stability.findings import Judged, Judgement, Table
+from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.lyapunov.certificate import Certificate
+from trms_cli.stability.lyapunov.claims import Claim
+from trms_cli.stability.lyapunov.function import Candidate
+from trms_cli.stability.lyapunov.subject import Rig
+from trms_cli.stability.operating_point import OperatingPoint
+
+FloatArray = npt.NDArray[np.float64]
+
+_JUDGED: dict[str, Judgement] = {"failed": "bad", "open": "doubtful", "simulated": ""}
+_SPOKEN = {"Omega": "Ω", "omega": "ω", "alpha": "α"}
+_UNIT = {"Omega": "rad/s", "omega": "rad/s", "alpha": "rad"}
+
+
+def formula(candidate: Candidate) -> list[str]:
+    """V with its numbers, a line a term."""
+    energy, w, c = candidate.energy, candidate.weights, candidate.energy.c
+    y = candidate.centre
+    rates = {a: f"Ω_{a}" for a in energy.axes}
+    if w.strict:
+        cross = {"h": w.cross_h, "v": w.cross_v}
+        rates = {
+            a: f"(Ω_{a} + {cross[a]:.3g} (α_{a} − {_place(candidate, 'alpha', a)}))"
+            for a in energy.axes
+        }
+    gamma = "" if w.yaw == 1.0 else f"{w.yaw:g} · "
+    lines = []
+    if energy.k == 2 and energy.weighted:
+        lines.append(f"V = {gamma}½ J_h(α_v) {rates['h']}² + ½ J_v {rates['v']}²")
+    elif energy.k == 2:
+        lines.append(f"V = ½ yᵀM(α_v) y, y = ({rates['h']}, {rates['v']})")
+    else:
+        (a,) = energy.axes
+        inertia = float(candidate.inertias(_at_rest(candidate)).upper[0, 0, 0])
+        lines.append(f"V = ½ · {inertia:.4g} kg m² · {rates[a]}²")
+    for a in energy.axes:
+        if a == "h":
+            stiff = f"½ k_ch(α_h) α_h² [{c['k_chp']:.4g}, {c['k_chn']:.4g} N m/rad]"
+            lines.append(
+                f"  + {gamma}U_h: {stiff}, tilted to rest at {_place(candidate, 'alpha', a)}"
+            )
+        else:
+            size = math.hypot(*energy.gravity)
+            tilt = math.atan2(-energy.gravity[0], -energy.gravity[1])
+            rest = float(y[energy.index("alpha", a)])
+            lines.append(
+                f"  + U_v: {size:.4g} N m · [cos({rest + tilt:.4g}) − cos(α_v + {tilt:.4g}) "
+                f"− sin({rest + tilt:.4g}) (α_v − {_place(candidate, 'alpha', a)})]"
+            )
+    if w.strict:
+        lines.append("  + ½ α̃ᵀΓE(K − M E)α̃")
+    for a in energy.axes:
+        weight = w.rotor_h if a == "h" else w.rotor_v
+        lines.append(
+            f"  + {weight:.4g} · ∫ s_{a} dω_{a} from {_place(candidate, 'omega', a)} rad/s to ω_{a}"
+        )
+    return lines
+
+
+def _place(candidate: Candidate, what: str, axis: str) -> str:
+    value = float(candidate.centre[candidate.energy.index(what, axis)])
+    return f"{0.0 if abs(value) < 5e-9 else value:.4g}"
+
+
+def _at_rest(candidate: Candidate) -> Interval:
+    return Interval.point(candidate.centre[None])
+
+
+def lead(
+    certificate: Certificate, rig: Rig, point: OperatingPoint, growth: float
+) -> tuple[str, ...]:
+    """The answer."""
+    found, words = certificate.found, point.words(rig.model)
+    kind = "strict function" if found.candidate.weights.strict else "energy"
+    if certificate.outer <= 0.0:
+        said = [f"At {words} the {kind} is no Lyapunov function: about the equilibrium V rises."]
+        if certificate.rising is not None:
+            said.append(
+                f"At a state with V = {certificate.rising.value:.3g} J, V̇ = "
+                f"{certificate.rising.derivative:.3g} W."
+            )
+        if growth > 0.0:
+            said.append(
+                f"No other function can be one either: the linearisation is unstable (growth "
+                f"{growth:.3g} 1/s)."
+            )
+        else:
+            said.append(
+                f"The linearisation is stable (decay {-growth:.3g} 1/s), so that other functions "
+                "exist: study=region_of_attraction finds them by computation."
+            )
+        return tuple(said)
+    said = []
+    if certificate.everywhere:
+        said.append(
+            f"At {words} the equilibrium is globally asymptotically stable: the {kind} falls at "
+            "all states of the equations, and N is the whole space."
+        )
+    else:
+        said.append(
+            f"At {words} the {kind} is a Lyapunov function on N, the part of {{V < "
+            f"{certificate.outer:.4g} J}} about the equilibrium; what ends N is "
+            f"{_end_of_outer(certificate)}."
+        )
+    ends = f"below {certificate.bounded_by}" if certificate.bounded_by[:3] == "the" else ""
+    goal = "comes to rest where friction holds it" if rig.dry else "goes to the equilibrium"
+    said.append(
+        f"N′ = {{V <= {certificate.inner:.4g} J}}, {ends}, is compact, no motion leaves it, and "
+        f"every motion in it {goal}."
+    )
+    if certificate.rising is not None:
+        said.append(
+            f"V rises at a state with V = {certificate.rising.value:.3g} J: beyond that level this "
+            "function can prove nothing."
+        )
+    return tuple(said)
+
+
+def _end_of_outer(certificate: Certificate) -> str:
+    found = certificate.found
+    if certificate.outer >= found.wells.depth * (1.0 - 1e-6):
+        assert found.wells.saddles is not None
+        low, high = (found.candidate.well_at("v", end) for end in found.wells.ends_of_pitch)
+        which = found.wells.saddles[0 if low < high else 1]
+        return f"the saddle at alpha_v = {which:.4g} rad"
+    return "the decay of V, proved up to there"
+
+
+def claims_table(certificate: Certificate, further: tuple[Claim, ...]) -> Table:
+    """Every claim and how it was checked."""
+    rows = [
+        [claim.statement, Judged(claim.how, _JUDGED.get(claim.how, "good")), claim.detail]
+        for claim in (*certificate.claims, *further)
+    ]
+    return Table(("claim", "checked by", "figures"), rows, "Claims")
+
+
+def extent(certificate: Certificate) -> dict[str, tuple[float, float]]:
+    """How far N′ reaches in each state of motion."""
+    candidate = certificate.found.candidate
+    box = candidate.extent(certificate.inner, certificate.found.wells.ends)
+    pairs = zip(candidate.energy.names(), box.lower, box.upper, strict=True)
+    return {name: (float(low), float(high)) for name, low, high in pairs}
+
+
+def extent_table(certificate: Certificate) -> Table:
+    """The box around N′."""
+    rest = certificate.found.candidate.centre
+    rows = []
+    for (name, (low, high)), centre in zip(extent(certificate).items(), rest, strict=True):
+        what, axis = name.split("_")
+        label = f"{_SPOKEN[what]}_{axis} [{_UNIT[what]}]"
+        rows.append([label, round(low, 4), round(float(centre), 4) + 0.0, round(high, 4)])
+    return Table(
+        ("state", "from", "equilibrium", "to"),
+        rows,
+        "The box around N′, each state with the others at the equilibrium",
+    )
+
+
+def rising_table(certificate: Certificate) -> Table | None:
+    """The counterexample."""
+    if certificate.rising is None:
+        return None
+    candidate = certificate.found.candidate
+    rows: list[list[str | float]] = [
+        [f"{_SPOKEN[what]}_{axis} [{_UNIT[what]}]", float(f"{value:.6g}")]
+        for (what, axis), value in zip(
+            (name.split("_") for name in candidate.energy.names()),
+            certificate.rising.y,
+            strict=True,
+        )
+    ]
+    rows += [
+        ["V [J]", float(f"{certificate.rising.value:.4g}")],
+        ["V̇ [W]", float(f"{certificate.rising.derivative:.4g}")],
+    ]
+    return Table(("at the state", ""), rows, "Where V rises, confirmed with outward rounding")
+
+
+def data(
+    certificate: Certificate, point: OperatingPoint, poles: FloatArray, further: tuple[Claim, ...]
+) -> dict[str, Any]:
+    """The figures as JSON data."""
+    found = certificate.found
+    w, names = found.candidate.weights, found.candidate.energy.names()
+    rising = certificate.rising
+    finite = certificate.outer if math.isfinite(certificate.outer) else None
+    return {
+        "function": "strict" if w.strict else "energy",
+        "holds": certificate.holds and all(claim.holds for claim in further),
+        "operating_point": {"x": point.x.tolist(), "u": point.u.tolist()},
+        "weights": {
+            "rotor_h": w.rotor_h,
+            "rotor_v": w.rotor_v,
+            "yaw": w.yaw,
+            "cross_h": w.cross_h,
+            "cross_v": w.cross_v,
+        },
+        "formula": formula(found.candidate),
+        "N": {"everywhere": certificate.everywhere, "level": finite},
+        "N_prime": {
+            "level": certificate.inner,
+            "bounded_by": certificate.bounded_by,
+            "extent": {k: list(v) for k, v in extent(certificate).items()}
+            if certificate.inner > 0.0
+            else None,
+        },
+        "well": {
+            "depth": found.wells.depth if math.isfinite(found.wells.depth) else None,
+            "saddles": list(found.wells.saddles) if found.wells.saddles else None,
+        },
+        "boxes": found.falling.examined,
+        "counterexample": None
+        if rising is None
+        else {
+            "state": dict(zip(names, (float(v) for v in rising.y), strict=True)),
+            "V": rising.value,
+            "V_dot": rising.derivative,
+        },
+        "eigenvalues": [[float(p.real), float(p.imag)] for p in poles],
+        "claims": [
+            {
+                "name": claim.name,
+                "statement": claim.statement,
+                "checked_by": claim.how,
+                "detail": claim.detail,
+            }
+            for claim in (*certificate.claims, *further)
+        ],
+    }

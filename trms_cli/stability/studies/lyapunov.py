@@ -1,0 +1,172 @@
+"""``study=lyapunov``: an energy function, its sets N and N′, and every claim about them checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.core.chart import Chart
+from trms_cli.stability.findings import Findings, Section, Table
+from trms_cli.stability.lyapunov import pictures, told
+from trms_cli.stability.lyapunov.certificate import Certificate, certified
+from trms_cli.stability.lyapunov.claims import Claim
+from trms_cli.stability.lyapunov.seen import (
+    Motions,
+    motions,
+    of_motions,
+    on_level,
+    plane_directions,
+    random_directions,
+)
+from trms_cli.stability.lyapunov.subject import Rig, rig_of
+from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import Subject
+from trms_cli.stability.vector_field import VectorField
+
+#: Share of the barrier at which a function that fails is shown.
+_SHOWN = 0.05
+#: Motions in each plane, and how long they are drawn, s.
+_IN_PLANE = 8
+_DRAWN = 6.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lyapunov:
+    """A Lyapunov function of the Newtonian or the Lagrangian rig at a constant command.
+
+    Attributes
+    ----------
+    at : dict of str to float
+        Operating point: angles (rad) or commands (V); empty: the rest without command.
+    function : {"auto", "energy", "strict"}
+        The energy; or with cross terms of angles and rates, so that V̇ < 0 at once. ``auto``: the
+        energy, but for two axes with the tail rotor turning, where it cannot fall.
+    budget : int
+        Boxes for the proof that V falls.
+    starts : int
+        Motions from the edge of N′.
+    duration : float
+        s, of each.
+    seed : int
+        Of the random states at which identities are evaluated and motions begin.
+    """
+
+    at: Mapping[str, float] = field(default_factory=dict)
+    function: Literal["auto", "energy", "strict"] = "auto"
+    budget: Annotated[int, Meta(ge=1, le=1_000_000)] = 4000
+    starts: Annotated[int, Meta(ge=1, le=500)] = 12
+    duration: Annotated[float, Meta(gt=0, le=3600)] = 30.0
+    seed: Annotated[int, Meta(ge=0)] = 0
+
+    def run(self, subject: Subject, tell: Tell) -> Findings:
+        """Find the function, check the claims, and follow motions.
+
+        Raises
+        ------
+        TrmsError
+            For a model or an effect whose energy is not stated, where the model has no such
+            equilibrium, and with a controller.
+        """
+        subject.require_no_loop(
+            "study=lyapunov",
+            "leave it out: a function is of a constant command; study=region_of_attraction and "
+            "study=margins are about loops",
+        )
+        rig = rig_of(subject)
+        point = operating_point(rig.model, self.at, "study.at")
+        certificate = certified(rig, point, self.function, self.budget, self.seed, tell)
+        found = certificate.found
+        candidate, wells = found.candidate, found.wells
+        shown = certificate.inner or _SHOWN * min(wells.depth, 1.0)
+        tell("motions")
+        starts = on_level(
+            candidate, wells, shown, random_directions(candidate, self.starts, self.seed)
+        )
+        seen = motions(candidate, subject.model, starts, shown, self.duration)
+        further = (of_motions(seen, self.duration),) if certificate.inner > 0.0 else ()
+        paths = {}
+        for a in candidate.energy.axes:
+            begin = on_level(candidate, wells, shown, plane_directions(candidate, a, _IN_PLANE))
+            paths[a] = motions(candidate, subject.model, begin, shown, _DRAWN)
+        A, _ = VectorField(rig.model).linearised(point.x, point.u)
+        poles = np.linalg.eigvals(A)
+        return Findings(
+            "Lyapunov function",
+            told.lead(certificate, rig, point, float(poles.real.max())),
+            _sections(certificate, further, seen, paths, shown),
+            told.data(certificate, point, poles, further),
+            _warnings(certificate, rig),
+        )
+
+
+def _sections(
+    certificate: Certificate,
+    further: tuple[Claim, ...],
+    seen: Motions,
+    paths: dict[str, Motions],
+    shown: float,
+) -> list[Section]:
+    outer = certificate.outer if np.isfinite(certificate.outer) else 0.0
+    display = max(shown, min(outer, certificate.found.wells.depth))
+    tables: list[Table | Chart] = [told.claims_table(certificate, further)]
+    rising = told.rising_table(certificate)
+    sets: list[Table | Chart] = []
+    if certificate.inner > 0.0:
+        sets.append(told.extent_table(certificate))
+    sets += [
+        pictures.plane_chart(certificate, paths, display),
+        pictures.decay_chart(seen, certificate.inner > 0.0),
+    ]
+    return [
+        Section(
+            "The function",
+            (
+                *told.formula(certificate.found.candidate),
+                "s is how fast a rotor settles, ω̇ = −s(ω). The function is a reconstruction: those "
+                "of the thesis are not public.",
+            ),
+            [pictures.well_chart(certificate)],
+        ),
+        Section(
+            "Claims",
+            (
+                "intervals: proved over boxes with outward rounding; identity: derived, and both "
+                "sides evaluated on this model's equations; form: true of the expressions as they "
+                "stand; simulated: seen, not proved.",
+            ),
+            [*tables, *([rising] if rising is not None else [])],
+        ),
+        Section("N and N′", _about_sets(certificate), sets),
+    ]
+
+
+def _about_sets(certificate: Certificate) -> tuple[str, ...]:
+    if certificate.outer <= 0.0:
+        return ("There are none: the figures show the level set of a function that fails.",)
+    return (
+        "N: V is positive but at the equilibrium and falls. N′: the closed level set within N that "
+        "no motion leaves, and that keeps clear of the mechanical stops where N does not.",
+    )
+
+
+def _warnings(certificate: Certificate, rig: Rig, further: tuple[object, ...]) -> tuple[str, ...]:
+    said = []
+    if rig.resisting:
+        said.append(
+            f"{', '.join(rig.resisting)}: the power of friction, −F|Ω|, only adds to the decay; "
+            "the proofs are of the equations without it."
+        )
+    if rig.sensing:
+        said.append(f"{', '.join(rig.sensing)}: about sensors; without a loop nothing changes.")
+    found = certificate.found
+    if 0.0 < certificate.outer < 0.999 * found.wells.depth and not certificate.everywhere:
+        said.append(
+            "N is what is proved with this function and this budget of boxes, not the region of "
+            "attraction, which is larger."
+        )
+    return tuple(said)
