@@ -18,12 +18,12 @@ it gives None, as division by zero does.
 from __future__ import annotations
 
 import ast
-import difflib
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import NoReturn
 
-from trms_cli.runs.columns import ALIASES, COLUMNS, FIGURE_STEMS, Column, Kind
+from trms_cli.runs.column_sql import Sql, column_sql, nearest
+from trms_cli.runs.columns import Kind
 from trms_cli.runs.filter_errors import FilterError
 from trms_cli.runs.filter_words import (
     CONTAINS,
@@ -40,22 +40,6 @@ _MOST_NODES = 400
 _LONGEST_PATTERN = 200  # a pattern of many stars takes long to be found wanting
 _MOST_STARS = 8
 _CONSTANTS = {"null": None, "none": None, "true": True, "false": False}
-
-
-@dataclass(frozen=True)
-class Sql:
-    """A part of a statement.
-
-    Attributes
-    ----------
-    text : str
-        With ``?`` for each value.
-    values : tuple
-        To be bound, in their order.
-    """
-
-    text: str
-    values: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,42 +77,6 @@ def translated(text: str, extra: Collection[str] | None = ()) -> Sql:
         return _Translation(text, extra).condition(tree)
     except RecursionError:
         raise FilterError("it is nested too deeply", text, 0) from None
-
-
-def column_sql(name: str, extra: Collection[str] | None = ()) -> tuple[Column, Sql] | None:
-    """A column by any of its names, and the SQL that reads it; None if there is none.
-
-    A name with a dot is a key that was typed: ``plant.prior_seed``.
-    """
-    name = ALIASES.get(name, name)
-    if name in COLUMNS:
-        return COLUMNS[name], Sql(f'"{name}"')
-    renamed = name
-    for said, ending in (("_yaw", "_alpha_h"), ("_pitch", "_alpha_v")):
-        renamed = renamed.removesuffix(said) + ending if name.endswith(said) else renamed
-    if _may_be_figure(renamed) if extra is None else renamed in extra:
-        return Column(renamed, "number"), Sql("json_extract(more, ?)", (_json_path(renamed),))
-    if "." in name:
-        return Column(name, "any"), Sql("json_extract(typed, ?)", (_json_path(name),))
-    return None
-
-
-def nearest(name: str, extra: Collection[str] | None = ()) -> str:
-    """What may have been meant, as a sentence."""
-    known = [*COLUMNS, *ALIASES, *(extra or ())]
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
-    if close:
-        return f"did you mean {' or '.join(close)}? all columns: trms runs --help"
-    return "all columns: trms runs --help; a key that was typed has its dots: plant.prior_seed"
-
-
-def _may_be_figure(name: str) -> bool:
-    return any(name.startswith(f"{stem}_") for stem in FIGURE_STEMS)
-
-
-def _json_path(key: str) -> str:
-    escaped = key.replace("\\", "\\\\").replace('"', '\\"')
-    return f'$."{escaped}"'
 
 
 class _Translation:

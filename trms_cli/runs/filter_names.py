@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ast
 
-from trms_cli.runs.filter_language import column_sql, dotted
+from trms_cli.runs.column_sql import column_sql
+from trms_cli.runs.filter_language import dotted
 from trms_cli.runs.filter_words import parsed
 
 

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.runs.column_sql import Sql, column_sql, nearest
 from trms_cli.runs.columns import COLUMNS, Column
 from trms_cli.runs.entry import read_entry
-from trms_cli.runs.filter_language import Sql, column_sql, nearest, translated
+from trms_cli.runs.filter_language import translated
 from trms_cli.runs.index import Looked, RunIndex, Seen, scope_sql
 from trms_cli.runs.place import index_file, runs_told_of
 
@@ -136,7 +137,7 @@ def find(question: Question, tell: Tell = lambda done, of: None) -> Found:
         for told in runs_told_of():
             index.expect(told)
         if question.rebuild:
-            index.clear(roots)
+            index.doubt(roots)
         refresh(index, roots, walk, tell)
         scope = scope_sql(roots)
         more = index.more_names()

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.runs.column_sql import Sql
 from trms_cli.runs.columns import COLUMNS, Column
 from trms_cli.runs.entry import Entry
-from trms_cli.runs.filter_language import Sql
 
 _TYPES = {"text": "TEXT", "number": "REAL", "whole": "INTEGER", "truth": "INTEGER"}
 _LOGS = (
@@ -189,14 +189,15 @@ class RunIndex:
                 self._connection.executemany("DELETE FROM runs WHERE log = ?", rows)
                 self._connection.executemany("DELETE FROM logs WHERE log = ?", rows)
 
-    def clear(self, roots: Sequence[str] | None) -> None:
-        """Look at every log under folders (None: all) again, whether it has changed or not."""
+    def doubt(self, roots: Sequence[str] | None) -> None:
+        """Have every log under folders (None: all) read again, whether it has changed or not.
+
+        What is known of it stays until then: others may be asking meanwhile.
+        """
         scope = scope_sql(roots)
         with self._writing():
-            self._connection.execute(f"DELETE FROM runs WHERE {scope.text}", scope.values)
             self._connection.execute(
-                f"UPDATE logs SET mtime_ns = -1, kind = 'unseen', problem = '' WHERE {scope.text}",
-                scope.values,
+                f"UPDATE logs SET mtime_ns = -1 WHERE {scope.text}", scope.values
             )
 
     def more_names(self) -> list[str]:

@@ -1,0 +1,327 @@
+"""``trms runs`` as a person types it, over runs that the program has made."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import json
+import os
+import pty
+import shutil
+import signal
+import struct
+import subprocess
+import termios
+import time
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def made(executable, tmp_path_factory) -> Path:
+    """A folder with a sweep of four, a run of its own and one with an effect."""
+    folder = tmp_path_factory.mktemp("lab")
+    usual = ["sim.duration=3", "picture=false"]
+    for argv in (
+        ["-m", "controller=pid,lqr", "seed=1,2", "out=sweep"],
+        ["effect=yaw_coulomb_friction", "controller=lqr", "out=friction"],
+        ["controller=pid", "plant.parameters.k_g=0.1"],
+    ):
+        subprocess.run(
+            [str(executable), "run", *argv, *usual],
+            cwd=folder,
+            env=os.environ | {"TRMS_RUNS": str(folder / ".index")},
+            capture_output=True,
+            check=True,
+            timeout=120,
+        )
+    return folder
+
+
+@pytest.fixture
+def lab_with_runs(made, tmp_path) -> Path:
+    """A copy of it: runs that were copied in, and that nobody has told of."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns(".index"))
+    return tmp_path
+
+
+@pytest.fixture
+def ask(trms, lab_with_runs):
+    """Run ``trms runs`` there, with an index of its own."""
+
+    def run(*argv: str, code: int = 0):
+        result = trms("runs", *argv, TRMS_RUNS=str(lab_with_runs / ".index"))
+        assert result.returncode == code, result.stderr
+        return result
+
+    return run
+
+
+@pytest.fixture
+def runs_of(ask):
+    """The runs of the JSON document."""
+    return lambda *argv: json.loads(ask("--json", *argv).stdout)["runs"]
+
+
+class TestFigures:
+    """The index and the score say the same."""
+
+    def test_of_every_run(self, runs_of, trms):
+        runs = runs_of()
+        assert len(runs) == 6
+        logs = [run["log"] for run in runs]
+        scores = json.loads(trms("score", *logs, "--json").stdout)["scores"]
+        for run, score in zip(runs, scores, strict=True):
+            for name, said in score["channels"].items():
+                for ours, theirs in (
+                    ("rmse", "rmse"),
+                    ("iae", "iae"),
+                    ("overshoot", "overshoot_percent"),
+                    ("settling_time", "settling_time_s"),
+                    ("steady_state_error", "steady_state_error"),
+                ):
+                    assert run[f"{ours}_{name}"] == said[theirs]
+            for name, said in score["inputs"].items():
+                assert run[f"effort_{name}"] == said["effort"]
+                assert run[f"saturation_{name}"] == said["saturation_share"]
+            for name in ("median", "p99", "max"):
+                assert run[f"solve_{name}"] == score["solver"]["time_ms"][name]
+            assert run["failures"] == score["solver"]["failures"]
+            assert run["nees"] == score["estimate"]["nees_mean"]
+            assert run["duration"] == score["duration_s"] == 3.0
+            assert run["complete"] is True
+        assert {run["sample_time"] for run in runs} == {0.02}
+
+    def test_what_was_chosen(self, runs_of, lab_with_runs):
+        assert [
+            (r["controller"], r["seed"]) for r in runs_of("--in", "sweep", "--sort", "path")
+        ] == [
+            ("pid", 1),
+            ("pid", 2),
+            ("lqr", 1),
+            ("lqr", 2),
+        ]
+        (run,) = runs_of("effects contains 'friction'")
+        assert (run["effects"], run["path"]) == (
+            "yaw_coulomb_friction",
+            str(lab_with_runs / "friction"),
+        )
+        (run,) = runs_of("plant.parameters.k_g == 0.1")
+        assert run["path"].startswith(str(lab_with_runs / "outputs"))
+        assert json.loads(run["overrides"])[0] == "controller=pid"
+        assert run["version"]
+        assert run["observer"] == "ukf"
+
+
+class TestFolders:
+    """What changes under it."""
+
+    def test_deleted_moved_and_killed(self, runs_of, ask, trms, executable, lab_with_runs):
+        assert len(runs_of()) == 6
+        shutil.rmtree(lab_with_runs / "sweep" / "3")
+        shutil.move(lab_with_runs / "friction", lab_with_runs / "kept")
+        assert sorted(Path(run["path"]).name for run in runs_of("--in", "kept")) == ["kept"]
+        log = lab_with_runs / "killed" / "run.mcap"
+        process = subprocess.Popen(
+            [str(executable), "run", "controller=pid", "sim.duration=20000", "out=killed"],
+            cwd=lab_with_runs,
+            env=os.environ | {"TRMS_RUNS": str(lab_with_runs / ".index")},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            end = time.monotonic() + 60
+            while time.monotonic() < end and not (log.is_file() and log.stat().st_size > 300_000):
+                time.sleep(0.02)
+        finally:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        (run,) = runs_of("not complete")
+        assert (run["path"], run["outcome"]) == (str(log.parent), "unfinished")
+        assert run["rmse"] > 0
+        score = json.loads(trms("score", str(log), "--json").stdout)
+        assert run["rmse_alpha_v"] == score["channels"]["alpha_v"]["rmse"]
+        assert len(runs_of()) == 6
+        incremental = runs_of("--sort", "path")
+        assert runs_of("--rebuild", "--sort", "path") == incremental
+
+    def test_runs_elsewhere_are_known_by_what_they_told(self, made, trms):
+        result = trms("runs", "--all", "--json", TRMS_RUNS=str(made / ".index"))
+        assert len(json.loads(result.stdout)["runs"]) == 6
+        nothing = trms("runs", TRMS_RUNS=str(made / ".index"))
+        assert nothing.returncode == 0
+        assert "--all" in nothing.stdout
+
+    def test_a_broken_log_is_one_line(self, ask, lab_with_runs):
+        for name in ("a.mcap", "b.mcap"):
+            (lab_with_runs / "sweep" / name).write_bytes(b"\x1b[31mbroken")
+        (lab_with_runs / "sweep" / "\x1b[31mred.mcap").write_bytes(b"")
+        result = ask()
+        assert len(result.stdout.splitlines()) == 7
+        assert len(result.stderr.splitlines()) == 1
+        assert "3 logs could not be read" in result.stderr
+        assert "\x1b" not in result.stderr + result.stdout
+        told = ask("--unreadable").stdout.splitlines()
+        assert len(told) == 3
+        assert len(json.loads(ask("--json").stdout)["unreadable"]) == 3
+
+    def test_a_run_ends_well_where_there_can_be_no_index(self, trms, tmp_path):
+        (tmp_path / "file").touch()
+        nowhere = {"TRMS_RUNS": str(tmp_path / "file" / "index")}
+        argv = ("run", "controller=pid", "sim.duration=1", "picture=false", "out=one")
+        result = trms(*argv, **nowhere)
+        assert (result.returncode, result.stderr) == (0, "")
+        result = trms("runs", **nowhere)
+        assert "pid" in result.stdout
+        assert "cannot be kept" in result.stderr
+
+
+class TestOutput:
+    """Tables, JSON, CSV, Parquet."""
+
+    def test_a_pipe_gets_aligned_columns(self, ask):
+        lines = ask("--sort", "rmse_yaw").stdout.splitlines()
+        heading, *rows = (line.split() for line in lines)
+        assert heading[0] == "run"
+        assert "rmse_yaw" in heading or "rmse_alpha_h" in heading
+        errors = [float(row[-heading[::-1].index("rmse_alpha_h") - 1]) for row in rows]
+        assert errors == sorted(errors)
+        assert len(rows) == 6
+
+    def test_columns_of_ones_own(self, ask):
+        lines = ask("--columns", "controller,rmse_yaw", "--limit", "2").stdout.splitlines()
+        assert lines[0].split() == ["controller", "rmse_yaw"]
+        assert len(lines) == 3
+        assert "git" in ask("--columns", "+git").stdout.splitlines()[0].split()
+
+    def test_what_is_asked_about_is_shown(self, ask):
+        heading = ask("seed > 0 and nees < 100", "--sort", "saturation").stdout.splitlines()[0]
+        assert {"seed", "nees", "saturation"} <= set(heading.split())
+
+    def test_json(self, ask):
+        document = json.loads(ask("controller == 'lqr'", "--json", "--limit", "1").stdout)
+        assert document["schema"] == "trms.runs/1"
+        assert (document["matching"], document["of"], len(document["runs"])) == (3, 6, 1)
+        assert document["units"]["rmse_alpha_h"] == "rad"
+
+    def test_csv_and_parquet(self, ask, lab_with_runs):
+        import pyarrow.parquet as pq
+
+        result = ask("--csv", "runs.csv", "--parquet", "runs.parquet", "--sort", "path")
+        assert result.stdout == "6 runs written to runs.csv and runs.parquet\n"
+        rows = list(csv.DictReader((lab_with_runs / "runs.csv").open()))
+        table = pq.read_table(lab_with_runs / "runs.parquet").to_pylist()
+        runs = json.loads(ask("--json", "--sort", "path").stdout)["runs"]
+        assert table == runs
+        assert [float(row["rmse_alpha_h"]) for row in rows] == [r["rmse_alpha_h"] for r in runs]
+        refused = ask("--csv", "runs.csv", code=2)
+        assert "nothing is overwritten" in refused.stderr
+        ask("--csv", "runs.csv", "--force")
+        printed = list(csv.reader(io.StringIO(ask("--csv", "-", "--columns", "seed").stdout)))
+        assert printed[0] == ["seed"]
+        assert len(printed) == 7
+
+    @pytest.mark.parametrize("width", [40, 80, 160])
+    def test_a_terminal_of_any_width(self, executable, lab_with_runs, width):
+        lines = on_terminal(executable, lab_with_runs, width)
+        assert max(map(len, lines)) <= width
+        assert any("pid" in line for line in lines)
+        assert lines[-1] == "6 runs"
+        assert ("rmse pitch" in "\n".join(lines)) == (width >= 80)
+
+    def test_nothing_found(self, ask, trms, tmp_path):
+        assert ask("seed == 77").stdout == "none of the 6 runs matches\n"
+
+    def test_it_starts_without_what_is_heavy(self, lab_with_runs, ask):
+        ask()  # the logs are read
+        code = (
+            "import sys, trms_cli.cli as c; c.main(['runs', '--json', 'seed == 1']);"
+            "print(*sys.modules, file=sys.stderr)"
+        )
+        import sys
+
+        result = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=lab_with_runs,
+            env=os.environ | {"TRMS_RUNS": str(lab_with_runs / ".index")},
+        )
+        loaded = {name.split(".")[0] for name in result.stderr.split()}
+        heavy = {
+            "numpy",
+            "scipy",
+            "casadi",
+            "hydra",
+            "omegaconf",
+            "rich",
+            "pyarrow",
+            "mcap",
+            "yaml",
+        }
+        assert not loaded & heavy
+
+
+class TestWrong:
+    """What cannot be answered says why."""
+
+    @pytest.mark.parametrize(
+        ("argv", "hint"),
+        [
+            (["rmse_yw < 1"], "did you mean rmse_yaw"),
+            (["controller == pid"], "quoted: 'pid'"),
+            (["controller", "==", "pid"], "in quotes"),
+            (["sweep"], "--in sweep"),
+            (["--in", "nowhere"], "there is no folder"),
+            (["--sort", "rmse_yw"], "did you mean rmse_yaw"),
+            (["--columns", "controler"], "did you mean controller"),
+            (["--limit", "-1"], "less than none"),
+            (["--force"], "--force goes with"),
+            (["--all", "--in", "sweep"], "--all goes without"),
+            (["__import__('os').system('touch hacked') == 0"], "nothing is called"),
+        ],
+    )
+    def test_it(self, ask, lab_with_runs, argv, hint):
+        result = ask(*argv, code=2)
+        assert hint in " ".join(result.stderr.split())
+        assert result.stdout == ""
+        assert not (lab_with_runs / "hacked").exists()
+
+
+def on_terminal(executable: Path, folder: Path, width: int) -> list[str]:
+    """The lines that a terminal of a width is sent, without colours."""
+    reader, writer = pty.openpty()
+    fcntl.ioctl(writer, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
+    environment = {
+        "TRMS_RUNS": str(folder / ".index"),
+        "TERM": "xterm",
+        "NO_COLOR": "1",
+        "COLUMNS": "",
+    }
+    process = subprocess.Popen(
+        [str(executable), "runs"],
+        cwd=folder,
+        env={k: v for k, v in (os.environ | environment).items() if k != "COLUMNS"},
+        stdout=writer,
+        stderr=writer,
+        stdin=writer,
+    )
+    os.close(writer)
+    sent = b""
+    while True:
+        try:
+            part = os.read(reader, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not part:
+            break
+        sent += part
+    process.wait(timeout=60)
+    os.close(reader)
+    import re
+
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", sent.decode())
+    return [line.rstrip() for line in text.replace("\r", "").rstrip("\n").split("\n")]

@@ -1,0 +1,400 @@
+"""The index says what lies in the folders, whatever has happened to them since."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.runs import find_runs
+from trms_cli.runs.columns import COLUMNS, figures_of
+from trms_cli.runs.entry import Entry
+from trms_cli.runs.finding import Question, find
+from trms_cli.runs.index import Looked, RunIndex, Seen
+from trms_cli.runs.place import index_file, runs_told_of, tell_of_run
+from trms_cli.scoring.score import score_log
+
+
+def paths(**how) -> list[str]:
+    return [Path(run["path"]).name for run in find_runs(**how)]
+
+
+class TestRow:
+    """What a log becomes."""
+
+    def test_words_and_figures(self, write_run, runs):
+        write_run(
+            choices={"controller": "lqr", "effect": ["cable_stiffness", "inflow"]},
+            overrides=["controller=lqr", "+plant.prior_seed=3", "ref.alpha_v.amplitude=0.25"],
+            seed="7",
+            command="trms run controller=lqr",
+            git="abc-dirty",
+        )
+        (run,) = find_runs()
+        assert run["path"] == str(runs / "one")
+        assert run["log"] == str(runs / "one" / "run.mcap")
+        assert (run["controller"], run["effects"], run["faults"]) == (
+            "lqr",
+            "cable_stiffness+inflow",
+            "",
+        )
+        assert (run["seed"], run["duration"], run["sample_time"]) == (7, 6.0, 0.02)
+        assert (run["complete"], run["outcome"]) == (True, "completed")
+        assert (run["rmse_alpha_v"], run["rmse"], run["effort_u_v"]) == (0.1, 0.2, 2.0)
+        assert run["settling_time_alpha_h"] is None
+        assert (run["solve_p99"], run["failures"], run["violations"]) == (0.2, 0, 2)
+        assert (run["git"], run["version"]) == ("abc-dirty", "0.1.0")
+        assert [r["seed"] for r in find_runs("plant.prior_seed == 3")] == [7]
+        assert find_runs("ref.alpha_v.amplitude > 0.25") == []
+
+    def test_a_killed_run_is_scored_as_far_as_it_goes(self, write_run):
+        log = write_run(ending=None, samples=100)
+        (run,) = find_runs()
+        expected = figures_of(score_log(read_log(log)))
+        assert (run["complete"], run["outcome"]) == (False, "unfinished")
+        assert run["rmse_alpha_v"] == expected["rmse_alpha_v"] == pytest.approx(0.0)
+        assert run["duration"] == 2.0
+
+    def test_a_run_killed_before_its_first_sample_is_listed(self, write_run):
+        write_run(ending=None)
+        (run,) = find_runs()
+        assert run["outcome"] == "unfinished"
+        assert run["rmse"] is None
+
+    @pytest.mark.parametrize("ending", ["interrupted", "failed"])
+    def test_a_run_that_ended_early_is_not_complete(self, write_run, ending):
+        write_run(ending=ending)
+        assert [(r["outcome"], r["complete"]) for r in find_runs()] == [(ending, False)]
+
+    def test_a_log_cut_off_behind_its_samples_is_not_complete(self, write_run):
+        log = write_run(samples=50)
+        log.write_bytes(log.read_bytes()[:-30])
+        assert [run["complete"] for run in find_runs()] == [False]
+
+    def test_a_log_of_before_there_were_choices(self, write_run, runs):
+        write_run(overrides=["controller=lqr", "effect=[inflow]"], old=True)
+        (run,) = find_runs()
+        assert (run["controller"], run["effects"], run["version"]) == ("lqr", "inflow", None)
+        assert (run["rmse_alpha_v"], run["complete"]) == (0.1, True)
+
+    def test_a_rig_with_other_channels(self, write_run, score):
+        channels = {"beta": {"rmse": 0.3}, "alpha_v": {"rmse": 0.1}}
+        write_run(scored=score(channels=channels))
+        write_run("two")
+        assert [r["rmse_alpha_v"] for r in find_runs("rmse_beta == 0.3")] == [0.1]
+        assert [r["rmse_beta"] for r in find_runs(columns=["rmse_beta"], sort="rmse_beta")] == [
+            0.3,
+            None,
+        ]
+        assert len(find_runs("estimate_rmse_omega_h == 0.5")) == 2
+
+    def test_a_score_that_holds_what_it_should_not(self, write_run):
+        write_run(
+            scored={
+                "channels": {
+                    "alpha_v": {"rmse": "0.1; DROP TABLE runs", "iae": [1], "steps": 1e40}
+                },
+                "solver": "none",
+                "duration_s": True,
+                "inputs": [],
+            },
+            seed="99999999999999999999",
+            start="yesterday",
+        )
+        (run,) = find_runs()
+        for name in ("rmse_alpha_v", "iae_alpha_v", "steps_alpha_v", "duration", "seed", "time"):
+            assert run[name] is None, name
+
+    def test_recordings_and_logs_of_others_are_no_runs(self, runs):
+        from mcap.writer import Writer
+
+        with (runs / "foreign.mcap").open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            writer.finish()
+        found = find(Question())
+        assert (found.runs, found.unreadable) == ([], ())
+
+
+class TestFolders:
+    """New, changed, moved and deleted runs."""
+
+    def test_new_changed_moved_deleted(self, write_run, runs):
+        first = write_run("a")
+        assert paths() == ["a"]
+        write_run("b", choices={"controller": "lqr"})
+        assert sorted(paths()) == ["a", "b"]
+        shutil.move(first.parent, runs / "elsewhere")
+        assert sorted(paths()) == ["b", "elsewhere"]
+        shutil.rmtree(runs / "b")
+        write_run("b", choices={"controller": "mpc"})
+        assert paths(filter="controller == 'mpc'") == ["b"]
+        assert paths(filter="controller == 'lqr'") == []
+        shutil.rmtree(runs / "elsewhere")
+        assert paths() == ["b"]
+
+    def test_a_log_that_grows_is_read_again(self, write_run):
+        log = write_run(ending=None, samples=50)
+        whole = log.read_bytes()
+        log.write_bytes(whole[:-200])
+        find_runs()
+        log.write_bytes(whole)
+        assert find_runs()[0]["duration"] == 1.0
+
+    def test_what_has_not_changed_is_not_read_again(self, write_run, monkeypatch):
+        write_run("a")
+        find_runs()
+        write_run("b")
+        looked = []
+        from trms_cli.runs import finding
+
+        monkeypatch.setattr(
+            finding, "read_entry", lambda path: looked.append(path.parent.name) or None
+        )
+        find_runs()
+        assert looked == ["b"]
+
+    def test_made_anew_it_says_the_same(self, write_run, runs, index_of_its_own):
+        for k in range(4):
+            write_run(f"r{k}", seed=str(k))
+            find_runs()  # one more each time
+        shutil.rmtree(runs / "r1")
+        write_run("killed", ending=None, samples=60)
+        (runs / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + b"\x0c" + b"\xff" * 40)
+        (runs / "no.mcap").write_bytes(b"nothing like it")
+        fed = find(Question(sort="path"))
+        rebuilt = find(Question(sort="path", rebuild=True))
+        shutil.rmtree(index_of_its_own)
+        anew = find(Question(sort="path"))
+        assert fed == rebuilt == anew
+        assert len(fed.runs) == 4
+
+    def test_folders_beside_each_other_are_told_apart(self, write_run, runs):
+        write_run("out/a")
+        write_run("out0/b")
+        write_run("out-1/c")
+        assert paths(folders="out") == ["a"]
+        assert sorted(paths(folders=["out", runs / "out0"])) == ["a", "b"]
+        assert paths(folders=runs / "out-1" / "c" / "run.mcap") == ["c"]
+
+    def test_a_folder_that_is_not_there(self):
+        with pytest.raises(ConfigurationError, match="there is no folder"):
+            find_runs(folders="nowhere")
+
+    def test_names_of_logs_that_a_user_chose(self, write_run, runs):
+        shutil.copy(write_run("a"), runs / "my best.mcap")
+        assert sorted(paths()) == ["a", "my best.mcap"]
+
+    def test_hidden_folders_are_passed_over(self, write_run):
+        write_run(".trash/a")
+        assert paths() == []
+
+    def test_a_name_that_is_no_text(self, write_run, runs):
+        log = write_run("a")
+        shutil.copy(log, os.fsencode(runs) + b"/\xff.mcap")
+        found = find(Question())
+        assert len(found.runs) == 1
+        assert found.unreadable[0][1] == "its name is no text"
+
+    def test_a_large_working_folder_is_looked_through_in_part_and_said_so(
+        self, write_run, monkeypatch
+    ):
+        for k in range(5):
+            write_run(f"r{k}")
+        monkeypatch.setattr("trms_cli.runs.finding.MOST_ENTRIES", 4)
+        found = find(Question())
+        assert len(found.runs) < 5
+        assert "name the folder of the runs with --in" in found.remarks[0]
+        assert len(find(Question(folders=(".",))).runs) == 5
+        assert len(find(Question()).runs) == 5  # known by now, and still there
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            b"",
+            b"\x89MCAP0",
+            b"x" * 100,
+            b"\x89MCAP0\r\n\x0c" + (8).to_bytes(8, "little") + b"\xff" * 8,
+        ],
+    )
+    def test_a_broken_log_is_told_of_and_disturbs_no_other(self, write_run, runs, content):
+        write_run("a")
+        (runs / "broken.mcap").write_bytes(content)
+        found = find(Question())
+        assert [run["controller"] for run in found.runs] == ["pid"]
+        assert [Path(log).name for log, _ in found.unreadable] == ["broken.mcap"]
+        (runs / "broken.mcap").unlink()
+        assert find(Question()).unreadable == ()
+
+    @settings(
+        max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    )
+    @given(data=st.data())
+    def test_a_log_with_any_bytes_changed_is_a_run_or_cannot_be_read(self, write_run, runs, data):
+        log = runs / "one" / "run.mcap"
+        whole = log.read_bytes() if log.is_file() else write_run(samples=5).read_bytes()
+        content = bytearray(whole)
+        for _ in range(data.draw(st.integers(1, 4))):
+            content[data.draw(st.integers(8, len(content) - 1))] = data.draw(st.integers(0, 255))
+        other = runs / "other.mcap"
+        other.write_bytes(content[: data.draw(st.integers(1, len(content)))])
+        found = find(Question())
+        assert "pid" in [run["controller"] for run in found.runs if run["log"] == str(log)]
+        assert {log for log, _ in found.unreadable} <= {str(other)}
+
+    def test_a_pipe_with_the_name_of_a_log_is_not_waited_for(self, write_run, runs):
+        write_run("a")
+        os.mkfifo(runs / "run.mcap")
+        assert paths() == ["a"]
+
+
+class TestTold:
+    """What runs say of themselves."""
+
+    def test_a_run_elsewhere_is_known(self, write_run, tmp_path):
+        log = write_run("a", ending=None, samples=10)
+        elsewhere = tmp_path / "elsewhere" / "a"
+        elsewhere.parent.mkdir()
+        shutil.move(log.parent, elsewhere)
+        tell_of_run(elsewhere / "run.mcap")
+        assert paths() == []
+        assert paths(everywhere=True) == ["a"]
+        shutil.rmtree(elsewhere)
+        assert paths(everywhere=True) == []
+
+    def test_a_line_that_is_no_path_does_nothing(self, write_run, index_of_its_own):
+        write_run("a")
+        tell_of_run(Path("one\ntwo"))
+        ledger = next(index_of_its_own.glob("new-runs-*"))
+        ledger.write_bytes(ledger.read_bytes() + b"\xff\xfe\n\0/x\nrelative\n/no/such/log.mcap\n")
+        assert paths(everywhere=True) == []
+        assert paths() == ["a"]
+
+    def test_off(self, monkeypatch, tmp_path):
+        monkeypatch.setenv("TRMS_RUNS", "off")
+        monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "cache"))
+        tell_of_run(tmp_path / "run.mcap")
+        assert not (tmp_path / "cache").exists()
+
+    def test_a_folder_that_cannot_be_is_no_error_of_a_run(self, monkeypatch, tmp_path):
+        (tmp_path / "file").touch()
+        monkeypatch.setenv("TRMS_RUNS", str(tmp_path / "file" / "index"))
+        tell_of_run(tmp_path / "run.mcap")
+
+    def test_lines_of_many_processes_stay_whole(self, tmp_path):
+        code = (
+            "import sys; from pathlib import Path; from trms_cli.runs.place import tell_of_run\n"
+            "for k in range(200): tell_of_run(Path(f'/runs/{sys.argv[1]}/{k}/' + 'x' * 60))"
+        )
+        started = [subprocess.Popen([sys.executable, "-c", code, str(k)]) for k in range(3)]
+        told = []
+        while any(process.poll() is None for process in started):
+            for batch in runs_told_of():
+                told += batch
+        for batch in runs_told_of():
+            told += batch
+        whole = {f"/runs/{p}/{k}/" + "x" * 60 for p in range(3) for k in range(200)}
+        assert set(told) <= whole
+        assert len(told) >= 0.98 * len(whole)  # one may fall between two readers
+
+
+class TestDatabase:
+    """The file itself."""
+
+    def test_a_damaged_index_is_made_anew(self, write_run):
+        write_run("a")
+        find_runs()
+        index_file().write_bytes(b"no database at all, but long enough to be read as one" * 100)
+        assert paths() == ["a"]
+
+    def test_another_version_is_made_anew_and_knows_the_same_logs(self, write_run, tmp_path):
+        log = write_run("a")
+        elsewhere = shutil.move(log.parent, tmp_path / "elsewhere")
+        find_runs(folders=elsewhere)
+        connection = sqlite3.connect(index_file())
+        connection.executescript(
+            "DROP TABLE runs; CREATE TABLE runs (log TEXT, other TEXT); PRAGMA user_version = 5"
+        )
+        connection.close()
+        assert paths(everywhere=True) == ["elsewhere"]
+
+    def test_where_it_cannot_be_kept_the_logs_are_read(self, write_run, monkeypatch, tmp_path):
+        write_run("a")
+        (tmp_path / "file").touch()
+        monkeypatch.setenv("TRMS_RUNS", str(tmp_path / "file" / "index"))
+        found = find(Question())
+        assert [run["controller"] for run in found.runs] == ["pid"]
+        assert "cannot be kept" in found.remarks[0]
+
+    def test_several_processes_at_once(self, write_run, runs):
+        for k in range(60):
+            write_run(f"r{k}", seed=str(k))
+        code = (
+            "from trms_cli.runs import find_runs\n"
+            "from trms_cli.runs.finding import Question, find\n"
+            "for _ in range(3): find(Question(rebuild=True))\n"
+            "print(len(find_runs()), sum(r['seed'] for r in find_runs()))"
+        )
+        started = [
+            subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+            for _ in range(3)
+        ]
+        answers = [process.communicate(timeout=60)[0] for process in started]
+        assert all(process.returncode == 0 for process in started)
+        assert answers == [f"60 {sum(range(60))}\n"] * 3
+
+    def test_thousands_of_rows(self):
+        names = ("pid", "lqr", "newton_mpc")
+        looked = []
+        for k in range(2000):
+            values = dict.fromkeys(COLUMNS) | {
+                "log": f"/r/{k}/run.mcap",
+                "path": f"/r/{k}",
+                "controller": names[k % 3],
+                "rmse_alpha_h": k / 2000,
+                "time": f"2025-01-01 00:{k // 60:02}:{k % 60:02}",
+            }
+            looked.append(Looked(values["log"], Seen(1, 1), Entry(values["log"], values)))
+        from trms_cli.runs.column_sql import column_sql
+        from trms_cli.runs.filter_language import translated
+
+        with RunIndex(index_file()) as index:
+            index.put(looked)
+            condition = translated("controller == 'newton_mpc' and rmse_yaw < 0.05")
+            columns = {name: column_sql(name) for name in ("log", "rmse_yaw")}
+            _, order = column_sql("rmse_yaw")
+            found = index.select(columns, condition, order, descending=True, limit=3)
+            assert index.count(condition) == 33
+        assert [run["rmse_yaw"] for run in found] == [98 / 2000, 95 / 2000, 92 / 2000]
+
+
+class TestOrder:
+    """Sorting, limits and columns."""
+
+    def test_what_has_no_value_comes_last(self, write_run, score):
+        for k, value in enumerate((0.2, None, 0.1)):
+            write_run(f"r{k}", scored=score(rmse_alpha_h=value))
+        assert paths(sort="rmse_yaw") == ["r2", "r0", "r1"]
+        assert paths(sort="rmse_yaw", descending=True) == ["r0", "r2", "r1"]
+        assert paths(sort="rmse_yaw", limit=2) == ["r2", "r0"]
+
+    def test_columns_are_called_as_they_were_asked_for(self, write_run):
+        write_run(overrides=["plant.prior_seed=3", "plant.thing='x y'"])
+        names = ["rmse_yaw", "plant.prior_seed", "plant.thing", "complete"]
+        assert find_runs(columns=names) == [dict(zip(names, (0.1, 3, "x y", True), strict=True))]
+
+    @pytest.mark.parametrize("how", [{"sort": "rmse_yaww"}, {"columns": ["rmse_yaww"]}])
+    def test_a_column_that_is_not_there(self, write_run, how):
+        write_run()
+        with pytest.raises(ConfigurationError) as caught:
+            find_runs(**how)
+        assert "rmse_yaw" in caught.value.remedy
