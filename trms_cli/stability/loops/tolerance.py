@@ -75,7 +75,10 @@ class Trial:
             path=path,
             until=gone,
         )
-        return Tried(size, run, self.bounds.verdict(self.errors(run.x), bool(run.ended)))
+        lower, upper = model.input_bounds()
+        commands = run.u / ((upper - lower) / 2)
+        verdict = self.bounds.verdict(self.errors(run.x), commands, bool(run.ended))
+        return Tried(size, run, verdict)
 
 
 @dataclass(frozen=True)
@@ -166,9 +169,8 @@ def explanation(limits: Limits, trial: Trial) -> str:
     if limit and predicted and 1 / _ALIKE < limit / predicted < _ALIKE:
         return "as foretold"
     between = float(np.sqrt((limit or most) * (predicted or _ALIKE**2 * (limit or most))))
-    bounds = Bounds(trial.bounds.rest / _CLOSER, trial.bounds.swing / _CLOSER)
     offset = {name: value / _CLOSER for name, value in trial.offset.items()}
-    near = replace(trial, offset=offset, bounds=bounds)
+    near = replace(trial, offset=offset, bounds=trial.bounds.closer(_CLOSER))
     closer = near.at(impairment, between)
     stable = predicted is None or between < predicted
     words = (

@@ -13,7 +13,7 @@ from trms_cli.stability.loops.tolerance_search import Tried
 
 _COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange", "sky")
 _AXES: dict[Class, Axis] = {
-    "delay": Axis("delay", "s", log=True),
+    "delay": Axis("delay", "s"),
     "gain": Axis("factor of the gain", log=True),
     "friction": Axis("Coulomb friction", "N m", log=True),
 }
@@ -89,12 +89,16 @@ def _row(found: Limits, trial: Trial, colour: Colour) -> list[Mark]:
     looks = (
         ("stable", "settles", "dies out"),
         ("square", "rests beside"),
-        ("cross", "swings", "is lost"),
+        ("cross", "chatters", "swings", "is lost"),
     )
     for marker, *kinds in looks:
         chosen = np.array([t.verdict.kind in kinds for t in tried], dtype=bool)
         if chosen.any():
-            label = {"stable": "comes back", "square": "rests beside", "cross": "swings or is lost"}
+            label = {
+                "stable": "comes back",
+                "square": "rests beside",
+                "cross": "swings on, or is lost",
+            }
             marks.append(
                 Points(sizes[chosen], left[chosen], label[marker], marker, colour, size=5)  # type: ignore[arg-type]
             )

@@ -35,8 +35,9 @@ def findings_of(limits: Sequence[Limits], trial: Trial, margins: Margins) -> Fin
                 [
                     f"A loop comes back if, in the last third of {trial.duration:g} s, it rests "
                     f"within {bounds.rest:g} rad of the point and swings by at most "
-                    f"{bounds.swing:g} rad, or both still shrink. It stays calm if it does not "
-                    "swing on, wherever it rests. Each limit lies between a size that is stood "
+                    f"{bounds.swing:g} rad (its commands by {100 * bounds.chatter:g} % of half "
+                    "their range), or both still shrink. It stays calm if nothing swings on, "
+                    "wherever it rests. Each limit lies between a size that is stood "
                     "and one that is not.",
                 ],
                 [_table(limits)],
@@ -197,10 +198,16 @@ def _warnings(limits: Sequence[Limits]) -> list[str]:
     words = warning_of_statuses(statuses, "what is stood is in part the fall-back's doing")
     if words:
         said.append(words)
-    gains = [f for f in limits if f.impairment.kind == "gain" and f.back.above is not None]
-    if gains and all(f.back.above.verdict.kind == "rests beside" for f in gains if f.back.above):
+    beside = [
+        found
+        for found in limits
+        if getattr(found.impairment, "up", False)
+        and found.back.above is not None
+        and found.back.above.verdict.kind == "rests beside"
+    ]
+    if beside:
         said.append(
-            "wrong gains leave the loop beside its point rather than swinging: nothing in it "
+            "a gain too large leaves the loop beside its point before it swings: nothing in it "
             "integrates the error; an observer that estimates torques does (observer=ukf)"
         )
     return said

@@ -14,7 +14,10 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-Kind = Literal["settles", "dies out", "rests beside", "swings", "is lost"]
+Kind = Literal["settles", "dies out", "rests beside", "chatters", "swings", "is lost"]
+#: Crossings of its mean in the last two thirds that a swing has at the least: a start from where
+#: friction held an axis has fewer.
+_CROSSINGS = 4
 #: Of one third to the next: an error or a swing that keeps more than this part does not die out.
 _SHRINKS = 0.8
 
@@ -27,7 +30,8 @@ class Verdict:
     ----------
     kind : str
         ``settles``: within the bounds; ``dies out``: not yet, but getting there; ``rests beside``
-        the point; ``swings`` on; ``is lost``: it went too far from the point.
+        the point; ``chatters``: commands swing on, too fast to be seen in the angles; ``swings``
+        on; ``is lost``: it went too far from the point.
     rest : (n_r,) array
         Mean error in the last third, rad.
     swing : (n_r,) array
@@ -44,7 +48,7 @@ class Verdict:
     @property
     def calm(self) -> bool:
         """Whether no swing goes on, wherever the loop rests."""
-        return self.kind not in ("swings", "is lost")
+        return self.kind not in ("chatters", "swings", "is lost")
 
     @property
     def back(self) -> bool:
@@ -62,22 +66,42 @@ class Bounds:
         rad that a loop may rest beside the point.
     swing : float
         rad by which it may swing.
+    chatter : float
+        Share of half the range of a command by which that may swing.
     """
 
     rest: float
     swing: float
+    chatter: float
 
-    def verdict(self, errors: FloatArray, ended: bool) -> Verdict:
-        """On angles' errors (n, n_r), rad, of a run that had to end early or did not."""
+    def closer(self, factor: float) -> Bounds:
+        """Those for a loop that begins that much closer to its point."""
+        return Bounds(self.rest / factor, self.swing / factor, self.chatter / factor)
+
+    def verdict(self, errors: FloatArray, commands: FloatArray, ended: bool) -> Verdict:
+        """The verdict on a run.
+
+        Parameters
+        ----------
+        errors : (n, n_r) array
+            Of the angles, rad.
+        commands : (n, n_u) array
+            As shares of half their range.
+        ended : bool
+            Whether the run had to end early.
+        """
         third = max(1, len(errors) // 3)
         before, last = errors[-2 * third : -third], errors[-third:]
         rest, swing = last.mean(axis=0), np.ptp(last, axis=0) / 2
         if ended or not len(before):
             return Verdict("is lost", rest, swing, int(np.argmax(np.abs(errors[-1]))))
-        rest_before, swing_before = before.mean(axis=0), np.ptp(before, axis=0) / 2
-        swings = (swing > self.swing) & (swing > _SHRINKS * swing_before)
+        rest_before = before.mean(axis=0)
+        worst = int(np.argmax(np.maximum(np.abs(rest), swing)))
+        swings = _swings_on(errors[-2 * third :], self.swing)
         if swings.any():
             return Verdict("swings", rest, swing, int(np.argmax(np.where(swings, swing, -1.0))))
+        if _swings_on(commands[-2 * third :], self.chatter).any():
+            return Verdict("chatters", rest, swing, worst)
         away = np.abs(rest)
         beside = (away > self.rest) & (away > _SHRINKS * np.abs(rest_before))
         if beside.any():
@@ -85,5 +109,13 @@ class Bounds:
                 "rests beside", rest, swing, int(np.argmax(np.where(beside, away, -1.0)))
             )
         settled = bool(np.all((away <= self.rest) & (swing <= self.swing)))
-        worst = int(np.argmax(np.maximum(away, swing)))
         return Verdict("settles" if settled else "dies out", rest, swing, worst)
+
+
+def _swings_on(values: FloatArray, bound: float) -> npt.NDArray[np.bool_]:
+    """Which of (n, m) signals swing beyond a bound without getting calmer, (m,)."""
+    half = len(values) // 2
+    before, last = (np.ptp(part, axis=0) / 2 for part in (values[:half], values[half:]))
+    above = values > values.mean(axis=0)
+    crossed = (above[1:] != above[:-1]).sum(axis=0)
+    return np.asarray((last > bound) & (last > _SHRINKS * before) & (crossed >= _CROSSINGS))

@@ -45,6 +45,8 @@ class Tolerance:
         rad that a loop may rest beside the point.
     swing : float
         rad by which it may swing on.
+    chatter : float
+        Share of half its range by which a command may swing on.
     lost : float
         rad from the point at which a run is ended.
     delays : sequence of float
@@ -62,9 +64,10 @@ class Tolerance:
     duration: _Positive = 40.0
     rest: _Positive = 0.02
     swing: _Positive = 0.002
+    chatter: _Positive = 0.02
     lost: _Positive = 1.0
-    delays: Sequence[_Positive] = (0.05, 0.1, 0.2, 0.4, 0.8)
-    gains: Sequence[_Factor] = (1.5, 3.0, 6.0, 12.0, 24.0)
+    delays: Sequence[_Positive] = (0.05, 0.1, 0.2, 0.4)
+    gains: Sequence[_Factor] = (2.0, 4.0, 8.0, 16.0)
     frictions: Sequence[_Positive] = (0.001, 0.003, 0.01, 0.03)
     precision: Annotated[float, Meta(gt=1)] = 1.1
 
@@ -85,7 +88,7 @@ class Tolerance:
             point,
             self._start(subject),
             self.duration,
-            Bounds(self.rest, self.swing),
+            Bounds(self.rest, self.swing, self.chatter),
             self.lost,
         )
         response = measured(Analyser(), subject, loop, point, tell)
