@@ -26,6 +26,7 @@ from trms_cli.stability.lyapunov.function import Candidate
 from trms_cli.stability.lyapunov.seen import Motions
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 _GRID = 141
 _SYMBOL = {"Omega": "Ω", "omega": "ω", "alpha": "α"}
@@ -137,7 +138,7 @@ def _plane(certificate: Certificate, axis: str, seen: Motions | None, display: f
     i = energy.axes.index(axis)
     between = (x > wells.ends.lower[i]) & (x < wells.ends.upper[i])
     marks: list[Mark] = _sets(certificate, x, y, value, between)
-    levels = display * np.array([0.05, 0.2, 0.45, 0.7, 1.0])
+    levels = [display * share for share in (0.05, 0.2, 0.45, 0.7, 1.0)]
     marks.append(Contour(x, y, value, levels, "level sets of V", "grey", width=0.8))
     if seen is not None:
         for m in range(seen.y.shape[1]):
@@ -166,7 +167,7 @@ def _plane(certificate: Certificate, axis: str, seen: Motions | None, display: f
 
 
 def _sets(
-    certificate: Certificate, x: FloatArray, y: FloatArray, value: FloatArray, between: FloatArray
+    certificate: Certificate, x: FloatArray, y: FloatArray, value: FloatArray, between: BoolArray
 ) -> list[Mark]:
     marks: list[Mark] = []
     inside = np.broadcast_to(between, value.shape)
@@ -188,7 +189,9 @@ def _limits(
     bad = ~definite(candidate.matrices(Interval.point(flat)))[0].reshape(_GRID, _GRID)
     marks = _sets(certificate, x, y, value, np.ones(_GRID, dtype=bool))
     marks.append(Region(x, y, bad, "V may rise", "vermilion", 0.3))
-    marks.append(Contour(x, y, value, display * np.array([0.1, 0.4, 1.0]), "", "grey", width=0.8))
+    marks.append(
+        Contour(x, y, value, [display * s for s in (0.1, 0.4, 1.0)], "", "grey", width=0.8)
+    )
     marks.append(_centre(candidate, first, second))
     return Panel(
         Axis(_name(first), _UNIT[first[0]]),

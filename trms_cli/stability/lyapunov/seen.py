@@ -112,7 +112,7 @@ def motions(
     count, m = path.shape[:2]
     y = candidate.motions(path[:, :, :n].reshape(-1, n)).reshape(count, m, -1)
     value = candidate.value(y.reshape(count * m, -1)).reshape(count, m)
-    return Motions(_STEP * np.arange(count), y, value, level)
+    return Motions(np.linspace(0.0, _STEP * (count - 1), count), y, value, level)
 
 
 def of_motions(seen: Motions, duration: float) -> Claim:

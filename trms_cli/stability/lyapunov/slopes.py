@@ -64,7 +64,7 @@ class Slopes:
         apart = ~angle.meets(rest)
         moment = self._restoring[axis](_column(angle))[0][:, 0]
         there = self._restoring[axis](Interval(rest.lower[None, None], rest.upper[None, None]))[0]
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             quotient = (moment - there[:, 0]) / (angle - rest)
         return Interval(
             np.where(apart, np.maximum(slope.lower, quotient.lower), slope.lower),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.findings import Judged, Judgement, Table
+from trms_cli.stability.findings import Judged, Judgement, Table, Value
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.certificate import Certificate
 from trms_cli.stability.lyapunov.claims import Claim
@@ -16,7 +16,7 @@ from trms_cli.stability.lyapunov.function import Candidate
 from trms_cli.stability.lyapunov.subject import Rig
 from trms_cli.stability.operating_point import OperatingPoint
 
-FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
 
 _JUDGED: dict[str, Judgement] = {"failed": "bad", "open": "doubtful", "simulated": ""}
 _SPOKEN = {"Omega": "Ω", "omega": "ω", "alpha": "α"}
@@ -139,7 +139,7 @@ def _end_of_outer(certificate: Certificate) -> str:
 
 def claims_table(certificate: Certificate, further: tuple[Claim, ...]) -> Table:
     """Every claim and how it was checked."""
-    rows = [
+    rows: list[list[Value | Judged]] = [
         [claim.statement, Judged(claim.how, _JUDGED.get(claim.how, "good")), claim.detail]
         for claim in (*certificate.claims, *further)
     ]
@@ -157,7 +157,7 @@ def extent(certificate: Certificate) -> dict[str, tuple[float, float]]:
 def extent_table(certificate: Certificate) -> Table:
     """The box around N′."""
     rest = certificate.found.candidate.centre
-    rows = []
+    rows: list[list[Value | Judged]] = []
     for (name, (low, high)), centre in zip(extent(certificate).items(), rest, strict=True):
         what, axis = name.split("_")
         label = f"{_SPOKEN[what]}_{axis} [{_UNIT[what]}]"
@@ -174,7 +174,7 @@ def rising_table(certificate: Certificate) -> Table | None:
     if certificate.rising is None:
         return None
     candidate = certificate.found.candidate
-    rows: list[list[str | float]] = [
+    rows: list[list[Value | Judged]] = [
         [f"{_SPOKEN[what]}_{axis} [{_UNIT[what]}]", float(f"{value:.6g}")]
         for (what, axis), value in zip(
             (name.split("_") for name in candidate.energy.names()),
@@ -190,7 +190,7 @@ def rising_table(certificate: Certificate) -> Table | None:
 
 
 def data(
-    certificate: Certificate, point: OperatingPoint, poles: FloatArray, further: tuple[Claim, ...]
+    certificate: Certificate, point: OperatingPoint, poles: ComplexArray, further: tuple[Claim, ...]
 ) -> dict[str, Any]:
     """The figures as JSON data."""
     found = certificate.found

@@ -94,7 +94,7 @@ class Lyapunov:
             begin = on_level(candidate, wells, shown, plane_directions(candidate, a, _IN_PLANE))
             paths[a] = motions(candidate, subject.model, begin, shown, _DRAWN)
         A, _ = VectorField(rig.model).linearised(point.x, point.u)
-        poles = np.linalg.eigvals(A)
+        poles = np.asarray(np.linalg.eigvals(A), dtype=complex)
         return Findings(
             "Lyapunov function",
             told.lead(certificate, rig, point, float(poles.real.max())),
@@ -154,7 +154,7 @@ def _about_sets(certificate: Certificate) -> tuple[str, ...]:
     )
 
 
-def _warnings(certificate: Certificate, rig: Rig, further: tuple[object, ...]) -> tuple[str, ...]:
+def _warnings(certificate: Certificate, rig: Rig) -> tuple[str, ...]:
     said = []
     if rig.resisting:
         said.append(
