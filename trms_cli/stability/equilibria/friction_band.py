@@ -26,8 +26,8 @@ from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Of the push: so short that no rate comes near the velocities on which friction depends.
-_MOMENT = 1e-7  # s
+#: s, of the push: so short that no rate comes near the velocities on which friction depends.
+_MOMENTS = (1e-7, 1e-6)
 _PUSH = 1.0  # N m
 _LEAST = 1e-9  # N m
 
@@ -58,7 +58,7 @@ class Band:
 
 
 def breakaway(model: Model, x: FloatArray, u: FloatArray, axis: str) -> float:
-    """The torque that dry friction holds at rest, N m; 0 without any.
+    """The torque that dry friction holds at rest, N m; 0 without any, and for one that creeps.
 
     Parameters
     ----------
@@ -67,13 +67,16 @@ def breakaway(model: Model, x: FloatArray, u: FloatArray, axis: str) -> float:
     u : (n_u,)
         What reaches the motors.
     """
+    short, longer = (_taken(model, x, u, axis, moment) for moment in _MOMENTS)
+    # What resists in proportion to the rate takes ten times as much in ten times the time.
+    return longer if longer > _LEAST and abs(longer - short) < 0.1 * longer else 0.0
+
+
+def _taken(model: Model, x: FloatArray, u: FloatArray, axis: str, moment: float) -> float:
     import casadi as ca
 
     symbols = model.symbols()
-    after = model.impulse(*symbols, _MOMENT)
-    if after is symbols[0]:
-        return 0.0
-    impulse = ca.Function("impulse", list(symbols), [after])
+    impulse = ca.Function("impulse", list(symbols), [model.impulse(*symbols, moment)])
     field = VectorField(model)
     p, w = field.parameters, np.zeros(model.n_w)
     push = w.copy()
@@ -83,31 +86,30 @@ def breakaway(model: Model, x: FloatArray, u: FloatArray, axis: str) -> float:
     def rate(state: FloatArray) -> float:
         return float(np.array(field.function(state, u, p, w))[row, 0])
 
-    pushed = x + _MOMENT * np.array(field.function(x, u, p, push))[:, 0]
+    pushed = x + moment * np.array(field.function(x, u, p, push))[:, 0]
     held = np.array(impulse(pushed, u, p, push))[:, 0]
     without, rest = rate(pushed), rate(x)
     if without == rest:
         return 0.0
-    torque = _PUSH * (1.0 - (rate(held) - rest) / (without - rest))
-    return torque if torque > _LEAST else 0.0
+    return _PUSH * (1.0 - (rate(held) - rest) / (without - rest))
 
 
-def bands(model: Model, z_of: FloatArray, u: FloatArray, reached: FloatArray) -> list[Band]:
+def bands(model: Model, x: FloatArray, u: FloatArray, reached: FloatArray) -> list[Band]:
     """The bands of all axes around an equilibrium, one axis at a time.
 
     Parameters
     ----------
-    z_of : (n_x,)
+    x : (n_x,)
         The equilibrium.
     u, reached : (n_u,)
         Its commands, and what of them reaches the motors.
     """
     found: list[Band] = []
     for axis, place in model.axes.items():
-        torque = breakaway(model, z_of, reached, axis)
+        torque = breakaway(model, x, reached, axis)
         if torque == 0.0:
             continue
-        system = rest_system(model)
+        system = rest_system(model, names(model.inputs)[:1])
         free = place.angle in system.free
         if not free and not system.released:
             system = rest_system(model, names(model.inputs))
@@ -116,7 +118,7 @@ def bands(model: Model, z_of: FloatArray, u: FloatArray, reached: FloatArray) ->
         index = system.given_index(place.moment)
         limits = (-torque, torque)
         equations = CurveEquations(system, index, v, box, scale, limits)
-        known = {**dict(zip(model.state_names, z_of, strict=True))}
+        known = {**dict(zip(model.state_names, x, strict=True))}
         known |= dict(zip(names(model.inputs), u, strict=True))
         seed = np.array([*(known[signal.name] for signal in system.unknowns), 0.0])
         start = equations.pinned(seed, equations.n, 0.0)

@@ -1,0 +1,206 @@
+"""The figures of the study of equilibria."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core import chart as draw
+from trms_cli.models.model import Model, Signal, names
+from trms_cli.stability.equilibria.landmarks import Kind
+from trms_cli.stability.equilibria.map import EquilibriumMap
+from trms_cli.stability.equilibria.named_points import NamedPoint
+from trms_cli.stability.equilibria.survey import JudgedCurve, Survey
+
+FloatArray = npt.NDArray[np.float64]
+
+SYMBOLS = {"alpha": "α", "omega": "ω", "tau": "τ"}
+_MARKS: dict[Kind, tuple[str, draw.Marker, draw.Colour]] = {
+    "fold": ("fold", "star", "ink"),
+    "kink": ("fold at a kink", "star", "grey"),
+    "oscillation": ("oscillation begins", "triangle", "purple"),
+    "exchange": ("stability changes", "square", "purple"),
+    "crossing": ("curves cross", "cross", "ink"),
+}
+_VARIES = 1e-6
+
+
+def symbol(name: str) -> str:
+    """``α_v`` for ``alpha_v``."""
+    head, _, tail = name.partition("_")
+    return SYMBOLS.get(head, head) + (f"_{tail}" if tail else "")
+
+
+def shown_signals(model: Model, survey: Survey) -> list[Signal]:
+    """What is drawn over an input: angles that change with it, speeds, released inputs."""
+    every = [*model.states, *model.inputs]
+    wanted = [*model.controlled, *(s.name for s in model.states if s.name.startswith("omega"))]
+    wanted += [*survey.system.released]
+    shown: list[Signal] = []
+    for name in dict.fromkeys(wanted):
+        signal = next(s for s in every if s.name == name)
+        values = np.concatenate([values_of(model, one, name) for one in survey.curves] or [[0.0]])
+        if np.ptp(values) > _VARIES:
+            shown.append(signal)
+    return shown
+
+
+def values_of(model: Model, curve: JudgedCurve, name: str) -> FloatArray:
+    """A state or command along a curve."""
+    if name in model.state_names:
+        row = model.state_index(name)
+        return np.array([point.x[row] for point in curve.points])
+    row = names(model.inputs).index(name)
+    return np.array([point.u[row] for point in curve.points])
+
+
+def curves_chart(model: Model, survey: Survey, named: Sequence[NamedPoint]) -> draw.Chart:
+    """Equilibria over one input."""
+    over = survey.setting.over
+    unit = next(s.unit for s in model.inputs if s.name == over)
+    panels = [
+        draw.Panel(
+            draw.Axis(symbol(over), _unit(unit), survey.setting.bounds),
+            draw.Axis(symbol(signal.name), _unit(signal.unit)),
+            _marks(model, survey, signal.name, named, legend=k == 0),
+        )
+        for k, signal in enumerate(shown_signals(model, survey))
+    ]
+    return draw.Chart(
+        f"equilibria_{over}",
+        panels,
+        f"All equilibria of {model.name} over {symbol(over)}{_condition(survey)}: "
+        "solid where small motions die out, dashed where they grow; dots are proved, and proved to "
+        "be all.",
+        columns=2 if len(panels) != 3 else 3,
+    )
+
+
+def _condition(survey: Survey) -> str:
+    given = [
+        f"{symbol(n)} = {v:g}" for n, v in {**survey.setting.inputs, **survey.setting.held}.items()
+    ]
+    if survey.system.released:
+        given.append(f"{', '.join(symbol(n) for n in survey.system.released)} as rest asks for")
+    return f" ({', '.join(given)})" if given else ""
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _marks(
+    model: Model, survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool
+) -> list[draw.Points | draw.Curve | draw.Line]:
+    marks: list[draw.Points | draw.Curve | draw.Line] = []
+    reached = np.concatenate([values_of(model, one, name) for one in survey.curves] or [[0.0]])
+    stop = model.stops.get(name, math.inf)
+    if math.isfinite(stop):
+        marks += [
+            draw.Line(y=side * stop, label="stop" if legend else "")
+            for side in (-1, 1)
+            if np.any(side * reached >= 0.8 * stop)
+        ]
+    over = survey.setting.over
+    for one in survey.curves:
+        u, y = values_of(model, one, over), values_of(model, one, name)
+        growing = np.array([point.unstable > 0 for point in one.points])
+        for mask, label, colour, style in (
+            (~growing, "stable", "blue", "solid"),
+            (growing, "unstable", "vermilion", "dashed"),
+        ):
+            # One point beyond, so that the parts touch.
+            wide = mask | np.r_[mask[1:], False] if label == "unstable" else mask
+            if wide.any():
+                marks.append(
+                    draw.Curve(
+                        u,
+                        np.where(wide, y, np.nan),
+                        label if legend else "",
+                        colour,  # type: ignore[arg-type]
+                        style,  # type: ignore[arg-type]
+                        1.8,
+                    )
+                )
+    proved = [
+        (check.input, _of(model, point.x, point.u, name))
+        for check in survey.checks
+        if check.agree and check.proof.complete
+        for point in check.points
+    ]
+    if proved:
+        u, y = zip(*proved, strict=True)
+        marks.append(draw.Points(u, y, "proved" if legend else "", "dot", "ink", size=2.5))
+    for kind, (label, marker, colour) in _MARKS.items():
+        special = [one for one in survey.landmarks if one.kind == kind]
+        if special:
+            u = [float(one.y[-1]) for one in special]
+            y = [_of(model, one.at.x, one.at.u, name) for one in special]
+            size = 10.0 if marker == "star" else 7.0
+            marks.append(draw.Points(u, y, label if legend else "", marker, colour, size=size))
+    here = [point for point in named if _belongs(model, survey, point)]
+    if here:
+        u = [_of(model, point.x, point.u, over) for point in here]
+        y = [_of(model, point.x, point.u, name) for point in here]
+        marks.append(
+            draw.Points(u, y, "", "square", "green", [point.name for point in here], size=6.0)
+        )
+    return marks
+
+
+def _of(model: Model, x: FloatArray, u: FloatArray, name: str) -> float:
+    if name in model.state_names:
+        return float(x[model.state_index(name)])
+    return float(u[names(model.inputs).index(name)])
+
+
+def _belongs(model: Model, survey: Survey, point: NamedPoint) -> bool:
+    """Whether a named point lies under the conditions of a survey."""
+    given = {**survey.setting.inputs, **survey.setting.held}
+    return all(
+        abs(_of(model, point.x, point.u, name) - value) < 1e-6 for name, value in given.items()
+    )
+
+
+def map_chart(model: Model, found: EquilibriumMap, first: str, second: str) -> draw.Chart:
+    """Where the rig rests over both inputs."""
+    units = {signal.name: signal.unit for signal in model.inputs}
+    panels = []
+    for name, values in found.angles.items():
+        finite = values[np.isfinite(values)]
+        if not finite.size or np.ptp(finite) < _VARIES:
+            continue
+        levels = _levels(float(finite.min()), float(finite.max()))
+        panels.append(
+            draw.Panel(
+                draw.Axis(symbol(first), _unit(units[first])),
+                draw.Axis(symbol(second), _unit(units[second])),
+                [
+                    draw.Region(found.first, found.second, np.isfinite(values), "stable rest"),
+                    draw.Contour(found.first, found.second, values, levels, numbers=True),
+                ],
+                f"{symbol(name)} [rad]",
+            )
+        )
+    return draw.Chart(
+        "equilibria_map",
+        panels,
+        f"Angles at which {model.name} rests over both inputs, where a stable equilibrium lies "
+        "in the box.",
+    )
+
+
+def _levels(low: float, high: float) -> list[float]:
+    step = next(
+        s for s in (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0) if (high - low) / s <= 12
+    )
+    return (
+        np.arange(math.ceil(low / step), math.floor(high / step) + 1)
+        .astype(float)
+        .__mul__(step)
+        .round(9)
+        .tolist()
+    )

@@ -1,0 +1,103 @@
+"""Rest, hover and other equilibria that have a name, with the physical quantities there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import TrmsError
+from trms_cli.models.model import Model
+from trms_cli.stability.equilibria.friction_band import Band, bands
+from trms_cli.stability.equilibria.stability_of_points import GROWTH
+from trms_cli.stability.equilibria.steady_input import arriving
+from trms_cli.stability.operating_point import OperatingPoint, operating_point
+from trms_cli.stability.vector_field import VectorField
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NamedPoint:
+    """An equilibrium with a name.
+
+    Attributes
+    ----------
+    name : str
+    x, u : (n_x,), (n_u,) arrays
+    eigenvalues : (n_x,) complex array
+        Rightmost first.
+    quantities : dict of str to float
+        What the model names: thrusts (N), currents (A), torques (N m), inertias (kg m²)…
+    bands : tuple of Band
+        Where dry friction holds the axes around it.
+    """
+
+    name: str
+    x: FloatArray
+    u: FloatArray
+    eigenvalues: npt.NDArray[np.complex128]
+    quantities: Mapping[str, float]
+    bands: tuple[Band, ...]
+
+    @property
+    def unstable(self) -> int:
+        """How many motions grow."""
+        return int(np.sum(self.eigenvalues.real > GROWTH))
+
+
+def named_points(
+    model: Model, more: Mapping[str, Mapping[str, float]], where: str = "study.special"
+) -> tuple[list[NamedPoint], list[str]]:
+    """Rest, hover, and what is asked for; and why the first two may be missing.
+
+    Parameters
+    ----------
+    more : dict of str to dict
+        Angles or commands by name, as of :func:`operating_point`.
+
+    Raises
+    ------
+    TrmsError
+        For a point that is asked for and does not exist.
+    """
+    found: list[NamedPoint] = []
+    missing: list[str] = []
+    usual: dict[str, dict[str, float]] = {"rest": {}}
+    if "pitch" in model.axes:
+        usual["hover"] = dict.fromkeys(model.controlled, 0.0)
+    for name, at in usual.items():
+        if name in more:
+            continue
+        try:
+            found.append(_named(model, name, operating_point(model, at)))
+        except TrmsError as error:
+            missing.append(
+                f"no {name}: {error.problem}" + (f" ({error.remedy})" if error.remedy else "")
+            )
+    for name, at in more.items():
+        found.append(_named(model, name, operating_point(model, at, f"{where}.{name}")))
+    return found, missing
+
+
+def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
+    u, p = ca.SX.sym("u", model.n_u), ca.SX.sym("p", len(model.parameters))
+    path = ca.Function("path", [u, p], [arriving(model, u, p)])
+    field = VectorField(model)
+    reached = np.array(path(point.u, field.parameters))[:, 0]
+    values = np.linalg.eigvals(field.linearised(point.x, reached)[0]).astype(complex)
+    x, u, p, _ = model.symbols()
+    expressions = model.quantities(x, u, p)
+    evaluate = ca.Function("quantities", [x, u, p], [ca.vertcat(*expressions.values())])
+    numbers = np.array(evaluate(point.x, reached, field.parameters)).ravel().tolist()
+    return NamedPoint(
+        name,
+        point.x,
+        point.u,
+        values[np.argsort(-values.real, kind="stable")],
+        dict(zip(expressions, numbers, strict=False)),
+        tuple(bands(model, point.x, point.u, reached)),
+    )
