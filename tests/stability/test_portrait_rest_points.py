@@ -85,6 +85,25 @@ def test_a_rest_whose_neighbours_rest_too_is_told():
     rests = search(section, np.array([[-1.0, 0.5], [-1.0, 1.0]]))
     assert rests and not any(rest.isolated for rest in rests)
     assert rests[0].kind == "stable focus"
+    # It is yaw that nothing pulls back: only a portrait of yaw shows the line.
+    assert not any(rest.line for rest in rests)
+    of_yaw = section_of(FeedbackManual(), ("alpha_h", "rate_h"), {})
+    assert all(rest.line for rest in search(of_yaw, np.array([[-1.0, 1.0], [-1.0, 1.0]])))
+
+
+def test_a_swing_that_grows_is_told_from_a_way_out():
+    # The thesis's k_g makes pitch unstable above 0.34 rad.
+    section = section_of(Newtonian(parameter_set="rahideh"), None, {"alpha_v": 0.4})
+    (focus,) = search(section, np.array([[0.0, 0.8], [-0.5, 0.5]]))
+    assert focus.kind == "saddle focus" and not focus.stable
+    growing = max(focus.eigenvalues, key=lambda value: value.real)
+    assert growing.real > 0 and period(growing) == pytest.approx(2 * np.pi / 1.27, rel=0.01)
+
+
+def test_a_portrait_tells_the_modes_that_it_shows():
+    section = section_of(BOTH, ("alpha_h", "rate_h"), {"alpha_v": 0.0})
+    (rest,) = search(section, np.array([[-1.0, 1.0], [-1.0, 1.0]]))
+    assert period(rest.eigenvalues[rest.shown][0]) == pytest.approx(12.94, abs=0.1)  # not pitch
 
 
 def test_a_rest_beside_the_section_is_told():

@@ -12,6 +12,7 @@ from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
+from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.observers.full_state import FullState
@@ -113,6 +114,12 @@ def test_a_slow_motor_is_followed_until_it_has_arrived():
     (end,) = findings.results["trajectories"]["ends"]
     assert end["what"] == "rest" and end["at"]["omega_v"] == pytest.approx(158.527, abs=1e-2)
     assert "fast one halves in 0.0745 ms" in " ".join(findings.lead)
+
+
+def test_a_line_of_rest_points_is_one_end():
+    findings = found(FeedbackManual(), states=("alpha_h", "rate_h"), starts=5, duration=20.0)
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "line" and "side by side on a line" in findings.lead[0]
 
 
 def test_dry_friction_takes_the_separatrices_away():

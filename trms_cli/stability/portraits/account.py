@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.models.model import names
-from trms_cli.stability.findings import Judged, Table
 from trms_cli.stability.portraits.coordinates import symbol
 from trms_cli.stability.portraits.drawing import Picture
 from trms_cli.stability.portraits.ends import NEAR, End
@@ -30,11 +27,15 @@ def short(value: float) -> str:
     return "0" if abs(value) < 5e-7 else f"{value:.4g}"
 
 
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
+
+
 def commands(section: Section) -> str:
     """``u_v = 1.413 V``."""
     model = section.coordinates.model
     return ", ".join(
-        f"{signal.name} = {short(float(value))} {signal.unit}"
+        f"{signal.name} = {short(float(value))}{_unit(signal.unit)}"
         for signal, value in zip(model.inputs, section.point.u, strict=True)
     )
 
@@ -42,7 +43,7 @@ def commands(section: Section) -> str:
 def place(section: Section, rest: RestPoint) -> str:
     """``α_v = 1.903 rad``: by the first coordinate that is no rate, the others where not zero."""
     shown = [
-        f"{item.label} = {short(float(value))} {item.unit}"
+        f"{item.label} = {short(float(value))}{_unit(item.unit)}"
         for item, value in zip(section.coordinates.items, rest.c, strict=True)
         if not (item.is_rate or (abs(value) < 1e-6 and item.unit != "rad"))
     ]
@@ -58,6 +59,7 @@ def label(section: Section, end: End) -> str:
         assert end.held is not None
         return f"comes to rest where dry friction holds {_held(section, end.held)}"
     return {
+        "line": "comes to rest on the line of rest points",
         "rest outside": "comes to rest outside the window",
         "stuck": "stands still elsewhere",
         "moving": "still moving at the end",
@@ -129,6 +131,7 @@ def lead_of_model(told: Told) -> list[str]:
     section = picture.section
     lead = [f"At {commands(section)}: {_equilibria(section, picture.rests)}."]
     lead.append(_ends(picture, told.duration))
+    lead += [_growth(rest) for rest in picture.rests if rest.kind == "saddle focus"]
     stable = [rest for rest in picture.rests if rest.stable]
     if stable:
         lead.append(_tempo(stable[0]))
@@ -188,130 +191,13 @@ def lead_of_loop(told: Told, at_bound: float) -> list[str]:
     return lead
 
 
-def equilibria_table(section: Section, rests: Sequence[RestPoint]) -> Table:
-    """Equilibria with their kinds and slowest modes."""
-    model = section.coordinates.model
-    heads = [f"{symbol(state.name)} [{state.unit}]" for state in model.states]
-    rows: list[list[Any]] = []
-    for rest in rests:
-        rows.append(
-            [
-                Judged(rest.kind, "good" if rest.stable else "bad"),
-                *(short(float(value)) for value in rest.x),
-                ", ".join(_eigenvalue(value) for value in rest.eigenvalues if value.imag >= 0),
-                _time(max((halving_time(v) for v in rest.eigenvalues if v.real < 0), default=0.0)),
-            ]
-        )
-    return Table(
-        ["equilibrium", *heads, "eigenvalues [1/s]", "slowest halves in [s]"],
-        rows,
-        "Found in the window by Newton's method from many starts: a search.",
-    )
-
-
-def ends_table(section: Section, ends: Sequence[End], total: int) -> Table:
-    """Where trajectories end, how many, how soon."""
-    rows: list[list[Any]] = []
-    for end in ends:
-        words = label(section, end)
-        if end.what == "rest outside" and end.rest is not None:
-            words += f", at {place(section, end.rest)}"
-        times = end.times
-        rows.append(
-            [
-                words,
-                len(end.members),
-                round(100 * len(end.members) / total, 1),
-                _time(float(np.median(times))) if times else None,
-                _time(max(times)) if times else None,
-            ]
-        )
-    return Table(
-        ["the trajectory", "starts", "share [%]", "median time [s]", "longest [s]"],
-        rows,
-        f"Times until a trajectory stays within {100 * NEAR:g} % of the window's width of its end.",
-    )
-
-
-def results(told: Told) -> dict[str, Any]:
-    """The portrait as data."""
-    picture = told.picture
-    section, total = picture.section, len(picture.journeys)
-    model, items = section.coordinates.model, section.coordinates.items
-    return {
-        "coordinates": [{"name": item.name, "unit": item.unit} for item in items],
-        "window": {
-            item.name: [float(low), float(high)]
-            for item, (low, high) in zip(items, picture.window, strict=True)
-        },
-        "operating_point": {
-            "x": _by_name(model.state_names, section.point.x),
-            "u": _by_name(names(model.inputs), section.point.u),
-        },
-        "held": [model.state_names[i] for i in section.held],
-        "settled": [model.state_names[i] for i in section.settled],
-        "section_is_invariant": None if picture.loop else told.invariant,
-        "equilibria": [
-            {
-                "x": _by_name(model.state_names, rest.x),
-                "coordinates": _by_name(section.coordinates.names, rest.c),
-                "kind": rest.kind,
-                "isolated": rest.isolated,
-                "in_section": rest.in_section,
-                "eigenvalues": [[float(v.real), float(v.imag)] for v in rest.eigenvalues],
-            }
-            for rest in picture.rests
-        ],
-        "trajectories": {
-            "count": total,
-            "duration": told.duration,
-            "near": NEAR,
-            "starts": [
-                _by_name(section.coordinates.names, journey.c[0]) for journey in picture.journeys
-            ],
-            "ends": [_end_data(section, end, total) for end in picture.ends],
-        },
-        "sticking": [
-            {
-                "what": sticking.what,
-                "along": items[sticking.along].name,
-                "from": sticking.reach[0],
-                "to": sticking.reach[1],
-            }
-            for sticking in picture.sticking
-        ],
-        "separatrices": len(picture.separatrices),
-    }
-
-
-def _end_data(section: Section, end: End, total: int) -> dict[str, Any]:
-    return {
-        "what": end.what,
-        "at": None
-        if end.rest is None
-        else _by_name(section.coordinates.model.state_names, end.rest.x),
-        "held_in": None if end.held is None else list(end.held.reach),
-        "starts": list(end.members),
-        "share": len(end.members) / total,
-        "median_time": float(np.median(end.times)) if end.times else None,
-        "longest_time": float(max(end.times)) if end.times else None,
-    }
-
-
-def _by_name(keys: Sequence[str], values: FloatArray) -> dict[str, float | None]:
-    return {
-        name: float(value) if math.isfinite(value) else None
-        for name, value in zip(keys, values, strict=True)
-    }
-
-
 def _equilibria(section: Section, rests: Sequence[RestPoint]) -> str:
     if not rests:
         return "no equilibrium was found in the window"
-    if any(not rest.isolated for rest in rests):
-        beside = " (none of them alone: in one direction the neighbours rest too)"
-    else:
-        beside = ""
+    if any(rest.line for rest in rests):
+        return "rest points lie side by side on a line: in its direction nothing pulls"
+    alone = all(rest.isolated for rest in rests)
+    beside = "" if alone else " (in one direction, not seen here, their neighbours rest too)"
     words = [f"a {rest.kind} at {place(section, rest)}" for rest in rests]
     joined = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
     return f"{joined}{beside}" if len(words) < 6 else f"{len(words)} equilibria in the window"
@@ -341,23 +227,34 @@ def _ends(picture: Picture, duration: float) -> str:
 
 
 def _tempo(rest: RestPoint) -> str:
-    moving = [v for v in rest.eigenvalues if v.real < -1e-9]
+    shown = rest.eigenvalues[rest.shown] if rest.shown.any() else rest.eigenvalues
+    moving = [complex(v) for v in shown if v.real < -1e-9]
+    if not moving:
+        return f"Nothing that the portrait shows decays at the {rest.kind}."
     slow = min(moving, key=lambda v: abs(v.real))
     fast = max(moving, key=lambda v: abs(v.real))
-    half = _time(halving_time(slow))
+    half = seconds(halving_time(slow))
     if slow.imag:
         words = (
-            f"Around the {rest.kind} a swing takes {_time(period(slow))} s and loses half of "
+            f"Around the {rest.kind} a swing takes {seconds(period(slow))} s and loses half of "
             f"itself every {half} s"
         )
     else:
         words = f"The slowest motion into the {rest.kind} halves every {half} s"
     if len(rest.x) == 2 and abs(fast.real) > _MUCH_FASTER * abs(slow.real):
         words += (
-            f"; the fast one halves in {_time(1e3 * halving_time(fast))} ms, so that trajectories "
-            "first fall along it and then creep along the slow one"
+            f"; the fast one halves in {seconds(1e3 * halving_time(fast))} ms, so that "
+            "trajectories first fall along it and then creep along the slow one"
         )
     return words + "."
+
+
+def _growth(rest: RestPoint) -> str:
+    growing = max((complex(v) for v in rest.eigenvalues), key=lambda v: v.real)
+    return (
+        f"At the {rest.kind} a swing of {seconds(period(growing))} s grows and doubles every "
+        f"{seconds(halving_time(growing))} s, while all else decays."
+    )
 
 
 def _beyond_stops(section: Section, saddles: Sequence[RestPoint]) -> list[str]:
@@ -366,18 +263,14 @@ def _beyond_stops(section: Section, saddles: Sequence[RestPoint]) -> list[str]:
         index = model.state_index(name)
         beyond = sum(abs(float(rest.x[index])) > stop for rest in saddles)
         if beyond:
-            what = "The saddle lies" if len(saddles) == 1 else f"{beyond} saddles lie"
+            what = f"{beyond} of {len(saddles)} saddles" if len(saddles) > 1 else "The saddle"
+            verb = "lie" if beyond > 1 else "lies"
             return [
-                f"{what} beyond the mechanical stop of {symbol(name)} at ±{short(stop)} rad, which "
-                "the equations do not have."
+                f"{what} {verb} beyond the mechanical stop of {symbol(name)} at ±{short(stop)} "
+                "rad, which the equations do not have."
             ]
     return []
 
 
-def _eigenvalue(value: complex) -> str:
-    real = short(value.real)
-    return f"{real} ± {short(abs(value.imag))}j" if value.imag else real
-
-
-def _time(value: float) -> str:
+def seconds(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "∞"

@@ -42,6 +42,7 @@ _FLOW_GRID, _NULLCLINE_GRID = 41, 101
 _AT_REST: tuple[Colour, ...] = ("blue", "green", "sky", "purple")
 _ELSEWHERE: dict[str, Colour] = {
     "held": "blue",
+    "line": "blue",
     "rest outside": "orange",
     "turning": "vermilion",
     "gone": "vermilion",
@@ -213,6 +214,9 @@ def _rest_points(picture: Picture) -> list[Mark]:
     marks: list[Mark] = []
     for rest in picture.rests:
         marker: Marker = "saddle" if rest.kind == "saddle" else "unstable"
+        if rest.line:
+            marks.append(_points(rest.c[None], "rest points, side by side", "square", "ink", 4.0))
+            continue
         if rest.stable:
             marker = "stable"
         label = rest.kind if rest.in_section else f"{rest.kind}, beside the section"
@@ -224,10 +228,12 @@ def _rest_points(picture: Picture) -> list[Mark]:
 
 
 def _name(section: Section, rest: RestPoint) -> str:
-    """The first coordinate that is no rate: 1.90."""
-    places = [place for place, item in enumerate(section.coordinates.items) if not item.is_rate]
-    value = float(rest.c[places[0]])
-    return "0" if abs(value) < 5e-4 else f"{value:.3g}"
+    """``α_v = 1.9``: by an angle where there is one."""
+    items = section.coordinates.items
+    places = [place for place, item in enumerate(items) if not item.is_rate]
+    place = min(places, key=lambda place: items[place].unit != "rad")
+    value = float(rest.c[place])
+    return f"{items[place].label} = {'0' if abs(value) < 5e-4 else f'{value:.3g}'}"
 
 
 def _clipped(c: FloatArray, window: FloatArray) -> FloatArray:

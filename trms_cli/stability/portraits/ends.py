@@ -16,7 +16,7 @@ from trms_cli.stability.portraits.section import Section
 from trms_cli.stability.portraits.sticking import StickingSet
 
 FloatArray = npt.NDArray[np.float64]
-What = Literal["rest", "rest outside", "held", "stuck", "moving", "turning", "gone"]
+What = Literal["rest", "rest outside", "line", "held", "stuck", "moving", "turning", "gone"]
 
 #: Share of the window's width within which a motion has arrived.
 NEAR = 0.02
@@ -31,7 +31,8 @@ class End:
     Attributes
     ----------
     what : What
-        ``rest``: at an equilibrium of the window; ``rest outside``: at one outside. ``held``: on a
+        ``rest``: at an equilibrium of the window; ``rest outside``: at one outside; ``line``: on a
+        line of them. ``held``: on a
         sticking set; ``stuck``: standing still elsewhere under dry friction. ``moving``: still on
         its way in the window; ``turning``: half a turn or more outside it and moving; ``gone``:
         outside otherwise.
@@ -87,10 +88,14 @@ def ends_of(
     groups: dict[tuple[What, int], list[tuple[int, float]]] = {}
     for number, journey in enumerate(found):
         verdict = _verdict(section, window, known, journey, sticking, dry_friction, search_beyond)
-        what = verdict.what
-        if what == "rest" and verdict.place >= len(rests):
-            what = "rest outside"
-        groups.setdefault((what, verdict.place), []).append((number, verdict.time))
+        what, place = verdict.what, verdict.place
+        if what == "rest" and known[place].line:
+            what, place = "line", -1
+        elif what == "rest" and place >= len(rests):
+            c = known[place].c
+            inside = np.all((c >= window[:, 0]) & (c <= window[:, 1]))
+            what = "rest" if inside else "rest outside"
+        groups.setdefault((what, place), []).append((number, verdict.time))
     ends = []
     for (what, place), members in groups.items():
         at_rest = what in ("rest", "rest outside")

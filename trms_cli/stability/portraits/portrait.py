@@ -11,7 +11,7 @@ import numpy.typing as npt
 from trms_cli.core.chart import Chart
 from trms_cli.stability.findings import Findings
 from trms_cli.stability.findings import Section as Part
-from trms_cli.stability.portraits import account, captions
+from trms_cli.stability.portraits import account, captions, tables
 from trms_cli.stability.portraits.account import Told
 from trms_cli.stability.portraits.drawing import Picture, portrait
 from trms_cli.stability.portraits.ends import End, ends_of
@@ -100,17 +100,17 @@ def portrait_of_model(wish: Wish, tell: Tell) -> Findings:
     ]
     picture = Picture(section, window, rests, found, ends, (), paths, sticking)
     told = Told(picture, duration, invariant)
-    table = account.ends_table(section, account.merged(ends), len(found))
+    table = tables.ends_table(section, account.merged(ends), len(found))
     parts = [
         Part("The portrait", captions.of_model(told, rubs), [_chart(told)]),
-        Part("Equilibria in the window", (), [account.equilibria_table(section, rests)]),
+        Part("Equilibria in the window", (), [tables.equilibria_table(section, rests)]),
         Part("Where the trajectories end", (), [table]),
     ]
     return Findings(
         "Phase portrait",
         account.lead_of_model(told),
         parts,
-        account.results(told),
+        tables.results(told),
         captions.warnings(told),
     )
 
@@ -133,12 +133,12 @@ def portrait_of_loop(wish: Wish, loop: LoopParts, tell: Tell) -> Findings:
     picture = Picture(section, window, [], runs.journeys, ends, (), beside=beside, loop=True)
     told = Told(picture, duration, False, loop.names["controller"])
     at_bound = float(np.mean(np.concatenate([run.saturated for run in runs.journeys])))
-    table = account.ends_table(section, ends, len(runs.journeys))
+    table = tables.ends_table(section, ends, len(runs.journeys))
     parts = [
         Part("The portrait", captions.of_loop(told, loop.names["observer"]), [_chart(told)]),
         Part("Where the trajectories end", (), [table]),
     ]
-    results = account.results(told) | {
+    results = tables.results(told) | {
         "controller": told.loop,
         "share_at_bound": at_bound,
         "failed_solves": runs.failures,

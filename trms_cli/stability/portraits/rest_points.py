@@ -22,6 +22,7 @@ Kind = Literal[
     "unstable node",
     "unstable focus",
     "saddle",
+    "saddle focus",
     "centre",
     "undecided",
 ]
@@ -33,6 +34,8 @@ _NO_RATE = 1e-10
 #: Two rest points closer than this, in shares of the window, are one.
 _SAME = 1e-5
 _MOST = 24
+#: Share of a mode's participation that must lie in the coordinates' states.
+_SHOWN = 0.3
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,10 @@ class RestPoint:
         By all of them.
     in_section : bool
         Whether the section goes through it; otherwise it is seen in projection.
+    shown : (n_x,) bool array
+        Whether a mode moves what the portrait shows: its participation in the coordinates' states.
+    line : bool
+        Whether it is one of a line of rest points that the portrait shows.
     """
 
     x: FloatArray
@@ -57,6 +64,8 @@ class RestPoint:
     eigenvalues: npt.NDArray[np.complex128]
     kind: Kind
     in_section: bool
+    shown: npt.NDArray[np.bool_]
+    line: bool
 
     @property
     def isolated(self) -> bool:
@@ -79,7 +88,8 @@ def kind_of(eigenvalues: npt.ArrayLike) -> Kind:
     real = np.where(np.abs(moving.real) <= none, 0.0, moving.real)
     turns = bool(np.any(np.abs(moving.imag) > none))
     if np.any(real > 0) and np.any(real < 0):
-        return "saddle"
+        # A swing that grows while all else decays is told from a way out.
+        return "saddle focus" if np.all(np.abs(moving.imag[real > 0]) > none) else "saddle"
     if len(moving) == 0 or np.any(real == 0):
         return "centre" if len(moving) and np.all(real == 0) else "undecided"
     if real[0] < 0:
@@ -118,13 +128,53 @@ def rest_point(section: Section, x: FloatArray) -> RestPoint:
     """An equilibrium with what its linearisation tells."""
     coordinates, point = section.coordinates, section.point
     a, _ = coordinates.field.linearised(x, point.u)
-    eigenvalues = np.linalg.eigvals(a).astype(complex)
+    eigenvalues, vectors = np.linalg.eig(a.astype(complex))
     order = np.lexsort((eigenvalues.imag, np.abs(eigenvalues.real).round(9)))
+    eigenvalues, vectors = eigenvalues[order], vectors[:, order]
     c = coordinates.values(x, point.u)
     placed = section.place(c)[0]
     near = 1e-5 * np.maximum(1.0, np.abs(x))
     on = bool(np.isfinite(placed).all() and np.all(np.abs(placed - x) <= near))
-    return RestPoint(x, c, eigenvalues[order], kind_of(eigenvalues), on)
+    return RestPoint(
+        x,
+        c,
+        eigenvalues,
+        kind_of(eigenvalues),
+        on,
+        _shown(vectors, coordinates.own),
+        _on_a_line(section, x, eigenvalues, vectors),
+    )
+
+
+def _shown(vectors: npt.NDArray[np.complex128], own: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """Modes whose participation factors |v_ki w_ik| (Pérez-Arriaga 1982) are large in some states.
+
+    Where the eigenvectors do not span the space, all are.
+    """
+    try:
+        left = np.linalg.inv(vectors)
+    except np.linalg.LinAlgError:
+        return np.ones(len(vectors), dtype=bool)
+    shares = np.abs(vectors * left.T)
+    found: npt.NDArray[np.bool_] = shares[list(own)].sum(axis=0) >= _SHOWN * shares.sum(axis=0)
+    return found
+
+
+def _on_a_line(
+    section: Section,
+    x: FloatArray,
+    eigenvalues: npt.NDArray[np.complex128],
+    vectors: npt.NDArray[np.complex128],
+) -> bool:
+    """Whether a direction in which nothing pulls moves the coordinates."""
+    none = np.abs(eigenvalues) <= _no_rate(eigenvalues)
+    coordinates, u = section.coordinates, section.point.u
+    for vector in vectors[:, none].real.T:
+        away = 1e-4 * vector
+        moved = coordinates.values(x + away, u) - coordinates.values(x, u)
+        if np.abs(moved).max() > 1e-3 * np.abs(away).max():
+            return True
+    return False
 
 
 def grid(window: FloatArray, count: int) -> FloatArray:

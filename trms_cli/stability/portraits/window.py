@@ -151,7 +151,9 @@ def _extents(
     # What turns over the top and gains speed with every turn is not typical.
     for angle in angles:
         outside = ~((free[..., angle] >= window[angle, 0]) & (free[..., angle] <= window[angle, 1]))
-        free[:, outside.any(axis=0)] = np.nan
+        leaves = outside.any(axis=0)
+        if not leaves.all():  # as they do where the window is not around the operating point
+            free[:, leaves] = np.nan
     bound = model.input_bounds()[1]
     commands = np.array([-bound, bound, point.u])
     push = field.motions(
