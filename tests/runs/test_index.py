@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sqlite3
@@ -255,6 +256,55 @@ class TestFolders:
         write_run("a")
         os.mkfifo(runs / "run.mcap")
         assert paths() == ["a"]
+
+
+class TestStatus:
+    """Jobs of a sweep that failed before they had a log."""
+
+    @staticmethod
+    def write(folder: Path, **changes) -> Path:
+        folder.mkdir(parents=True, exist_ok=True)
+        document = {
+            "schema": "trms.status/1",
+            "job": 3,
+            "overrides": ["controller=lqr", "seed=4", "plant.parameters.k_g=-1"],
+            "state": "failed",
+            "error": {"problem": "-1 given", "where": "plant.parameters.k_g", "trace": "…"},
+        }
+        path = folder / "status.json"
+        path.write_text(json.dumps(document | changes))
+        return path
+
+    def test_it_is_a_failed_run(self, runs):
+        self.write(runs / "sweep" / "3")
+        (run,) = find_runs("outcome == 'failed' and plant.parameters.k_g < 0")
+        assert (run["controller"], run["seed"], run["complete"]) == ("lqr", 4, False)
+        assert run["problem"] == "plant.parameters.k_g -1 given"
+        assert run["path"] == str(runs / "sweep" / "3")
+        assert run["rmse"] is None
+
+    def test_beside_a_log_the_log_counts(self, write_run, runs):
+        self.write(runs / "one", state="running")
+        assert [run["outcome"] for run in find_runs()] == ["unfinished"]
+        write_run("one")
+        assert [run["outcome"] for run in find_runs()] == ["completed"]
+        assert len(find_runs(everywhere=True)) == 1
+        (runs / "one" / "run.mcap").unlink()
+        assert [run["outcome"] for run in find_runs()] == ["unfinished"]
+
+    @pytest.mark.parametrize("text", ["", "[1]", '{"schema": "other/1"}', "[" * 5000, "\xff"])
+    def test_files_of_this_name_of_others_are_passed_over(self, runs, text):
+        (runs / "status.json").write_text(text, encoding="latin-1")
+        found = find(Question())
+        assert (found.runs, found.unreadable) == ([], ())
+
+    @pytest.mark.parametrize(
+        "changes",
+        [{"overrides": 5}, {"choices": [1]}, {"error": 7}, {"choices": {"effect": {"a": 1}}}],
+    )
+    def test_what_is_not_as_it_should_be(self, runs, changes):
+        self.write(runs / "x", **changes)
+        assert len(find_runs()) == 1
 
 
 class TestTold:

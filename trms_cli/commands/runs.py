@@ -43,7 +43,8 @@ filters
   What a run does not have is None: it satisfies no <, >, in, like or contains.
 
 columns
-  run        path log time command outcome complete seed duration sample_time took recording loop
+  run        path log time command outcome complete problem seed duration sample_time took
+             recording loop
   chosen     controller observer ref model plant supervisor experiment effects faults
   tracking   rmse iae ise itae, summed; of each channel with _yaw or _pitch (or _alpha_h, _alpha_v):
              rmse iae ise itae max_abs_error overshoot overshoot_median rise_time

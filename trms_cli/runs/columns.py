@@ -78,13 +78,14 @@ FIGURE_STEMS = (
 
 _OF_RUN = (
     Column("path", "text", "", "folder of the run, or its log if that has another name"),
-    Column("log", "text", "", "the log's file"),
+    Column("log", "text", "", "the log's file, or the status of a job that left no log"),
     Column("time", "text", "UTC", "when it began, as 2025-01-31 12:00:00"),
     Column("command", "text", "", "what was typed"),
     Column(
         "outcome", "text", "", "completed, interrupted, failed, or unfinished: killed or running"
     ),
     Column("complete", "truth", "", "it ran to its end"),
+    Column("problem", "text", "", "why a job of a sweep left no log"),
     Column("controller", "text", "", "option chosen"),
     Column("observer", "text", "", "option chosen"),
     Column("ref", "text", "", "option chosen"),

@@ -88,9 +88,7 @@ def _entry(head: LogHead) -> Entry:
         "command": run.get("command"),
         "outcome": outcome,
         "complete": head.finished and outcome == "completed",
-        **{group: _text(choices.get(group)) for group in _GROUPS},
-        "effects": _joined(choices.get("effect")),
-        "faults": _joined(choices.get("fault")),
+        **chosen(choices),
         "recording": run.get("recording.file"),
         "loop": run.get("loop"),
         "seed": _parsed(run.get("seed", "")),
@@ -104,8 +102,21 @@ def _entry(head: LogHead) -> Entry:
         "choices": json.dumps(choices, ensure_ascii=False),
     }
     more = {k: float(v) for k, v in figures.items() if k not in COLUMNS and v is not None}
-    cells = {name: _cell(name, value) for name, value in values.items()}
-    return Entry(str(path), cells, _typed(overrides), more)
+    return Entry(str(path), cells(values), typed(overrides), more)
+
+
+def chosen(choices: Mapping[str, Any]) -> dict[str, str | None]:
+    """The columns of what was chosen, from the option of each group."""
+    found = {group: _text(choices.get(group)) for group in _GROUPS}
+    return found | {
+        "effects": _joined(choices.get("effect")),
+        "faults": _joined(choices.get("fault")),
+    }
+
+
+def cells(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values as their columns have them; None for what a column cannot hold."""
+    return {name: _cell(name, value) for name, value in values.items()}
 
 
 def _choices(head: LogHead, overrides: list[str]) -> dict[str, Any]:
@@ -152,7 +163,7 @@ def _sample_time(config: str) -> float | None:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-def _typed(overrides: list[str]) -> dict[str, Any]:
+def typed(overrides: list[str]) -> dict[str, Any]:
     """What was typed, by its key; a sweep's own settings are none of the run's."""
     found = {}
     for word in overrides:

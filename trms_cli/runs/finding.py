@@ -1,8 +1,9 @@
 """Brings the index up to date with the folders, and asks it.
 
-A folder is looked through for logs (``*.mcap``), however deep. Those that are new, or whose time
-or size has changed, are read; those that are gone are taken out. So runs that were copied in,
-moved, deleted or killed are right without anybody having told of them.
+A folder is looked through for logs (``*.mcap``), however deep, and for jobs of sweeps that left
+none. Those that are new, or whose time or size has changed, are read; those that are gone are
+taken out. So runs that were copied in, moved, deleted or killed are right without anybody having
+told of them.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from typing import Any
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.runs.column_sql import Sql, column_sql, nearest
 from trms_cli.runs.columns import COLUMNS, Column
-from trms_cli.runs.entry import read_entry
+from trms_cli.runs.entry import LOG_NAME, read_entry
 from trms_cli.runs.filter_language import translated
 from trms_cli.runs.index import Looked, RunIndex, Seen, scope_sql
 from trms_cli.runs.place import index_file, runs_told_of
+from trms_cli.runs.status import STATUS_NAME, read_status
 
 _BATCH = 200  # logs between two writes
 #: Entries of the working folder that are looked at when no folder is named: about a second.
@@ -195,7 +197,8 @@ def refresh(
 
 def _look(log: str, seen: Seen) -> Looked:
     try:
-        return Looked(log, seen, read_entry(Path(log)))
+        read = read_status if os.path.basename(log) == STATUS_NAME else read_entry
+        return Looked(log, seen, read(Path(log)))
     except RecordingError as error:
         return Looked(log, seen, problem=error.problem or "it cannot be read")
 
@@ -231,6 +234,10 @@ def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
     if entry.is_dir(follow_symlinks=False):
         if not entry.name.startswith(".") and entry.name not in _PASSED_OVER:
             waiting.append(entry.path)
+    elif entry.name == STATUS_NAME:
+        seen = _seen(entry.path)
+        if seen is not None:
+            walk.logs[entry.path] = seen
     elif entry.name.endswith(_SUFFIX) and not entry.name.startswith(".") and entry.is_file():
         try:
             entry.path.encode()
@@ -243,7 +250,13 @@ def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
 
 
 def _seen(log: str) -> Seen | None:
-    """A file's time and size; None if there is no such file."""
+    """A file's time and size; None if there is no such file, or its word does not count.
+
+    The status of a job counts only where the job has left no log.
+    """
+    folder, name = os.path.split(log)
+    if name == STATUS_NAME and os.path.exists(os.path.join(folder, LOG_NAME)):
+        return None
     try:
         status = os.stat(log)
     except (OSError, ValueError):
