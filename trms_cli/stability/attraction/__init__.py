@@ -1,0 +1,1 @@
+"""Regions of attraction: what is proved by intervals and LMIs, and what simulation shows."""

@@ -1,0 +1,351 @@
+"""Region of attraction of a model's equilibrium: all that is found out, as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.stability.attraction.estimates import Estimate, Method, estimates
+from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
+from trms_cli.stability.attraction.system import Around
+from trms_cli.stability.attraction.truth import (
+    SETTLED,
+    UNDECIDED,
+    OtherRest,
+    Share,
+    failures,
+    fates,
+    other_rests,
+    share_of,
+)
+from trms_cli.stability.study import Tell
+from trms_cli.stability.vector_field import VectorField
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Time constants of the slowest mode after which a motion is undecided.
+_TIME_CONSTANTS = 10.0
+#: Sides of the default box beyond those of the largest estimate.
+_ROOM = 1.6
+#: Starts in each estimate, to test it by simulation.
+_TESTED = 80
+#: Points from which the share of the box that an estimate fills is counted.
+_COUNTED = 200_000
+#: Motions that are drawn, and for how long, s.
+_DRAWN, _SHOWN = 6, 12.0
+
+
+@dataclass(frozen=True)
+class Starts:
+    """What starts deviate in: y = matrix d + offset.
+
+    Attributes
+    ----------
+    names : tuple of str
+        States of d.
+    matrix : (n, m) array
+    offset : (n,) array
+    """
+
+    names: tuple[str, ...]
+    matrix: FloatArray
+    offset: FloatArray
+
+    @classmethod
+    def of_all(cls, system: Around) -> Starts:
+        """In all states of the system."""
+        return cls(system.names, np.eye(system.n), np.zeros(system.n))
+
+    def of(self, d: FloatArray) -> FloatArray:
+        """Deviations y (k, n) of starts d (k, m)."""
+        return np.asarray(d @ self.matrix.T + self.offset)
+
+    @property
+    def direct(self) -> bool:
+        """Whether d is y."""
+        return self.matrix.shape[0] == self.matrix.shape[1] and bool(
+            np.array_equal(self.matrix, np.eye(len(self.matrix))) and not self.offset.any()
+        )
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is done; see the study.
+
+    Attributes
+    ----------
+    methods : sequence of Method
+    box : dict of str to float
+        Half-widths of the box of starts by state.
+    plane : sequence of str
+        Two states that the figure shows; empty: the first two of starts that are angle and rate.
+    boxes, samples, grid : int
+    duration : float or None
+        s.
+    """
+
+    methods: Sequence[Method]
+    box: Mapping[str, float]
+    plane: Sequence[str]
+    boxes: int
+    samples: int
+    grid: int
+    duration: float | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """An estimate beside the truth.
+
+    Attributes
+    ----------
+    estimate : Estimate
+    share : Share or None
+        Of the true region in the box that it covers; None where that is below what can be counted.
+    tested, failed : int
+        Starts in it that were simulated, and those that did not come to rest.
+    """
+
+    estimate: Estimate
+    share: Share | None
+    tested: int
+    failed: int
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A section of the region.
+
+    Attributes
+    ----------
+    axes : (int, int)
+        Positions in d.
+    x, y : (g,) arrays
+        Deviations of the grid.
+    fate : (g, g) array
+        At ``(x[j], y[i])``, see :mod:`~trms_cli.stability.attraction.truth`.
+    paths : tuple of ((k, n) array, bool)
+        Motions that begin in it, as deviations y, and whether they come to rest.
+    """
+
+    axes: tuple[int, int]
+    x: FloatArray
+    y: FloatArray
+    fate: npt.NDArray[np.int8]
+    paths: tuple[tuple[FloatArray, bool], ...]
+
+
+@dataclass(frozen=True)
+class Region:
+    """All that was found out.
+
+    Attributes
+    ----------
+    system : Around
+    starts : Starts
+    box : (m,) array
+        Half-widths of the box in d.
+    verdicts : tuple of Verdict
+    truth : Share
+        Of the box that comes to rest.
+    samples, undecided : int
+        Random starts in the box, and those undecided when time was over.
+    duration : float
+        s, until a motion is undecided.
+    plane : Plane
+    rests : tuple of OtherRest
+    """
+
+    system: Around
+    starts: Starts
+    box: FloatArray
+    verdicts: tuple[Verdict, ...]
+    truth: Share
+    samples: int
+    undecided: int
+    duration: float
+    plane: Plane
+    rests: tuple[OtherRest, ...]
+
+
+def inquire(
+    system: Around,
+    options: Options,
+    tell: Tell,
+    *,
+    starts: Starts | None = None,
+    linear_inside: tuple[Around, FloatArray] | None = None,
+    box: FloatArray | None = None,
+) -> Region:
+    """Estimates of a region of attraction, proofs of them, and the region by simulation.
+
+    Parameters
+    ----------
+    system : Around
+        Around an attractive equilibrium.
+    options : Options
+    tell : callable
+    starts : Starts, optional
+        Default: in all states of the system.
+    linear_inside : (Around, array), optional
+        As in :func:`~trms_cli.stability.attraction.estimates.estimates`.
+    box : (m,) array, optional
+        Half-widths where the options give none; default: the largest estimate's and some room.
+    """
+    starts = Starts.of_all(system) if starts is None else starts
+    require_states(options.box, starts.names, "study.box")
+    limits = _limits(system, options.box)
+    found = estimates(system, limits, options.methods, options.boxes, tell, linear_inside)
+    proved = [e for e in found if e.proved]
+    if proved:
+        arrival = max(proved, key=lambda e: e.log_volume).contains
+    else:
+        arrival = _tiny(system, limits)
+    if box is None:
+        reach = np.max([e.extents for e in found], axis=0) if found else 0.2 * limits
+        box = np.minimum(_ROOM * reach, limits)
+    box = np.array(
+        [options.box.get(n, float(r)) for n, r in zip(starts.names, box, strict=True)]
+    )
+    slowest = float(-system.eigenvalues.real.max())
+    duration = options.duration or _TIME_CONSTANTS / slowest
+    far = 4.0 * np.maximum(limits, np.abs(starts.matrix) @ box)
+    tell(f"{options.samples} motions from random starts")
+    random = np.random.default_rng(0)
+    fate = fates(
+        system,
+        starts.of(random.uniform(-1.0, 1.0, (options.samples, len(box))) * box),
+        arrival,
+        duration,
+        far,
+    )
+    truth = share_of(int(np.sum(fate == SETTLED)), options.samples)
+    tell("motions from starts in the estimates")
+    tests = failures(system, found, _TESTED, duration, 1)
+    verdicts = tuple(
+        Verdict(e, _covered(e, starts, box, truth), *test)
+        for e, test in zip(found, tests, strict=True)
+    )
+    tell(f"{options.grid}² motions in a plane")
+    rests = other_rests(system, np.minimum(2.0 * limits, far))
+    plane = _plane(system, starts, options, box, lambda y: fates(system, y, arrival, duration, far))
+    undecided = int(np.sum(fate == UNDECIDED))
+    return Region(
+        system,
+        starts,
+        box,
+        verdicts,
+        truth,
+        options.samples,
+        undecided,
+        duration,
+        plane,
+        tuple(rests),
+    )
+
+
+def require_states(given: Mapping[str, float] | Sequence[str], known: Sequence[str], where: str) -> None:
+    """Refuse names that are not among the states that starts deviate in.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    for name in given:
+        if name not in known:
+            raise ConfigurationError(
+                f"starts do not deviate in {name!r}",
+                where=f"{where}.{name}" if isinstance(given, Mapping) else where,
+                remedy=nearest(name, known) + "; others by study.states",
+            )
+
+
+def _limits(system: Around, box: Mapping[str, float]) -> FloatArray:
+    """How far estimates are sought: half a turn, and as far in the other states as fits to that."""
+    size = np.sqrt(np.diag(np.linalg.inv(from_lyapunov_equation(system))))
+    signals = [system.model.states[i] for i in system.kept]
+    turns = [s for s, signal in zip(size, signals, strict=True) if signal.unit == "rad"]
+    if turns:
+        factor = np.pi / max(turns)
+    else:
+        rest = 1.0 + 2.0 * np.abs(system.point.x[list(system.kept)])
+        factor = float(np.max(rest / size))
+    found = factor * size
+    # Speeds of rotors are weighed lightly by that: let them go as far as they are from zero twice.
+    found = np.maximum(found, 2.0 * np.abs(system.point.x[list(system.kept)]))
+    return np.array(
+        [box.get(signal.name, float(r)) for signal, r in zip(signals, found, strict=True)]
+    )
+
+
+def _tiny(system: Around, limits: FloatArray):  # type: ignore[no-untyped-def]
+    """Arrival where nothing is proved: within a thousandth of the limits."""
+    return lambda y: np.all(np.abs(y) <= 1e-3 * limits, axis=1)
+
+
+def _covered(estimate: Estimate, starts: Starts, box: FloatArray, truth: Share) -> Share | None:
+    d = np.random.default_rng(2).uniform(-1.0, 1.0, (_COUNTED, len(box))) * box
+    hits = int(np.sum(estimate.contains(starts.of(d))))
+    if hits >= 100:
+        return share_of(hits, _COUNTED).over(truth)
+    if not starts.direct or np.any(estimate.extents > box) or truth.value == 0.0:
+        return None
+    filled = float(np.exp(estimate.log_volume - np.sum(np.log(2.0 * box))))
+    return Share(filled, filled, filled).over(truth)
+
+
+def plane_axes(names: Sequence[str], units: Sequence[str], wanted: Sequence[str]) -> tuple[int, int]:
+    """Positions of the two states of the figure.
+
+    Raises
+    ------
+    ConfigurationError
+        For names that starts do not deviate in, or not two of them.
+    """
+    if wanted:
+        require_states(wanted, names, "study.plane")
+        if len(set(wanted)) != 2:
+            raise ConfigurationError(
+                f"{', '.join(wanted)} given", where="study.plane", remedy="name two states"
+            )
+        return names.index(wanted[0]), names.index(wanted[1])
+    if len(names) == 1:
+        return 0, 0
+    angles = [i for i, unit in enumerate(units) if unit == "rad"]
+    if not angles:
+        return 0, 1
+    last = angles[-1]
+    rate = "S" + names[last].removeprefix("alpha")
+    return last, names.index(rate) if rate in names else next(i for i in range(len(names)) if i != last)
+
+
+def _plane(system: Around, starts: Starts, options: Options, box: FloatArray, fate_of) -> Plane:  # type: ignore[no-untyped-def]
+    units = [system.model.states[system.model.state_index(n)].unit for n in starts.names]
+    i, j = plane_axes(starts.names, units, options.plane)
+    lines = np.linspace(-1.0, 1.0, options.grid)
+    across, up = np.meshgrid(lines * box[i], lines * box[j])
+    d = np.zeros((across.size, len(box)))
+    d[:, i] = across.ravel()
+    if i != j:
+        d[:, j] = up.ravel()
+    fate = fate_of(starts.of(d))
+    field, kept = VectorField(system.model), list(system.kept)
+    random, chosen = np.random.default_rng(4), []
+    for settled in (True, False):
+        rows = np.flatnonzero((fate == SETTLED) == settled)
+        if len(rows):
+            # Those farthest out among a few: motions are seen, not dots.
+            few = random.choice(rows, size=min(len(rows), 6 * _DRAWN), replace=False)
+            size = np.abs(d[few] / box).max(axis=1)
+            chosen += [(k, settled) for k in few[np.argsort(size)[::-1][: _DRAWN // 2]]]
+    begin = np.tile(system.point.x, (len(chosen), 1))
+    begin[:, kept] += starts.of(d[[k for k, _ in chosen]])
+    path = field.motions(begin, system.point.u, _SHOWN, 0.05, impulses=False)
+    path = path[:, :, kept] - system.point.x[kept]
+    paths = tuple((path[:, m], settled) for m, (_, settled) in enumerate(chosen))
+    return Plane((i, j), lines * box[i], lines * box[j], fate.reshape(across.shape), paths)

@@ -1,0 +1,168 @@
+"""The largest level set of V in which V falls, by sampling: an upper bound, and a proposal.
+
+On rays from the equilibrium the first point is sought where V̇ ≥ 0, and from the lowest of them V
+is minimised along V̇ = 0. No level above the value that is found can be right; that none below is
+wrong is not shown by this, but by :mod:`trms_cli.stability.attraction.proof`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.stability.attraction.functions import Candidate
+
+FloatArray = npt.NDArray[np.float64]
+
+_RADII = 120
+_REFINED = 8
+
+
+@dataclass(frozen=True)
+class SampledLevel:
+    """The lowest level at which V was found not to fall.
+
+    Attributes
+    ----------
+    level : float
+        No larger one is right.
+    at : (n,) array
+        The deviation where V̇ = 0, or where the level meets the limits.
+    at_limit : bool
+        Whether the limits of the search ended it, not V̇.
+    log_volume : float
+        Of {V < level}, natural logarithm, from the rays.
+    edge : (m, n) array
+        Where the rays leave {V < level}.
+    samples : int
+        Points that were looked at.
+    """
+
+    level: float
+    at: FloatArray
+    at_limit: bool
+    log_volume: float
+    edge: FloatArray
+    samples: int
+
+    @property
+    def extents(self) -> FloatArray:
+        """Half widths of {V < level}, (n,)."""
+        return np.asarray(np.abs(self.edge).max(axis=0))
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Directions from the equilibrium, the same for all functions.
+
+    Attributes
+    ----------
+    root : (n, n) array
+        y = root z: coordinates in which V is about \\|z\\|².
+    ends : (m, n) array
+        Where each ray meets the limits.
+    """
+
+    root: FloatArray
+    ends: FloatArray
+
+    @classmethod
+    def drawn(cls, P: FloatArray, limits: FloatArray, count: int, seed: int) -> Rays:
+        """Uniform directions in the metric of P, as far as \\|y_i\\| ≤ limits_i; with opposites."""
+        value, vectors = np.linalg.eigh(P)
+        root = vectors / np.sqrt(value)
+        z = np.random.default_rng(seed).normal(size=(count // 2, len(P)))
+        z /= np.linalg.norm(z, axis=1)[:, None]
+        y = np.vstack([z, -z]) @ root.T
+        return cls(root, y / np.max(np.abs(y) / limits, axis=1)[:, None])
+
+
+def sampled_level(candidate: Candidate, rays: Rays) -> SampledLevel | None:
+    """The level up to which no sample contradicts V̇ < 0; None if V̇ ≥ 0 next to the equilibrium."""
+    n = candidate.system.n
+    # The same relative distance everywhere: a small set is seen as well as a large one.
+    shares = np.geomspace(1e-3, 1.0, _RADII)
+    y = (rays.ends[:, None, :] * shares[None, :, None]).reshape(-1, n)
+    value, rate = (v.reshape(len(rays.ends), -1) for v in candidate.at(y))
+    wrong = (rate >= 0.0) | ~np.isfinite(rate) | ~np.isfinite(value)
+    wrong[:, 0] |= value[:, 0] <= 0.0
+    if np.any(wrong[:, 0]):
+        return None
+    row = np.arange(len(value))
+    at_end = ~np.any(wrong, axis=1)
+    first = np.where(at_end, len(shares) - 1, np.argmax(wrong, axis=1))
+    # A ray is content with a level that V reaches on it before V̇ goes wrong.
+    allowed = np.maximum.accumulate(value, axis=1)[row, np.where(at_end, first, first - 1)]
+    order = np.argsort(allowed)
+    best = int(order[0])
+    level, place = float(allowed[best]), rays.ends[best] * shares[first[best]]
+    for k in order[:_REFINED]:
+        found = _refined(candidate, rays, rays.ends[k] * shares[first[k]], bool(at_end[k]))
+        if found is not None and found[0] < level:
+            level, place, best = found[0], found[1], int(k)
+    inside = value < level
+    # The radius at which each ray leaves the level set, by interpolation.
+    last = np.minimum(np.argmax(~inside, axis=1), first)
+    low = np.where(last > 0, value[row, np.maximum(last - 1, 0)], 0.0)
+    start = np.where(last > 0, shares[np.maximum(last - 1, 0)], 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.clip((level - low) / (value[row, last] - low), 0.0, 1.0)
+    radius = start + np.nan_to_num(part) * (shares[last] - start)
+    edge = rays.ends * radius[:, None]
+    return SampledLevel(
+        level,
+        place,
+        bool(at_end[best]),
+        _log_volume(edge, rays.root),
+        edge,
+        y.shape[0],
+    )
+
+
+def _log_volume(edge: FloatArray, root: FloatArray) -> float:
+    """Of the star-shaped set whose edge is seen in uniform directions of z."""
+    n = edge.shape[1]
+    z = np.linalg.solve(root, edge.T).T
+    mean = float(np.mean(np.linalg.norm(z, axis=1) ** n))
+    ball = 0.5 * n * math.log(math.pi) - math.lgamma(0.5 * n + 1.0)
+    return ball + math.log(max(mean, 1e-300)) + float(np.linalg.slogdet(root)[1])
+
+
+def _refined(
+    candidate: Candidate, rays: Rays, start: FloatArray, at_limit: bool
+) -> tuple[float, FloatArray] | None:
+    """A local minimum of V where V̇ ≥ 0 (or on the limit), from a start near one."""
+    from scipy.optimize import minimize
+
+    if at_limit:
+        return None
+    z = ca.SX.sym("z", candidate.system.n)
+    value, rate = candidate.both(ca.DM(rays.root) @ z, ca.DM.zeros(candidate.system.model.n_x))
+    at = ca.Function("at", [z], [value, rate, ca.gradient(value, z), ca.gradient(rate, z)])
+    z0 = np.linalg.solve(rays.root, start)
+    v0, r0 = (abs(float(v)) or 1.0 for v in at(z0)[:2])
+    scale = max(r0, 1e-3 * v0)
+    found = minimize(
+        lambda p: float(at(p)[0]) / v0,
+        z0,
+        jac=lambda p: np.array(at(p)[2]).ravel() / v0,
+        constraints=[
+            {
+                "type": "ineq",
+                "fun": lambda p: float(at(p)[1]) / scale,
+                "jac": lambda p: np.array(at(p)[3]).ravel() / scale,
+            }
+        ],
+        method="SLSQP",
+        options={"maxiter": 80, "ftol": 1e-10},
+    )
+    level, slope = (float(v) for v in at(found.x)[:2])
+    y = rays.root @ found.x
+    limits = np.abs(rays.ends).max(axis=0)
+    away = np.linalg.norm(found.x) > 1e-2 * np.linalg.norm(z0)
+    usable = away and level > 0.0 and slope > -1e-6 * scale and bool(np.all(np.abs(y) <= limits))
+    return (level, y) if usable and np.isfinite(level) else None

@@ -1,0 +1,313 @@
+"""From which starts a closed loop recovers: its runs, and for an LQR sets that are proved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
+from trms_cli.stability.attraction import report
+from trms_cli.stability.attraction.inquiry import (
+    Options,
+    Region,
+    Starts,
+    inquire,
+    plane_axes,
+    require_states,
+)
+from trms_cli.stability.attraction.linear_law import LinearLaw, LinearLawLoop, linear_law
+from trms_cli.stability.attraction.system import around, require_attractive
+from trms_cli.stability.attraction.truth import Share, share_of
+from trms_cli.stability.closed_loop import run_loop
+from trms_cli.stability.findings import Findings, Judged, Section, Table
+from trms_cli.stability.operating_point import OperatingPoint
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import Subject
+
+FloatArray = npt.NDArray[np.float64]
+
+#: s, of a run where none is given.
+_DURATION = 20.0
+#: Share of a run, at its end, in which the angles must stay where they belong.
+_END = 0.1
+#: Starts in a proved set from which the loop itself is run.
+_INSIDE = 8
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Runs of the loop.
+
+    Attributes
+    ----------
+    d : (n, m) array
+        Starts, as deviations.
+    recovered : (n,) bool
+    """
+
+    d: FloatArray
+    recovered: npt.NDArray[np.bool_]
+
+    @property
+    def share(self) -> Share:
+        return share_of(int(self.recovered.sum()), len(self.recovered))
+
+
+def loop_findings(
+    subject: Subject,
+    point: OperatingPoint,
+    options: Options,
+    chosen: Sequence[str],
+    count: int,
+    tolerance: float,
+    tell: Tell,
+    title: str,
+) -> Findings:
+    """The findings for a loop: by simulation, and by proof where the law is an LQR's.
+
+    Raises
+    ------
+    TrmsError
+        If the loop is unstable around the point, or a name is no state.
+    """
+    model, loop = subject.model, subject.require_loop("study=region_of_attraction")
+    known = chosen or _deviating(subject)
+    require_states([n for n in known if n not in model.state_names], model.state_names, "study.states")
+    require_states(options.box, known, "study.box")
+    box = np.array([options.box.get(n, _half_width(subject, point, n)) for n in known])
+    duration = options.duration or _DURATION
+    law = linear_law(model, loop, point)
+    found = None
+    if law is not None:
+        found = _by_law(subject, law, tuple(known), box, options, tell)
+    random = np.random.default_rng(3)
+    d = random.uniform(-1.0, 1.0, (count, len(known))) * box
+    runs = _runs(subject, point, known, d, duration, tolerance, tell)
+    inside = None
+    if found is not None:
+        best = report.largest(found)
+        if best is not None:
+            drawn = random.uniform(-1.0, 1.0, (200_000, len(known))) * box
+            proved = drawn[best.estimate.contains(found.starts.of(drawn))][:_INSIDE]
+            if len(proved):
+                inside = _runs(subject, point, known, proved, duration, tolerance, tell)
+    return _told(subject, point, known, box, options, runs, inside, found, duration, tolerance, title)
+
+
+def _by_law(
+    subject: Subject,
+    law: LinearLaw,
+    known: tuple[str, ...],
+    box: FloatArray,
+    options: Options,
+    tell: Tell,
+) -> Region:
+    loop = LinearLawLoop(subject.model, law)
+    system = around(loop, loop.point)
+    require_attractive(system)
+    matrix, offset = loop.starts()
+    columns = [subject.model.state_index(name) for name in known]
+    kept = list(system.kept)
+    starts = Starts(known, matrix[np.ix_(kept, columns)], offset[kept])
+    free = LinearLawLoop(subject.model, law, saturated=False)
+    rows = loop.unsaturated_rows()[:, kept]
+    return inquire(
+        system,
+        replace(options, box={}, duration=None),
+        tell,
+        starts=starts,
+        linear_inside=(around(free, free.point), rows),
+        box=box,
+    )
+
+
+def _deviating(subject: Subject) -> tuple[str, ...]:
+    """Both angles, or the one angle and its rate."""
+    model = subject.model
+    if len(model.controlled) > 1:
+        return tuple(model.controlled)
+    angle = model.controlled[0]
+    rate = "S" + angle.removeprefix("alpha")
+    return (angle, rate) if rate in model.state_names else (angle,)
+
+
+def _half_width(subject: Subject, point: OperatingPoint, name: str) -> float:
+    """1 rad, but not beyond a stop; 1 rad/s; a fifth of a rotor's speed."""
+    index = subject.model.state_index(name)
+    stop = subject.model.stops.get(name)
+    value = abs(float(point.x[index]))
+    if stop is not None and stop > value:
+        return min(1.0, stop - value)
+    return max(1.0, 0.2 * value)
+
+
+def _runs(
+    subject: Subject,
+    point: OperatingPoint,
+    known: Sequence[str],
+    d: FloatArray,
+    duration: float,
+    tolerance: float,
+    tell: Tell,
+) -> Runs:
+    model, loop = subject.model, subject.require_loop("study=region_of_attraction")
+    rows = [model.state_index(name) for name in model.controlled]
+    recovered = np.zeros(len(d), dtype=bool)
+    for k, start in enumerate(d):
+        tell(f"run {k + 1} of {len(d)}")
+        run = run_loop(
+            model, loop, point, duration, offset=dict(zip(known, start.tolist(), strict=True))
+        )
+        tail = run.x[-max(1, int(_END * len(run.x))) :, rows]
+        away = np.abs(tail - point.x[rows])
+        # A comparison with what is not a number is false.
+        recovered[k] = not run.ended and bool(np.all(away <= tolerance))
+    return Runs(d, recovered)
+
+
+def _told(
+    subject: Subject,
+    point: OperatingPoint,
+    known: Sequence[str],
+    box: FloatArray,
+    options: Options,
+    runs: Runs,
+    inside: Runs | None,
+    found: Region | None,
+    duration: float,
+    tolerance: float,
+    title: str,
+) -> Findings:
+    model, loop = subject.model, subject.require_loop("study=region_of_attraction")
+    name = loop.names.get("controller", "the controller")
+    widths = ", ".join(f"{n} ±{value:.3g}" for n, value in zip(known, box, strict=True))
+    said = [
+        f"{name} recovered from {int(runs.recovered.sum())} of {len(runs.recovered)} random starts "
+        f"within {widths} around {point.words(model)} in {duration:g} s: "
+        f"{report.percent(runs.share)} of the box."
+    ]
+    notes = [
+        "Runs of the loop start with the observer and the controller at rest; mechanical stops do "
+        "not act."
+    ]
+    blocks: list[Table | Chart] = []
+    if found is not None:
+        said += _law_lead(found, inside)
+        blocks = [*report.sections(found)[0].blocks]
+        notes += [
+            "Proofs are about the LQR law in continuous time, with its integral and saturation and "
+            "a state that is known; the runs are the loop itself, sampled, with its observer.",
+            *report.warnings(found),
+        ]
+    else:
+        notes.append(
+            f"Nothing is proved for {name}: only an LQR's law can be written as equations here "
+            "(and only where the rig has the states that the controller believes in). The share "
+            "is an estimate from runs."
+        )
+    section = Section(
+        "Runs of the loop",
+        (
+            f"A start is recovered if all controlled angles stay within {tolerance:g} rad of where "
+            f"they belong over the last tenth of {duration:g} s.",
+        ),
+        [*_run_blocks(subject, point, known, box, options, runs), _run_table(runs, inside)],
+    )
+    proofs = (
+        [Section("Sets proved for the law", report.METHOD, blocks)] if found is not None else []
+    )
+    return Findings(title, said, [section, *proofs], _data(known, box, runs, inside, found), notes)
+
+
+def _law_lead(found: Region, inside: Runs | None) -> list[str]:
+    said = report.lead(found)
+    if inside is not None:
+        lost = int((~inside.recovered).sum())
+        said.append(
+            f"Of {len(inside.recovered)} runs of the loop itself from starts in the proved set "
+            f"{lost or 'none'} failed to recover."
+        )
+    return said
+
+
+def _run_table(runs: Runs, inside: Runs | None) -> Table:
+    rows = [("random in the box", len(runs.recovered), int(runs.recovered.sum()), report.percent(runs.share))]
+    table: list[Sequence[Any]] = [*rows]
+    if inside is not None:
+        good = bool(inside.recovered.all())
+        table.append(
+            (
+                "in the proved set",
+                len(inside.recovered),
+                Judged(int(inside.recovered.sum()), "good" if good else "bad"),
+                report.percent(inside.share),
+            )
+        )
+    return Table(
+        ("starts", "runs", "recovered", "share (95 % confidence)"), table, "Runs of the loop itself."
+    )
+
+
+def _run_blocks(
+    subject: Subject,
+    point: OperatingPoint,
+    known: Sequence[str],
+    box: FloatArray,
+    options: Options,
+    runs: Runs,
+) -> list[Chart]:
+    model = subject.model
+    signals = [model.states[model.state_index(name)] for name in known]
+    i, j = plane_axes(list(known), [s.unit for s in signals], options.plane)
+    if not options.plane and len(known) == 2:
+        i, j = 0, 1
+    if i == j:
+        return []
+    origin = [float(point.x[model.state_index(n)]) for n in known]
+    marks: list[Mark] = []
+    for kind, label, marker, colour in (
+        (runs.recovered, "recovers", "dot", "blue"),
+        (~runs.recovered, "does not", "cross", "alarm"),
+    ):
+        if kind.any():
+            marks.append(
+                Points(origin[i] + runs.d[kind, i], origin[j] + runs.d[kind, j], label, marker, colour)  # type: ignore[arg-type]
+            )
+    marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
+    x, y = (
+        Axis(known[k], signals[k].unit, (origin[k] - 1.05 * box[k], origin[k] + 1.05 * box[k]))
+        for k in (i, j)
+    )
+    return [
+        Chart(
+            "recovered_starts",
+            [Panel(x, y, marks)],
+            f"Starts from which the loop of {subject.require_loop('').names.get('controller', '')} "
+            f"comes back to {point.words(model)}.",
+            columns=1,
+            width=4.8,
+            height=4.2,
+        )
+    ]
+
+
+def _data(
+    known: Sequence[str], box: FloatArray, runs: Runs, inside: Runs | None, found: Region | None
+) -> Mapping[str, Any]:
+    return {
+        "runs": {
+            "states": list(known),
+            "box": dict(zip(known, box.tolist(), strict=True)),
+            "starts": runs.d.tolist(),
+            "recovered": [bool(v) for v in runs.recovered],
+            "share": report.share_data(runs.share),
+        },
+        "runs_in_proved_set": None
+        if inside is None
+        else {"starts": inside.d.tolist(), "recovered": [bool(v) for v in inside.recovered]},
+        "law": None if found is None else report.results(found),
+    }

@@ -1,0 +1,221 @@
+"""What was found out about a region of attraction, in sentences, tables and data."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from trms_cli.core.chart import Chart
+from trms_cli.stability.attraction.charts import plane_chart
+from trms_cli.stability.attraction.estimates import LABELS
+from trms_cli.stability.attraction.inquiry import Region, Verdict
+from trms_cli.stability.attraction.system import written
+from trms_cli.stability.attraction.truth import Share
+from trms_cli.stability.findings import Judged, Section, Table
+
+METHOD = (
+    "With y the deviation from the equilibrium, V falls along the motions in each of the sets and "
+    "no motion leaves it, so that all that begins in it comes to rest at the equilibrium. "
+    "'Lyapunov equation' and 'LMI over a box' write the equations as ẏ = A(y) y with A(y) in an "
+    "interval matrix, and prove AᵀP + PA ≺ 0 at all its corners. The other methods take the "
+    "largest level set of V in which sampling finds V̇ < 0, and prove V̇ < 0 in it by interval "
+    "branch and bound; V is quadratic, or fitted by linear programmes so that its level set grows: "
+    "a quadratic with the integrals of the model's own rates, or a polynomial of degree 4.",
+    "The region itself is found by simulation. Mechanical stops are no part of the equations: a "
+    "motion that a rig's stop would catch counts here as the equations have it.",
+)
+
+
+def percent(share: Share) -> str:
+    """``72 % (67–78 %)``."""
+    value, low, high = (100.0 * v for v in (share.value, share.lower, share.upper))
+    digits = 0 if value >= 10.0 else max(1, -math.floor(math.log10(max(value, 1e-12))))
+    digits = min(digits, 6)
+    return f"{value:.{digits}f} % ({low:.{digits}f}–{min(high, 100.0):.{digits}f} %)"
+
+
+def largest(found: Region) -> Verdict | None:
+    """The largest set that is proved."""
+    proved = [v for v in found.verdicts if v.estimate.proved]
+    return max(proved, key=lambda v: v.estimate.log_volume) if proved else None
+
+
+def lead(found: Region) -> list[str]:
+    """The answer first."""
+    system = found.system
+    place = system.point.words(system.model)
+    best = largest(found)
+    said = []
+    if best is None:
+        said.append(f"No region around {place} could be proved by the methods asked for.")
+    else:
+        reach = ", ".join(
+            f"{name} ±{value:.3g}"
+            for name, value in zip(system.names, best.estimate.extents, strict=True)
+        )
+        said.append(
+            f"All motions that begin in a set of half-widths {reach} around {place} are proved to "
+            f"come to rest there ({best.estimate.label})."
+        )
+        if best.share is not None:
+            said.append(
+                f"It covers {percent(best.share)} of the starts in the box that do so in "
+                f"simulation; these are {percent(found.truth)} of the box."
+            )
+    failed = sum(v.failed for v in found.verdicts if v.estimate.proved)
+    tested = sum(v.tested for v in found.verdicts if v.estimate.proved)
+    if tested:
+        said.append(
+            f"Of {tested} simulated motions from starts in proved sets {failed or 'none'} failed "
+            "to come to rest." + (" A proof and the simulation contradict each other." * (failed > 0))
+        )
+    saddles = [rest for rest in found.rests if not rest.stable]
+    if saddles:
+        near = saddles[0].y
+        away = ", ".join(
+            f"{name} {value:+.3g}"
+            for name, value in zip(system.names, near, strict=True)
+            if abs(value) > 1e-9
+        )
+        said.append(
+            f"The nearest unstable equilibrium is {away} away; the region ends at its surface."
+        )
+    return said
+
+
+def sections(found: Region) -> list[Section]:
+    """Method, figure, table."""
+    blocks: list[Table | Chart] = [estimate_table(found)]
+    if found.plane.axes[0] != found.plane.axes[1]:
+        blocks.insert(0, plane_chart(found))
+    return [Section("Estimates and the region by simulation", METHOD, blocks)]
+
+
+def estimate_table(found: Region) -> Table:
+    """A row for each estimate."""
+    names = found.system.names
+    shown = len(names) - 1 - [n.startswith("alpha") for n in names][::-1].index(True) if any(
+        n.startswith("alpha") for n in names
+    ) else 0
+    unit = found.system.model.states[found.system.kept[shown]].unit
+    rows = []
+    for v in found.verdicts:
+        e = v.estimate
+        rows.append(
+            (
+                e.label,
+                Judged("proved", "good") if e.proved else Judged("sampled only", "doubtful"),
+                float(f"{e.extents[shown]:.4g}"),
+                float(f"{math.exp(e.log_volume):.3g}"),
+                percent(v.share) if v.share else "too small to count",
+                None if e.sampled is None else f"{e.level / e.sampled:.0%}",
+                e.boxes or None,
+                Judged(f"{v.failed} of {v.tested}", "good" if v.failed == 0 else "bad"),
+            )
+        )
+    return Table(
+        (
+            "V",
+            "is",
+            f"reaches ±{names[shown]} [{unit}]",
+            "volume",
+            "of the true region",
+            "of the sampled level",
+            "boxes",
+            "do not come to rest",
+        ),
+        rows,
+        f"Volume in the units of {', '.join(names)}. The true region is counted in a box by "
+        f"{found.samples} random starts ({found.undecided} undecided after {found.duration:.0f} s); "
+        "in brackets 95 % confidence. The last column simulates starts in the set.",
+    )
+
+
+def results(found: Region) -> dict[str, Any]:
+    """The figures as data."""
+    system = found.system
+    return {
+        "point": dict(zip(system.model.state_names, system.point.x.tolist(), strict=True)),
+        "command": {
+            s.name: float(v) for s, v in zip(system.model.inputs, system.point.u, strict=True)
+        },
+        "states": list(system.names),
+        "settled": list(system.settled),
+        "neutral": [system.model.state_names[i] for i in system.neutral],
+        "eigenvalues": [[float(v.real), float(v.imag)] for v in system.eigenvalues],
+        "box": dict(zip(found.starts.names, found.box.tolist(), strict=True)),
+        "true_share_of_box": share_data(found.truth),
+        "samples": found.samples,
+        "undecided": found.undecided,
+        "duration": found.duration,
+        "estimates": [_estimate_data(v) for v in found.verdicts],
+        "other_equilibria": [
+            {"deviation": dict(zip(system.names, rest.y.tolist(), strict=True)), "stable": rest.stable}
+            for rest in found.rests
+        ],
+    }
+
+
+def share_data(share: Share | None) -> dict[str, float | None] | None:
+    """A share as JSON data."""
+    if share is None:
+        return None
+    values = {"value": share.value, "lower": share.lower, "upper": share.upper}
+    return {k: float(v) if math.isfinite(v) else None for k, v in values.items()}
+
+
+def _estimate_data(v: Verdict) -> dict[str, Any]:
+    e = v.estimate
+    volume = math.exp(e.log_volume)
+    return {
+        "method": e.method,
+        "label": LABELS[e.method],
+        "proved": e.proved,
+        "means": e.means,
+        "terms": dict(zip(e.candidate.basis.names, e.candidate.weights.tolist(), strict=True)),
+        "level": float(e.level),
+        "sampled_level": None if e.sampled is None else float(e.sampled),
+        "samples": e.samples,
+        "boxes": e.boxes,
+        "half_widths": dict(zip(e.candidate.system.names, e.extents.tolist(), strict=True)),
+        "volume": volume if math.isfinite(volume) else None,
+        "share_of_true_region": share_data(v.share),
+        "simulated": v.tested,
+        "failed": v.failed,
+    }
+
+
+def warnings(found: Region) -> list[str]:
+    """What limits the answer."""
+    said = []
+    system = found.system
+    if system.settled:
+        said.append(
+            f"{', '.join(system.settled)} are at rest throughout: what is proved and simulated "
+            "holds for motions that begin with them settled, where they stay. "
+            "study.states=all lets them deviate too."
+        )
+    if system.neutral:
+        names = ", ".join(system.model.state_names[i] for i in system.neutral)
+        said.append(f"{names} moves nothing and is left out: there is no attraction in it.")
+    if found.undecided:
+        said.append(
+            f"{found.undecided} of {found.samples} motions were undecided after "
+            f"{found.duration:.0f} s and count as not attracted."
+        )
+    if any(not v.estimate.proved for v in found.verdicts):
+        said.append(
+            "Sets marked 'sampled only' are not proved: V fell at every sample, and no bound was "
+            "found for all points. More boxes (study.boxes) may close it."
+        )
+    slow = np.abs(system.eigenvalues.real).min()
+    frequency = max(abs(v) for v in system.eigenvalues)
+    if slow < 0.05 * frequency:
+        worst = max(system.eigenvalues, key=lambda v: v.real)
+        said.append(
+            f"The slowest mode ({written(worst)} 1/s) is lightly damped: quadratic functions "
+            "cover little there, whatever the method."
+        )
+    return said

@@ -1,0 +1,276 @@
+"""A model around an equilibrium, in the states that take part.
+
+With y the deviation of these states from the equilibrium x*,
+
+    ẏ = f(x* + y, ū)        f(x*, ū) = 0
+
+The other states stay at rest: they are chosen so that none of the deviations moves them, and the
+set on which they rest is invariant (rotors that have reached their speed, for example). A state
+that moves nothing, itself included (a yaw that nothing pulls back), is left out too: its value is
+of no consequence, and there is no attraction in its direction.
+
+x* is not a number that a computer has: it lies within :attr:`Around.error` of the point x̄ that is
+computed, which Krawczyk's test proves. All bounds allow for it. The model's constants are taken as
+the double precision numbers that the program computes with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.model import Model
+from trms_cli.stability.intervals.enclosure import Enclosure
+from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.operating_point import OperatingPoint
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Real parts of eigenvalues below this share of the largest modulus count as zero.
+_MARGINAL = 1e-8
+#: Parts of the segment from the equilibrium over which slopes are averaged.
+_PARTS = 16
+#: Radii tried for the box that holds the exact equilibrium, relative to 1 + |x̄|.
+_RADII = (1e-12, 1e-10, 1e-8, 1e-6)
+
+
+@dataclass(frozen=True)
+class Around:
+    """The equations of a model around an equilibrium.
+
+    Attributes
+    ----------
+    model : Model
+    point : OperatingPoint
+    kept : tuple of int
+        Positions in x of the states of y.
+    neutral : tuple of int
+        Positions of states that move nothing, left out.
+    """
+
+    model: Model
+    point: OperatingPoint
+    kept: tuple[int, ...]
+    neutral: tuple[int, ...] = ()
+
+    @property
+    def n(self) -> int:
+        return len(self.kept)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the states of y."""
+        return tuple(self.model.state_names[i] for i in self.kept)
+
+    @property
+    def settled(self) -> tuple[str, ...]:
+        """States that rest, by name."""
+        apart = {*self.kept, *self.neutral}
+        return tuple(n for i, n in enumerate(self.model.state_names) if i not in apart)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """``(y, e) → ẏ``, (n, 1) each but e, the error of the computed equilibrium, (n_x, 1)."""
+        y, e = self.symbols()
+        full = ca.SX(ca.DM(self.point.x)) + e
+        for j, i in enumerate(self.kept):
+            full[i] += y[j]
+        rates = _rates(self.model, full, self.point.u)
+        return ca.Function("around", [y, e], [rates[list(self.kept)]])
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """``(y, e) → ∂ẏ/∂y``, dense."""
+        y, e = self.symbols()
+        slope = ca.densify(ca.jacobian(self.function(y, e), y))
+        return ca.Function("slopes", [y, e], [slope])
+
+    @cached_property
+    def A(self) -> FloatArray:
+        """∂ẏ/∂y at the equilibrium, (n, n)."""
+        return np.array(self.slopes(np.zeros(self.n), np.zeros(self.model.n_x)))
+
+    @cached_property
+    def eigenvalues(self) -> npt.NDArray[np.complex128]:
+        return np.asarray(np.linalg.eigvals(self.A), dtype=np.complex128)
+
+    @cached_property
+    def curved(self) -> tuple[int, ...]:
+        """Positions in y that the slopes depend on: where the equations are not linear."""
+        y, e = self.symbols()
+        depends = ca.jacobian_sparsity(ca.vec(self.slopes(y, e)), y)
+        return tuple(sorted({int(j) for j in depends.get_triplet()[1]}))
+
+    @cached_property
+    def error(self) -> Interval:
+        """Where x* − x̄ lies, (n_x,): in this box there is one equilibrium, and one only.
+
+        Raises
+        ------
+        ModelError
+            If that cannot be proved.
+        """
+        n_x = self.model.n_x
+        everything = tuple(i for i in range(n_x) if i not in self.neutral)
+        whole = Around(self.model, self.point, everything, self.neutral)
+        bounds, zero = Enclosure(whole.function), Interval.point(np.zeros(n_x))
+        inverse = np.linalg.inv(whole.A)
+        rate = bounds(Interval.point(np.zeros((1, whole.n))), zero)[0][0]
+        newton = -_product(inverse, rate)
+        for size in _RADII:
+            r = size * (1.0 + np.abs(self.point.x[list(everything)]))
+            box = Interval(-r, r)
+            rest = _identity_minus(inverse, whole.slopes_within(box[None], zero)[0])
+            moved = newton + _rows([_dot(rest[i], box) for i in range(whole.n)])
+            if bool(np.all(moved.within(box))):
+                full = np.zeros(n_x)
+                full[list(everything)] = r
+                return Interval(-full, full)
+        raise ModelError(
+            "no equilibrium can be proved to lie at the point that was computed",
+            where="study.at",
+            remedy="choose a point away from a fold (study=equilibria shows where they are)",
+        )
+
+    @cached_property
+    def _slope_bounds(self) -> Enclosure:
+        return Enclosure(self.slopes)
+
+    def slopes_within(self, box: Interval, error: Interval) -> Interval:
+        """Bounds of ∂ẏ/∂y in boxes (m, n), (m, n, n)."""
+        found = self._slope_bounds(box, error)[0]
+        return found if found.lower.ndim == 3 else found[:, :, None]
+
+    def rates(self, y: FloatArray) -> FloatArray:
+        """ẏ at many deviations, (m, n) each."""
+        return np.array(self.function(y.T, np.zeros(self.model.n_x))).T
+
+    def symbols(self) -> tuple[ca.SX, ca.SX]:
+        """Fresh symbols (y, e)."""
+        return ca.SX.sym("y", self.n), ca.SX.sym("e", self.model.n_x)
+
+    def hull(self, radii: FloatArray) -> Interval:
+        """Matrices A(y) with ẏ = A(y) y, for all \\|y_i\\| ≤ radii_i: bounds of each entry, (n, n).
+
+        A(y) = ∫₀¹ ∂f(x* + s y) ds, bounded part by part of the segment: the slopes far out count
+        for the last part only. Where a coefficient switches, both its values are covered.
+        """
+        shares = (np.arange(_PARTS) + 1.0) / _PARTS
+        r = np.nextafter(shares[:, None] * radii, np.inf)
+        slope = self.slopes_within(Interval(-r, r), self.error)
+        total = slope[0]
+        for k in range(1, _PARTS):
+            total = total + slope[k]
+        share = Interval.point(np.full((self.n, self.n), 1.0 / _PARTS))
+        return total * share
+
+
+def around(model: Model, point: OperatingPoint, states: Sequence[str] | None = None) -> Around:
+    """The equations in the states that deviate, and in those that they move.
+
+    Parameters
+    ----------
+    model : Model
+        With equations.
+    point : OperatingPoint
+    states : sequence of str, optional
+        States in which starts deviate; default all.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name that is no state.
+    """
+    for name in states or ():
+        if name not in model.state_names:
+            raise ConfigurationError(
+                f"{name!r} is not a state of model {model.name!r}",
+                where="study.states",
+                remedy=nearest(name, model.state_names),
+            )
+    x = ca.SX.sym("x", model.n_x)
+    moves = ca.jacobian_sparsity(_rates(model, x, point.u), x)
+    pairs = list(zip(*moves.get_triplet(), strict=True))  # (moved, moving)
+    neutral = {j for j in range(model.n_x) if all(moving != j for _, moving in pairs)}
+    kept = {model.state_index(n) for n in states} if states else set(range(model.n_x))
+    while True:
+        following = kept | {i for i, j in pairs if j in kept}
+        if following == kept:
+            break
+        kept = following
+    return Around(model, point, tuple(sorted(kept - neutral)), tuple(sorted(neutral)))
+
+
+def require_attractive(system: Around) -> None:
+    """Refuse an equilibrium that is not asymptotically stable, with its eigenvalues.
+
+    Raises
+    ------
+    ModelError
+    """
+    values = system.eigenvalues
+    scale = max(1e-3, float(np.abs(values).max(initial=0.0)))
+    worst = float(values.real.max(initial=-np.inf))
+    if worst < -_MARGINAL * scale:
+        return
+    told = ", ".join(written(value) for value in sorted(values, key=lambda v: -v.real)[:4])
+    place = system.point.words(system.model)
+    if worst > _MARGINAL * scale:
+        raise ModelError(
+            f"the equilibrium at {place} is unstable (eigenvalues {told} 1/s): it attracts only "
+            "the motions on a surface without volume, and has no region of attraction",
+            where="study.at",
+            remedy="choose a stable one (study=equilibria marks them), or close the loop: "
+            "controller=lqr",
+        )
+    raise ModelError(
+        f"the equilibrium at {place} is marginal (eigenvalues {told} 1/s): its linearisation does "
+        "not decide, and no quadratic function proves a region",
+        where="study.at",
+        remedy="choose a point where all modes decay, or give the axis some damping or stiffness "
+        "(model.parameters)",
+    )
+
+
+def written(value: complex) -> str:
+    """``-0.0467 + 1.61j``; an eigenvalue in a sentence."""
+    if abs(value.imag) < 1e-9 * (1.0 + abs(value)):
+        return f"{value.real:.3g}"
+    return f"{value.real:.3g} {'+' if value.imag > 0 else '−'} {abs(value.imag):.3g}j"
+
+
+def _rates(model: Model, x: ca.SX, u: FloatArray) -> ca.SX:
+    constants = [ca.SX(ca.DM(v)) for v in (u, model.parameters.values, np.zeros(model.n_w))]
+    return model.dynamics(x, *constants)
+
+
+def _dot(row: Interval, column: Interval) -> Interval:
+    terms = row * column
+    total = terms[0]
+    for k in range(1, len(terms.lower)):
+        total = total + terms[k]
+    return total
+
+
+def _rows(values: list[Interval]) -> Interval:
+    return Interval(np.array([v.lower for v in values]), np.array([v.upper for v in values]))
+
+
+def _product(matrix: FloatArray, column: Interval) -> Interval:
+    return _rows([_dot(Interval.point(row), column) for row in matrix])
+
+
+def _identity_minus(inverse: FloatArray, slope: Interval) -> Interval:
+    n = len(inverse)
+    columns = [_product(inverse, slope[:, j]) for j in range(n)]
+    found = Interval(
+        np.stack([c.lower for c in columns], axis=1), np.stack([c.upper for c in columns], axis=1)
+    )
+    return Interval.point(np.eye(n)) - found

@@ -1,0 +1,180 @@
+"""The region of attraction itself, by simulation: which starts come to rest at the equilibrium.
+
+A motion has come to rest as soon as it has entered a set that is proved to be attracted; before
+that it may have left for good (far outside the box) or be undecided when the time is over. The
+equations are integrated as the model's simulation integrates them, without dry friction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.stability.attraction.estimates import Estimate
+from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
+from trms_cli.stability.attraction.system import Around
+from trms_cli.stability.operating_point import refined
+from trms_cli.stability.vector_field import VectorField
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int8]
+Inside = Callable[[FloatArray], npt.NDArray[np.bool_]]
+
+#: What became of a motion.
+SETTLED, UNDECIDED, LEFT = 1, 0, -1
+#: Motions that are integrated at once: one compiled function for all calls.
+_BLOCK = 512
+#: s between two looks at the states, and between two looks at who has arrived.
+_STEP, _CHUNK = 0.1, 4.0
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share with its confidence interval (95 %, Clopper and Pearson)."""
+
+    value: float  #: the best guess
+    lower: float  #: lower end
+    upper: float  #: upper end
+
+    def over(self, other: Share) -> Share:
+        """The ratio of two, its interval the widest that both allow; at most 1 if they say so."""
+        return Share(
+            self.value / other.value if other.value else math.nan,
+            self.lower / other.upper if other.upper else math.nan,
+            self.upper / other.lower if other.lower else math.inf,
+        )
+
+
+def share_of(hits: int, count: int) -> Share:
+    """The share of hits among independent draws."""
+    from scipy.stats import beta
+
+    tail = 0.5 * (1.0 - _CONFIDENCE)
+    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, count - hits + 1))
+    high = 1.0 if hits == count else float(beta.ppf(1.0 - tail, hits + 1, count - hits))
+    return Share(hits / count if count else math.nan, low, high)
+
+
+def fates(
+    system: Around, starts: FloatArray, inside: Inside, duration: float, far: FloatArray
+) -> IntArray:
+    """What becomes of motions.
+
+    Parameters
+    ----------
+    system : Around
+    starts : (m, n) array
+        Deviations.
+    inside : callable
+        Which deviations (k, n) have arrived.
+    duration : float
+        s.
+    far : (n,) array
+        Beyond \\|y_i\\| > far_i a motion counts as gone.
+
+    Returns
+    -------
+    (m,) array
+        :data:`SETTLED`, :data:`UNDECIDED` or :data:`LEFT`.
+    """
+    field, kept = VectorField(system.model), list(system.kept)
+    origin = system.point.x
+    found = np.zeros(len(starts), dtype=np.int8)
+    found[inside(starts)] = SETTLED
+    waiting = np.flatnonzero(found == UNDECIDED)
+    states = np.tile(origin, (len(starts), 1))
+    states[:, kept] += starts
+    for _ in range(math.ceil(duration / _CHUNK)):
+        if not len(waiting):
+            break
+        for first in range(0, len(waiting), _BLOCK):
+            rows = waiting[first : first + _BLOCK]
+            block = np.resize(rows, _BLOCK)  # the last one is filled up: one size, one function
+            path = field.motions(states[block], system.point.u, _CHUNK, _STEP, impulses=False)
+            path = path[:, : len(rows)]
+            y = path[:, :, kept] - origin[kept]
+            states[rows] = path[-1]
+            with np.errstate(invalid="ignore"):
+                gone = np.any(~(np.abs(y) <= far), axis=(0, 2))
+            finite = np.where(np.isfinite(y), y, np.inf)
+            arrived = inside(finite[1:].reshape(-1, system.n)).reshape(-1, len(rows)).any(axis=0)
+            found[rows] = np.where(gone, LEFT, np.where(arrived, SETTLED, UNDECIDED))
+        waiting = waiting[found[waiting] == UNDECIDED]
+    return found
+
+
+def failures(
+    system: Around, sets: Sequence[Estimate], count: int, duration: float, seed: int
+) -> list[tuple[int, int]]:
+    """A test of estimates by simulation: starts in each, and how many do not come to rest.
+
+    To rest comes what ends where yᵀPy, of the linearisation's Lyapunov equation, is a hundredth of
+    what it is on the smallest set's edge: deep inside all of them.
+
+    Returns
+    -------
+    list of (int, int)
+        Starts and failures for each set.
+    """
+    P = from_lyapunov_equation(system)
+    starts = [_with_edge(estimate, count, seed) for estimate in sets]
+    drawn = [y for y in starts if len(y)]
+    if not drawn:
+        return [(0, 0) for _ in sets]
+    least = min(float(np.einsum("ij,jk,ik->i", y, P, y).max()) for y in drawn)
+
+    def arrived(y: FloatArray) -> npt.NDArray[np.bool_]:
+        near = np.where(np.isfinite(y), y, 1e6)
+        return np.asarray(np.einsum("ij,jk,ik->i", near, P, near) < 1e-2 * least)
+
+    fate = fates(system, np.vstack(drawn), arrived, duration, np.full(system.n, np.inf))
+    ends = np.cumsum([len(y) for y in starts])
+    return [
+        (len(y), int(np.sum(fate[end - len(y) : end] != SETTLED)))
+        for y, end in zip(starts, ends, strict=True)
+    ]
+
+
+def _with_edge(estimate: Estimate, count: int, seed: int) -> FloatArray:
+    """Starts in a set, half of them as near to its edge as it goes on their ray."""
+    starts = estimate.drawn(count, seed)
+    for _ in range(40):
+        further = starts.copy()
+        further[::2] *= 1.05
+        kept = estimate.contains(further)
+        starts[kept] = further[kept]
+    return starts
+
+
+@dataclass(frozen=True)
+class OtherRest:
+    """Another equilibrium at the same command: its deviation (n,), and whether it attracts."""
+
+    y: FloatArray  #: deviation from the equilibrium studied
+    stable: bool  #: all eigenvalues in the left half plane
+
+
+def other_rests(system: Around, limits: FloatArray, seed: int = 0) -> list[OtherRest]:
+    """Other equilibria in the box that Newton's method finds from random starts."""
+    field, kept = VectorField(system.model), list(system.kept)
+    random = np.random.default_rng(seed)
+    found: list[OtherRest] = []
+    for draw in random.uniform(-1.0, 1.0, (60, system.n)) * limits:
+        start = system.point.x.copy()
+        start[kept] += draw
+        x = refined(field, start, system.point.u)
+        if x is None:
+            continue
+        y = x[kept] - system.point.x[kept]
+        scale = np.maximum(limits, 1e-9)
+        known = [np.zeros(system.n), *(rest.y for rest in found)]
+        if np.any(np.abs(y) > limits) or min(np.abs((y - k) / scale).max() for k in known) < 1e-4:
+            continue
+        slope = field.linearised(x, system.point.u)[0][np.ix_(kept, kept)]
+        found.append(OtherRest(y, bool(np.linalg.eigvals(slope).real.max() < 0.0)))
+    return sorted(found, key=lambda rest: float(np.linalg.norm(rest.y / limits)))

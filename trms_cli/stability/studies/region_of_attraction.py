@@ -1,0 +1,114 @@
+"""Which starts come to rest at an equilibrium: estimates that are proved, and the region itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from trms_cli.stability.attraction.inquiry import Options, inquire
+from trms_cli.stability.attraction.loop_region import loop_findings
+from trms_cli.stability.attraction.report import lead, results, sections, warnings
+from trms_cli.stability.attraction.system import around, require_attractive
+from trms_cli.stability.findings import Findings
+from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import Subject
+from trms_cli.models.model import names
+
+Method = Literal["lyapunov", "inclusion", "level_set", "integrals", "quartic"]
+_HalfWidth = Annotated[float, Meta(gt=0)]
+TITLE = "Region of attraction"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionOfAttraction:
+    """Estimates of a region of attraction beside the region by simulation.
+
+    Attributes
+    ----------
+    at : dict of str to float
+        Equilibrium: angles (rad) or commands (V). Empty: a main command of 1.8 V without a
+        controller; with one, level, and yaw at 0.3 rad, where the tail rotor turns.
+    states : sequence of str, "all" or None
+        In which starts deviate. None: the angles and what moves with them, the rotors at their
+        speed.
+    box : dict of str to float
+        Half-widths of the box of starts by state; what is not named is chosen.
+    plane : sequence of str
+        The two states of the figure. Empty: the last angle and its rate; in a loop of two axes
+        both angles.
+    methods : sequence of str
+    boxes : int
+        Boxes that one proof may take.
+    samples : int
+        Random starts, from which the share of the true region is counted.
+    grid : int
+        Starts along each side of the figure.
+    duration : float or None
+        s, after which a motion is undecided. None: ten time constants of the slowest mode; 20 s
+        in a loop.
+    loop_starts : int
+        Starts from which the loop itself is run, with controller and observer.
+    tolerance : float
+        Of the angles at the end of such a run, rad.
+    """
+
+    at: Mapping[str, float] = field(default_factory=dict)
+    states: Sequence[str] | Literal["all"] | None = None
+    box: Mapping[str, _HalfWidth] = field(default_factory=dict)
+    plane: Sequence[str] = ()
+    methods: Sequence[Method] = ("lyapunov", "inclusion", "level_set", "integrals", "quartic")
+    boxes: Annotated[int, Meta(ge=100, le=10_000_000)] = 40_000
+    samples: Annotated[int, Meta(ge=20, le=1_000_000)] = 2000
+    grid: Annotated[int, Meta(ge=5, le=401)] = 61
+    duration: Annotated[float, Meta(gt=0)] | None = None
+    loop_starts: Annotated[int, Meta(ge=2, le=100_000)] = 24
+    tolerance: Annotated[float, Meta(gt=0)] = 0.02
+
+    def run(self, subject: Subject, tell: Tell) -> Findings:
+        """Estimate, prove, and simulate.
+
+        Raises
+        ------
+        TrmsError
+            For an equilibrium that is unstable or marginal, and for a model without equations.
+        """
+        model = subject.require_equations(
+            "study=region_of_attraction", "replay the model from the starts of interest (trms run)"
+        )
+        options = Options(
+            self.methods,
+            self.box,
+            self.plane,
+            self.boxes,
+            self.samples,
+            self.grid,
+            self.duration,
+        )
+        if subject.loop is not None:
+            point = operating_point(model, self.at or _level(model.controlled), "study.at")
+            chosen = () if self.states in (None, "all") else tuple(self.states or ())
+            return loop_findings(
+                subject, point, options, chosen, self.loop_starts, self.tolerance, tell, TITLE
+            )
+        at = self.at or ({"u_v": 1.8} if "u_v" in names(model.inputs) else {})
+        point = operating_point(model, at, "study.at")
+        chosen = model.state_names if self.states == "all" else self.states
+        system = around(model, point, chosen or model.controlled)
+        require_attractive(system)
+        found = inquire(system, options, tell)
+        left_out = subject.left_out_of_equations()
+        notes = warnings(found)
+        if left_out:
+            notes.append(
+                f"{', '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} no part of the "
+                "equations, neither in the proofs nor in these simulations."
+            )
+        return Findings(TITLE, lead(found), sections(found), results(found), notes)
+
+
+def _level(controlled: Sequence[str]) -> dict[str, float]:
+    return {name: 0.3 if name == "alpha_h" else 0.0 for name in controlled}
