@@ -1,0 +1,361 @@
+"""Branches of periodic orbits over a command, from a Hopf bifurcation or from a known orbit.
+
+At a Hopf bifurcation a pair of eigenvalues ±jω crosses the imaginary axis, and a cycle of period
+2π/ω is born. It is unstable and exists on the side where the equilibrium is stable (subcritical),
+or the other way round (supercritical). The branch is followed by its arc length (Keller 1977), so
+that it goes around folds, where a stable and an unstable cycle meet and vanish.
+
+After Kuznetsov (2004), ch. 3.4 and 10.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.model import Model
+from trms_cli.stability.cycles.shooting import MARGIN, Orbit, Row, Shooting, packed
+from trms_cli.stability.operating_point import refined
+from trms_cli.stability.vector_field import VectorField
+
+FloatArray = npt.NDArray[np.float64]
+Kind = Literal["fold", "period doubling", "torus"]
+
+#: Swing of the first cycle beside a Hopf point, rad (or the unit of the largest state).
+_BORN = 0.02
+#: Step along the branch, in shares of the orbit's scales: first, least, most.
+_FIRST_STEP, _LEAST_STEP, _MOST_STEP = 0.05, 1e-4, 0.25
+#: V, that counts as much along the branch as a change by the scale of a state.
+_COMMAND_SCALE = 0.1
+#: Beyond this many first periods, or this error of the trivial multiplier, it is not followed.
+_LONGEST, _WORST_TRIVIAL = 3.0, 1e-2
+#: A branch is followed to this many swings of a state beyond its stops.
+_BEYOND_STOPS = 1.5
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Equilibria over one command, the others held.
+
+    Attributes
+    ----------
+    commands : (n,) array
+        V, rising.
+    x : (n, n_x) array
+    growth : (n,) array
+        Largest real part of the eigenvalues, 1/s; directions that nothing pulls back left out.
+    """
+
+    commands: FloatArray
+    x: FloatArray
+    growth: FloatArray
+
+
+@dataclass(frozen=True)
+class Hopf:
+    """Where a pair of eigenvalues crosses the imaginary axis.
+
+    Attributes
+    ----------
+    x, u : arrays
+        The equilibrium.
+    omega : float
+        rad/s.
+    mode : (n_x,) complex array
+        The eigenvector, its largest entry of size 1.
+    """
+
+    x: FloatArray
+    u: FloatArray
+    omega: float
+    mode: npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Change:
+    """Where the stability of the cycles of a branch changes, between two of its orbits.
+
+    Attributes
+    ----------
+    kind : Kind
+        ``fold``: a multiplier passes +1; ``period doubling``: −1; ``torus``: a pair passes the
+        circle elsewhere.
+    command, period, swing : float
+        By interpolation. V, s, rad.
+    lowest, highest : float
+        Of the state, likewise.
+    """
+
+    kind: Kind
+    command: float
+    period: float
+    swing: float
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Orbits in their order along a branch.
+
+    Attributes
+    ----------
+    orbits : sequence of Orbit
+    ended : str
+        Why it was not followed further.
+    """
+
+    orbits: Sequence[Orbit]
+    ended: str
+
+    def commands(self, channel: int) -> FloatArray:
+        """V, (n,)."""
+        return np.array([orbit.u[channel] for orbit in self.orbits])
+
+    def changes(self, channel: int, state: int) -> list[Change]:
+        """Folds, period doublings and tori."""
+        found = []
+        for one, other in zip(self.orbits[:-1], self.orbits[1:], strict=True):
+            if _outside(one) == _outside(other):
+                continue
+            before, after = abs(one.largest), abs(other.largest)
+            if max(abs(one.trivial_error), abs(other.trivial_error)) > 0.02:
+                continue
+            share = (1.0 - before) / (after - before) if after != before else 0.5
+            share = min(max(share, 0.0), 1.0)
+            crossing = one.largest if abs(before - 1) < abs(after - 1) else other.largest
+            values = [
+                (orbit.u[channel], orbit.period, orbit.swing[state], low.min(), low.max())
+                for orbit in (one, other)
+                for low in (orbit.path[:, state],)
+            ]
+            between = [float(a + share * (b - a)) for a, b in zip(*values, strict=True)]
+            found.append(Change(_kind(crossing), *between))
+        return found
+
+
+def _outside(orbit: Orbit) -> int:
+    return int(np.sum(np.abs(orbit.multipliers[1:]) > 1.0 + MARGIN))
+
+
+def _kind(multiplier: complex) -> Kind:
+    if abs(multiplier.imag) > 1e-3 * abs(multiplier):
+        return "torus"
+    return "fold" if multiplier.real > 0 else "period doubling"
+
+
+def equilibria_over(
+    model: Model, x: FloatArray, u: FloatArray, channel: int, step: float = 0.02
+) -> Curve:
+    """The equilibria that one is part of, over a command, as far as they go within its limits."""
+    field = VectorField(model)
+    low, high = (float(bound[channel]) for bound in model.input_bounds())
+    commands, states = [float(u[channel])], [x]
+    for direction, limit in ((1.0, high), (-1.0, low)):
+        here, at = x, u.copy()
+        ahead = step
+        slope = np.zeros_like(x)
+        while ahead > 1e-4:
+            goal = float(np.clip(at[channel] + direction * ahead, low, high))
+            trial = at.copy()
+            trial[channel] = goal
+            moved = abs(goal - at[channel])
+            following = refined(field, here + slope * moved, trial)
+            bound = 0.2 + 20.0 * moved * (1.0 + float(np.abs(here).max()))
+            if following is None or np.abs(following - here).max() > bound:
+                ahead /= 2.0
+                continue
+            slope = (following - here) / moved if moved else slope
+            here, at = following, trial
+            ahead = min(2.0 * ahead, step)
+            commands.append(goal)
+            states.append(here)
+            if goal == limit:
+                break
+    order = np.argsort(commands)
+    along = np.array(commands)[order]
+    found = np.array(states)[order]
+    growth = np.array(
+        [_growth(field, row, _with(u, channel, v)) for row, v in zip(found, along, strict=True)]
+    )
+    return Curve(along, found, growth)
+
+
+def hopf_points(model: Model, curve: Curve, u: FloatArray, channel: int) -> list[Hopf]:
+    """Where a complex pair crosses along a curve of equilibria, by bisection."""
+    field = VectorField(model)
+    found = []
+    for i in range(len(curve.commands) - 1):
+        if (curve.growth[i] < 0) == (curve.growth[i + 1] < 0):
+            continue
+        low, high = curve.commands[i], curve.commands[i + 1]
+        x, sign = curve.x[i], curve.growth[i] < 0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            trial = refined(field, x, _with(u, channel, middle))
+            if trial is None:
+                break
+            if (_growth(field, trial, _with(u, channel, middle)) < 0) == sign:
+                low, x = middle, trial
+            else:
+                high = middle
+        at = _with(u, channel, low)
+        found_pair = np.linalg.eig(field.linearised(x, at)[0])
+        values, vectors = (part.astype(complex) for part in found_pair)
+        k = int(np.argmax(np.where(_pulled(values), values.real, -np.inf)))
+        if abs(values[k].imag) < 1e-6:
+            continue  # a real eigenvalue: a fold of equilibria
+        mode = vectors[:, k] if values[k].imag > 0 else vectors[:, k].conj()
+        mode = mode / mode[int(np.argmax(np.abs(mode)))]
+        found.append(Hopf(x, at, float(abs(values[k].imag)), mode))
+    return found
+
+
+def _with(u: FloatArray, channel: int, value: float) -> FloatArray:
+    changed = u.copy()
+    changed[channel] = value
+    return changed
+
+
+def _pulled(values: npt.NDArray[np.complex128]) -> npt.NDArray[np.bool_]:
+    """Eigenvalues but those of a direction in which nothing changes."""
+    return np.asarray(np.abs(values) > 1e-9)
+
+
+def _growth(field: VectorField, x: FloatArray, u: FloatArray) -> float:
+    values = np.linalg.eigvals(field.linearised(x, u)[0]).astype(complex)
+    kept = values[_pulled(values)]
+    return float(kept.real.max()) if kept.size else 0.0
+
+
+def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch:
+    """The branch of cycles that begins at a Hopf point.
+
+    Parameters
+    ----------
+    limits : int
+        Most orbits.
+    """
+    m = shooting.pieces
+    turn = np.exp(2j * np.pi * np.arange(m) / m)
+    away = np.real(turn[:, None] * hopf.mode[None, :])
+    period = 2.0 * math.pi / hopf.omega
+    place = packed(np.tile(hopf.x, (m, 1)), period, hopf.u, _nowhere(channel))
+    direction = np.concatenate([away.ravel(), [0.0, 0.0]])
+    weights = direction / float(direction @ direction)
+    first = None
+    size = 0.5 * _BORN
+    for _ in range(4):
+        row = Row(channel, weights, place, size)
+        first = shooting.closed(hopf.x + size * away, period, hopf.u, row=row)
+        if first is not None:
+            break
+        size /= 2.0
+    if first is None:
+        return Branch([], "no cycle closed beside the Hopf point")
+    return followed(shooting, first, channel, limits, before=place)
+
+
+def _nowhere(channel: int) -> Row:
+    return Row(channel, np.zeros(0), np.zeros(0), 0.0)
+
+
+def followed(
+    shooting: Shooting,
+    first: Orbit,
+    channel: int,
+    limits: int,
+    *,
+    before: FloatArray | None = None,
+    towards: float = 1.0,
+) -> Branch:
+    """A branch from an orbit on.
+
+    Parameters
+    ----------
+    before : array, optional
+        A place on the branch before the first orbit, from which it is followed away.
+    towards : float
+        Without such a place: the sign by which the command changes first.
+    """
+    model = shooting.model
+    low, high = (float(bound[channel]) for bound in model.input_bounds())
+    row = _nowhere(channel)
+    scale = _scale(first)
+    orbits = [first]
+    z = packed(first.nodes, first.period, first.u, row)
+    if before is None:
+        u = first.u.copy()
+        u[channel] += towards * 0.005
+        second = shooting.closed(first.nodes, first.period, u)
+        if second is None:
+            return Branch(orbits, "the next orbit was not found")
+        orbits.append(second)
+        before, z = z, packed(second.nodes, second.period, second.u, row)
+    step, ended = _FIRST_STEP, f"{limits} orbits"
+    while len(orbits) < limits:
+        secant = (z - before) / scale
+        tangent = secant / float(np.linalg.norm(secant))
+        guess = z + step * tangent * scale
+        m, n = shooting.pieces, model.n_x
+        command = orbits[-1].u.copy()
+        command[channel] = guess[m * n + 1]
+        trial = shooting.closed(
+            guess[: m * n].reshape(m, n),
+            float(guess[m * n]),
+            command,
+            row=Row(channel, tangent / scale, z, step),
+        )
+        if trial is None or _jumped(orbits[-1], trial, step):
+            step /= 2.0
+            if step < _LEAST_STEP:
+                ended = "Newton's method found no next orbit"
+                break
+            continue
+        before, z = z, packed(trial.nodes, trial.period, trial.u, row)
+        orbits.append(trial)
+        step = min(1.4 * step, _MOST_STEP)
+        if not low <= trial.u[channel] <= high:
+            ended = "the command's limit"
+            break
+        if trial.trivial_error > _WORST_TRIVIAL or trial.period > _LONGEST * first.period:
+            orbits.pop()
+            ended = (
+                f"the period grows beyond {trial.period:.3g} s: the orbit draws near to one that "
+                "leaves an equilibrium and returns to it (homoclinic)"
+            )
+            break
+        if trial.swing.max() < 0.25 * _BORN:
+            ended = "the cycle shrinks to a point: a Hopf bifurcation"
+            break
+        if _beyond(model, trial):
+            ended = "far beyond the mechanical stops"
+            break
+    return Branch(orbits, ended)
+
+
+def _scale(orbit: Orbit) -> FloatArray:
+    """By what a change of each unknown is measured."""
+    swings = np.maximum(np.maximum(orbit.swing, 0.5), 0.3 * np.abs(orbit.path).max(axis=0))
+    each = np.tile(swings, (len(orbit.nodes), 1)).ravel() * math.sqrt(len(orbit.nodes))
+    return np.concatenate([each, [orbit.period, _COMMAND_SCALE]])
+
+
+def _jumped(one: Orbit, other: Orbit, step: float) -> bool:
+    """Whether another branch was found, or the equilibrium, instead of the next orbit."""
+    if other.swing.max() < 1e-4:
+        return True
+    return bool(np.abs(other.swing - one.swing).max() > 0.3 + 4.0 * step * one.swing.max())
+
+
+def _beyond(model: Model, orbit: Orbit) -> bool:
+    return any(
+        float(np.abs(orbit.path[:, model.state_index(name)]).max()) > _BEYOND_STOPS * stop
+        for name, stop in model.stops.items()
+        if name in model.state_names
+    )

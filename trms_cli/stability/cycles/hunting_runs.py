@@ -1,0 +1,197 @@
+"""A loop with friction in simulation: when the axis sticks, and whether it hunts.
+
+The axis sticks at a sample where its rate is zero to rounding: friction acts as an impulse that
+stops it exactly (:mod:`trms_cli.models.dry_friction`). What lies between two sticks is a slip. The
+loop hunts if slips go on to and fro after the transient without dying out.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.models.model import Model
+from trms_cli.stability.closed_loop import LoopRun, run_loop
+from trms_cli.stability.operating_point import OperatingPoint
+from trms_cli.stability.subject import LoopParts
+from trms_cli.stability.vector_field import VectorField
+
+FloatArray = npt.NDArray[np.float64]
+Verdict = Literal["hunting", "rest", "dying out", "oscillating", "unstable"]
+
+#: rad/s: slower than this the axis sticks.
+_STUCK = 1e-6
+#: rad: shorter slips are creep.
+_SHORTEST = 1e-5
+#: Slips whose last is smaller than this part of the first are dying out.
+_KEEPS = 0.8
+#: rad: an axis that never sticks and swings less than this rests all the same.
+_CALM = 1e-4
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A run and what was seen in its second half.
+
+    Attributes
+    ----------
+    time, angle, rate : (n,) arrays
+        s, rad (the deviation from the reference), rad/s.
+    stuck : (n,) bool array
+    verdict : Verdict
+        ``hunting``; ``rest``: no slips any more; ``dying out``: slips, each smaller;
+        ``oscillating``: a steady swing that never sticks; ``unstable``: the run had to end, or the
+        swing grows.
+    period : float or None
+        s, mean of whole cycles.
+    swing : float
+        Peak to peak of the angle, rad.
+    stuck_share : float
+    at_limit : bool
+        Whether a command reached its bound.
+    failures : int
+        Control samples whose solve failed.
+    """
+
+    time: FloatArray
+    angle: FloatArray
+    rate: FloatArray
+    stuck: npt.NDArray[np.bool_]
+    verdict: Verdict
+    period: float | None
+    swing: float
+    stuck_share: float
+    at_limit: bool
+    failures: int
+
+    @property
+    def hunts(self) -> bool:
+        return self.verdict == "hunting"
+
+
+def watched(
+    model: Model,
+    loop: LoopParts,
+    point: OperatingPoint,
+    axis: str,
+    push: float,
+    duration: float,
+    channel: int = 0,
+) -> tuple[Watched, FloatArray]:
+    """Run the loop from a pushed axis and watch that axis.
+
+    Parameters
+    ----------
+    axis : str
+    push : float
+        rad, by which the axis starts beside its reference.
+    duration : float
+        s; the second half is judged.
+    channel : int
+
+    Returns
+    -------
+    Watched, (n,) array
+        And the command of that channel, V.
+    """
+    name = model.axes[axis].angle
+    run = run_loop(model, loop, point, duration, offset={name: push})
+    return judged(model, run, point, axis), run.applied[:, channel]
+
+
+def judged(model: Model, run: LoopRun, point: OperatingPoint, axis: str) -> Watched:
+    """What a run shows of an axis."""
+    row = model.state_index(model.axes[axis].angle)
+    angle = run.x[:, row] - point.x[row]
+    rate = VectorField(model).rates(run.x, run.applied)[:, row]
+    stuck = np.abs(rate) < _STUCK
+    tail = slice(len(angle) // 2, None)
+    swing = float(np.ptp(angle[tail])) if len(angle) > 1 else math.nan
+    verdict, period = _verdict(run, angle, stuck)
+    _, bound = model.input_bounds()
+    return Watched(
+        run.time,
+        angle,
+        rate,
+        stuck,
+        verdict,
+        period,
+        swing,
+        float(stuck[tail].mean()),
+        bool(np.any(np.abs(run.applied[tail]) >= bound - 1e-9)),
+        run.failures,
+    )
+
+
+def slips(
+    time: FloatArray, angle: FloatArray, stuck: npt.NDArray[np.bool_]
+) -> list[tuple[float, float]]:
+    """Beginning (s) and travel (rad) of each whole slip, creep left out."""
+    edges = np.diff(stuck.astype(int))
+    begins, ends = np.flatnonzero(edges == -1), np.flatnonzero(edges == 1)
+    if begins.size:
+        ends = ends[ends > begins[0]]
+    pairs = zip(begins[: len(ends)], ends, strict=True)
+    found = [(float(time[b]), float(angle[e + 1] - angle[b])) for b, e in pairs]
+    return [slip for slip in found if abs(slip[1]) > _SHORTEST]
+
+
+def sticks(seen: Watched) -> tuple[FloatArray, FloatArray]:
+    """Sizes of the errors at a stick and at the next one, over a whole run, rad."""
+    edges = np.diff(seen.stuck.astype(int))
+    errors = np.abs(seen.angle[np.flatnonzero(edges == 1) + 1])
+    return errors[:-1], errors[1:]
+
+
+def _verdict(
+    run: LoopRun, angle: FloatArray, stuck: npt.NDArray[np.bool_]
+) -> tuple[Verdict, float | None]:
+    if run.ended:
+        return "unstable", None
+    half = len(angle) // 2
+    tail, last = angle[half:], angle[len(angle) * 3 // 4 :]
+    if not stuck[half:].any():
+        if np.ptp(last) < _CALM:
+            return "rest", None
+        if np.ptp(last) > 1.2 * np.ptp(tail[: len(tail) // 2]):
+            return "unstable", None
+        steady = np.ptp(last) > _KEEPS * np.ptp(tail[: len(tail) // 2])
+        return ("oscillating" if steady else "dying out"), _period_of_crossings(run.time, angle)
+    found = slips(run.time[half:], tail, stuck[half:])
+    travels = np.array([travel for _, travel in found])
+    if len(travels) < 3 or np.abs(travels).max() < _CALM:
+        return "rest", None
+    both = bool((travels > 0).any() and (travels < 0).any())
+    if not both or abs(travels[-2:]).max() < _KEEPS * abs(travels[:2]).max():
+        return "dying out", None
+    return "hunting", _period_of_slips(found)
+
+
+def _period_of_slips(found: list[tuple[float, float]]) -> float | None:
+    """Mean time between slips of one direction that follow one of the other."""
+    begins, last = [], 0.0
+    for begin, travel in found:
+        if travel > 0 and last < 0:
+            begins.append(begin)
+        last = travel
+    return float(np.mean(np.diff(begins))) if len(begins) > 1 else None
+
+
+def _period_of_crossings(time: FloatArray, angle: FloatArray) -> float | None:
+    half = len(angle) // 2
+    tail = angle[half:] - angle[half:].mean()
+    rising = np.flatnonzero((tail[:-1] < 0) & (tail[1:] >= 0))
+    return float(np.mean(np.diff(time[half:][rising]))) if len(rising) > 2 else None
+
+
+def with_sizes(model: Model, values: Mapping[str, float]) -> Model:
+    """A model with other values of some parameters."""
+    other = copy.copy(model)
+    other.parameters = model.parameters.replaced(values)
+    return other

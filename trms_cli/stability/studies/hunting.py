@@ -1,0 +1,310 @@
+"""Whether a loop with dry friction hunts, how far and how fast, and what predicts it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.controllers.controller import ControlSetup
+from trms_cli.controllers.pid import Pid
+from trms_cli.controllers.pid_design import ROTOR_OF_AXIS
+from trms_cli.controllers.pid_tuning import Gains
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.model import Model, names
+from trms_cli.stability.cycles.friction_law import Friction, FrictionLaw, frictions_of
+from trms_cli.stability.cycles.hunting_charts import Level
+from trms_cli.stability.cycles.hunting_findings import Studied, Sweep, findings_of
+from trms_cli.stability.cycles.hunting_prediction import harmonics, predicted, swings
+from trms_cli.stability.cycles.hunting_runs import Watched, watched, with_sizes
+from trms_cli.stability.cycles.pid_loop import friction_loop
+from trms_cli.stability.cycles.stick_slip import StickSlip
+from trms_cli.stability.findings import Findings
+from trms_cli.stability.operating_point import OperatingPoint, operating_point
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import LoopParts, Subject
+
+_Factors = tuple[Annotated[float, Meta(gt=0)], ...]
+
+_LEVEL = {"alpha_v": 0.0, "alpha_h": 0.3}
+#: s, of a run at least; predicted periods that it lasts at least.
+_SHORTEST, _PERIODS = 240.0, 9
+#: Factors of the predicted curves, and excesses beside the one in force.
+_CURVE = np.geomspace(0.25, 4.0, 13)
+_EXCESSES = (0.5, 1.0, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hunting:
+    """Stick-slip in a closed loop.
+
+    Attributes
+    ----------
+    axis : {"pitch", "yaw"} or None
+        None: the one axis with dry friction.
+    at : dict of str to float
+        Operating point by angles (rad) or by commands (V); nothing: level, at a yaw of 0.3 rad.
+    push : float
+        rad, by which the axis starts beside its reference.
+    duration : float or None
+        s, of each run; None: 240, or nine predicted periods.
+    torques, integrals : tuple of float or None
+        Factors of the friction, and of k_i of a PID, for further runs; None: half and twice for a
+        PID, none for others.
+    """
+
+    axis: Literal["pitch", "yaw"] | None = None
+    at: Mapping[str, float] = field(default_factory=dict)
+    push: Annotated[float, Meta(ge=-3, le=3)] = 0.3
+    duration: Annotated[float, Meta(ge=20, le=100000)] | None = None
+    torques: _Factors | None = None
+    integrals: _Factors | None = None
+
+    def run(self, subject: Subject, tell: Tell) -> Findings:
+        """Simulate, predict, confirm.
+
+        Raises
+        ------
+        ConfigurationError
+            Without a controller or dry friction, and for an operating point that does not exist.
+        ModelError
+            For a model without equations.
+        """
+        loop = subject.require_loop("hunting")
+        model = subject.require_equations("hunting")
+        friction = self._friction(model)
+        pid = loop.controller if isinstance(loop.controller, Pid) else None
+        if self.integrals and pid is None:
+            raise ConfigurationError(
+                f"controller={loop.names['controller']} has no k_i",
+                where="integrals",
+                remedy="leave it out, or choose controller=pid",
+            )
+        asked = self.at or {name: _LEVEL[name] for name in model.controlled if name in _LEVEL}
+        point = operating_point(model, asked)
+        channel = names(model.inputs).index(model.rotors[ROTOR_OF_AXIS[friction.axis]])
+        case = _Case(model, loop, point, friction, self.push)
+        prediction = one = events = None
+        warnings: list[str] = []
+        if pid is not None:
+            tell("the event map of the linear loop")
+            linear = friction_loop(model, loop, pid, point, friction.axis)
+            if linear.stable():
+                events = StickSlip(linear, friction.law)
+                prediction = predicted(events)
+                tell("describing functions")
+                one = harmonics(linear, friction.law)
+            else:
+                warnings.append("the linear loop without friction is unstable: nothing predicted")
+            if loop.names["observer"] != "full_state":
+                warnings.append(
+                    "the prediction takes the true angle; in simulation "
+                    f"observer={loop.names['observer']} stands in between"
+                )
+        else:
+            warnings.append(
+                "predicted for controller=pid only, whose law is linear and known: here simulation"
+            )
+        duration = self.duration or max(
+            _SHORTEST,
+            _PERIODS * prediction.cycle.period if prediction and prediction.cycle else 0.0,
+        )
+        tell(f"{duration:.0f} s of the loop")
+        expected = prediction.cycle.swing if prediction and prediction.cycle else None
+        seen, command = case.seen(duration, channel=channel)
+        elsewhere = None
+        if expected is not None and not seen.hunts:
+            # The push may have ended within the reach of rest: begin on the cycle.
+            elsewhere = seen
+            seen, command = case.seen(duration, channel=channel, push=expected / 2.0)
+        coulomb = None
+        if friction.law.excess > 0:
+            tell("the same with Coulomb friction alone")
+            coulomb, _ = case.seen(duration, law=replace(friction.law, excess=0.0))
+        sweeps = [
+            s
+            for s in (
+                self._over_torques(case, events, duration, tell),
+                self._over_integrals(case, pid, events, duration, tell),
+            )
+            if s.levels
+        ]
+        if seen.at_limit:
+            warnings.append("a command reaches its limit: the prediction knows none")
+        own = Level(1.0, expected, seen)
+        sweeps = [
+            replace(s, levels=sorted([*s.levels, own], key=lambda level: level.factor))
+            for s in sweeps
+        ]
+        return findings_of(
+            Studied(
+                model,
+                f"controller={loop.names['controller']}",
+                point.words(model),
+                friction,
+                self.push,
+                seen,
+                elsewhere,
+                command,
+                channel,
+                coulomb,
+                prediction,
+                one,
+                events,
+                sweeps,
+                tuple(warnings),
+            )
+        )
+
+    def _friction(self, model: Model) -> Friction:
+        found = frictions_of(model)
+        if self.axis is not None:
+            found = tuple(one for one in found if one.axis == self.axis)
+        if len(found) == 1 and found[0].law.torque > 0:
+            return found[0]
+        if len(found) > 1:
+            raise ConfigurationError(
+                f"dry friction by {', '.join(one.effect for one in found)}",
+                where="axis",
+                remedy="choose an axis with one of them: study.axis=pitch",
+            )
+        axis = str(self.axis or [*model.axes, "pitch"][0])
+        raise ConfigurationError(
+            "without dry friction on an axis nothing sticks",
+            where="effect",
+            remedy=f"add it: effect={axis}_stribeck_friction (or {axis}_coulomb_friction)",
+        )
+
+    def _over_torques(
+        self, case: _Case, events: StickSlip | None, duration: float, tell: Tell
+    ) -> Sweep:
+        law = case.friction.law
+        factors = self.torques if self.torques is not None else (0.5, 2.0) if events else ()
+        curves = []
+        if events is not None and factors:
+            for excess in sorted({law.excess, *(law.excess * e for e in _EXCESSES)} - {0.0}):
+                laws = [replace(law.scaled(float(f)), excess=excess) for f in _CURVE]
+                words = f"predicted, F_s/F_c = {1 + excess:.3g}"
+                curves.append((words, swings(events, laws)))
+
+        def one(factor: float) -> tuple[float | None, Watched]:
+            scaled = law.scaled(factor)
+            expected = _finite(swings(events, [scaled])[0]) if events is not None else None
+            return expected, case.reached(duration, expected, law=scaled)
+
+        return _sweep("torques", "friction", curves, factors, one, tell)
+
+    def _over_integrals(
+        self,
+        case: _Case,
+        pid: Pid | None,
+        events: StickSlip | None,
+        duration: float,
+        tell: Tell,
+    ) -> Sweep:
+        factors = self.integrals if self.integrals is not None else (0.5, 2.0) if events else ()
+        if pid is None or events is None or not factors:
+            return _sweep(
+                "integrals", "k_i", [], (), lambda _: (None, case.seen(duration)[0]), tell
+            )
+
+        def of(factor: float) -> tuple[LoopParts, StickSlip | None]:
+            changed = _with_integral(case, pid, factor)
+            loop = replace(case.loop, controller=changed)
+            linear = friction_loop(case.model, loop, changed, case.point, case.friction.axis)
+            return loop, StickSlip(linear, case.friction.law) if linear.stable() else None
+
+        def swing(factor: float) -> float:
+            there = of(factor)[1]
+            return float("nan") if there is None else float(swings(there, [case.friction.law])[0])
+
+        def one(factor: float) -> tuple[float | None, Watched]:
+            expected = _finite(swing(factor))
+            return expected, case.reached(duration, expected, loop=of(factor)[0])
+
+        values = np.array([swing(float(f)) for f in _CURVE])
+        return _sweep("integrals", "k_i", [("predicted", values)], factors, one, tell)
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A loop to be run with other friction, or another controller."""
+
+    model: Model
+    loop: LoopParts
+    point: OperatingPoint
+    friction: Friction
+    push: float
+
+    def seen(
+        self,
+        duration: float,
+        *,
+        law: FrictionLaw | None = None,
+        loop: LoopParts | None = None,
+        channel: int = 0,
+        push: float | None = None,
+    ) -> tuple[Watched, np.ndarray]:
+        """A run and its command."""
+        model = self.model
+        if law is not None:
+            own = names(model.parameters)  # type: ignore[arg-type]
+            sizes = {
+                f"{self.friction.effect}.{key}": value
+                for key, value in (
+                    ("torque", law.torque),
+                    ("excess", law.excess),
+                    ("velocity", law.velocity),
+                )
+            }
+            model = with_sizes(model, {k: v for k, v in sizes.items() if k in own})
+        start = self.push if push is None else push
+        axis = self.friction.axis
+        return watched(model, loop or self.loop, self.point, axis, start, duration, channel)
+
+    def reached(
+        self,
+        duration: float,
+        expected: float | None,
+        *,
+        law: FrictionLaw | None = None,
+        loop: LoopParts | None = None,
+    ) -> Watched:
+        """A run; where it rests but a cycle of some swing is expected, one from that cycle."""
+        seen, _ = self.seen(duration, law=law, loop=loop)
+        if expected is not None and not seen.hunts:
+            seen, _ = self.seen(duration, law=law, loop=loop, push=expected / 2.0)
+        return seen
+
+
+def _with_integral(case: _Case, pid: Pid, factor: float) -> Pid:
+    """The PID with the gains that it has, but k_i of the axis times a factor."""
+    period = pid.sample_time or case.loop.sample_time
+    state = pid.init(ControlSetup(case.loop.model, period, case.point.u))
+    gains: dict[str, Gains] = {}
+    for name, law in zip(case.loop.model.axes, state.axes, strict=True):
+        own = factor if name == case.friction.axis else 1.0
+        gains[name] = Gains(law.gains.kp, own * law.gains.ki, law.gains.kd)
+    return replace(pid, **gains)  # type: ignore[arg-type]
+
+
+def _sweep(
+    name: str,
+    label: str,
+    curves: Sequence[tuple[str, np.ndarray]],
+    factors: Sequence[float],
+    one: Callable[[float], tuple[float | None, Watched]],
+    tell: Tell,
+) -> Sweep:
+    levels = []
+    for factor in factors:
+        tell(f"{label} × {factor:g}")
+        levels.append(Level(factor, *one(factor)))
+    return Sweep(name, label, _CURVE, curves, levels)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

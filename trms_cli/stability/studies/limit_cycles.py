@@ -1,0 +1,109 @@
+"""Which motions of a model repeat themselves while its commands are held."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.model import names
+from trms_cli.stability.cycles.absence import absence
+from trms_cli.stability.cycles.orbit_findings import Found, findings_of
+from trms_cli.stability.cycles.over_command import followed_over
+from trms_cli.stability.cycles.search import half_widths, has_impulses, searched, starts_in
+from trms_cli.stability.cycles.shooting import Shooting
+from trms_cli.stability.findings import Findings
+from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.study import Tell
+from trms_cli.stability.subject import Subject
+
+#: Level, and yaw where the cable pulls: at yaw 0 its stiffness jumps, and a cycle that small
+#: has no slopes.
+_LEVEL = {"alpha_v": 0.0, "alpha_h": 0.3}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitCycles:
+    """A search for periodic orbits, a proof of their absence where one is possible.
+
+    Attributes
+    ----------
+    at : dict of str to float
+        Operating point by angles (rad) or by commands (V); nothing: level, at a yaw of 0.3 rad.
+    over : str or None
+        Input over which Hopf points are sought and cycles are followed; None: the first.
+    box : dict of str to float
+        Half-widths of the box of starts, by state.
+    starts : int
+        Motions.
+    duration : float
+        s, of each.
+    orbits : int
+        Most cycles of a branch.
+    """
+
+    at: Mapping[str, float] = field(default_factory=dict)
+    over: str | None = None
+    box: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    starts: Annotated[int, Meta(ge=1, le=1000)] = 24
+    duration: Annotated[float, Meta(ge=10, le=10000)] = 150.0
+    orbits: Annotated[int, Meta(ge=10, le=2000)] = 90
+
+    def run(self, subject: Subject, tell: Tell) -> Findings:
+        """Search, prove, follow.
+
+        Raises
+        ------
+        ConfigurationError
+            For a controller, an unknown name, or an operating point that does not exist.
+        ModelError
+            For a model without equations.
+        """
+        subject.require_no_loop(
+            "limit_cycles", "study=hunting looks for the cycles of a loop with friction"
+        )
+        model = subject.require_equations("limit_cycles")
+        for name in self.box:
+            if name not in model.state_names:
+                raise ConfigurationError(
+                    f"{name!r} is not a state of this model",
+                    where=f"box.{name}",
+                    remedy=nearest(name, model.state_names),
+                )
+        inputs = names(model.inputs)
+        over = inputs[0] if self.over is None else self.over
+        if over not in inputs:
+            raise ConfigurationError(
+                f"{over!r} is not an input of this model",
+                where="over",
+                remedy=nearest(over, inputs),
+            )
+        channel = inputs.index(over)
+        asked = self.at or {name: _LEVEL[name] for name in model.controlled if name in _LEVEL}
+        point = operating_point(model, asked)
+        widths = half_widths(model, point.x, self.box)
+        smooth = not has_impulses(model)
+        tell("is a cycle possible at all")
+        proof = absence(model, point.u, (point.x - widths, point.x + widths))
+        tell(f"{self.starts} motions of {self.duration:g} s")
+        shooting = Shooting(model) if smooth and not (proof.proved and proof.everywhere) else None
+        search = searched(
+            model,
+            starts_in(point.x, widths, self.starts),
+            point.u,
+            self.duration,
+            shooting,
+        )
+        over_command = None
+        if smooth:
+            tell(f"Hopf points over {over}")
+            over_command = followed_over(
+                model, point, channel, search.orbits, shooting, self.orbits
+            )
+        return findings_of(
+            Found(model, point, widths, self.duration, smooth, proof, search, channel, over_command)
+        )
