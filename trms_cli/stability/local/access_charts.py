@@ -15,7 +15,17 @@ from trms_cli.stability.local.sensors import set_words
 from trms_cli.stability.local.sweep import Path, Sweep
 from trms_cli.stability.local.torques import TorquesSeen
 
-_COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange", "sky", "ink")
+_COLOURS: tuple[Colour, ...] = (
+    "blue",
+    "vermilion",
+    "green",
+    "purple",
+    "orange",
+    "sky",
+    "ink",
+    "grey",
+    "yellow",
+)
 #: A rotor whose speed spans more than this part of its largest over a range has a panel of it.
 _VARIES = 0.5
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,17 +10,12 @@ import numpy.typing as npt
 
 from trms_cli.models.model import Model
 from trms_cli.stability.findings import Judged, Judgement, Section, Table, Value
-from trms_cli.stability.local.access import Gramians, ModeAccess, ReachAlong
 from trms_cli.stability.local.access_charts import loss_chart, torque_chart, volts_chart
 from trms_cli.stability.local.entries import state_words
-from trms_cli.stability.local.linear import Matrices
+from trms_cli.stability.local.found import Along, Found
 from trms_cli.stability.local.reach import Reach
-from trms_cli.stability.local.scales import MOTION, Scales
+from trms_cli.stability.local.scales import MOTION
 from trms_cli.stability.local.sensors import set_words
-from trms_cli.stability.local.sweep import Path, Sweep
-from trms_cli.stability.local.told import finite
-from trms_cli.stability.local.torques import TorquesSeen
-from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -33,60 +26,6 @@ _GRADES: dict[str, tuple[str, Judgement]] = {
 }
 #: Commands beyond this many limits move nothing worth the name.
 _ABSURD = 1e3
-
-
-@dataclass(frozen=True)
-class Found:
-    """What was found at the operating point.
-
-    Attributes
-    ----------
-    model : Model
-    point : OperatingPoint
-    matrices : Matrices
-    scales : Scales
-    duration, reading_time : float
-        s.
-    sets : tuple of tuple of str
-        Sensors.
-    access : tuple of ModeAccess
-    volts : (n_x, n_u) array
-        Least rms command that moves each state by its size.
-    gramians : Gramians
-    torques : dict
-        By set of sensors; the first error is that after ``duration``, the others after ``times``.
-    times : tuple of float
-        s.
-    """
-
-    model: Model
-    point: OperatingPoint
-    matrices: Matrices
-    scales: Scales
-    duration: float
-    reading_time: float
-    sets: tuple[tuple[str, ...], ...]
-    access: tuple[ModeAccess, ...]
-    volts: FloatArray
-    gramians: Gramians
-    torques: Mapping[tuple[str, ...], TorquesSeen]
-    times: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Along:
-    """What was found over the range.
-
-    Attributes
-    ----------
-    path : Path
-    sweep : Sweep
-    reach : ReachAlong
-    """
-
-    path: Path
-    sweep: Sweep
-    reach: ReachAlong
 
 
 def lead_of(found: Found, along: Along) -> list[str]:
@@ -285,113 +224,12 @@ def _torques(found: Found) -> Section:
     return Section("Constant torques", text, blocks)
 
 
-def data_of(found: Found, along: Along) -> dict[str, Any]:
-    """The study as JSON data."""
-    model = found.model
-    inputs = [signal.name for signal in model.inputs]
-    with_all = [*inputs, "together"] if model.n_u > 1 else inputs
-    sets = [list(one) for one in found.sets]
-    gramians = found.gramians
-    return {
-        "at": {
-            "x": dict(zip(model.state_names, map(float, found.point.x), strict=True)),
-            "u": dict(zip(inputs, map(float, found.point.u), strict=True)),
-        },
-        "duration_s": found.duration,
-        "scales": {
-            "x": dict(zip(model.state_names, map(float, found.scales.x), strict=True)),
-            "u": dict(zip(inputs, map(float, found.scales.u), strict=True)),
-        },
-        "modes": [
-            {
-                "name": a.mode.name,
-                "real": finite(a.mode.eigenvalue.real),
-                "imag": finite(a.mode.eigenvalue.imag),
-                "by_input": {
-                    name: _reach_data(reach)
-                    for name, reach in zip(with_all, a.by_input, strict=True)
-                },
-                "by_sensors": [
-                    {"sensors": one} | _reach_data(reach)
-                    for one, reach in zip(sets, a.by_sensors, strict=True)
-                ],
-            }
-            for a in found.access
-        ],
-        "least_rms_command": {
-            name: {inputs[j]: finite(float(found.volts[i, j])) for j in range(model.n_u)}
-            for i, name in enumerate(model.state_names)
-        },
-        "gramians": {
-            "controllability": _matrix(gramians.reach),
-            "observability": _matrix(gramians.sight),
-            "controllability_forever": _matrix(gramians.reach_forever),
-            "observability_forever": _matrix(gramians.sight_forever),
-            "hankel": None if gramians.hankel is None else [float(v) for v in gramians.hankel],
-            "lyapunov_residual": finite(gramians.residual),
-        },
-        "torques": [
-            {
-                "sensors": list(one),
-                "together": found.torques[one].together,
-                "alone": {
-                    t.name: {
-                        "seen": t.seen,
-                        "error": finite(t.errors[0]),
-                        "errors_over_time": [finite(v) for v in t.errors[1:]],
-                    }
-                    for t in found.torques[one].torques
-                },
-            }
-            for one in found.sets
-        ],
-        "torque_times_s": list(found.times),
-        "range": {
-            "over": along.path.over,
-            "unit": along.path.unit,
-            "values": [float(v) for v in along.sweep.values],
-            "states": {
-                name: [float(place.point.x[i]) for place in along.sweep.places]
-                for i, name in enumerate(model.state_names)
-            },
-            "moved_per_unit_rms": {
-                name: {
-                    inputs[j]: [float(v) for v in along.reach.per_volt[:, i, j]]
-                    for j in range(model.n_u)
-                }
-                for i, name in enumerate(model.controlled)
-            },
-            "pbh_margin": {
-                name: {
-                    inputs[j]: [finite(float(v)) for v in along.reach.margin[:, i, j]]
-                    for j in range(model.n_u)
-                }
-                for i, name in enumerate(model.controlled)
-            },
-            "ended_low": along.sweep.low or None,
-            "ended_high": along.sweep.high or None,
-        },
-    }
-
-
 def _judged(reach: Reach, mark: str) -> Judged:
     words, judgement = _GRADES[reach.grade]
     if reach.grade == "none":
         return Judged(words, judgement)
     strength = f"{reach.strength:.0f}" if reach.strength >= 10 else f"{reach.strength:.2g}"
     return Judged(f"{words} ({strength}{mark}; {reach.margin:.2g})", judgement)
-
-
-def _reach_data(reach: Reach) -> dict[str, Any]:
-    return {
-        "grade": reach.grade,
-        "margin": finite(reach.margin),
-        "strength": finite(reach.strength),
-    }
-
-
-def _matrix(matrix: FloatArray | None) -> list[list[float]] | None:
-    return None if matrix is None else [[float(v) for v in row] for row in matrix]
 
 
 def _command(volts: float, limit: float, unit: str) -> str:

@@ -26,6 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 #: Rates (in the states' units per s) and errors of what is held (rad, V) below this are none.
 TOLERANCE = 1e-9
 _ITERATIONS = 60
+_STALLED = 6
 #: A step of the line that fails is halved until it is this share of itself.
 _SHORTEST = 2.0**-10
 #: V, rad: a command below the first is none if no angle then moves by the second.
@@ -145,6 +146,7 @@ class Balance:
         pins = np.zeros((len(held.values), n_s + n_u))
         columns = self._controlled if held.by_angle else range(n_s, n_s + n_u)
         pins[np.arange(len(held.values)), list(columns)] = 1.0
+        least, stalled = np.inf, 0
         for _ in range(_ITERATIONS):
             rates, slope, _ = (np.array(value) for value in self._equations(z, held.p))
             error = np.concatenate([rates[:, 0], pins @ z - held.values])
@@ -153,14 +155,28 @@ class Balance:
             if np.abs(error).max() <= TOLERANCE:
                 u = z[n_s:]
                 return OperatingPoint(np.array(self._state(z[:n_s], u))[:, 0], u.copy())
+            # A double root halves the error each time; what does not shrink at all has no root.
+            largest = float(np.abs(error).max())
+            least, stalled = (largest, 0) if largest < 0.9 * least else (least, stalled + 1)
+            if stalled > _STALLED:
+                return None
             system = np.vstack([slope, pins])
             if not np.all(np.isfinite(system)):
                 return None
             z = z - np.linalg.lstsq(system, error, rcond=1e-13)[0]
         return None
 
-    def advance(self, last: Held, following: Held, point: OperatingPoint) -> OperatingPoint | None:
-        """The point after another on the same branch; None where the branch ends between."""
+    def advance(
+        self,
+        last: Held,
+        following: Held,
+        point: OperatingPoint,
+        shortest: float = _SHORTEST,
+    ) -> OperatingPoint | None:
+        """The point after another on the same branch; None where the branch ends between.
+
+        ``shortest`` is the share of the way that a step is halved down to.
+        """
         share, step = 0.0, 1.0
         while share < 1.0:
             goal = min(1.0, share + step)
@@ -174,7 +190,7 @@ class Balance:
                 found = self._across_standstill(held)
             if found is None or self._jumps(point, found):
                 step /= 2.0
-                if step < _SHORTEST:
+                if step < shortest:
                     return None
                 continue
             point, share = self._without_rounding(held, found), goal

@@ -21,8 +21,11 @@ from trms_cli.stability.local.why import Reason, reason_data, reason_words, shar
 
 def held_words(path: Path) -> str:
     """``at alpha_v = 0.4``: what is held besides what is varied."""
-    held = ", ".join(f"{name} = {v:g}" for name, v in path.at.items() if name != path.over)
-    return f"at {held}" if held else "at rest without command"
+    held = [f"{name} = {v:g}" for name, v in path.at.items() if name != path.over]
+    if not held and path.kind == "angle":
+        held = [f"{name} = 0" for name in path.model.controlled if name != path.over]
+        return f"at {', '.join(held)}" if held else "held by its command"
+    return f"at {', '.join(held)}" if held else "at rest without command"
 
 
 def locus_section(

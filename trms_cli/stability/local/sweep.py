@@ -107,6 +107,7 @@ class Path:
         self.balance, self.linear = Balance(model), Linear(model)
         self.kind = _kind(model, over)
         self.at = dict(at)
+        self._given = tuple(at)
         self._free = self.kind != "parameter" and over not in self.at
         if self._free:
             # Where nothing is said of it the sweep begins at zero, or at rest if it must.
@@ -153,10 +154,13 @@ class Path:
 
     @property
     def unit(self) -> str:
+        """Empty for a number without one."""
         if self.kind == "parameter":
-            return self.model.parameters[self.over].unit
-        signals = (*self.model.states, *self.model.inputs)
-        return next(signal.unit for signal in signals if signal.name == self.over)
+            unit = self.model.parameters[self.over].unit
+        else:
+            signals = (*self.model.states, *self.model.inputs)
+            unit = next(signal.unit for signal in signals if signal.name == self.over)
+        return "" if unit == "1" else unit
 
     def held(self, value: float) -> Held:
         """What is held at a value."""
@@ -201,10 +205,10 @@ class Path:
         a = self.linear.a(point.x, point.u, self.side, held.p)
         return Place(value, held, point, spectrum_of(a))
 
-    def following(self, last: Place, value: float) -> Place | None:
+    def following(self, last: Place, value: float, shortest: float = 1e-3) -> Place | None:
         """The place at another value on the same branch, its eigenvalues matched."""
         held = self.held(value)
-        point = self.balance.advance(last.held, held, last.point)
+        point = self.balance.advance(last.held, held, last.point, shortest)
         if point is None or not self._within(point):
             return None
         place = self.place(value, point)
@@ -260,10 +264,15 @@ class Path:
         except TrmsError:
             if not self._free or self.kind != "angle":
                 raise
-            rest = float(self.model.rest()[self.model.state_index(self.over)])
-            begin = self.balance.first(self.at | {self.over: rest})
-            self.at[self.over] = self.began = rest
-            self._base = self.held(rest)
+            rest = {
+                name: float(self.model.rest()[self.model.state_index(name)])
+                for name in self.model.controlled
+                if name not in self._given
+            }
+            begin = self.balance.first(self.at | rest)
+            self.at |= rest
+            self.began = self.at[self.over]
+            self._base = self.balance.held(self.at)
             return begin
 
     def _within(self, point: OperatingPoint) -> bool:
@@ -321,12 +330,12 @@ def _end(path: Path, last: Place, value: float) -> tuple[Place | None, str]:
     good, bad, span = last, value, abs(value - last.value)
     while abs(bad - good.value) > _END * span:
         middle = 0.5 * (good.value + bad)
-        found = path.following(good, middle)
+        found = path.following(good, middle, 0.5)
         if found is None:
             bad = middle
         else:
             good = found
-    beyond = path.balance.advance(good.held, path.held(bad), good.point)
+    beyond = path.balance.advance(good.held, path.held(bad), good.point, 0.5)
     at = f"{path.over} = {good.value:.4g} {path.unit}".rstrip()
     why = f"the equilibrium ends at {at}"
     if beyond is not None:
@@ -338,6 +347,13 @@ def _end(path: Path, last: Place, value: float) -> tuple[Place | None, str]:
         ]
         why = f"at {at} {' and '.join(hit) or 'a stop is reached'}"
     return (good if good is not last else None), why
+
+
+def usual_line(model: Model, last: bool = False) -> str:
+    """What is varied when nothing is said: the first (or last) angle, or the command of a motor."""
+    name = model.controlled[-1 if last else 0]
+    angle = model.states[model.state_index(name)].unit == "rad"
+    return name if angle else model.inputs[0].name
 
 
 def _kind(model: Model, over: str) -> Kind:

@@ -21,6 +21,8 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Shares below this part of the sum of sizes are not told.
 _SMALL = 0.03
+#: 1/s per unit: a growth rate that changes by less does not move.
+_STILL = 1e-6
 _COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange")
 
 
@@ -61,9 +63,15 @@ def reason_words(path: Path, why: Reason) -> list[str]:
     model, total = path.model, why.sensitivity.total.real
     unit = f" per {path.unit}" if path.unit else " per unit"
     shares = _told(why.sensitivity)
-    if not shares or abs(total) < 1e-12:
+    if not shares or abs(total) < _STILL:
         return [f"{path.over} does not move the growth rate of the {why.mode} there."]
     sign = "raises" if total > 0 else "lowers"
+    if model.sample_time is not None:
+        return [
+            f"At {path.over} = {why.value:.4g} a larger {path.over} {sign} the growth rate of the "
+            f"{why.mode} by {abs(total):.3g} 1/s{unit}. What of it comes through which entry of A "
+            "says nothing here: the entries are slopes of a network, and no equations of a rig."
+        ]
     named = [
         f"the {entry_words(model, s.row, s.column)} ({s.part.real / total:+.0%})".replace("-", "−")
         for s in shares[:3]
@@ -72,17 +80,15 @@ def reason_words(path: Path, why: Reason) -> list[str]:
         f"At {path.over} = {why.value:.4g} a larger {path.over} {sign} the growth rate of the "
         f"{why.mode} by {abs(total):.3g} 1/s{unit}: {_listed(named)} of it."
     ]
-    if path.kind != "parameter" or abs(why.sensitivity.direct - why.sensitivity.total) > 1e-6 * abs(
-        why.sensitivity.total
-    ):
+    apart = abs(why.sensitivity.direct - why.sensitivity.total)
+    if path.kind != "angle" and apart > 1e-3 * abs(why.sensitivity.total):
         own = why.sensitivity.direct.real / total
         told.append(
-            f"The {'parameter' if path.kind == 'parameter' else 'command'} itself makes "
-            f"{own:.0%} of that, and the operating point that moves with it the rest.".replace(
+            f"Without the operating point that moves along it would be {own:.0%} of that.".replace(
                 "-", "−"
             )
         )
-    if why.loops:
+    if why.loops and len(why.loops[0].states) > 1:
         largest = shares[0]
         told.append(
             f"It closes the loop {loop_words(model, why.loops[0], largest.row)}, by "

@@ -13,18 +13,13 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.models.model import Model
 from trms_cli.stability.findings import Findings
 from trms_cli.stability.local.access import gramians, mode_access, reach_along, volts_table
-from trms_cli.stability.local.access_told import (
-    Along,
-    Found,
-    data_of,
-    lead_of,
-    sections_of,
-    warnings_of,
-)
+from trms_cli.stability.local.access_data import data_of
+from trms_cli.stability.local.access_told import lead_of, sections_of, warnings_of
+from trms_cli.stability.local.found import Along, Found
 from trms_cli.stability.local.linear import Side
 from trms_cli.stability.local.scales import scales_of
 from trms_cli.stability.local.sensors import sensor_sets
-from trms_cli.stability.local.sweep import Path, swept
+from trms_cli.stability.local.sweep import Path, swept, usual_line
 from trms_cli.stability.local.torques import torques_seen
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
@@ -49,8 +44,8 @@ class Controllability:
         Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
         tail rotor turns; with pitch at 0.2 rad where the rotors would stand; rest at last.
     over : str or None
-        What is varied: a controlled state, an input or a parameter; None: the last controlled
-        state (yaw).
+        What is varied: a controlled state, an input or a parameter; None: the last angle
+        (yaw), or the command of a motor alone.
     range : (float, float) or None
         In the unit of ``over``; None: 0.6 rad to either side, or what is usual for it.
     points : int
@@ -90,7 +85,7 @@ class Controllability:
         subject.require_no_loop("study=controllability", "leave it out; for loops: study=margins")
         model = subject.model
         sets = sensor_sets(model, self.sensors)
-        over = self.over or model.controlled[-1]
+        over = self.over or usual_line(model, last=True)
         tell("the operating point")
         at = dict(self.at) or _usual(model, over, self.side)
         path = Path(model, at, over, self.side)

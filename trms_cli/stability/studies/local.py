@@ -17,7 +17,7 @@ from trms_cli.stability.local.charts import over_range, plane, points_alone
 from trms_cli.stability.local.crossings import Crossing, crossings
 from trms_cli.stability.local.linear import Linear, Side, Switch
 from trms_cli.stability.local.modes import Mode, Modes, modes_of
-from trms_cli.stability.local.sweep import Path, Sweep, swept
+from trms_cli.stability.local.sweep import Path, Sweep, swept, usual_line
 from trms_cli.stability.local.told import (
     crossing_data,
     eigenvalue_words,
@@ -44,7 +44,8 @@ class Local:
     at : dict of str to float
         Operating point: angles (rad) or commands (V); empty: the rest without command.
     over : str or None
-        What is varied: a controlled state or an input; None: the first controlled state.
+        What is varied: a controlled state, an input or a parameter; None: the first angle, or
+        the command of a motor alone.
     range : (float, float) or None
         In the unit of ``over``; None: as far as the rig has operating points.
     points : int
@@ -70,7 +71,7 @@ class Local:
         subject.require_no_loop("study=local", "leave it out; for loops: study=margins")
         model, at = subject.model, dict(self.at)
         tell("the operating point")
-        over = self.over or model.controlled[0]
+        over = self.over or usual_line(model)
         path = Path(model, at, over, self.side)
         point = path.balance.first(at)
         linear = path.linear

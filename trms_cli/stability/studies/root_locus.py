@@ -17,7 +17,7 @@ from trms_cli.stability.local.linear import Side
 from trms_cli.stability.local.locus_told import held_words, locus_section, results_of, why_section
 from trms_cli.stability.local.map import stability_map
 from trms_cli.stability.local.map_told import boundary_along, map_section
-from trms_cli.stability.local.sweep import Path, Sweep, swept
+from trms_cli.stability.local.sweep import Path, Sweep, swept, usual_line
 from trms_cli.stability.local.told import name_of
 from trms_cli.stability.local.tracks import Track, tracks_of
 from trms_cli.stability.local.why import Reason, reason, reason_words
@@ -39,7 +39,8 @@ class RootLocus:
         What is held: angles (rad) or commands (V). It is solved anew for each value.
     over : str or None
         An input, a controlled state, or a parameter (an effect's size: ``effect.size``). None:
-        ``k_g`` where the model has it, at 0.4 rad; else the first input.
+        ``k_g`` where the model has it, at 0.4 rad; else the first angle, or
+        the command of a motor alone.
     range : (float, float) or None
         In the unit of ``over``; None: what is usual for it.
     points : int
@@ -117,7 +118,7 @@ class RootLocus:
                 self.range or _USUAL_RANGE,
                 self.against or "alpha_v",
             )
-        return at, model.inputs[0].name, self.range, self.against
+        return at, usual_line(model), self.range, self.against
 
 
 def _sides(

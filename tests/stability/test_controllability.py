@@ -1,0 +1,310 @@
+"""Controllability and observability: PBH, Gramians, energies, sensors, constant torques."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.stability.local.balance import Balance
+from trms_cli.stability.local.gramians import (
+    controllability_gramian,
+    hankel_values,
+    observability_gramian,
+    stationary_gramian,
+    volts_to_move,
+)
+from trms_cli.stability.local.linear import Linear
+from trms_cli.stability.local.modes import modes_of
+from trms_cli.stability.local.reach import controllable, observable
+from trms_cli.stability.local.scales import scales_of
+from trms_cli.stability.local.sensors import sensor_sets, set_words
+from trms_cli.stability.local.torques import torques_seen
+from trms_cli.stability.studies.controllability import Controllability
+from trms_cli.stability.study import silent
+from trms_cli.stability.subject import Subject
+
+U_V, U_H = 0, 1
+
+
+class Case:
+    """A model made linear, with its modes by name."""
+
+    def __init__(self, model, at):
+        point = Balance(model).first(at)
+        self.model = model
+        self.matrices = Linear(model).matrices(point.x, point.u)
+        self.scales = scales_of(model, self.matrices, 0.00044, 1.6)
+        self.modes = {mode.name: mode for mode in modes_of(model, self.matrices).modes}
+        self.outputs = [signal.name for signal in model.outputs]
+
+    def by_inputs(self, mode, inputs):
+        return controllable(self.matrices, self.scales, self.modes[mode], inputs, 2.0)
+
+    def by_sensors(self, mode, sensors):
+        rows = [self.outputs.index(name) for name in sensors]
+        return observable(self.matrices, self.scales, self.modes[mode], rows)
+
+    def torques(self, sensors, duration=2.0):
+        rows = [self.outputs.index(name) for name in sensors]
+        names = tuple(signal.name for signal in self.model.disturbances)
+        return torques_seen(self.matrices, self.scales, rows, names, (duration,), 0.01)
+
+
+@pytest.mark.parametrize("at", [{}, {"alpha_v": 0.0}], ids=["rest", "hover"])
+@pytest.mark.parametrize("currents", ["quasi_static", "dynamic"])
+def test_the_tail_rotor_does_not_move_yaw_where_it_stands_still(at, currents):
+    case = Case(Newtonian(currents=currents), at)
+    lost = case.by_inputs("yaw swing", [U_H])
+    assert lost.grade == "none" and lost.margin == 0.0
+    # Exactly: the Krylov space of its input does not touch yaw, and no reading of zero is rounding.
+    a, b = case.matrices.a, case.matrices.b[:, [U_H]]
+    span = np.hstack([np.linalg.matrix_power(a, k) @ b for k in range(len(a))])
+    span = span / np.abs(span).max(axis=0)
+    rows = [case.model.state_index(name) for name in ("S_h", "alpha_h")]
+    assert np.abs(span[rows]).max() < 1e-9
+    # The main rotor's momentum still turns the beam.
+    assert case.by_inputs("yaw swing", [U_V]).grade == "yes"
+
+
+def test_yaw_is_controllable_where_the_tail_rotor_turns():
+    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    reach = case.by_inputs("yaw swing", [U_H])
+    assert reach.grade == "yes" and reach.margin > 0.1
+    assert all(case.by_inputs(mode, [U_V, U_H]).grade == "yes" for mode in case.modes)
+
+
+def test_no_input_turns_the_other_rotor():
+    case = Case(Newtonian(), {"alpha_v": 0.1, "alpha_h": 0.3})
+    assert case.by_inputs("main rotor", [U_H]).grade == "none"
+    assert case.by_inputs("tail rotor", [U_V]).grade == "none"
+
+
+def test_the_gain_of_yaw_goes_as_the_speed_of_the_tail_rotor():
+    findings = Controllability(range=(-0.04, 0.04), points=9).run(
+        Subject(Newtonian(), "newtonian"), silent
+    )
+    found = findings.results["range"]
+    omega = np.array(found["states"]["omega_h"])
+    moved = np.array(found["moved_per_unit_rms"]["alpha_h"]["u_h"])
+    margin = np.array(found["pbh_margin"]["alpha_h"]["u_h"])
+    at_zero = int(np.argmin(np.abs(omega)))
+    assert abs(omega[at_zero]) < 1e-8 and moved[at_zero] < 1e-9 * moved.max()
+    assert margin[at_zero] == 0.0
+    for side in (omega > 1.0, omega < -1.0):
+        ratio = moved[side] / np.abs(omega[side])
+        assert ratio.max() / ratio.min() < 1.2
+    assert any("u_h loses alpha_h at alpha_h = 0" in sentence for sentence in findings.lead)
+
+
+def test_one_input_does_not_move_two_equal_rotors():
+    # Both lags are 20 1/s: a double eigenvalue needs two inputs.
+    case = Case(QuanserAero(parameter_set="quanser_aero"), {"alpha_v": 0.2})
+    double = next(name for name, mode in case.modes.items() if mode.multiplicity == 2)
+    assert case.by_inputs(double, [U_V]).grade == "none"
+    assert case.by_inputs(double, [U_H]).grade == "none"
+    assert case.by_inputs(double, [U_V, U_H]).grade == "yes"
+
+
+def test_angles_alone_see_every_mode_and_pitch_alone_not_yaw_at_rest():
+    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    assert all(case.by_sensors(m, ["alpha_v", "alpha_h"]).grade == "yes" for m in case.modes)
+    rest = Case(Newtonian(), {})
+    assert rest.by_sensors("yaw swing", ["alpha_v"]).grade == "none"
+    assert rest.by_sensors("pitch swing", ["alpha_h"]).grade == "none"
+    # The main rotor at rest has no thrust, and its momentum turns yaw only.
+    assert rest.by_sensors("main rotor", ["alpha_v"]).grade == "none"
+    assert rest.by_sensors("main rotor", ["alpha_h"]).grade == "yes"
+
+
+def test_a_free_yaw_is_not_seen_without_its_encoder():
+    case = Case(QuanserAero(), {"alpha_v": 0.2})
+    assert case.by_sensors("yaw free", ["alpha_v", "omega_v", "omega_h"]).grade == "none"
+    assert case.by_sensors("yaw free", ["alpha_h"]).grade == "yes"
+
+
+def test_constant_torques_by_sensor_set():
+    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    angles, everything = case.torques(["alpha_v", "alpha_h"]), case.torques(case.outputs)
+    # Two angles in rest cannot tell more than two torques, whatever the filter.
+    assert angles.together == 2 and all(torque.seen for torque in angles.torques)
+    assert everything.together == 4
+    pitch_alone = {t.name: t.seen for t in case.torques(["alpha_v"]).torques}
+    assert pitch_alone == {
+        "pitch_moment": True,
+        "yaw_moment": False,
+        "main_motor": True,
+        "tail_motor": False,
+    }
+
+
+def test_a_torque_on_a_free_yaw_is_not_told_by_pitch():
+    case = Case(QuanserAero(), {"alpha_v": 0.2})
+    seen = {t.name: t.seen for t in case.torques(["alpha_v"]).torques}
+    assert seen["pitch_moment"] and not seen["yaw_moment"]
+
+
+def test_the_error_of_a_torque_is_that_of_a_kalman_filter():
+    # A joint filter on state and torque, read every 10 ms, from the same prior.
+    case = Case(Newtonian(freedom="vertical"), {"alpha_v": 0.0})
+    duration, step = 2.0, 0.01
+    told = case.torques(["alpha_v"], duration).torques[0]
+    m, n = case.matrices, case.model.n_x
+    joint = np.zeros((n + 1, n + 1))
+    joint[:n, :n], joint[:n, n] = m.a, m.e[:, 0]
+    flow = scipy.linalg.expm(joint * step)
+    row = np.zeros((1, n + 1))
+    row[0, case.model.state_index("alpha_v")] = 1.0
+    # Information of x(0) and d: Σ (Φᵏ)ᵀ cᵀ c Φᵏ / σ², and the prior.
+    information = np.zeros((n + 1, n + 1))
+    information[:n, :n] = np.diag(1.0 / (10.0 * case.scales.x) ** 2)
+    now = np.eye(n + 1)
+    for _ in range(round(duration / step)):
+        now = flow @ now
+        information += now.T @ row.T @ row @ now / 0.00044**2
+    error = math.sqrt(np.linalg.inv(information)[n, n])
+    assert told.errors[0] == pytest.approx(error, rel=0.03)
+
+
+def _stable(seed):
+    random = np.random.default_rng(seed)
+    a = random.normal(size=(4, 4))
+    a -= (np.linalg.eigvals(a).real.max() + 0.5) * np.eye(4)
+    return a, random.normal(size=(4, 2))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_stationary_gramians_solve_their_equation_and_are_the_limit(seed):
+    a, b = _stable(seed)
+    forever = stationary_gramian(a, b)
+    assert np.allclose(forever, scipy.linalg.solve_continuous_lyapunov(a, -b @ b.T))
+    assert np.abs(a @ forever + forever @ a.T + b @ b.T).max() < 1e-9 * np.abs(b @ b.T).max()
+    assert np.allclose(controllability_gramian(a, b, 200.0), forever, rtol=1e-8)
+
+
+@given(st.integers(0, 10_000), st.floats(0.01, 3.0))
+@settings(max_examples=15, deadline=None)
+def test_finite_gramians_are_the_integral_for_unstable_systems_too(seed, duration):
+    a, b = _stable(seed)
+    a = a + 0.8 * np.eye(4)  # unstable
+
+    def rate(t, w):
+        return (a @ w.reshape(4, 4) + w.reshape(4, 4) @ a.T + b @ b.T).ravel()
+
+    run = solve_ivp(rate, (0, duration), np.zeros(16), rtol=1e-10, atol=1e-12, method="DOP853")
+    expected = run.y[:, -1].reshape(4, 4)
+    found = controllability_gramian(a, b, duration)
+    assert np.allclose(found, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+
+
+def test_finite_gramians_stand_poles_that_a_block_exponential_does_not():
+    case = Case(Newtonian(currents="dynamic"), {"alpha_v": 0.0, "alpha_h": 0.3})
+    slow = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    row = {c: c.model.state_index("alpha_h") for c in (case, slow)}
+    volts = [
+        volts_to_move(
+            controllability_gramian(c.matrices.a, c.matrices.b[:, [U_H]], 2.0),
+            np.eye(c.model.n_x)[row[c]],
+            0.1,
+            2.0,
+        )
+        for c in (case, slow)
+    ]
+    assert volts[0] == pytest.approx(volts[1], rel=1e-3)
+    stationary = stationary_gramian(case.matrices.a, case.matrices.b)
+    assert np.isfinite(stationary).all()
+
+
+def test_gramians_of_a_step_count_energy_as_those_in_continuous_time():
+    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    a, b = case.matrices.a, case.matrices.b
+    step = 0.005
+    block = scipy.linalg.expm(np.block([[a, b], [np.zeros((2, 6)), np.zeros((2, 2))]]) * step)
+    found = controllability_gramian(block[:6, :6], block[:6, 6:], 2.0, step)
+    expected = controllability_gramian(a, b, 2.0)
+    assert np.allclose(found, expected, rtol=2e-2, atol=1e-2 * np.abs(expected).max())
+
+
+def test_the_least_command_moves_the_rig_as_far_as_it_says():
+    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    a, b, T = case.matrices.a, case.matrices.b[:, [U_H]], 2.0
+    row = np.eye(6)[case.model.state_index("alpha_h")]
+    gramian = controllability_gramian(a, b, T)
+    volts = volts_to_move(gramian, row, 0.1, T)
+    reach = row @ gramian @ row
+
+    def command(t):
+        return float((b.T @ scipy.linalg.expm(a.T * (T - t)) @ row)[0]) * 0.1 / reach
+
+    run = solve_ivp(
+        lambda t, x: np.append(a @ x[:6] + b[:, 0] * command(t), command(t) ** 2),
+        (0, T),
+        np.zeros(7),
+        rtol=1e-8,
+        atol=1e-10,
+    )
+    assert run.y[:6, -1] @ row == pytest.approx(0.1, rel=1e-5)
+    assert math.sqrt(run.y[6, -1] / T) == pytest.approx(volts, rel=1e-5)
+
+
+def test_hankel_values_do_not_depend_on_the_states():
+    a, b = _stable(3)
+    c = np.random.default_rng(4).normal(size=(2, 4))
+    turn = np.random.default_rng(5).normal(size=(4, 4)) + 3 * np.eye(4)
+    back = np.linalg.inv(turn)
+    found = [
+        hankel_values(stationary_gramian(m, n), stationary_gramian(m.T, o.T))
+        for m, n, o in ((a, b, c), (turn @ a @ back, turn @ b, c @ back))
+    ]
+    assert found[0] == pytest.approx(found[1], rel=1e-7)
+    assert np.allclose(
+        observability_gramian(a, c, 1.0), controllability_gramian(a.T, c.T, 1.0), rtol=1e-12
+    )
+
+
+def test_usual_sets_of_sensors():
+    model = Newtonian()
+    sets = sensor_sets(model, None)
+    assert [set_words(model, one) for one in sets] == [
+        "all",
+        "angles, omega_v",
+        "angles, omega_h",
+        "angles",
+        "alpha_v",
+        "alpha_h",
+        "omega_v",
+        "omega_h",
+    ]
+    assert sensor_sets(model, [["alpha_h"]]) == (("alpha_h",),)
+
+
+def test_the_study_reports_everything():
+    findings = Controllability(points=7).run(Subject(Newtonian(), "newtonian"), silent)
+    results = findings.results
+    assert results["at"]["x"]["alpha_h"] == pytest.approx(0.3)
+    assert results["gramians"]["lyapunov_residual"] < 1e-10
+    assert len(results["gramians"]["hankel"]) == 6
+    yaw = next(mode for mode in results["modes"] if mode["name"] == "yaw swing")
+    assert set(yaw["by_input"]) == {"u_v", "u_h", "together"}
+    assert {chart.name for chart in findings.charts} == {
+        "controllability_loss",
+        "controllability_volts",
+        "observability_torques",
+    }
+    angles = next(t for t in results["torques"] if t["sensors"] == ["alpha_v", "alpha_h"])
+    assert angles["together"] == 2
+
+
+@pytest.mark.parametrize("sensors", [(("alpha_z",),), ((),)])
+def test_sensors_that_do_not_exist_are_refused(sensors):
+    with pytest.raises(ConfigurationError, match=r"study\.sensors"):
+        Controllability(sensors=sensors).run(Subject(Newtonian(), "newtonian"), silent)

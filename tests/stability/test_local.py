@@ -1,0 +1,286 @@
+"""Modes: check values, names, switches, multiple and zero eigenvalues, black boxes, tracking."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.feedback_manual import FeedbackManual
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.stability.local.balance import Balance
+from trms_cli.stability.local.linear import Linear
+from trms_cli.stability.local.modes import modes_of, modes_of_matrix
+from trms_cli.stability.local.parts import Part, parts_of
+from trms_cli.stability.local.sweep import Path, swept
+from trms_cli.stability.local.tracking import matched, spectrum_of
+from trms_cli.stability.local.tracks import tracks_of
+from trms_cli.stability.studies.local import Local
+from trms_cli.stability.study import silent
+from trms_cli.stability.subject import Subject
+from trms_cli.stability.vector_field import VectorField
+
+
+def modes_at(model, at, side="mean"):
+    point = Balance(model).first(at)
+    return modes_of(model, Linear(model).matrices(point.x, point.u, side))
+
+
+def by_name(modes):
+    return {mode.name: mode.eigenvalue for mode in modes.modes}
+
+
+# The published values are those of the mean of the cable's two slopes; see docs/model.md. −0.328 of
+# the main rotor at rest is a central difference over a few rad/s: the exact slope is −0.3200.
+RAHIDEH = {
+    "rest": (
+        {},
+        {
+            "tail rotor": -1.687,
+            "main rotor": -0.3200,
+            "yaw swing": -0.208 + 0.509j,
+            "pitch swing": -0.047 + 2.028j,
+        },
+    ),
+    "hover": (
+        {"alpha_v": 0.0},
+        {
+            "tail rotor": -1.687,
+            "main rotor": -1.471,
+            "yaw swing": -0.151 + 0.444j,
+            "pitch swing": -0.047 + 1.830j,
+        },
+    ),
+    "above": ({"alpha_v": 0.4}, {"pitch swing": 0.023 + 1.270j}),
+}
+
+
+@pytest.mark.parametrize("name", RAHIDEH)
+def test_published_eigenvalues_with_their_names(name):
+    at, expected = RAHIDEH[name]
+    modes = modes_at(Newtonian(parameter_set="rahideh"), at)
+    found = by_name(modes)
+    for mode, value in expected.items():
+        assert found[mode] == pytest.approx(value, abs=1e-3)
+    assert modes.verdict == ("unstable" if name == "above" else "stable")
+
+
+def test_the_makers_model_at_rest():
+    modes = modes_at(FeedbackManual(), {})
+    assert by_name(modes) == {
+        "yaw rate": pytest.approx(-5.0),
+        "tail rotor": pytest.approx(-1.0),
+        "main rotor": pytest.approx(-0.909, abs=1e-3),
+        "reaction": pytest.approx(-0.5),
+        "pitch swing": pytest.approx(-0.044 + 2.169j, abs=1e-3),
+        "yaw free": pytest.approx(0.0, abs=1e-9),
+    }
+    assert modes.verdict == "marginal"
+
+
+def test_damping_and_frequencies_of_a_pair():
+    pair = next(m for m in modes_at(Newtonian(), {}).modes if m.name == "pitch swing")
+    assert pair.natural_frequency == pytest.approx(abs(pair.eigenvalue))
+    assert pair.damped_frequency / (2 * np.pi) == pytest.approx(0.323, abs=1e-3)
+    assert pair.damping_ratio == pytest.approx(-pair.eigenvalue.real / abs(pair.eigenvalue))
+    assert pair.time_constant == pytest.approx(-1 / pair.eigenvalue.real)
+    assert pair.participation.sum() == pytest.approx(1.0)
+
+
+def test_currents_are_modes_of_their_own_and_kept_apart():
+    model = Newtonian(currents="dynamic")
+    path = Path(model, {}, "alpha_v")
+    tracks = tracks_of(model, swept(path, -0.2, 0.2, 5))
+    fast = {track.name for track in tracks if track.fast}
+    assert fast == {
+        "armature current of the main motor",
+        "armature current of the tail motor",
+    }
+    # −R/L, and a little for the back EMF.
+    p = model.parameters
+    for track in tracks:
+        if track.fast:
+            assert track.rates.real.max() == pytest.approx(-p["R"].value / p["L"].value, rel=1e-3)
+
+
+def test_a_point_on_a_switch_has_both_sides():
+    model = Newtonian()
+    linear, point = Linear(model), Balance(model).first({"alpha_v": 0.0})
+    (switch,) = linear.switches(point.x, point.u)
+    assert model.state_names[switch.state] == "alpha_h"
+    (entry,) = switch.entries
+    assert [model.state_names[k] for k in entry] == ["S_h", "alpha_h"]
+    # −k_ch/J_h with the stiffness of each side.
+    p = model.parameters
+    assert switch.upper[0] / switch.lower[0] == pytest.approx(p["k_chp"].value / p["k_chn"].value)
+    upper, lower, mean = (linear.a(point.x, point.u, side) for side in ("upper", "lower", "mean"))
+    assert np.allclose(mean, (upper + lower) / 2, atol=1e-12)
+    assert not np.allclose(upper, lower)
+    away = Balance(model).first({"alpha_v": 0.0, "alpha_h": 0.3})
+    assert linear.switches(away.x, away.u) == ()
+
+
+def test_a_rotor_at_rest_is_no_switch_since_its_thrust_has_no_slope_there():
+    model = Newtonian(freedom="vertical")
+    assert Linear(model).switches(model.rest(), np.zeros(1)) == ()
+    assert model.parameters["k_fvp"].value != model.parameters["k_fvn"].value
+
+
+def test_linearisation_is_that_of_the_vector_field():
+    model = Newtonian()
+    point = Balance(model).first({"alpha_v": 0.1, "alpha_h": 0.4})
+    found, field = Linear(model).matrices(point.x, point.u), VectorField(model)
+    a, b = field.linearised(point.x, point.u)
+    assert np.allclose(found.a, a) and np.allclose(found.b, b)
+    h = 1e-6
+    for j in range(model.n_x):
+        step = h * np.eye(model.n_x)[j]
+        slope = field.rates(point.x + step, point.u) - field.rates(point.x - step, point.u)
+        assert np.allclose(found.a[:, j], slope / (2 * h), rtol=1e-4, atol=1e-5)
+
+
+def test_double_eigenvalues_with_and_without_enough_eigenvectors():
+    parts = (Part("pitch", "angle"), Part("pitch", "rate"))
+    chained = modes_of_matrix(np.array([[0.0, 1.0], [0.0, 0.0]]), parts)
+    (mode,) = chained.modes
+    assert mode.multiplicity == 2 and mode.defective
+    assert mode.verdict == chained.verdict == "unstable"  # grows with t
+    separate = modes_of_matrix(np.diag([-2.0, -2.0]), (Part("main rotor"), Part("tail rotor")))
+    (mode,) = separate.modes
+    assert mode.multiplicity == 2 and not mode.defective
+    assert mode.participation == pytest.approx([0.5, 0.5])
+    slow = modes_of_matrix(np.array([[-1.0, 1.0], [0.0, -1.0]]), parts)
+    assert slow.modes[0].defective and slow.verdict == "stable"
+
+
+def test_a_double_pole_beside_others_takes_part_as_its_projector_says():
+    # Two rotors of equal lag drive one free axis.
+    a = np.array([[-20.0, 0, 0, 0], [0, -20.0, 0, 0], [1.0, 2.0, -0.4, 0], [0, 0, 1.0, 0]])
+    parts = (Part("main rotor"), Part("tail rotor"), Part("yaw", "rate"), Part("yaw", "angle"))
+    modes = modes_of_matrix(a, parts).modes
+    assert [mode.name for mode in modes] == [
+        "main rotor and tail rotor together",
+        "yaw rate",
+        "yaw free",
+    ]
+    assert modes[0].participation == pytest.approx([0.5, 0.5, 0, 0], abs=1e-9)
+
+
+def test_yaw_of_the_quanser_aero_is_free():
+    modes = modes_at(QuanserAero(parameter_set="quanser_aero"), {"alpha_v": 0.3})
+    found = by_name(modes)
+    assert found["yaw free"] == pytest.approx(0.0, abs=1e-9)
+    assert found["pitch swing"] == pytest.approx(-0.084 + 1.275j, abs=1e-3)
+    double = next(mode for mode in modes.modes if mode.multiplicity == 2)
+    assert double.eigenvalue == pytest.approx(-20.0) and not double.defective
+
+
+@given(st.lists(st.floats(-3, 3), min_size=6, max_size=6), st.floats(0.01, 100.0))
+@settings(max_examples=40, deadline=None)
+def test_participation_does_not_depend_on_units(entries, unit):
+    a = np.array(entries).reshape(2, 3)
+    a = np.vstack([a, [0.3, -0.7, -1.1]])
+    parts = (Part("a"), Part("b"), Part("c"))
+    scale = np.diag([1.0, unit, 1.0 / unit])
+    before = modes_of_matrix(a, parts).modes
+    after = modes_of_matrix(scale @ a @ np.linalg.inv(scale), parts).modes
+    gaps = [abs(m.eigenvalue - n.eigenvalue) for m in before for n in before if m is not n]
+    if min(gaps, default=1.0) < 0.05 or any(m.multiplicity > 1 for m in before):
+        return  # near a defective matrix participation is ill conditioned
+    for one, other in zip(before, after, strict=True):
+        assert one.participation == pytest.approx(other.participation, abs=1e-5)
+
+
+def test_tracks_keep_their_mode_where_eigenvalues_pass_each_other():
+    # Two decoupled lags whose rates cross.
+    before, after = (spectrum_of(np.diag([-1.0 - s, -1.05])) for s in (0.0, 0.1))
+    found, sure = matched(before, after)
+    assert sure > 0.8
+    rows = [int(np.argmax(np.abs(s.right[:, 0]))) for s in (before, found)]
+    assert rows[0] == rows[1]
+
+
+def test_the_sweep_ends_where_the_equilibrium_does():
+    model = Newtonian(freedom="vertical")
+    sweep = swept(Path(model, {}, "u_v"), -1.0, 2.5, 15)
+    assert sweep.values[-1] == pytest.approx(2.23, abs=5e-3)
+    assert "ends" in sweep.high and not sweep.low
+    # At the fold the stiffness of pitch, the product of its two eigenvalues, goes to zero.
+    stiffness = [np.prod(np.sort(np.abs(row))[:2]) for row in sweep.eigenvalues]
+    assert stiffness[-1] < 2e-3 * np.abs(sweep.eigenvalues[0]).max() ** 2
+
+
+def test_a_sweep_passes_a_rotor_at_standstill():
+    sweep = swept(Path(Newtonian(), {}, "alpha_v"), -0.8, 0.2, 11)
+    assert len(sweep.places) >= 11 and not sweep.low and not sweep.high
+    rest = min(sweep.places, key=lambda place: abs(place.value + 0.6194))
+    assert abs(rest.point.u[0]) < 0.5
+
+
+def test_a_black_box_has_modes_in_continuous_time():
+    modes = modes_at(_narx(), {})
+    found = by_name(modes)
+    swing = next(v for name, v in found.items() if name.startswith("pitch swing"))
+    # The rig that it was trained on swings at 0.32 Hz, lightly damped.
+    assert swing.imag / (2 * np.pi) == pytest.approx(0.32, abs=0.03)
+    assert -0.15 < swing.real < 0
+    assert modes.verdict == "stable"
+    assert any(name.startswith("past samples") for name in found)
+
+
+def _narx():
+    from trms_cli.commands.composition import compose
+    from trms_cli.core.plugins import build
+
+    return build(compose(["study=local", "model=narx_2dof"], "stability").config["model"], "model")
+
+
+def test_the_study_answers_with_names_verdict_and_range():
+    model = Newtonian(parameter_set="rahideh")
+    findings = Local(at={"alpha_v": 0.4}, points=21).run(Subject(model, "rahideh"), silent)
+    assert findings.results["at"]["verdict"] == "unstable"
+    assert "unstable" in findings.lead[0]
+    assert "pitch swing" in findings.lead[1]
+    (first, *_) = findings.results["crossings"]
+    assert first["mode"] == "pitch swing" and first["unstable_above"]
+    assert first["value"] == pytest.approx(0.347, abs=2e-3)
+    assert {chart.name for chart in findings.charts} == {
+        "local_modes",
+        "local_plane",
+        "local_range",
+    }
+    assert findings.results["switches"][0]["state"] == "alpha_h"
+    assert findings.warnings
+
+
+def test_no_operating_point_beside_a_free_yaw_is_said():
+    findings = Local(over="u_v", points=5).run(Subject(FeedbackManual(), "feedback"), silent)
+    assert any("study.over=alpha_v" in sentence for sentence in findings.lead)
+
+
+@pytest.mark.parametrize(
+    ("at", "over", "says"),
+    [
+        ({"alpha_x": 0.0}, None, "alpha_v"),
+        ({}, "k_q", "allowed"),
+        ({"alpha_v": 2.0}, None, "closest"),
+        ({"alpha_v": 0.0, "u_h": 1.0}, None, "others follow"),
+    ],
+)
+def test_bad_requests_say_what_is_possible(at, over, says):
+    with pytest.raises(ConfigurationError) as refused:
+        Local(at=at, over=over).run(Subject(Newtonian(), "newtonian"), silent)
+    assert says in f"{refused.value.problem} {refused.value.remedy}"
+
+
+def test_states_of_effects_are_named_after_the_effect():
+    from trms_cli.effects.cable_hysteresis import CableHysteresis
+    from trms_cli.effects.extended_model import extended
+
+    model = extended(
+        Newtonian(), {"yaw_cable_hysteresis": CableHysteresis(axis="yaw", torque=0.004, width=0.1)}
+    )
+    assert parts_of(model)[-1] == Part("yaw cable hysteresis")

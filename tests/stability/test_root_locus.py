@@ -1,0 +1,176 @@
+"""Root loci: crossings, exact sensitivities, loops, the map, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.feedback_manual import FeedbackManual
+from trms_cli.models.newtonian import Newtonian, geometry
+from trms_cli.stability.local.crossings import crossings
+from trms_cli.stability.local.entries import entry_words, state_words
+from trms_cli.stability.local.map import stability_map
+from trms_cli.stability.local.sensitivity import loops_through, sensitivity
+from trms_cli.stability.local.sweep import Path, swept
+from trms_cli.stability.studies.root_locus import RootLocus
+from trms_cli.stability.study import silent
+from trms_cli.stability.subject import Subject
+
+RANGE = (0.0123, 0.2)
+
+
+def locus(at, over, span, side="mean", points=21, model=None):
+    path = Path(model or Newtonian(), at, over, side)
+    sweep = swept(path, *span, points)
+    return path, sweep, crossings(path, sweep)
+
+
+def test_the_thesis_value_of_k_g_destabilises_pitch_above_the_published_angle():
+    # model.md: above 0.34 rad. The slopes of the upper side give it exactly, the mean 0.347.
+    model = Newtonian(parameter_set="rahideh")
+    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "upper", 31, model)
+    assert found[0].value == pytest.approx(0.3396, abs=5e-4)
+    assert found[0].unstable_above and found[0].kind == "Hopf"
+    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "mean", 31, model)
+    assert found[0].value == pytest.approx(0.3468, abs=5e-4)
+
+
+def test_the_crossing_over_k_g_is_on_the_axis_and_between_the_sides():
+    values = {}
+    for side in ("lower", "mean", "upper"):
+        path, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE, side)
+        values[side] = found.value
+        a = path.linear.a(found.place.point.x, found.place.point.u, side, found.place.held.p)
+        pair = max(np.linalg.eigvals(a), key=lambda v: v.real)
+        assert abs(pair.real) < 1e-9
+        assert found.frequency == pytest.approx(abs(pair.imag))
+    assert values["upper"] < values["mean"] < values["lower"]
+    assert values["mean"] == pytest.approx(0.148, abs=1e-3)
+
+
+def test_the_crossing_is_that_of_a_model_built_with_the_value():
+    _, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
+    for factor, stable in ((0.98, True), (1.02, False)):
+        model = Newtonian(parameters={"k_g": factor * found.value})
+        path = Path(model, {"alpha_v": 0.4}, "alpha_v")
+        place = path.first(0.4, 0.4)
+        assert (place.spectrum.values.real.max() < 0) == stable
+
+
+@pytest.mark.parametrize(
+    ("at", "over", "span"),
+    [
+        ({"alpha_v": 0.4}, "k_g", RANGE),
+        ({"alpha_v": 0.2, "alpha_h": 0.3}, "l_cb", (0.26, 0.30)),
+        ({}, "alpha_v", (-0.2, 0.5)),
+        ({"u_h": 0.5}, "u_v", (1.0, 1.9)),
+    ],
+)
+def test_sensitivities_are_those_of_finite_differences(at, over, span):
+    path, sweep, _ = locus(at, over, span, points=5, model=Newtonian(parameter_set="rahideh"))
+    place = sweep.places[2]
+    h = 1e-6 * (span[1] - span[0])
+    for track in range(path.model.n_x):
+        found = sensitivity(path, place, track)
+        up, down = (path.following(place, place.value + step) for step in (h, -h))
+        slope = (up.spectrum.values[track] - down.spectrum.values[track]) / (2 * h)
+        assert found.total == pytest.approx(slope, rel=1e-4, abs=1e-4)
+        assert sum(s.part for s in found.shares) == pytest.approx(found.total)
+
+
+def test_the_shares_name_the_gyroscopic_moment_first():
+    path, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
+    why = sensitivity(path, found.place, found.track)
+    first = why.shares[0]
+    assert entry_words(path.model, first.row, first.column) == "pitch moment per yaw rate"
+    assert first.part.real > 0.5 * why.total.real > 0
+    # dA/dk_g = F_v cos α_v / J_v, as it stands in the equation of pitch.
+    p = {parameter.name: parameter.value for parameter in path.model.parameters}
+    thrust = p["k_fvp"] * found.place.point.x[path.model.state_index("omega_v")] ** 2
+    assert first.change == pytest.approx(thrust * np.cos(0.4) / geometry(p)["J_v"])
+
+
+def test_the_loop_is_closed_over_pitch_and_yaw():
+    path, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
+    a = path.linear.a(found.place.point.x, found.place.point.u, "mean", found.place.held.p)
+    row, column = (path.model.state_index(name) for name in ("S_v", "S_h"))
+    strongest = loops_through(a, row, column, 1j * found.frequency)[0]
+    words = {state_words(path.model, k) for k in strongest.states}
+    assert words == {"pitch rate", "pitch angle", "yaw rate"}
+
+
+def test_gains_of_loops_are_those_of_masons_rule():
+    # Two states in a ring: det(sI − A) = (s − a)(s − d)(1 − L), so L = 1 at an eigenvalue.
+    a = np.array([[-1.0, 2.0], [-3.0, -0.5]])
+    s = np.linalg.eigvals(a)[0]
+    (loop,) = loops_through(a, 0, 1, s)
+    assert loop.gain == pytest.approx(1.0)
+    three = np.array([[-1.0, 0, 2.0], [0.5, -0.3, 0], [0, 1.5, -2.0]])
+    (loop,) = loops_through(three, 0, 2, np.linalg.eigvals(three)[0])
+    assert len(loop.states) == 3 and loop.gain == pytest.approx(1.0)
+
+
+def test_the_size_of_an_effect_can_be_varied():
+    from trms_cli.effects.extended_model import extended
+    from trms_cli.effects.inflow import Inflow
+
+    model = extended(Newtonian(), {"main_inflow": Inflow(rotor="main", coefficient=10.0)})
+    path, sweep, _ = locus({"alpha_v": 0.0}, "main_inflow.coefficient", (0.0, 60.0), model=model)
+    assert path.unit == "rad/m"
+    pitch = np.argmax(np.abs(sweep.eigenvalues[0].imag))
+    damping = sweep.eigenvalues[:, pitch].real
+    assert np.all(np.diff(damping) < 0)  # inflow damps
+
+
+def test_the_map_has_the_boundary_of_the_loci():
+    path = Path(Newtonian(), {"alpha_v": 0.4}, "k_g")
+    found = stability_map(path, "alpha_v", RANGE, (0.3, 0.5), (7, 5), silent)
+    assert found.growth.shape == (5, 7)
+    row = np.flatnonzero(np.isclose(found.boundary[:, 1], 0.4))
+    assert found.boundary[row, 0] == pytest.approx([0.1481], abs=2e-4)
+    assert np.all(np.diff(found.growth, axis=1) > 0)  # more k_g, less stable
+
+
+def test_the_map_has_holes_where_there_is_no_operating_point():
+    path = Path(FeedbackManual(), {"alpha_v": -0.5}, "K_gy")
+    found = stability_map(path, "alpha_v", (0.01, 0.05), (-0.4, 0.2), (3, 5), silent)
+    assert np.isfinite(found.growth[0]).all()
+    assert np.isnan(found.growth[-1]).all()
+
+
+def test_the_study_says_where_and_why():
+    findings = RootLocus(points=21, map_points=5).run(Subject(Newtonian(), "newtonian"), silent)
+    assert "k_g = 0.14813" in findings.lead[0]
+    told = " ".join(findings.lead)
+    assert "pitch moment per yaw rate" in told
+    assert "loop" in told
+    results = findings.results
+    assert results["crossings"][0]["kind"] == "Hopf"
+    assert results["crossings_by_side"]["upper"][0] == pytest.approx(0.1413, abs=1e-3)
+    (at_model, *_) = [e for e in results["map"]["along_against"] if e["over"] == 0.2]
+    assert at_model["crossings"][0]["value"] == pytest.approx(0.347, abs=2e-3)
+    assert {chart.name for chart in findings.charts} == {
+        "root_locus",
+        "root_locus_range",
+        "root_locus_why",
+        "root_locus_map",
+    }
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"over": "k_q"}, "k_g"),
+        ({"over": "k_g", "range": (0.1, 0.1)}, "different"),
+        ({"over": "k_ov", "range": (-1.0, 0.1)}, "between"),
+        (
+            {"over": "k_g", "at": {"alpha_v": 0.1}, "against": "u_h", "map_points": 3},
+            "others follow",
+        ),
+    ],
+)
+def test_bad_requests_say_what_is_possible(asked, says):
+    with pytest.raises(ConfigurationError) as refused:
+        RootLocus(points=3, **asked).run(Subject(Newtonian(), "newtonian"), silent)
+    assert says in f"{refused.value.problem} {refused.value.remedy}"
