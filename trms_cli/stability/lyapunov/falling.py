@@ -56,7 +56,13 @@ class Falling:
 
 
 def falling(
-    matrices: Matrices, values: Values, box: Interval, most: float, budget: int = 20_000
+    matrices: Matrices,
+    values: Values,
+    box: Interval,
+    most: float,
+    budget: int = 20_000,
+    *,
+    patient: bool = True,
 ) -> Falling:
     """Bounds of the level up to which Q is positive definite.
 
@@ -72,6 +78,8 @@ def falling(
         States with V above it are not asked about.
     budget : int
         Boxes at most.
+    patient : bool
+        Whether the search goes on below a state found where Q is not definite.
     """
     waiting = Interval(box.lower[None].copy(), box.upper[None].copy())
     lowest = np.atleast_1d(values(waiting).lower)
@@ -97,6 +105,8 @@ def falling(
             if levels.min() < fails:
                 best = int(np.argmin(levels))
                 fails, point = float(levels[best]), places.lower[best]
+        if not patient and fails < most:
+            return Falling(0.0, fails, point, examined)
         open_ = boxes[~done]
         if not len(open_.lower):
             continue
@@ -107,10 +117,7 @@ def falling(
         waiting = joined(waiting, halves[keep])
         lowest = np.concatenate([lowest, deep[keep]])
     left = float(lowest.min()) if len(lowest) else np.inf
-    level = min(left, fails, np.inf)
-    if left == np.inf and fails == np.inf:
-        level = np.inf
-    return Falling(level, fails, point, examined)
+    return Falling(min(left, fails), fails, point, examined)
 
 
 def definite(matrix: Interval) -> tuple[BoolArray, BoolArray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import casadi as ca
@@ -178,29 +177,38 @@ class Candidate:
     def _reach(self, j: int, row: int, level: float, side: float, end: float) -> float:
         """Where one term, rising away from the equilibrium, has passed a level; else the end."""
 
-        def passed(distance: float) -> bool:
-            y = self.centre.copy()
-            y[j] += side * distance
-            return bool(self._row(row, y) >= level)
+        function, weight = self._term(row)
+        rest = float(self.centre[j])
 
-        return float(self.centre[j] + side * _smallest(passed, abs(end - self.centre[j])))
+        def value(distance: float) -> float:
+            return weight * float(function.function(rest + side * distance, rest))
+
+        farthest = abs(end - rest)
+        distance = _smallest(lambda d: value(d) >= level, farthest)
+        # Numbers propose, bounds decide.
+        while distance < farthest and self._row(row, rest + side * distance) < level:
+            distance = min(distance * (1.0 + 1e-6), farthest)
+        return rest + side * distance
 
     def well_at(self, axis: str, angle: float) -> float:
         """A lower bound of γU of an axis at an angle, J."""
-        y = self.centre.copy()
-        y[self.energy.index("alpha", axis)] = angle
-        return self._row(2 + self.energy.axes.index(axis), y)
+        return self._row(2 + self.energy.axes.index(axis), angle)
 
-    def _row(self, row: int, y: FloatArray) -> float:
+    def _term(self, row: int) -> tuple[Enclosure, float]:
+        """A well or a store and its weight, by its row among the terms."""
+        a = self.energy.axes[(row - 2) % self.energy.k]
+        w = self.weights
+        if row < 2 + self.energy.k:
+            return self._well[a], w.yaw if a == "h" else 1.0
+        return self._store[a], w.rotor_h if a == "h" else w.rotor_v
+
+    def _row(self, row: int, state: float) -> float:
         """A lower bound of one well or store at a state."""
         a = self.energy.axes[(row - 2) % self.energy.k]
-        well = row < 2 + self.energy.k
-        j = self.energy.index("alpha" if well else "omega", a)
-        function = (self._well if well else self._store)[a]
-        point = Interval.point(np.array([[y[j]]]))
-        found = function(point, Interval(self.rest.lower[j : j + 1], self.rest.upper[j : j + 1]))
-        scales = dataclasses.asdict(self.weights)
-        weight = (scales["yaw"] if a == "h" else 1.0) if well else scales[f"rotor_{a}"]
+        j = self.energy.index("alpha" if row < 2 + self.energy.k else "omega", a)
+        function, weight = self._term(row)
+        rest = Interval(self.rest.lower[j : j + 1], self.rest.upper[j : j + 1])
+        found = function(Interval.point(np.array([[state]])), rest)
         return float(found[0].lower[0, 0]) * weight * (1.0 - 1e-12)
 
 

@@ -93,12 +93,13 @@ def searched(energy: Energy, x: FloatArray, strict: bool, budget: int) -> Found:
     if best_volume == -math.inf:
         return Found(best, wells, Falling(0.0, 0.0, best.centre, 0), ceiling)
     asked = ceiling if best_level >= ceiling else _SHARE * best_level
-    for _ in range(3):
+    for patient in (False, False, True):
         box = best.extent(asked, wells.ends)
-        found = falling(best.matrices, best.values, box, asked, budget)
-        if found.level >= asked or found.fails >= asked:
+        found = falling(best.matrices, best.values, box, asked, budget, patient=patient)
+        if found.fails >= asked:
             break
-        asked = _SHARE * min(found.fails, asked)
+        if not patient:
+            asked = _SHARE * found.fails
     return Found(best, wells, found, asked)
 
 

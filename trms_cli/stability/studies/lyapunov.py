@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
+import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.core.chart import Chart
@@ -23,16 +24,19 @@ from trms_cli.stability.lyapunov.seen import (
     random_directions,
 )
 from trms_cli.stability.lyapunov.subject import Rig, rig_of
-from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 from trms_cli.stability.vector_field import VectorField
 
+ComplexArray = npt.NDArray[np.complex128]
+
 #: Share of the barrier at which a function that fails is shown.
 _SHOWN = 0.05
-#: Motions in each plane, and how long they are drawn, s.
-_IN_PLANE = 8
-_DRAWN = 6.0
+#: rad, to either side of a yaw angle.
+_BESIDE = 1e-6
+#: Motions drawn in the plane of each axis, and for how long, s: pitch is hardly damped.
+_IN_PLANE = {"h": (8, 6.0), "v": (2, 25.0)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,10 +95,10 @@ class Lyapunov:
         further = (of_motions(seen, self.duration),) if certificate.inner > 0.0 else ()
         paths = {}
         for a in candidate.energy.axes:
-            begin = on_level(candidate, wells, shown, plane_directions(candidate, a, _IN_PLANE))
-            paths[a] = motions(candidate, subject.model, begin, shown, _DRAWN)
-        A, _ = VectorField(rig.model).linearised(point.x, point.u)
-        poles = np.asarray(np.linalg.eigvals(A), dtype=complex)
+            count, drawn = _IN_PLANE[a]
+            begin = on_level(candidate, wells, shown, plane_directions(candidate, a, count))
+            paths[a] = motions(candidate, subject.model, begin, shown, drawn)
+        poles = _eigenvalues(rig, point)
         return Findings(
             "Lyapunov function",
             told.lead(certificate, rig, point, float(poles.real.max())),
@@ -102,6 +106,18 @@ class Lyapunov:
             told.data(certificate, point, poles, further),
             _warnings(certificate, rig),
         )
+
+
+def _eigenvalues(rig: Rig, point: OperatingPoint) -> ComplexArray:
+    """Of the linearisation; on that side of the cable's switch where they lie further right."""
+    field_, found = VectorField(rig.model), []
+    for side in (-1.0, 1.0):
+        x = point.x.copy()
+        if "alpha_h" in rig.model.state_names:
+            x[rig.model.state_index("alpha_h")] += side * _BESIDE
+        A, _ = field_.linearised(x, point.u)
+        found.append(np.asarray(np.linalg.eigvals(A), dtype=complex))
+    return max(found, key=lambda poles: float(poles.real.max()))
 
 
 def _sections(
