@@ -193,6 +193,13 @@ def test_the_separatrix_divides_the_starts(hover, into_the_saddle):
         assert by_start == {0: "rest", 1: "turning"}
 
 
+def test_how_far_back_pitch_may_be_let_go(hover, into_the_saddle):
+    farthest = into_the_saddle.c[:, 0].min()
+    assert farthest == pytest.approx(-1.159, abs=1e-3)
+    ends = ends_from(hover, [[farthest + 0.01, 0.0], [farthest - 0.01, 0.0]], 107.0)
+    assert {end.what: end.members for end in ends} == {"rest": (0,), "turning": (1,)}
+
+
 def test_what_leaves_the_saddle_goes_to_hover_or_over_the_top(hover, rests):
     out = [path for path in separatrices(hover, True, WINDOW, rests[1], 25.0) if not path.into]
     assert len(out) == 2
