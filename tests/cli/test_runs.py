@@ -196,6 +196,14 @@ class TestOutput:
         assert len(lines) == 3
         assert "git" in ask("--columns", "+git").stdout.splitlines()[0].split()
 
+    def test_settings_in_which_runs_differ_are_shown(self, ask):
+        heading = ask().stdout.splitlines()[0].split()
+        assert "plant.parameters.k_g" in heading
+        assert "overrides" not in heading
+        heading = ask("--in", "sweep").stdout.splitlines()[0].split()
+        assert "plant.parameters.k_g" not in heading
+        assert {"controller", "seed"} <= set(heading)
+
     def test_what_is_asked_about_is_shown(self, ask):
         heading = ask("seed > 0 and nees < 100", "--sort", "saturation").stdout.splitlines()[0]
         assert {"seed", "nees", "saturation"} <= set(heading.split())

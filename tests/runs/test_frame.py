@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.runs import find_runs, runs_frame, runs_table
 from trms_cli.runs.columns import ALIASES, COLUMNS
+from trms_cli.runs.filter_language import translated
 
 
 def test_a_table_has_types_units_and_what_find_runs_says(write_run, score):
@@ -71,3 +74,30 @@ def test_a_run_that_tells_of_itself_loads_no_database(tmp_path):
     code = "import sys, trms_cli.runs.place; print('sqlite3' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "False\n"
+
+
+class TestPage:
+    """What the page and the help say."""
+
+    page = (Path(__file__).parents[2] / "docs" / "runs.md").read_text(encoding="utf-8")
+
+    def test_every_column_is_told_of(self):
+        from trms_cli.commands.runs import HELP
+
+        for name in COLUMNS:
+            stem = re.sub(r"_(alpha|u)_[vh]$", "", name)
+            assert f"`{stem}`" in self.page or f"`{stem}_" in self.page, name
+            assert re.search(rf"\b{stem}\b", HELP), name
+
+    def test_its_filters_are_filters(self):
+        from trms_cli.commands.runs import HELP
+
+        typed = re.findall(r'(?:trms runs|runs_frame\() ?"([^"]+)"', self.page + HELP)
+        rows = re.findall(r"^\| (`.*?) \| ", self.page.partition("## Columns")[0], re.MULTILINE)
+        shown = [text for row in rows for text in re.findall(r"`([^`]+)`", row)]
+        words = {"and", "or", "not", "not like", "not contains"}
+        filters = [text for text in [*typed, *shown] if text not in words]
+        assert len(filters) > 20
+        for text in filters:
+            if text != "controller == pid":  # the page's own example of a mistake
+                translated(text)

@@ -85,9 +85,9 @@ def main(argv: list[str]) -> int:
     if limit is None and shown and sys.stdout.isatty():
         limit = _GLANCE
     if shown and usual:
-        from trms_cli.commands.runs_screen import USUAL
+        from trms_cli.commands.runs_screen import OVERRIDES, USUAL
 
-        columns = tuple(dict.fromkeys([*USUAL, *told]))
+        columns = tuple(dict.fromkeys([*USUAL, *told, OVERRIDES]))
     else:
         columns = tuple(dict.fromkeys([*COLUMNS, *asked] if usual else asked))
     question = Question(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Sequence
@@ -11,6 +12,9 @@ from typing import Any, Self
 from trms_cli.runs.columns import ALIASES, Column
 from trms_cli.runs.finding import Found
 
+#: Read with the usual columns, for the settings in which runs differ; not shown itself.
+OVERRIDES = "overrides"
+_MOST_SETTINGS = 6
 #: Columns of the table, in their order.
 USUAL = (
     "path",
@@ -88,6 +92,8 @@ def print_runs(found: Found, told: Sequence[str], *, filtered: bool) -> None:
         print(_why_nothing(found, filtered))
         return
     names = _chosen(found, told)
+    if told or set(found.columns) >= set(USUAL):
+        names += _settings(found, names)
     if sys.stdout.isatty():
         _print_rich(found, names, told)
     else:
@@ -149,15 +155,32 @@ def _chosen(found: Found, told: Sequence[str]) -> list[str]:
     chosen: dict[str, str] = {}  # by the column's own name: an alias is shown once
     for name in found.columns:
         own = ALIASES.get(name, name)
-        if own in chosen:
+        if own in chosen or (own == OVERRIDES and own not in asked):
             continue
         values = {run[name] for run in found.runs}
-        same = len(values) < 2 and own in _IF_DIFFERENT
+        same = len(values - {None}) < 2 and own in _IF_DIFFERENT
         usual_end = own == "outcome" and values == {"completed"}
         empty = values <= {None, ""}
         if own in asked or not (same or usual_end or empty):
             chosen[own] = name
     return list(chosen.values())
+
+
+def _settings(found: Found, names: Sequence[str]) -> list[str]:
+    """Keys that were typed, and in which the runs differ: else the runs of a sweep look alike."""
+    from trms_cli.runs.entry import typed
+
+    given = [typed(json.loads(run.get(OVERRIDES) or "[]")) for run in found.runs]
+    settings = []
+    for key in dict.fromkeys(key for keys in given for key in keys):
+        own = ALIASES.get(key, key)
+        values = {str(keys.get(key)) for keys in given}
+        if ("." in key or "@" in key) and own not in found.columns and len(values) > 1:
+            settings.append(key)
+            found.columns[key] = Column(key, "any")
+            for run, keys in zip(found.runs, given, strict=True):
+                run[key] = keys.get(key)
+    return [key for key in settings if key not in names][:_MOST_SETTINGS]
 
 
 def _print_plain(found: Found, names: Sequence[str]) -> None:
@@ -234,6 +257,8 @@ def _need(name: str, told: Sequence[str]) -> int:
         return -2
     if name in told or own in told:
         return -1
+    if "." in own or "@" in own:
+        return _NEEDED.index("outcome")
     return _NEEDED.index(own) if own in _NEEDED else len(_NEEDED)
 
 
