@@ -41,6 +41,9 @@ FloatArray = npt.NDArray[np.float64]
 SETTLED = 1e-4
 #: Beyond this part the answer is not periodic, and there is no response.
 NOT_PERIODIC = 0.05
+#: Growth of the angles' excursions from the second period to the last, and rad from the point,
+#: with which a loop leaves it: no test signal of the size meant here pushes it so far.
+_GROWS, _FAR = 1.5, 0.05
 #: Control periods within which a controller that closes a loop answers to a step.
 _SOON = 50
 
@@ -109,11 +112,17 @@ class NotHeld:
     run : LoopRun
         Of the experiment that showed it.
     words : str
-        What it did: ``alpha_v swings by ±0.31 rad after 100 s``.
+        What it did: ``alpha_v is 0.31 rad away after 100 s, further and further``.
+    leaves : bool
+        Whether it leaves the point; else it stays near, but does not answer periodically.
+    reversed : tuple of str
+        As of :class:`Measured`.
     """
 
     run: LoopRun
     words: str
+    leaves: bool
+    reversed: tuple[str, ...]
 
 
 class NoLoopError(Exception):
@@ -138,7 +147,7 @@ class Analyser:
 
     lowest: float = 0.1
     ratio: float = 1.06
-    amplitude: float = 0.003
+    amplitude: float = 0.001
     periods: int = 6
 
     def measure(
@@ -168,7 +177,8 @@ class Analyser:
             tell(doing)
             answers.append(self._answer(model, loop, point, probe.length, added))
             if answers[-1].gone:
-                return NotHeld(answers[-1].run, answers[-1].gone)
+                last = answers[-1]
+                return NotHeld(last.run, last.gone, last.leaves, last.reversed)
         each, check = answers[:-1], answers[-1]
         T = np.stack(
             [
@@ -262,6 +272,7 @@ class _Answer:
     limited: int
     reversed: tuple[str, ...]
     gone: str
+    leaves: bool
 
 
 def _answered(model: Model, point: OperatingPoint, run: LoopRun, adder: _Adder) -> _Answer:
@@ -273,17 +284,24 @@ def _answered(model: Model, point: OperatingPoint, run: LoopRun, adder: _Adder) 
     swing = np.abs(last - rest).max(axis=0)
     lower, upper = model.input_bounds()
     limited = int(np.any((run.u <= lower) | (run.u >= upper), axis=1)[:: adder.ratio].sum())
+    first = angles[samples : 2 * samples]
+    away = float(np.abs(last).max()) if last.size else 0.0
+    grows = bool(np.linalg.norm(last) > _GROWS * np.linalg.norm(first))
+    leaves = bool(run.ended) or grows or away > _FAR
     gone = ""
     if run.ended or adder.drift > NOT_PERIODIC:
         furthest = int(np.argmax(np.abs(last).max(axis=0)))
-        away = float(np.abs(last[:, furthest]).max())
-        seconds = run.time[-1] if run.time.size else 0.0
-        gone = (
-            f"{model.controlled[furthest]} is up to {away:.2g} rad away after {seconds:.0f} s, "
-            + (f"and the run ends: {run.ended}" if run.ended else "and does not repeat itself")
-        )
+        name, seconds = model.controlled[furthest], run.time[-1] if run.time.size else 0.0
+        gone = f"{name} is up to {away:.2g} rad away after {seconds:.0f} s"
+        if run.ended:
+            gone += f", where the run ends: {run.ended}"
+        elif not leaves:
+            gone = (
+                f"{name} stays within {away:.2g} rad, but after {seconds:.0f} s the answer to the "
+                f"test signal still changes by {100 * adder.drift:.0f} % from period to period"
+            )
     speeds = [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
     turned = tuple(
         name for name in speeds if np.ptp(np.sign(run.x[-samples:, model.state_index(name)])) > 0
     )
-    return _Answer(run, adder.last, adder.drift, rest, swing, limited, turned, gone)
+    return _Answer(run, adder.last, adder.drift, rest, swing, limited, turned, gone, leaves)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from trms_cli.controllers.controller import Status
 from trms_cli.stability.findings import Findings, Judged, Judgement, Section, Table, Value
 from trms_cli.stability.loops import margin_charts
-from trms_cli.stability.loops.crossings import Crossings, Limit
+from trms_cli.stability.loops.crossings import Limit
 from trms_cli.stability.loops.disk_margin import DiskMargin
-from trms_cli.stability.loops.frequency_response import Measured, NotHeld
+from trms_cli.stability.loops.frequency_response import NotHeld
+from trms_cli.stability.loops.margin_data import results_of, value_of
 from trms_cli.stability.loops.margins import Margins
 from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.subject import LoopParts, Subject
@@ -51,7 +51,9 @@ def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: Operating
     return Findings(
         TITLE,
         [
-            f"The loop does not hold this point, and margins do not exist: {found.words}.",
+            f"The loop does not hold this point, and margins do not exist: {found.words}."
+            if found.leaves
+            else f"No margins can be read here: {found.words}.",
             f"Studied was {where}.",
         ],
         [
@@ -67,7 +69,7 @@ def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: Operating
             )
         ],
         {"holds": False, "what_it_did": found.words, "statuses": dict(run.statuses)},
-        [words] if words else [],
+        [said for said in (words, _warning_of_reversed(found.reversed)) if said],
     )
 
 
@@ -167,9 +169,9 @@ def _single_table(margins: Margins) -> Table:
             [
                 loop.name,
                 _judged_gain(c.up),
-                _of(c.down),
+                value_of(c.down),
                 _judged_phase(c.phase),
-                _of(c.delay),
+                value_of(c.delay),
                 c.crossover or None,
                 Judged(loop.sensitivity.value, _peak_judgement(loop.sensitivity.value)),
                 1 / loop.sensitivity.value,
@@ -203,10 +205,10 @@ def _together_table(margins: Margins) -> Table:
         [
             [
                 "the same change of each",
-                _of(c.down),
-                _of(c.up),
-                _of(c.phase, True),
-                _of(c.delay),
+                value_of(c.down),
+                value_of(c.up),
+                value_of(c.phase, True),
+                value_of(c.delay),
                 None,
             ],
             ["each by a factor of its own", *_disk_row(each)],
@@ -225,18 +227,12 @@ def _disk_row(disk: DiskMargin) -> list[Value | Judged]:
     return [disk.gain_down, up, math.degrees(disk.phase), None, disk.alpha]
 
 
-def _of(limit: Limit | None, degrees: bool = False) -> float | None:
-    if limit is None:
-        return None
-    return math.degrees(limit.value) if degrees else limit.value
-
-
 def _judged_gain(limit: Limit | None) -> Judged:
-    return Judged(_of(limit), "good" if limit is None or limit.value >= _GOOD_GAIN else "bad")
+    return Judged(value_of(limit), "good" if limit is None or limit.value >= _GOOD_GAIN else "bad")
 
 
 def _judged_phase(limit: Limit | None) -> Judged:
-    value = _of(limit, degrees=True)
+    value = value_of(limit, degrees=True)
     if value is None or value >= _GOOD_PHASE:
         return Judged(value, "good")
     return Judged(value, "doubtful" if value >= _POOR_PHASE else "bad")
@@ -292,15 +288,20 @@ def warning_of_statuses(
     return f"of {total} control samples, {told}: {consequence}"
 
 
+def _warning_of_reversed(speeds: Sequence[str]) -> str:
+    """A word where a rotor turns round."""
+    if not speeds:
+        return ""
+    return (
+        f"{' and '.join(speeds)} changes its sign under the test signal: a rotor that stands still "
+        "has a thrust ω|ω| without slope, and what is read of its loop depends on the signal's "
+        "size; study.at.alpha_h=0.3 is a point at which the tail rotor turns"
+    )
+
+
 def _warnings(margins: Margins, subject: Subject) -> list[str]:
     m = margins.measured
-    said = [warning_of_statuses(m.statuses)]
-    if m.reversed:
-        said.append(
-            f"{' and '.join(m.reversed)} changes its sign under the test signal: a rotor that "
-            "stands still has a thrust ω|ω| without slope, and what is read of its loop depends on "
-            "the signal's size; study.at.alpha_h=0.3 is a point at which it turns"
-        )
+    said = [warning_of_statuses(m.statuses), _warning_of_reversed(m.reversed)]
     if m.limited:
         said.append(
             f"the commands were at a limit in {m.limited} control samples: the margins are not "
@@ -329,70 +330,3 @@ def _warnings(margins: Margins, subject: Subject) -> list[str]:
             "rests"
         )
     return [words for words in said if words]
-
-
-def results_of(margins: Margins) -> dict[str, Any]:
-    """The margins as data; angles in rad."""
-    m = margins.measured
-    return {
-        "holds": True,
-        "loops": {
-            loop.name: {
-                **_crossings_data(loop.crossings),
-                "peak_sensitivity": loop.sensitivity.value,
-                "modulus_margin": 1 / loop.sensitivity.value,
-                "peak_complementary": loop.complementary.value,
-                "disk": _disk_data(loop.disk),
-            }
-            for loop in margins.loops
-        },
-        "alike": _crossings_data(margins.together),
-        "disk_each": _disk_data(margins.disk_each),
-        "disk_any": _disk_data(margins.disk_any),
-        "peak_sensitivity": margins.sensitivity.value,
-        "least_return_difference": 1 / margins.sensitivity.value,
-        "peak_complementary": margins.complementary.value,
-        "response": _response_data(m),
-        "quality": {
-            "drift": m.drift,
-            "nonlinearity": m.nonlinearity,
-            "beside": m.beside,
-            "interpolation": margins.interpolation,
-            "limited": m.limited,
-            "reversed": list(m.reversed),
-            "statuses": dict(m.statuses),
-        },
-    }
-
-
-def _crossings_data(c: Crossings) -> dict[str, float | None]:
-    return {
-        "gain_up": _of(c.up),
-        "gain_down": _of(c.down),
-        "phase": _of(c.phase),
-        "delay": _of(c.delay),
-        "crossover": c.crossover,
-    }
-
-
-def _disk_data(disk: DiskMargin) -> dict[str, float | None]:
-    up = None if math.isinf(disk.gain_up) else disk.gain_up
-    return {
-        "alpha": disk.alpha,
-        "omega": disk.omega,
-        "gain_down": disk.gain_down,
-        "gain_up": up,
-        "phase": disk.phase,
-    }
-
-
-def _response_data(m: Measured) -> dict[str, Any]:
-    """L at the lines, row by column: real and imaginary parts."""
-    L = m.L
-    return {
-        "omega": m.omega.tolist(),
-        "control_period": m.step,
-        "inputs": list(m.inputs),
-        "L_real": L.real.tolist(),
-        "L_imaginary": L.imag.tolist(),
-    }

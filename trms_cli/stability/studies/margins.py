@@ -41,7 +41,7 @@ class Margins:
     at: Mapping[str, float] = field(default_factory=dict)
     lowest: _Positive = 0.1
     ratio: Annotated[float, Meta(gt=1, le=2)] = 1.06
-    amplitude: Annotated[float, Meta(gt=0, le=0.5)] = 0.003
+    amplitude: Annotated[float, Meta(gt=0, le=0.5)] = 0.001
     periods: Annotated[int, Meta(ge=2, le=100)] = 6
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
