@@ -76,7 +76,7 @@ class PointBounds:
 
 
 def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
-    """Whether the mobility of a system is proved regular over a box of its unknowns.
+    """Whether nothing that the rows of a system were divided by is zero in a box of its unknowns.
 
     Parameters
     ----------
@@ -87,15 +87,13 @@ def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
     """
     z, given = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
     p = ca.SX.sym("p", len(system.model.parameters))
-    w = system.mobility(z, given, p)
-    read = [j for j in range(system.n) if ca.depends_on(w, z[j])]
-    (w,), constants, bounds = _constants_apart([w], p, system)
-    enclosure = Enclosure(ca.Function("mobility", [z, given, constants], [w]))
+    (w,), constants, bounds = _constants_apart([system.nonzero(z, given, p)], p, system)
+    read = [j for j in range(system.n) if ca.depends_on(w, z[j])] if w.numel() else []
+    enclosure = Enclosure(ca.Function("nonzero", [z, given, constants], [w]))
     boxes = box[None, :]
     for _ in range(_REGULARITY_CUTS):
         found = enclosure(boxes, v, bounds)[0]
-        determinant = found[:, 0] * found[:, 3] - found[:, 1] * found[:, 2]
-        doubtful = determinant.contains_zero() | ~np.isfinite(determinant.width)
+        doubtful = np.any(found.contains_zero() | ~np.isfinite(found.width), axis=1)
         if not doubtful.any():
             return True
         boxes = boxes[doubtful]

@@ -42,7 +42,9 @@ def shown_signals(model: Model, survey: Survey) -> list[Signal]:
     shown: list[Signal] = []
     for name in dict.fromkeys(wanted):
         signal = next(s for s in every if s.name == name)
-        values = np.concatenate([values_of(model, one, name) for one in survey.curves] or [[0.0]])
+        values = np.concatenate(
+            [values_of(model, one, name) for one in survey.curves] or [np.zeros(1)]
+        )
         if np.ptp(values) > _VARIES:
             shown.append(signal)
     return shown
@@ -65,7 +67,7 @@ def curves_chart(model: Model, survey: Survey, named: Sequence[NamedPoint]) -> d
         draw.Panel(
             draw.Axis(symbol(over), _unit(unit), survey.setting.bounds),
             draw.Axis(symbol(signal.name), _unit(signal.unit)),
-            _marks(model, survey, signal.name, named, legend=k == 0),
+            _marks(model, survey, signal, _unit(unit), named, legend=k == 0),
         )
         for k, signal in enumerate(shown_signals(model, survey))
     ]
@@ -93,10 +95,18 @@ def _unit(unit: str) -> str:
 
 
 def _marks(
-    model: Model, survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool
+    model: Model,
+    survey: Survey,
+    signal: Signal,
+    unit: str,
+    named: Sequence[NamedPoint],
+    legend: bool,
 ) -> list[draw.Points | draw.Curve | draw.Line]:
+    name = signal.name
     marks: list[draw.Points | draw.Curve | draw.Line] = []
-    reached = np.concatenate([values_of(model, one, name) for one in survey.curves] or [[0.0]])
+    reached = np.concatenate(
+        [values_of(model, one, name) for one in survey.curves] or [np.zeros(1)]
+    )
     stop = model.stops.get(name, math.inf)
     if math.isfinite(stop):
         marks += [
@@ -132,21 +142,21 @@ def _marks(
         for point in check.points
     ]
     if proved:
-        u, y = zip(*proved, strict=True)
-        marks.append(draw.Points(u, y, "proved" if legend else "", "dot", "ink", size=2.5))
+        at, where = [u for u, _ in proved], [y for _, y in proved]
+        marks.append(draw.Points(at, where, "proved" if legend else "", "dot", "ink", size=2.5))
     for kind, (label, marker, colour) in _MARKS.items():
         special = [one for one in survey.landmarks if one.kind == kind]
         if special:
-            u = [float(one.y[-1]) for one in special]
-            y = [_of(model, one.at.x, one.at.u, name) for one in special]
-            size = 10.0 if marker == "star" else 7.0
-            marks.append(draw.Points(u, y, label if legend else "", marker, colour, size=size))
+            at = [float(one.y[-1]) for one in special]
+            where = [_of(model, one.at.x, one.at.u, name) for one in special]
+            told = [f"{value:.4g} {unit}" for value in at] if legend and marker == "star" else ()
+            marks.append(draw.Points(at, where, label if legend else "", marker, colour, told, 7.0))
     here = [point for point in named if _belongs(model, survey, point)]
     if here:
-        u = [_of(model, point.x, point.u, over) for point in here]
-        y = [_of(model, point.x, point.u, name) for point in here]
+        at = [_of(model, point.x, point.u, over) for point in here]
+        where = [_of(model, point.x, point.u, name) for point in here]
         marks.append(
-            draw.Points(u, y, "", "square", "green", [point.name for point in here], size=6.0)
+            draw.Points(at, where, "", "square", "green", [point.name for point in here], size=6.0)
         )
     return marks
 
@@ -194,13 +204,7 @@ def map_chart(model: Model, found: EquilibriumMap, first: str, second: str) -> d
 
 
 def _levels(low: float, high: float) -> list[float]:
-    step = next(
-        s for s in (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0) if (high - low) / s <= 12
-    )
-    return (
-        np.arange(math.ceil(low / step), math.floor(high / step) + 1)
-        .astype(float)
-        .__mul__(step)
-        .round(9)
-        .tolist()
-    )
+    steps = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
+    step = next(size for size in steps if (high - low) / size <= 12)
+    first, last = math.ceil(low / step), math.floor(high / step)
+    return [round(k * step, 9) for k in range(first, last + 1)]

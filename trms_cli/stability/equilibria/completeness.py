@@ -25,8 +25,9 @@ IntArray = npt.NDArray[np.int64]
 #: A box is cut no further when it is this share of its unknown's scale.
 _SHARE_AT_POINTS = 1e-9
 _SHARE_OVER_RANGES = 2e-4
-#: Parts of a range that are tried before the rest is left untold.
-_MOST_RANGES = 600
+#: Parts of a range that are tried before the rest is left untold, by the largest block.
+_MOST_RANGES = {1: 600}
+_MOST_RANGES_OF_MORE = 200
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class Prover:
     Raises
     ------
     ModelError
-        If the inertia cannot be shown to be regular in the box.
+        If the equations cannot be shown to be regular in the box.
     """
 
     def __init__(self, system: RestSystem, box: Interval, scale: FloatArray) -> None:
@@ -112,7 +113,8 @@ class Prover:
         idle = Interval.point(np.zeros(len(system.given)))
         if not is_regular(system, box, idle):
             raise ModelError(
-                f"the inertia of model {system.model.name!r} may be singular somewhere in the box",
+                f"the equations of model {system.model.name!r} may be singular somewhere in the "
+                "box: an inertia, or the yaw of a beam that stands upright",
                 where="study.box",
                 remedy="give a smaller box, as study.box.alpha_v=[-1,1]",
             )
@@ -220,6 +222,8 @@ def over_range(
     waiting = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
     pieces: list[Piece] = []
     tried = 0
+    largest = max((len(block.rows) for block in prover.system.blocks), default=1)
+    most = _MOST_RANGES.get(largest, _MOST_RANGES_OF_MORE)
     while waiting:
         lower, upper = np.tile(v, (len(waiting), 1)), np.tile(v, (len(waiting), 1))
         lower[:, index], upper[:, index] = np.array(waiting).T
@@ -230,7 +234,7 @@ def over_range(
             else:
                 pieces.append(Piece(a, b, count))
         tried += len(waiting)
-        if tried > _MOST_RANGES:
+        if tried > most:
             pieces += [Piece(a, b, None) for a, b in following]
             break
         waiting = following

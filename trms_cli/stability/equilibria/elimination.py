@@ -60,7 +60,8 @@ def eliminated(
             break
         i, j, factor = found
         rest = ca.substitute(rows[i], x[j], ca.SX(0))
-        value = -rest if factor.is_one() else -rest / factor
+        # A division by one would stay in the expression, and keep it from cancelling.
+        value = rest if factor.is_minus_one() else -rest if factor.is_one() else -rest / factor
         rows = [row for k, row in enumerate(rows) if k != i]
         whole = ca.cse(ca.substitute(ca.vertcat(state, *rows), x[j], value))
         state, rows = whole[: x.numel()], ca.vertsplit(whole[x.numel() :]) if rows else []
@@ -84,7 +85,7 @@ def _linear(
     filled = np.array(ca.DM(slopes.sparsity(), 1).full(), dtype=bool)
     for i in np.argsort(filled.sum(axis=1), kind="stable"):
         candidates = [j for j in left if filled[i, j]]
-        for j in sorted(candidates, key=lambda j: not slopes[int(i), j].is_one()):
+        for j in sorted(candidates, key=lambda j: not _is_unit(slopes[int(i), j])):
             factor = slopes[int(i), j]
             if ca.depends_on(factor, variables):
                 continue
@@ -92,3 +93,7 @@ def _linear(
             if np.isfinite(size) and size != 0.0:
                 return int(i), j, factor
     return None
+
+
+def _is_unit(factor: ca.SX) -> bool:
+    return bool(factor.is_one() or factor.is_minus_one())

@@ -109,10 +109,10 @@ def bands(model: Model, x: FloatArray, u: FloatArray, reached: FloatArray) -> li
         torque = breakaway(model, x, reached, axis)
         if torque == 0.0:
             continue
-        system = rest_system(model, names(model.inputs)[:1])
+        system = rest_system(model, names(model.inputs)[:1], torques_too=True)
         free = place.angle in system.free
         if not free and not system.released:
-            system = rest_system(model, names(model.inputs))
+            system = rest_system(model, names(model.inputs), torques_too=True)
         box, scale = bounds_of(system, {})
         v = np.concatenate([u, np.zeros(model.n_w)])
         index = system.given_index(place.moment)

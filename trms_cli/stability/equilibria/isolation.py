@@ -17,6 +17,7 @@ the bounds of the slopes hold the slopes of both sides.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -136,7 +137,7 @@ def _starts(box: Interval) -> tuple[Interval, Interval]:
         near = (max(low, -FAR), min(high, FAR))
         # Coefficients change with the direction: nothing has a kink but at zero.
         cuts = [near[0], 0.0, near[1]] if near[0] < 0.0 < near[1] else list(near)
-        finite.append(list(zip(cuts[:-1], cuts[1:], strict=True)))
+        finite.append(list(pairwise(cuts)))
         ends = [(low, -FAR)] if low < -FAR else []
         reaching.append(ends + ([(FAR, high)] if high > FAR else []))
     inner = _products(finite)
@@ -288,6 +289,7 @@ def _times(matrix: Interval, vector: Interval) -> Interval:
 def _inverses(matrices: FloatArray) -> FloatArray:
     """Approximate inverses; zero where there is none, which proves nothing."""
     usable = np.all(np.isfinite(matrices), axis=(1, 2))
+    matrices = np.where(usable[:, None, None], matrices, 0.0)
     size = np.where(usable, np.abs(matrices).max(axis=(1, 2)), 1.0)
     usable &= np.abs(np.linalg.det(matrices / np.where(size > 0, size, 1.0)[:, None, None])) > 1e-14
     found = np.zeros_like(matrices)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -94,7 +95,7 @@ def _folds(
     found: list[tuple[int, Landmark]] = []
     # The end of a curve may lie on its last point: a step of nothing turns nowhere.
     moving = np.flatnonzero(np.abs(steps) > 1e-12 * equations.scale[-1])
-    for i, j in zip(moving[:-1], moving[1:], strict=True):
+    for i, j in pairwise(moving):
         if steps[i] * steps[j] >= 0:
             continue
         near = curve.y[j]

@@ -48,9 +48,9 @@ def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap 
     second : str
     """
     over = along.setting.over
-    system = rest_system(model, {over, second})
-    if system.free or system.released or along.system.released or along.setting.held:
+    if along.system.free or along.system.released or along.setting.held:
         return None
+    system = rest_system(model, {over, second})
     limit = model.input_limits[second]
     start = along.setting.inputs.get(second, 0.0)
     first = np.linspace(*along.setting.bounds, _POINTS)

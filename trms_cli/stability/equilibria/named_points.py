@@ -66,7 +66,7 @@ def named_points(
     """
     found: list[NamedPoint] = []
     missing: list[str] = []
-    usual: dict[str, dict[str, float]] = {"rest": {}}
+    usual: dict[str, Mapping[str, float]] = {"rest": {}}
     if "pitch" in model.axes:
         usual["hover"] = dict.fromkeys(model.controlled, 0.0)
     for name, at in usual.items():

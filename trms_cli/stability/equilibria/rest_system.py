@@ -16,7 +16,7 @@ only what was solved before (Duff & Reid 1978, ACM Trans. Math. Softw. 4; Dulmag
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -28,7 +28,8 @@ from scipy.sparse.csgraph import connected_components
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model, Signal, index_of, names
 from trms_cli.models.rest import rest_equations
-from trms_cli.stability.equilibria.elimination import eliminated
+from trms_cli.stability.equilibria.elimination import Eliminated, eliminated
+from trms_cli.stability.equilibria.factors import without_factors
 from trms_cli.stability.equilibria.steady_input import arriving
 from trms_cli.stability.equilibria.torque_balance import torques
 
@@ -74,8 +75,8 @@ class RestSystem:
         ``(z, v, p) → g``, rates or torques.
     point : casadi.Function
         ``(z, v, p) → x, u, reached``: the whole state, all commands, what reaches the motors.
-    mobility : casadi.Function
-        ``(z, v, p) → W``, by columns: torques stand for accelerations in g where it is regular.
+    nonzero : casadi.Function
+        ``(z, v, p)`` → what the rows were divided by, (k, 1): g stands for f where none is zero.
     """
 
     model: Model
@@ -88,7 +89,7 @@ class RestSystem:
     held: Mapping[str, float]
     residual: ca.Function
     point: ca.Function
-    mobility: ca.Function
+    nonzero: ca.Function
 
     @property
     def n(self) -> int:
@@ -102,6 +103,7 @@ def rest_system(
     model: Model,
     varied: Collection[str] = (),
     held: Mapping[str, float] | None = None,
+    torques_too: bool = False,
 ) -> RestSystem:
     """The equations of rest of a model.
 
@@ -113,6 +115,8 @@ def rest_system(
         Inputs that are to stay given.
     held : dict of str to float
         Angles that are given (rad), each in exchange for an input.
+    torques_too : bool
+        Whether constant torques act; without them equations fall apart into smaller blocks.
 
     Raises
     ------
@@ -130,17 +134,13 @@ def rest_system(
         residual = ca.substitute(residual, s[row], ca.SX(value))
     # What an effect remembers (a cable's z) stays too: it is free, not the angle that it acts on.
     lasting = [i for i, s_i in enumerate(own) if s_i.name in _angles(model) or "." in s_i.name]
-    values = ca.DM(model.parameters.values)
-    reduced = eliminated(residual, s, ca.vertcat(u, w), p, values, lasting)
+    reduced, nonzero = _reduced(model, residual, s, (u, p, w), lasting, torques_too)
     resting = model.rest()[list(equations.unknowns)]
     for row, signal in enumerate(own):
         if signal.name in held:
             resting[row] = held[signal.name]
 
-    places = [index_of(model.disturbances, a.moment, "a torque") for a in model.axes.values()]
-    symbols = ca.vertcat(s, u, p, w)
-    balances, mobility = torques(reduced.rows, [w[i] for i in places], symbols)
-    rows = ca.vertcat(*balances) if balances else ca.SX.zeros(0)
+    rows = ca.vertcat(*reduced.rows) if reduced.rows else ca.SX.zeros(0)
     columns = [i for i in reduced.kept if own[i].name not in held]
     symbols = ca.vertcat(*(s[i] for i in columns), u)
     candidates = [own[i] for i in columns] + list(model.inputs)
@@ -168,11 +168,10 @@ def rest_system(
             new.append(v[i])
     old += [w[i] for i in range(model.n_w)]
     new += [v[model.n_u + i] for i in range(model.n_w)]
-    pushing = ca.SX.eye(2) if mobility is None else mobility
-    everything = ca.vertcat(rows, reduced.state, u, ca.vec(ca.densify(pushing)))
+    everything = ca.vertcat(rows, reduced.state, u, *nonzero)
     everything = ca.cse(ca.substitute(everything, ca.vertcat(*old), ca.vertcat(*new)))
-    ends = np.cumsum([0, len(chosen), len(own), model.n_u, 4]).tolist()
-    g, state, commands, pushing = ca.vertsplit(everything, ends)
+    ends = np.cumsum([0, len(chosen), len(own), model.n_u, len(nonzero)]).tolist()
+    g, state, commands, factors = ca.vertsplit(everything, ends)
     reached = arriving(model, commands, p)
     whole = equations.state(state, reached)
     released = tuple(
@@ -193,8 +192,48 @@ def rest_system(
         held=held,
         residual=ca.Function("rest", [z, v, p], [g]),
         point=ca.Function("point", [z, v, p], [whole, commands, reached]),
-        mobility=ca.Function("mobility", [z, v, p], [pushing]),
+        nonzero=ca.Function("nonzero", [z, v, p], [factors]),
     )
+
+
+def _reduced(
+    model: Model,
+    residual: ca.SX,
+    s: ca.SX,
+    others: tuple[ca.SX, ca.SX, ca.SX],
+    lasting: list[int],
+    torques_too: bool,
+) -> tuple[Eliminated, list[ca.SX]]:
+    """The equations that are left, and what must not be zero for them."""
+    u, p, w = others
+    variables, everything = ca.vertcat(s, u, w), ca.vertcat(s, u, p, w)
+    values = ca.DM(model.parameters.values)
+    reduced = eliminated(residual, s, ca.vertcat(u, w), p, values, lasting)
+    places = [index_of(model.disturbances, a.moment, "a torque") for a in model.axes.values()]
+    balances, mobility = torques(reduced.rows, [w[i] for i in places], everything)
+    nonzero: list[ca.SX] = []
+    if mobility is not None:
+        nonzero.append(ca.det(mobility))
+        reduced = replace(reduced, rows=balances)
+    if not torques_too:
+        none = ca.SX.zeros(w.numel())
+        if mobility is None:
+            quiet = ca.cse(ca.substitute(residual, w, none))
+            rows, nonzero = _stripped(ca.vertsplit(quiet), variables)
+            reduced = eliminated(ca.vertcat(*rows), s, u, p, values, lasting)
+        else:
+            whole = ca.cse(ca.substitute(ca.vertcat(*reduced.rows, reduced.state), w, none))
+            count = len(reduced.rows)
+            reduced = replace(
+                reduced, rows=ca.vertsplit(whole[:count]) if count else [], state=whole[count:]
+            )
+    rows, factors = _stripped(reduced.rows, variables)
+    return replace(reduced, rows=rows), [*nonzero, *factors]
+
+
+def _stripped(rows: list[ca.SX], variables: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
+    parts = [without_factors(row, variables) for row in rows]
+    return [row for row, _ in parts], [factor for _, factors in parts for factor in factors]
 
 
 def _angles(model: Model) -> set[str]:

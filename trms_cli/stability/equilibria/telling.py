@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.stability.equilibria.charts import symbol
@@ -60,18 +60,26 @@ def _percent(share: float) -> str:
 
 
 def _pieces(pieces: Sequence[Piece], unit: str) -> list[str]:
-    """Ranges with one number; parts left untold between two of the same number do not divide."""
+    """Ranges with one number; a sliver left untold between two of the same number divides none."""
     joined: list[Piece] = []
+    most = 2e-3 * (pieces[-1].upper - pieces[0].lower)
     for piece in (p for p in pieces if p.count is not None):
-        if joined and joined[-1].count == piece.count:
+        near = bool(joined) and piece.lower - joined[-1].upper <= most
+        if near and joined[-1].count == piece.count:
             joined[-1] = Piece(joined[-1].lower, piece.upper, piece.count)
         else:
             joined.append(piece)
     words = [
-        f"{'none' if p.count == 0 else p.count} from {number(p.lower)} to {with_unit(p.upper, unit)}"
+        f"{p.count or 'none'} from {_inwards(p.lower, math.ceil)} to "
+        f"{with_unit(_inwards(p.upper, math.floor), unit, 6)}"
         for p in joined
     ]
     return words if len(words) <= _MOST_PIECES else [*words[:_MOST_PIECES], "…"]
+
+
+def _inwards(value: float, rounded: Callable[[float], int]) -> float:
+    """To a ten-thousandth, so that nothing is said of what is not proved."""
+    return rounded(value * 1e4) / 1e4
 
 
 def undecided_words(survey: Survey) -> list[str]:
@@ -135,9 +143,10 @@ def named_words(model: Model, point: NamedPoint) -> str:
         for s, v in zip(model.inputs, point.u.tolist(), strict=True)
     )
     shown = [*model.controlled, *(n for n in model.state_names if n.startswith("omega"))]
+    values = {name: float(point.x[model.state_index(name)]) for name in shown}
     states = ", ".join(
-        f"{symbol(name)} = {with_unit(float(point.x[model.state_index(name)]), unit_of(model, name))}"
-        for name in dict.fromkeys(shown)
+        f"{symbol(name)} = {with_unit(value, unit_of(model, name))}"
+        for name, value in values.items()
     )
     verdict = "stable" if not point.unstable else f"{point.unstable} growing"
     return f"{point.name.capitalize()}: {commands}: {states} ({verdict})"
@@ -236,9 +245,19 @@ _QUANTITIES = {
 }
 
 
-def quantity_table(points: Sequence[NamedPoint]) -> Table | None:
+#: Axis or rotor that a quantity belongs to, by a part of its name.
+_PARTS = {"main": "main", "tail": "tail", "gravity": "pitch", "pitch": "pitch", "yaw": "yaw"}
+
+
+def quantity_table(model: Model, points: Sequence[NamedPoint]) -> Table | None:
     """Physical quantities at the named points."""
-    known = [name for name in _QUANTITIES if any(name in point.quantities for point in points)]
+    locked = [part for part, whole in _PARTS.items() if whole not in (*model.axes, *model.rotors)]
+    known = [
+        name
+        for name in _QUANTITIES
+        if any(name in point.quantities for point in points)
+        and not any(part in name for part in locked)
+    ]
     if not known:
         return None
     rows: list[list[Value | Judged]] = [

@@ -52,8 +52,9 @@ class Interval:
 
     @property
     def middle(self) -> FloatArray:
-        """A number inside, near the middle."""
-        return np.asarray(np.clip(0.5 * (self.lower + self.upper), self.lower, self.upper))
+        """A number inside, near the middle; NaN of what has no bounds."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.asarray(np.clip(0.5 * (self.lower + self.upper), self.lower, self.upper))
 
     @property
     def magnitude(self) -> FloatArray:
@@ -91,10 +92,12 @@ class Interval:
         return Interval(-self.upper, -self.lower)
 
     def __add__(self, other: Interval) -> Interval:
-        return _outwards(self.lower + other.lower, self.upper + other.upper)
+        with np.errstate(invalid="ignore", over="ignore"):
+            return _outwards(self.lower + other.lower, self.upper + other.upper)
 
     def __sub__(self, other: Interval) -> Interval:
-        return _outwards(self.lower - other.upper, self.upper - other.lower)
+        with np.errstate(invalid="ignore", over="ignore"):
+            return _outwards(self.lower - other.upper, self.upper - other.lower)
 
     def __mul__(self, other: Interval) -> Interval:
         a, b, c, d = self.lower, self.upper, other.lower, other.upper
@@ -109,7 +112,7 @@ class Interval:
 
     def reciprocal(self) -> Interval:
         """1/x; everything where x may be zero."""
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             found = _outwards(1.0 / self.upper, 1.0 / self.lower)
         unbounded = self.contains_zero()
         return Interval(
@@ -123,7 +126,8 @@ class Interval:
 
     def square(self) -> Interval:
         size = self.absolute()
-        found = _outwards(size.lower**2, size.upper**2)
+        with np.errstate(over="ignore"):
+            found = _outwards(size.lower**2, size.upper**2)
         return Interval(np.maximum(found.lower, 0.0), found.upper)
 
     def square_root(self) -> Interval:

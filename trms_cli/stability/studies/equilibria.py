@@ -243,7 +243,9 @@ def _special_section(model: Model, surveys: list[Survey], named: list[NamedPoint
     blocks: list[Table | Chart] = []
     if named:
         blocks.append(named_table(model, named))
-    blocks += [table for table in (landmark_table(model, surveys), quantity_table(named)) if table]
+    blocks += [
+        table for table in (landmark_table(model, surveys), quantity_table(model, named)) if table
+    ]
     return Section("Special points", (), blocks)
 
 
