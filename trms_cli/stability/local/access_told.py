@@ -111,7 +111,7 @@ def _inputs(found: Found) -> Section:
     model = found.model
     columns = [signal.name for signal in model.inputs] + ["together"] * (model.n_u > 1)
     rows: list[list[Value | Judged]] = [
-        [a.mode.name, *(_judged(reach, "×") for reach in a.by_input)] for a in found.access
+        [a.mode.name, *(_moved(reach) for reach in a.by_input)] for a in found.access
     ]
     table = Table(
         ("mode", *columns),
@@ -174,14 +174,13 @@ def _sensors(found: Found) -> Section:
     model = found.model
     heads = [set_words(model, one) for one in found.sets]
     rows: list[list[Value | Judged]] = [
-        [a.mode.name, *(_judged(reach, "σ") for reach in a.by_sensors)] for a in found.access
+        [a.mode.name, *(_seen(reach) for reach in a.by_sensors)] for a in found.access
     ]
     table = Table(
         ("mode", *heads),
         rows,
-        "Whether sensors see a mode; in brackets how large a motion worth speaking of "
-        f"({MOTION:g} rad or its like) reads, in standard deviations σ of one reading, and the PBH "
-        "margin.",
+        "Whether sensors see a mode, and how large a motion worth speaking of "
+        f"({MOTION:g} rad or its like) reads, in standard deviations σ of one reading.",
     )
     return Section(
         "What the sensors see",
@@ -224,12 +223,20 @@ def _torques(found: Found) -> Section:
     return Section("Constant torques", text, blocks)
 
 
-def _judged(reach: Reach, mark: str) -> Judged:
+def _moved(reach: Reach) -> Judged:
     words, judgement = _GRADES[reach.grade]
     if reach.grade == "none":
         return Judged(words, judgement)
-    strength = f"{reach.strength:.0f}" if reach.strength >= 10 else f"{reach.strength:.2g}"
-    return Judged(f"{words} ({strength}{mark}; {reach.margin:.2g})", judgement)
+    return Judged(f"{words} ({_rounded(reach.strength)}×; {reach.margin:.2g})", judgement)
+
+
+def _seen(reach: Reach) -> Judged:
+    words, judgement = _GRADES[reach.grade]
+    return Judged(words if reach.grade == "none" else f"{_rounded(reach.strength)}σ", judgement)
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def _command(volts: float, limit: float, unit: str) -> str:

@@ -87,15 +87,15 @@ def plane(
             marks.append(
                 Curve(column.real, column.imag, track.name, colours[track.name], width=2.0)
             )
-    for label, k, marker, size in (
-        (f"{over} = {ends[0]}", 0, "square", 5.0),
-        (f"{over} = {ends[1]}", -1, "triangle", 6.0),
-    ):
-        both = np.concatenate([track.rates[k] for track in slow])
-        marks.append(Points(both.real, both.imag, label, marker, "ink", size=size))  # type: ignore[arg-type]
     for track in slow:
         here = track.rates[at]
         marks.append(Points(here.real, here.imag, "", "dot", colours[track.name], size=8.0))
+    for label, k, marker, size in (
+        (f"{over} = {ends[0]}", 0, "square", 4.0),
+        (f"{over} = {ends[1]}", -1, "triangle", 5.0),
+    ):
+        both = np.concatenate([track.rates[k] for track in slow])
+        marks.append(Points(both.real, both.imag, label, marker, "ink", size=size))  # type: ignore[arg-type]
     if crossings:
         flat = [c for c in crossings if not c.jumps]
         marks.append(
@@ -113,8 +113,9 @@ def plane(
     close = _close_up(slow, crossings, x, y)
     if close is None:
         return Chart(name, [panel], caption, 1, 7.2, 5.0)
-    near = Panel(Axis("Re λ", "1/s", close[0]), Axis("Im λ", "rad/s", close[1]), marks, "close to")
-    return Chart(name, [panel, near], caption, 2, 5.4, 4.4)
+    whole = Panel(panel.x, panel.y, marks, "all modes")
+    near = Panel(Axis("Re λ", "1/s", close[0]), Axis("Im λ", "rad/s", close[1]), marks, close[2])
+    return Chart(name, [whole, near], caption, 2, 5.4, 4.4)
 
 
 def _close_up(
@@ -122,8 +123,8 @@ def _close_up(
     crossings: Sequence[Crossing],
     x: tuple[float, float],
     y: float,
-) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Limits around the mode that crosses first, where it is small in the whole."""
+) -> tuple[tuple[float, float], tuple[float, float], str] | None:
+    """Limits around the mode that crosses first, where it is small in the whole, and its name."""
     if not crossings:
         return None
     own = [track for track in tracks if crossings[0].track in track.members]
@@ -137,7 +138,7 @@ def _close_up(
             return None
         margin = 0.25 * (high - low) + 0.01 * whole
         spans.append((low - margin, high + margin))
-    return spans[0], spans[1]
+    return spans[0], spans[1], own[0].name
 
 
 def over_range(

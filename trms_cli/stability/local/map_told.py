@@ -38,6 +38,7 @@ def boundary_along(
         found.append(
             {
                 "over": float(value),
+                "against_range": [float(run.values[0]), float(run.values[-1])],
                 "crossings": [
                     crossing_data(c, name_of(tracks, c.track)) for c in crossings(line, run)
                 ],

@@ -27,7 +27,9 @@ FloatArray = npt.NDArray[np.float64]
 Kind = Literal["angle", "command", "parameter"]
 
 #: Matches below this are looked at again at half the step, so often.
-_SURE, _DEEPEST = 0.6, 4
+_SURE, _DEEPEST = 0.6, 6
+#: An eigenvalue that is not faster than the first times the median may move by the second of it.
+_SLOW, _CORNER = 10.0, 0.04
 #: The end of a branch is located to this share of the range.
 _END = 1e-5
 #: rad, 1: range of an angle without stops, and of a command without limits.
@@ -317,12 +319,21 @@ def _filled(path: Path, last: Place, value: float, depth: int) -> list[Place] | 
         return None
     place = path.place(value, point)
     spectrum, sure = matched(last.spectrum, place.spectrum)
-    if sure < _SURE and depth < _DEEPEST:
+    if (sure < _SURE or _leaps(last.spectrum, spectrum)) and depth < _DEEPEST:
         first = _filled(path, last, 0.5 * (last.value + value), depth + 1)
         second = None if first is None else _filled(path, first[-1], value, depth + 1)
         if first is not None and second is not None:
             return [*first, *second]
     return [replace(place, spectrum=spectrum)]
+
+
+def _leaps(before: Spectrum, after: Spectrum) -> bool:
+    """Whether a curve through the eigenvalues would show corners."""
+    pace = np.abs(before.values)
+    typical = float(np.median(pace))
+    slow = pace <= _SLOW * typical
+    moves = np.abs(after.values - before.values)[slow]
+    return bool(moves.max(initial=0.0) > _CORNER * typical)
 
 
 def _end(path: Path, last: Place, value: float) -> tuple[Place | None, str]:

@@ -86,7 +86,8 @@ def range_table(path: Path, sweep: Sweep, tracks: Sequence[Track]) -> Table:
     """λ of each mode at some points of the range."""
     model = path.model
     count = len(sweep.places)
-    chosen = sorted({round(k) for k in np.linspace(0, count - 1, min(_ROWS, count))})
+    wanted = np.linspace(sweep.values[0], sweep.values[-1], min(_ROWS, count))
+    chosen = sorted({int(np.argmin(np.abs(sweep.values - value))) for value in wanted})
     slow = [track for track in tracks if not track.fast]
     rows = []
     for k in chosen:

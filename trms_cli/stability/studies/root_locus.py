@@ -27,6 +27,8 @@ from trms_cli.stability.subject import Subject
 #: What a model of the TRMS is asked when nothing is said: the thesis's value of k_g is 16 times
 #: the maker's.
 _USUAL_PARAMETER, _USUAL_RANGE, _USUAL_AT = "k_g", (0.0123, 0.2), {"alpha_v": 0.4}
+#: rad: from below rest to short of the fold.
+_USUAL_AGAINST, _USUAL_AGAINST_RANGE = "alpha_v", (-0.6, 0.9)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +93,7 @@ class RootLocus:
         sections.append(why_section(path, sweep, found, reasons, tracks))
         mapped, at_ends = None, []
         if against is not None:
-            span_2 = Path(model, at, against, self.side).range(self.against_range)
+            span_2 = Path(model, at, against, self.side).range(self._against_range())
             size = (self.map_points, 2 * self.map_points + 1)
             mapped = stability_map(path, against, (low, high), span_2, size, tell)
             at_ends = boundary_along(path, against, (low, high), span_2, tell)
@@ -103,6 +105,10 @@ class RootLocus:
             results_of(path, sweep, tracks, found, reasons, sides, against, mapped, at_ends),
             tuple(_warnings(path, sweep, sides)),
         )
+
+    def _against_range(self) -> tuple[float, float] | None:
+        usual = self.over is None and self.against in (None, _USUAL_AGAINST)
+        return _USUAL_AGAINST_RANGE if usual and self.against_range is None else self.against_range
 
     def _asked(
         self, model: Model
@@ -116,7 +122,7 @@ class RootLocus:
                 at or dict(_USUAL_AT),
                 _USUAL_PARAMETER,
                 self.range or _USUAL_RANGE,
-                self.against or "alpha_v",
+                self.against or _USUAL_AGAINST,
             )
         return at, usual_line(model), self.range, self.against
 
@@ -188,6 +194,12 @@ def _lead(
     if reasons:
         told += reason_words(path, reasons[0])
     for end in at_ends:
+        if not end["crossings"]:
+            low, high = end["against_range"]
+            told.append(
+                f"With {path.over} = {end['over']:.4g} no mode crosses for {against} from "
+                f"{low:g} to {high:g}."
+            )
         for c in end["crossings"][:1]:
             told.append(
                 f"With {path.over} = {end['over']:.4g} the {c['mode']} is unstable "
