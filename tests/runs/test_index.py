@@ -366,6 +366,23 @@ class TestDatabase:
         index_file().write_bytes(b"no database at all, but long enough to be read as one" * 100)
         assert paths() == ["a"]
 
+    def test_an_index_damaged_inside_is_made_anew(self, write_run):
+        for k in range(30):
+            write_run(f"r{k}")
+        find_runs()
+        connection = sqlite3.connect(index_file())
+        connection.execute("PRAGMA journal_mode = DELETE")
+        connection.close()
+        content = bytearray(index_file().read_bytes())
+        content[4096:] = b"\xa5" * (len(content) - 4096)
+        index_file().write_bytes(content)
+        assert len(find_runs()) == 30
+
+    def test_a_working_folder_that_is_gone(self, runs):
+        runs.rmdir()
+        with pytest.raises(ConfigurationError, match="there is no folder"):
+            find_runs()
+
     def test_another_version_is_made_anew_and_knows_the_same_logs(self, write_run, tmp_path):
         log = write_run("a")
         elsewhere = shutil.move(log.parent, tmp_path / "elsewhere")

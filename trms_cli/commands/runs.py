@@ -102,11 +102,11 @@ def main(argv: list[str]) -> int:
     )
     with _progress() as tell:
         found = find(question, tell)
-    _present(found, given, told if usual else [], shown)
+    _present(found, given, told if usual else None, shown)
     return EXIT_OK
 
 
-def _present(found: Found, given: Any, told: list[str], shown: bool) -> None:
+def _present(found: Found, given: Any, told: list[str] | None, shown: bool) -> None:
     from trms_cli.commands import runs_files, runs_screen
 
     if given.csv:

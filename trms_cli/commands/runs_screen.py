@@ -80,22 +80,24 @@ _LEAST_PATH = 12
 _MOST_TOLD = 200  # characters of a line on trouble
 
 
-def print_runs(found: Found, told: Sequence[str], *, filtered: bool) -> None:
+def print_runs(found: Found, told: Sequence[str] | None, *, filtered: bool) -> None:
     """Print the table, and a line on how much of all it is.
 
     Parameters
     ----------
-    told : sequence of str
-        Columns that were asked about: they are shown whatever else is.
+    told : sequence of str or None
+        Columns that were asked about: they are shown beside the usual ones. None: all that
+        `found` has are shown, and no others.
     """
     if not found.runs:
         print(_why_nothing(found, filtered))
         return
-    names = _chosen(found, told)
-    if told or set(found.columns) >= set(USUAL):
+    names = list(found.columns)
+    if told is not None:
+        names = _chosen(found, told)
         names += _settings(found, names)
     if sys.stdout.isatty():
-        _print_rich(found, names, told)
+        _print_rich(found, names, told or [])
     else:
         _print_plain(found, names)
     if sys.stdout.isatty():
@@ -150,8 +152,6 @@ class Progress:
 def _chosen(found: Found, told: Sequence[str]) -> list[str]:
     """The columns worth showing: those asked for, and the usual ones that say something."""
     asked = {ALIASES.get(name, name) for name in told}
-    if not told and not set(found.columns) >= set(USUAL):
-        return list(found.columns)  # those of --columns, and no others
     chosen: dict[str, str] = {}  # by the column's own name: an alias is shown once
     for name in found.columns:
         own = ALIASES.get(name, name)
@@ -185,7 +185,7 @@ def _settings(found: Found, names: Sequence[str]) -> list[str]:
 
 def _print_plain(found: Found, names: Sequence[str]) -> None:
     """Aligned columns with two spaces between them: nothing is cut or left out."""
-    rows = [[name if name != "path" else "run" for name in names]]
+    rows = [list(names)]
     rows += [
         [_text(run[name], found.columns[name], whole=True) for name in names] for run in found.runs
     ]

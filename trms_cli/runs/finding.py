@@ -21,7 +21,7 @@ from trms_cli.runs.column_sql import Sql, column_sql, nearest
 from trms_cli.runs.columns import COLUMNS, Column
 from trms_cli.runs.entry import LOG_NAME, read_entry
 from trms_cli.runs.filter_language import translated
-from trms_cli.runs.index import Looked, RunIndex, Seen, scope_sql
+from trms_cli.runs.index import Looked, RunIndex, Seen, is_damage, remove, scope_sql
 from trms_cli.runs.place import index_file, runs_told_of
 from trms_cli.runs.status import STATUS_NAME, read_status
 
@@ -126,6 +126,16 @@ def find(question: Question, tell: Tell = lambda done, of: None) -> Found:
     ConfigurationError
         If a folder or column does not exist.
     """
+    try:
+        return _find(question, tell)
+    except sqlite3.DatabaseError as error:
+        if not is_damage(error):
+            raise
+        remove(index_file())
+        return _find(question, tell)
+
+
+def _find(question: Question, tell: Tell) -> Found:
     # What is misspelt is told before logs are read.
     translated(question.filter, None)
     for name in (*question.columns, question.sort):
@@ -133,7 +143,7 @@ def find(question: Question, tell: Tell = lambda done, of: None) -> Found:
     roots = None if question.everywhere else [_folder(folder) for folder in question.folders]
     bounded = roots == []
     if bounded:
-        roots = [os.path.realpath(os.curdir)]
+        roots = [_folder(os.curdir)]
     walk = _Walk(left=MOST_ENTRIES if bounded else None)
     with _opened(walk.remarks) as index:
         for told in runs_told_of():
@@ -265,8 +275,12 @@ def _seen(log: str) -> Seen | None:
 
 
 def _folder(folder: str | os.PathLike[str]) -> str:
-    path = os.path.realpath(os.path.expanduser(os.fspath(folder)))
-    if not os.path.exists(path):
+    try:
+        path = os.path.realpath(os.path.expanduser(os.fspath(folder)))
+        there = os.path.exists(path)
+    except (OSError, ValueError):  # the working folder is gone
+        there = False
+    if not there:
         raise ConfigurationError(
             f"there is no folder {os.fspath(folder)!r}", where="--in", remedy="name one of runs"
         )

@@ -102,13 +102,11 @@ class RunIndex:
             file.parent.mkdir(parents=True, exist_ok=True)
         try:
             self._open()
-        except sqlite3.OperationalError:
-            raise
-        except sqlite3.DatabaseError:  # damaged, or no database: it is made anew from the logs
+        except sqlite3.DatabaseError as error:
             self._connection.close()
-            assert file is not None
-            for name in (file, f"{file}-wal", f"{file}-shm"):
-                Path(name).unlink(missing_ok=True)
+            if file is None or not is_damage(error):
+                raise
+            remove(file)
             self._open()
 
     def _open(self) -> None:
@@ -125,7 +123,8 @@ class RunIndex:
                     self._connection.execute("DROP TABLE IF EXISTS runs")
                     self._connection.execute(_RUNS)
                     self._connection.execute(f"PRAGMA user_version = {_VERSION}")
-        self._connection.execute("SELECT 1 FROM runs, logs LIMIT 1").fetchall()
+        with self._writing():  # a file that cannot be written is told now
+            self._connection.execute("SELECT 1 FROM runs, logs LIMIT 1").fetchall()
 
     def _version(self) -> int:
         return int(self._connection.execute("PRAGMA user_version").fetchone()[0])
@@ -248,7 +247,7 @@ class RunIndex:
                 }
                 for row in rows
             ]
-        except sqlite3.Error as error:
+        except sqlite3.OperationalError as error:
             raise RecordingError(
                 f"the index does not answer ({error})", where="trms runs", remedy="ask for less"
             ) from error
@@ -262,6 +261,20 @@ class RunIndex:
             scope.values,
         )
         return [(log, problem) for log, problem in rows]
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Whether the file is no database, or a damaged one: it is made anew from the logs."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF in (
+        sqlite3.SQLITE_CORRUPT,
+        sqlite3.SQLITE_NOTADB,
+    )
+
+
+def remove(file: Path) -> None:
+    """Delete a database with what it keeps beside its file."""
+    for name in (file, f"{file}-wal", f"{file}-shm"):
+        Path(name).unlink(missing_ok=True)
 
 
 def scope_sql(roots: Sequence[str] | None) -> Sql:
