@@ -174,7 +174,7 @@ def of_falling(found: Found, level: float, rising: Rising | None) -> Claim:
             "falls",
             statement,
             "intervals",
-            f"Q ≻ 0 over {found.falling.examined} boxes that cover it",
+            f"Q ≻ 0, boxes that cover it: {found.falling.examined}",
         )
     if rising is not None:
         return Claim(

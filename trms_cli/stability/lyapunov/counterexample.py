@@ -20,6 +20,8 @@ FloatArray = npt.NDArray[np.float64]
 _RAYS = 1500
 _PLACES = 16
 _ROUNDS = 4
+#: Step along a direction of unit energy at which Q is looked at again: V of some 0.01 J.
+_FAR = 0.14
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ def lowest_rising(candidate: Candidate, wells: Wells, ceiling: float) -> Rising 
         J.
     """
     y, k = candidate.centre, candidate.energy.k
-    directions = np.concatenate([rays(candidate, _RAYS), _weak(candidate)])
+    directions = np.concatenate([rays(candidate, _RAYS), _weak(candidate, _FAR)])
     lowest, best = ceiling, None
     reaches = np.geomspace(1e-3, 1.3, _PLACES)
     for turn in range(_ROUNDS):
@@ -87,8 +89,8 @@ def lowest_rising(candidate: Candidate, wells: Wells, ceiling: float) -> Rising 
 def fastest_rising(candidate: Candidate, wells: Wells, ceiling: float) -> Rising | None:
     """Where V falls in no neighbourhood: the state on {V ≈ ceiling/100} with the largest V̇/V."""
     y, k = candidate.centre, candidate.energy.k
-    directions = np.concatenate([rays(candidate, _RAYS), _weak(candidate)])
     step = math.sqrt(0.02 * ceiling)
+    directions = np.concatenate([rays(candidate, _RAYS), _weak(candidate, step)])
     best: Rising | None = None
     for turn in range(_ROUNDS):
         places = y + step * directions
@@ -108,23 +110,44 @@ def fastest_rising(candidate: Candidate, wells: Wells, ceiling: float) -> Rising
     return best
 
 
-def _weak(candidate: Candidate) -> FloatArray:
-    """Directions in which Q is least, at the equilibrium."""
+def _weak(candidate: Candidate, step: float) -> FloatArray:
+    """Directions in which Q is least, at the equilibrium and where that has led: (m, 3k).
+
+    Scaled so that V is about ½ at a step of one.
+    """
+    size = 3 * candidate.energy.k
+    found = [np.eye(size)[i] * sign for i in range(size) for sign in (-1.0, 1.0)]
+    at_rest = _least(candidate, candidate.centre)
+    found += [at_rest, -at_rest]
+    found = [_scaled(candidate, direction) for direction in found]
+    for start in tuple(found):
+        direction = start
+        for _ in range(2):
+            place = candidate.centre + step * direction
+            least = _least(candidate, place)
+            least = least if float(least @ direction) >= 0.0 else -least
+            direction = _scaled(candidate, least)
+            found.append(direction)
+    return np.array(found)
+
+
+def _least(candidate: Candidate, y: FloatArray) -> FloatArray:
+    """The deviation with the eigenvector of Q(y) that falls least, its rotors by their slope."""
     energy, k = candidate.energy, candidate.energy.k
-    _, vectors = np.linalg.eigh(candidate.at_rest().middle[0])
-    z = vectors[:, 0]
-    if len(z) < 3 * k:
-        z = np.concatenate([z, np.zeros(k)])
+    _, vectors = np.linalg.eigh(candidate.matrices(Interval.point(y[None])).middle[0])
+    z = np.concatenate([vectors[:, 0], np.zeros(3 * k - len(vectors))])
     slopes = []
     for a in energy.axes:
         speed = ca.SX.sym("speed")
         slope = ca.jacobian(energy.settling(a, speed), speed)
         at = float(candidate.centre[energy.index("omega", a)])
         slopes.append(float(ca.Function("slope", [speed], [slope])(at)))
-    direction = np.concatenate([z[:k], z[k : 2 * k] / np.array(slopes), z[2 * k :]])
+    return np.concatenate([z[:k], z[k : 2 * k] / np.array(slopes), z[2 * k :]])
+
+
+def _scaled(candidate: Candidate, direction: FloatArray) -> FloatArray:
     value = float(candidate.value(candidate.centre + 1e-3 * direction)[0])
-    direction *= 1e-3 * math.sqrt(0.5 / max(value, 1e-300))
-    return np.array([direction, -direction])
+    return np.asarray(direction * 1e-3 * math.sqrt(0.5 / max(value, 1e-300)))
 
 
 def _confirmed(candidate: Candidate, x: FloatArray, y: FloatArray) -> Rising | None:

@@ -76,6 +76,13 @@ def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> I
         low, high = (_at(function, Interval.point(guess + d), *given) for d in (-reach, reach))
         if low.upper < 0.0 < high.lower:
             return Interval.of(guess - reach, guess + reach)
+        if high.upper < 0.0 < low.lower:
+            raise ModelError(
+                f"the equilibrium at {what} = {guess:.4g} is on a crest of the potential: a saddle, "
+                "which no function can show to be stable",
+                where="study.at",
+                remedy="choose one in the well, at a smaller angle; study=equilibria shows both",
+            )
     raise ModelError(
         f"no equilibrium is proved near {what} = {guess:.6g}",
         where="study.at",

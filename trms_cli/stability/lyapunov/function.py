@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -117,10 +118,25 @@ class Candidate:
         return total
 
     def matrices(self, boxes: Interval) -> Interval:
-        """Bounds of Q over boxes: (m, 2k, 2k), or (m, 3k, 3k) of a strict function."""
+        """Bounds of Q over boxes: (m, 3k, 3k), or (m, 2k, 2k) where the angles are not in it.
+
+        They are not for the plain energy, unless the tail rotor's thrust turns with the pitch.
+        """
         found = self._decay(boxes, self.slopes(boxes), Interval.point(self.weights.array()))[0]
-        size = (3 if self.weights.strict else 2) * self.energy.k
+        size = (3 if self.has_angles else 2) * self.energy.k
         return found[:, :size, :size]
+
+    @property
+    def has_angles(self) -> bool:
+        """Whether z has the angles: their rows of Q are not zero."""
+        return self.weights.strict or self._tail_pushes
+
+    @cached_property
+    def _tail_pushes(self) -> bool:
+        if self.energy.k != 2:
+            return False
+        speed = self.rest[self.energy.index("omega", "h")]
+        return not (speed.lower == 0.0 and speed.upper == 0.0)
 
     def inertias(self, boxes: Interval) -> Interval:
         """Bounds of M over boxes, (m, k, k)."""

@@ -1,0 +1,219 @@
+"""study=lyapunov: what it claims holds, what does not hold is shown, and bad requests are told."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.inflow import Inflow
+from trms_cli.effects.sensor_bias import SensorBias
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.tras import Tras
+from trms_cli.stability.findings import Findings
+from trms_cli.stability.lyapunov.certificate import Certificate, certified
+from trms_cli.stability.lyapunov.seen import motions, on_level, random_directions
+from trms_cli.stability.lyapunov.subject import rig_of
+from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.studies.lyapunov import Lyapunov
+from trms_cli.stability.study import silent
+from trms_cli.stability.subject import Subject
+from trms_cli.stability.vector_field import VectorField
+
+#: Enough for the claims; the study itself takes more boxes.
+BUDGET = 600
+MODELS = {
+    "horizontal": lambda: Newtonian(freedom="horizontal"),
+    "vertical": lambda: Newtonian(freedom="vertical"),
+    "newtonian": lambda: Newtonian(),
+    "lagrangian": lambda: Lagrangian(),
+    "rahideh": lambda: Newtonian(parameter_set="rahideh"),
+}
+
+
+@cache
+def certificate_of(
+    name: str, at: tuple[tuple[str, float], ...], function: str = "auto"
+) -> Certificate:
+    rig = rig_of(Subject(MODELS[name](), name))
+    point = operating_point(rig.model, dict(at))
+    return certified(rig, point, function, BUDGET, 0, silent)
+
+
+def run(model: Model, **options: object) -> Findings:
+    study = Lyapunov(**({"budget": BUDGET, "starts": 3, "duration": 5.0} | options))  # type: ignore[arg-type]
+    return study.run(Subject(model, "model"), silent)
+
+
+HOVER = (("alpha_v", 0.0),)
+
+
+def test_horizontal_is_globally_stable_at_any_command() -> None:
+    for yaw in (0.0, 0.3, -0.8):
+        found = certificate_of("horizontal", (("alpha_h", yaw),))
+        assert found.holds and found.everywhere and math.isinf(found.outer)
+        assert found.bounded_by.startswith("the stop alpha_h")
+
+
+def test_vertical_well_ends_at_the_saddle_that_the_balance_gives() -> None:
+    found = certificate_of("vertical", HOVER)
+    assert found.holds and not found.everywhere
+    # docs/model.md: G sin(α + 0.6194) = l_m F, so that the other side of the crest is α_s.
+    below, above = found.found.wells.saddles or (0.0, 0.0)
+    assert above == pytest.approx(math.pi - 2 * 0.6194, abs=2e-4)
+    assert below == pytest.approx(-math.pi - 2 * 0.6194, abs=2e-4)
+    G, tilt = 0.2646, 0.6194
+    barrier = G * (2 * math.cos(tilt)) - G * math.sin(tilt) * (above - 0.0)
+    assert found.outer == pytest.approx(barrier, rel=1e-3)
+    # The set within the stops ends where the well is as high as at the nearer stop.
+    at_stop = G * (math.cos(tilt) - math.cos(1.05 + tilt) - math.sin(tilt) * 1.05)
+    assert found.inner == pytest.approx(0.999 * at_stop, rel=1e-3)
+    assert found.bounded_by == "the stop alpha_v = 1.05 rad"
+
+
+def test_well_of_a_hanging_beam_is_as_deep_as_it_is_high() -> None:
+    found = certificate_of("vertical", ())
+    assert found.outer == pytest.approx(2 * 0.2646, rel=1e-3)
+
+
+def test_lagrangian_energy_falls_in_the_whole_well_and_newtonian_in_a_part() -> None:
+    whole, part = certificate_of("lagrangian", HOVER), certificate_of("newtonian", HOVER)
+    assert whole.holds and part.holds
+    assert whole.outer == pytest.approx(whole.found.wells.depth)
+    assert whole.rising is None
+    assert 0.002 < part.outer < 0.1 * whole.outer
+    assert part.rising is not None and part.rising.value > part.outer
+
+
+def test_strict_function_where_the_tail_rotor_holds_yaw() -> None:
+    found = certificate_of("lagrangian", (("alpha_v", 0.0), ("alpha_h", 0.3)))
+    assert found.found.candidate.weights.strict and found.holds
+    plain = certificate_of("lagrangian", (("alpha_v", 0.0), ("alpha_h", 0.3)), "energy")
+    assert not plain.holds and plain.outer == 0.0
+    assert plain.rising is not None
+
+
+def test_thesis_values_fail_at_a_high_pitch_and_the_counterexample_is_one() -> None:
+    found = certificate_of("rahideh", (("alpha_v", 0.4),))
+    assert not found.holds and found.outer == 0.0 and found.rising is not None
+    falls = next(claim for claim in found.claims if claim.name == "falls")
+    assert falls.how == "failed"
+    candidate = found.found.candidate
+    # By the model's own equations and differences of V, not by the derivative that was searched.
+    field = VectorField(candidate.energy.model)
+    rates = field.rates(found.rising.x, candidate.energy.u)
+    step = 1e-5
+    after, before = (
+        candidate.value(candidate.motions(found.rising.x + side * step * rates))[0]
+        for side in (1, -1)
+    )
+    assert (after - before) / (2 * step) == pytest.approx(found.rising.derivative, rel=1e-3)
+    assert found.rising.derivative > 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "at"),
+    [("vertical", HOVER), ("horizontal", (("alpha_h", 0.3),)), ("newtonian", HOVER)],
+)
+def test_no_motion_leaves_the_inner_set(name: str, at: tuple[tuple[str, float], ...]) -> None:
+    found = certificate_of(name, at)
+    candidate, wells = found.found.candidate, found.found.wells
+    starts = on_level(candidate, wells, found.inner, random_directions(candidate, 6, 7))
+    assert len(starts) >= 5
+    assert candidate.value(starts) == pytest.approx(found.inner, rel=1e-6)
+    seen = motions(candidate, candidate.energy.model, starts, found.inner, 10.0)
+    assert np.all(np.diff(seen.value, axis=0) <= 1e-7 * found.inner)
+    assert seen.value.max() <= found.inner * (1.0 + 1e-6)
+    angles = seen.y[:, :, 2 * candidate.energy.k :]
+    stops = [candidate.energy.model.stops[f"alpha_{a}"] for a in candidate.energy.axes]
+    assert np.all(np.abs(angles) <= stops)
+
+
+def test_v_falls_at_random_states_of_the_outer_set() -> None:
+    for name in ("newtonian", "lagrangian", "vertical"):
+        found = certificate_of(name, HOVER)
+        candidate, wells = found.found.candidate, found.found.wells
+        directions = random_directions(candidate, 150, 2)
+        places = [
+            on_level(candidate, wells, share * found.outer, directions[i::3])
+            for i, share in enumerate((0.1, 0.6, 0.999))
+        ]
+        y = np.concatenate(places)
+        assert np.all(candidate.derivative(candidate.states(y)) < 0.0)
+
+
+def test_dry_friction_only_helps_and_the_conclusion_is_a_set_of_rests() -> None:
+    friction = {"pitch_coulomb_friction": CoulombFriction(axis="pitch", torque=0.002)}
+    found = run(extended(Newtonian(freedom="vertical"), friction), at={"alpha_v": 0.0})
+    assert found.results["holds"]
+    assert "friction holds it" in found.lead[1]
+    attracts = next(c for c in found.results["claims"] if c["name"] == "attracts")
+    assert "F_c" in attracts["detail"]
+    with pytest.raises(ConfigurationError, match="strict function"):
+        run(
+            extended(Newtonian(), friction),
+            at={"alpha_v": 0.0, "alpha_h": 0.3},
+        )
+
+
+def test_sensors_change_nothing() -> None:
+    bias = {"pitch_sensor_bias": SensorBias(axis="pitch", bias=0.1)}
+    found = run(extended(Newtonian(freedom="vertical"), bias), at={"alpha_v": 0.0})
+    assert found.results["holds"] and "sensors" in found.warnings[0]
+
+
+def test_the_findings_carry_sets_claims_and_figures() -> None:
+    found = run(Newtonian(freedom="vertical"), at={"alpha_v": 0.0})
+    data = found.results
+    assert data["function"] == "energy" and data["holds"]
+    assert data["N"]["level"] > data["N_prime"]["level"] > 0
+    low, high = data["N_prime"]["extent"]["alpha_v"]
+    assert -1.05 <= low < 0 < high <= 1.05
+    assert {c["name"] for c in data["claims"]} >= {"positive", "falls", "kept", "attracts", "seen"}
+    assert {chart.name for chart in found.charts} == {
+        "lyapunov_well",
+        "lyapunov_sets",
+        "lyapunov_decay",
+    }
+    assert all(real < 0 for real, _ in data["eigenvalues"])
+
+
+def test_an_unstable_point_is_told_from_a_function_that_fails() -> None:
+    unstable = run(Newtonian(parameter_set="rahideh"), at={"alpha_v": 0.4})
+    assert any("No other function" in line for line in unstable.lead)
+    assert unstable.results["N"]["level"] == 0.0 and not unstable.results["holds"]
+    stable = run(Lagrangian(), at={"alpha_v": 0.0, "alpha_h": 0.3}, function="energy")
+    assert any("region_of_attraction" in line for line in stable.lead)
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (Tras(), "is not stated here"),
+        (Newtonian(currents="dynamic"), "quasi-static"),
+        (
+            extended(Newtonian(), {"main_inflow": Inflow(rotor="main", coefficient=0.1)}),
+            "main_inflow",
+        ),
+    ],
+)
+def test_what_has_no_energy_here_is_told(model: Model, words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        run(model)
+
+
+def test_a_command_beyond_the_fold_is_told() -> None:
+    with pytest.raises(ConfigurationError, match="ends at"):
+        run(Newtonian(freedom="vertical"), at={"u_v": 2.4})
+
+
+def test_a_saddle_is_told() -> None:
+    with pytest.raises(ModelError, match="crest"):
+        run(Newtonian(freedom="vertical"), at={"alpha_v": 1.0})
