@@ -136,3 +136,10 @@ def test_only_a_state_that_is_left_open_settles():
     with pytest.raises(ConfigurationError) as error:
         section_of(VERTICAL, ("alpha_v", "S_v"), {}, ("alpha_v",))
     assert error.value.where == "others[0]"
+
+
+def test_what_cannot_settle_is_refused():
+    # dα_v/dt = S_v does not depend on α_v.
+    with pytest.raises(ConfigurationError, match="alpha_v: what settles") as error:
+        section_of(VERTICAL, ("omega_v", "S_v"), {}, "settled")
+    assert error.value.where == "others"

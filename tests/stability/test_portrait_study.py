@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
+from trms_cli.commands.composition import compose
+from trms_cli.commands.recording_request import model_of
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
-from trms_cli.core.errors import ModelError
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.feedback_manual import FeedbackManual
@@ -158,13 +162,57 @@ def test_a_loop_that_does_not_arrive_is_not_praised():
 
 
 def test_a_model_that_only_steps_is_refused():
-    from trms_cli.commands.composition import compose
-    from trms_cli.commands.recording_request import model_of
-
     model = model_of(compose(["model=narx_vertical"]).config)
     with pytest.raises(ModelError, match="only steps"):
         found(model)
 
 
-def test_two_portraits_are_equal(hover):
-    assert found(at={"alpha_v": 0.0}, starts=12).results == hover.results
+def test_two_portraits_are_equal():
+    first, second = (found(starts=3, duration=5.0) for _ in "ab")
+    assert first.results == second.results
+    assert [as_data(chart) for chart in first.charts] == [as_data(c) for c in second.charts]
+
+
+def test_more_points_than_can_be_held_are_refused():
+    with pytest.raises(ConfigurationError) as error:
+        found(starts=400, duration=1000.0, step=1e-4)
+    assert error.value.where == "step"
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        [],
+        ["study.states=[alpha_h,rate_h]", "study.others=settled", "study.starts=5"],
+        [
+            "study.starts=[{alpha_v: 0.5}]",
+            "study.window={alpha_v: [-1, 1]}",
+            "study.others=[omega_v]",
+        ],
+    ],
+)
+def test_its_keys_are_those_of_its_yaml(typed):
+    config = compose(["study=phase_portrait", *typed], primary="stability").config["study"]
+    study = build(config, "study")
+    assert isinstance(study, PhasePortrait)
+    assert set(config) - {"_target_"} == {field.name for field in fields(PhasePortrait)}
+    if not typed:
+        assert study == PhasePortrait()
+
+
+@pytest.mark.parametrize(
+    ("typed", "where"),
+    [
+        ("study.starts=0", "study.starts"),
+        ("study.others=foo", "study.others"),
+        ("study.states=alpha_v", "study.states"),
+        ("study.duration=0", "study.duration"),
+        ("study.step=1", "study.step"),
+        ("study.window={alpha_v: 1}", "study.window.alpha_v"),
+    ],
+)
+def test_values_of_the_wrong_kind_are_refused_by_their_key(typed, where):
+    config = compose(["study=phase_portrait", typed], primary="stability").config["study"]
+    with pytest.raises(ConfigurationError) as error:
+        build(config, "study")
+    assert error.value.where == where

@@ -109,7 +109,7 @@ def portrait(picture: Picture, name: str, caption: str) -> Chart:
     ]
     marks += _rest_points(picture)
     panel = Panel(axes[0], axes[1], marks, z=axes[2] if in_space else None)
-    return Chart(name, [panel], caption, columns=1, width=6.6, height=5.2 if in_space else 4.6)
+    return Chart(name, [panel], caption, columns=1, width=5.6 if in_space else 6.6, height=4.8)
 
 
 def has_field(section: Section, window: FloatArray) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.chart import Chart
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.stability.findings import Findings
 from trms_cli.stability.findings import Section as Part
 from trms_cli.stability.portraits import account, captions, tables
@@ -41,6 +42,8 @@ _LOOP_DURATION, _LEAST, _LONGEST = 20.0, 1.0, 150.0
 _TIME_CONSTANTS = 5.0
 #: s for which separatrices are followed.
 _SEPARATRIX = 25.0
+#: Points of all trajectories together.
+_MOST_POINTS = 1e7
 #: Widths by which trajectories of a loop widen its window at most, to each side.
 _MOST_WIDENED = 2.0
 _INVARIANCE_GRID = {2: 11, 3: 5}
@@ -84,6 +87,13 @@ def portrait_of_model(wish: Wish, tell: Tell) -> Findings:
         starts = given_starts(section, wish.starts)
     else:
         starts = default_starts(section, window, wish.starts or DEFAULT_COUNT[n])
+    if not len(starts):
+        raise ConfigurationError(
+            "nowhere in the window have the settled states a value",
+            where="others",
+            remedy="hold them: study.others=held",
+        )
+    _check_size(len(starts), duration, wish.step)
     rubs = has_dry_friction(coordinates.model)
     if rubs:
         tell("sticking sets")
@@ -156,6 +166,17 @@ def portrait_of_loop(wish: Wish, loop: LoopParts, tell: Tell) -> Findings:
         results,
         [*warnings, *captions.warnings(told)],
     )
+
+
+def _check_size(count: int, duration: float, step: float) -> None:
+    if count * duration / step > _MOST_POINTS:
+        raise ConfigurationError(
+            f"{count} trajectories of {duration:g} s by steps of {step:g} s are "
+            f"{count * duration / step:.2g} points",
+            where="step",
+            remedy=f"stay below {_MOST_POINTS:.0e}: by a longer step, fewer starts, or a shorter "
+            "duration",
+        )
 
 
 def _ended(

@@ -109,6 +109,16 @@ class Section:
         whole = self.coordinates.field.rates(x, self.point.u)
         return whole - np.einsum("mij,mj->mi", self._surface(x), flow)
 
+    def is_determined(self) -> bool:
+        """Whether the equations above have one solution near the operating point."""
+        x = self.point.x[None]
+        c = self.coordinates.values(x, self.point.u)
+        slope = self._slope(x, c)[0]
+        rows = np.abs(slope).max(axis=1, keepdims=True)
+        return bool(
+            np.all(rows > 0) and np.linalg.matrix_rank(slope / rows, tol=1e-9) == len(slope)
+        )
+
     def is_invariant(self, c: npt.ArrayLike) -> bool:
         """Whether no motion leaves the section, judged at the points c (m, n_c)."""
         x = self.place(c)
@@ -200,7 +210,16 @@ def section_of(
     check_states(model, states)
     point = operating_point(model, at or {})
     coordinates = Coordinates(VectorField(model), states, point)
-    return Section(coordinates, point, settled_states(coordinates, others))
+    section = Section(coordinates, point, settled_states(coordinates, others))
+    if section.settled and not section.is_determined():
+        shown = ", ".join(model.state_names[i] for i in section.settled)
+        raise ConfigurationError(
+            f"{shown}: what settles has no value of its own there, as its rate does not depend "
+            "on it",
+            where="others",
+            remedy="hold the others (held), or name those that settle, as [i_v]",
+        )
+    return section
 
 
 def settled_states(coordinates: Coordinates, others: str | Sequence[str]) -> tuple[int, ...]:
