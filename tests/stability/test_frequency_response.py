@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from loop_cases import AT, COARSE, MODEL, PERIOD, POINT, Changed, loop_of, lqr
 
-from trms_cli.controllers.controller import Command, ControlSetup, Status
+from trms_cli.controllers.controller import Command, ControlSetup
 from trms_cli.controllers.pid import Pid
 from trms_cli.controllers.pid_design import Design
 from trms_cli.effects.extended_model import extended
@@ -93,7 +93,7 @@ class TestALinearLaw:
         assert np.abs(plain.rest).max() < 1e-3
         assert np.abs(plain.S + plain.T - np.eye(2)).max() < 1e-12
 
-    @pytest.mark.parametrize("gain", [(0.5, 0.5), (1.0, 1.6)])
+    @pytest.mark.parametrize("gain", [(0.6, 1.6)])
     def test_scales_with_its_gain(self, plain, gain):
         scaled = measured(Changed(lqr(), gain=gain))
         assert alike(scaled.L, np.diag(gain) @ plain.L)
@@ -167,8 +167,3 @@ def test_a_controller_that_does_not_look_closes_no_loop():
 
     with pytest.raises(NoLoopError):
         COARSE.measure(MODEL, loop_of(Blind()), POINT, silent)
-
-
-def test_how_the_solves_ended_is_counted():
-    found = measured(Changed(lqr(), status=Status.RELAXED))
-    assert set(found.statuses) == {"relaxed"}

@@ -77,7 +77,7 @@ class Measured:
     limited : int
         Control samples at a limit of the command.
     reversed : tuple of str
-        Rotors' speeds that changed their sign under the test signal: no thrust's slope there.
+        Rotors' speeds that were zero or changed their sign: their thrust has no slope there.
     duration : float
         s simulated.
     """
@@ -302,6 +302,6 @@ def _answered(model: Model, point: OperatingPoint, run: LoopRun, adder: _Adder) 
             )
     speeds = [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
     turned = tuple(
-        name for name in speeds if np.ptp(np.sign(run.x[-samples:, model.state_index(name)])) > 0
+        name for name in speeds if np.ptp(np.sign(run.x[:, model.state_index(name)])) > 0
     )
     return _Answer(run, adder.last, adder.drift, rest, swing, limited, turned, gone, leaves)

@@ -293,7 +293,7 @@ def _warning_of_reversed(speeds: Sequence[str]) -> str:
     if not speeds:
         return ""
     return (
-        f"{' and '.join(speeds)} changes its sign under the test signal: a rotor that stands still "
+        f"{' and '.join(speeds)} passes zero under the test signal: a rotor that stands still "
         "has a thrust ω|ω| without slope, and what is read of its loop depends on the signal's "
         "size; study.at.alpha_h=0.3 is a point at which the tail rotor turns"
     )

@@ -91,13 +91,19 @@ class Tolerance:
             Bounds(self.rest, self.swing, self.chatter),
             self.lost,
         )
+        scans = {"delay": self.delays, "gain": self.gains, "friction": self.frictions}
+        wanted = [one for one in impairments_of(model) if scans[one.kind]]
+        if not wanted:
+            raise ConfigurationError(
+                "no sizes to try are given",
+                where="delays",
+                remedy="give some of study.delays, study.gains, study.frictions",
+            )
         response = measured(Analyser(), subject, loop, point, tell)
         if isinstance(response, NotHeld):
             return not_held(response, subject, loop, point)
-        scans = {"delay": self.delays, "gain": self.gains, "friction": self.frictions}
-        wanted = [one for one in impairments_of(model) if scans[one.kind]]
         tell("nothing wrong")
-        nothing = trial.at(wanted[0], wanted[0].none) if wanted else None
+        nothing = trial.at(wanted[0], wanted[0].none)
         self._require_back(nothing, condition_of(subject, loop, point))
         margins = Margins(response)
         limits = []
@@ -120,13 +126,7 @@ class Tolerance:
                 )
         return {name: value for name, value in self.offset.items() if name in model.state_names}
 
-    def _require_back(self, nothing: Tried | None, where: str) -> None:
-        if nothing is None:
-            raise ConfigurationError(
-                "no sizes to try are given",
-                where="delays",
-                remedy="give some of study.delays, study.gains, study.frictions",
-            )
+    def _require_back(self, nothing: Tried, where: str) -> None:
         if not nothing.verdict.back:
             raise ConfigurationError(
                 f"with nothing wrong, the loop {nothing.verdict.kind} already ({where})",

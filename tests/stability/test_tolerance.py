@@ -1,0 +1,231 @@
+"""What a loop tolerates: the parts of the search, and the study against the linear margins."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loop_cases import AT, MODEL, POINT, Changed, loop_of, lqr, subject_of
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.extended_model import effect_names, extended
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.stability.closed_loop import LoopRun, run_loop
+from trms_cli.stability.loops.impairments import Delay, Delayed, Friction, Gain, impairments_of
+from trms_cli.stability.loops.tolerance_search import Tried, searched
+from trms_cli.stability.loops.verdict import Bounds, Verdict
+from trms_cli.stability.studies.margins import Margins
+from trms_cli.stability.studies.tolerance import Tolerance
+from trms_cli.stability.study import silent
+from trms_cli.stability.subject import Subject
+
+BOUNDS = Bounds(rest=0.02, swing=0.002, chatter=0.02)
+TIME = np.arange(0, 40, 0.02)
+STILL = np.zeros((TIME.size, 1))
+
+
+def kind(errors: np.ndarray, commands: np.ndarray = STILL, ended: bool = False) -> str:
+    return BOUNDS.verdict(errors.reshape(TIME.size, -1), commands, ended).kind
+
+
+class TestVerdicts:
+    @pytest.mark.parametrize(
+        ("decay", "told"),
+        [(0.3, "settles"), (0.06, "dies out"), (0.0, "swings"), (-0.05, "swings")],
+    )
+    def test_a_swing(self, decay, told):
+        assert kind(0.1 * np.exp(-decay * TIME) * np.cos(1.8 * TIME)) == told
+
+    def test_an_error_that_stays(self):
+        assert kind(0.03 + 0.1 * np.exp(-TIME)) == "rests beside"
+        assert kind(0.01 + 0.1 * np.exp(-TIME)) == "settles"
+        assert kind(0.2 * np.exp(-0.05 * TIME)) == "dies out"
+
+    def test_a_slip_is_no_swing(self):
+        assert kind(np.where(TIME < 33, 0.015, -0.005)) == "dies out"
+
+    def test_commands_that_chatter(self):
+        fast = 0.1 * np.sign(np.cos(np.pi * np.arange(TIME.size)))[:, None]
+        assert kind(1e-5 * np.cos(TIME), fast) == "chatters"
+
+    def test_a_run_that_ended(self):
+        assert kind(np.exp(0.1 * TIME), ended=True) == "is lost"
+        assert Bounds(0.02, 0.002, 0.02).verdict(np.ones((1, 2)), np.ones((1, 2)), True).axis == 0
+
+    def test_names_the_angle_that_fails(self):
+        both = np.column_stack([0.015 * np.ones_like(TIME), 0.01 * np.cos(TIME)])
+        found = BOUNDS.verdict(both, STILL, False)
+        assert found.kind == "swings" and found.axis == 1 and not found.calm and not found.back
+
+
+def tried(size: float, good: bool) -> Tried:
+    told = "settles" if good else "swings"
+    run = LoopRun(np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    return Tried(size, run, Verdict(told, np.zeros(1), np.zeros(1), 0))
+
+
+def search(sizes, stood, precision=1.1, nothing=0.0):
+    return searched(
+        sizes,
+        tried(nothing, True),
+        lambda size: tried(size, stood(size)),
+        precision,
+        lambda one: not one.verdict.calm,
+    )
+
+
+class TestTheSearch:
+    @given(st.floats(0.011, 0.79), st.floats(1.01, 1.5))
+    def test_closes_in_on_a_limit(self, limit, precision):
+        found = search((0.05, 0.1, 0.2, 0.4, 0.8), lambda size: size < limit, precision)
+        assert found.below.size < limit <= found.above.size
+        assert found.above.size <= precision * found.below.size
+        assert found.below.size < found.limit < found.above.size
+        assert found.again == ()
+
+    def test_tells_that_all_is_stood(self):
+        found = search((0.1, 0.2), lambda size: True)
+        assert found.above is None and found.limit is None and found.below.size == 0.2
+
+    def test_tells_that_a_loop_recovers(self):
+        found = search((1.5, 3.0, 6.0, 12.0), lambda size: size < 2 or size > 10, nothing=1.0)
+        assert 1.9 < found.limit < 2.1
+        assert found.again == (12.0,)
+
+    def test_gives_up_where_nothing_is_stood(self):
+        found = search((0.1,), lambda size: size <= 0)
+        assert found.below.size == 0 and found.above.size == pytest.approx(0.1 / 2**10)
+
+
+class TestWhatGoesWrong:
+    @pytest.mark.parametrize("delay", [0.0, 0.04, 0.05])
+    def test_a_delay_is_that_of_the_effect(self, delay):
+        rig = MODEL
+        for rotor in ("main", "tail"):
+            rig = extended(rig, {f"{rotor}_late": InputDelay(rotor=rotor, delay=delay)})
+        loop, offset = loop_of(lqr()), {"alpha_v": -0.05, "alpha_h": -0.05}
+        path = Delay().path(MODEL, POINT, 0.02, delay)
+        ours = run_loop(MODEL, loop, POINT, 8.0, offset=offset, path=path)
+        theirs = run_loop(rig, loop, POINT, 8.0, offset=offset)
+        # of a whole number of samples it is the same, else the mean over a sample differs a little
+        assert np.abs(ours.x - theirs.x)[:, -1].max() < (1e-9 if delay != 0.05 else 2e-4)
+
+    def test_before_the_first_command_the_points_own_is_in_force(self):
+        delayed = Delayed(2.25, np.array([1.0]))
+        given = [delayed(k, np.array([float(k + 2)]))[0] for k in range(5)]
+        # u(k − 2) and u(k − 3), three parts to one
+        assert given == pytest.approx([1.0, 1.0, 0.75 * 2 + 0.25 * 1, 2.75, 3.75])
+
+    def test_a_gain_acts_on_all_of_a_command_within_its_limits(self):
+        large = Gain(1, "u_h", up=True).path(MODEL, POINT, 0.02, 3.0)
+        assert large(0, np.array([1.0, 0.5])) == pytest.approx([1.0, 1.5])
+        assert large(0, np.array([1.0, -1.0])) == pytest.approx([1.0, -2.5])
+        small = Gain(0, "u_v", up=False)
+        assert small.shown(4.0) == 0.25
+        assert small.path(MODEL, POINT, 0.02, 4.0)(0, np.ones(2)) == pytest.approx([0.25, 1.0])
+        changes = Gain(0, "u_v", up=True, of_changes=True).path(MODEL, POINT, 0.02, 2.0)
+        assert changes(0, POINT.u + 0.1) == pytest.approx(POINT.u + np.array([0.2, 0.1]))
+
+    def test_friction_is_an_effect_on_the_rig(self):
+        rig = Friction("pitch").rig(MODEL, 0.004)
+        assert effect_names(rig) == ("added_friction_pitch",)
+        assert rig.parameters["added_friction_pitch.torque"].value == 0.004
+
+    def test_each_rig_has_its_own(self):
+        assert [one.key for one in impairments_of(Newtonian(freedom="vertical"))] == [
+            "delay",
+            "gain_up_u_v",
+            "gain_down_u_v",
+            "friction_pitch",
+        ]
+
+
+#: Close to the point the rig is linear, and the simulated limit has to be the foretold one.
+NEAR = Tolerance(
+    at=AT,
+    offset={"alpha_v": -0.002, "alpha_h": -0.002},
+    duration=30.0,
+    rest=0.002,
+    swing=0.00005,
+    chatter=0.0005,
+    delays=(0.1, 0.2),
+    gains=(),
+    frictions=(),
+    precision=1.02,
+)
+
+
+class TestTheStudy:
+    @pytest.mark.parametrize("gain", [1.0, pytest.param(0.7, marks=pytest.mark.slow)])
+    def test_near_its_point_a_loop_stands_the_delay_that_its_margins_foretell(self, gain):
+        findings = NEAR.run(subject_of(Changed(lqr(), gain=(gain, gain))), silent)
+        found = findings.results["tolerances"]["delay"]
+        # the hold of a fraction of a control period is not the phase of a delay, but nearly
+        assert found["calm"]["limit"] == pytest.approx(found["linear"], rel=0.06)
+        assert found["compared"] == "as foretold"
+
+    @pytest.mark.slow
+    def test_far_from_it_tells_all_limits(self):
+        study = replace(
+            NEAR,
+            offset={"alpha_v": -0.2, "alpha_h": -0.2},
+            rest=0.02,
+            swing=0.002,
+            chatter=0.02,
+            gains=(2.0, 8.0),
+            frictions=(0.003,),
+            precision=1.5,
+        )
+        findings = study.run(subject_of(lqr()), silent)
+        told = findings.results["tolerances"]
+        json.dumps(findings.results, allow_nan=False)
+        assert set(told) == {
+            *("delay", "gain_up_u_v", "gain_down_u_v", "gain_up_u_h", "gain_down_u_h"),
+            *("friction_pitch", "friction_yaw"),
+        }
+        # 1.41 V hold the point: a gain below 1.41/2.5 cannot
+        share = float(POINT.u[0]) / 2.5
+        down = told["gain_down_u_v"]["back"]
+        assert down["above"] <= share and down["below"] > 0.8 * share
+        assert down["verdict"] == "rests beside"
+        assert f"below {share:.2g}" in told["gain_down_u_v"]["compared"]
+        assert told["friction_pitch"]["linear"] is None
+        assert {chart.name for chart in findings.charts} == {
+            "tolerance_overview",
+            "tolerance_responses",
+        }
+        assert len(findings.lead) == 8
+
+    def test_its_margins_are_those_of_the_other_study(self):
+        """Both studies measure by the same defaults."""
+        ours, theirs = Tolerance(), Margins()
+        assert ours.at == theirs.at
+        assert math.isclose(theirs.lowest, 0.1) and theirs.periods == 6
+
+
+class TestBadRequests:
+    def test_no_controller(self):
+        with pytest.raises(ConfigurationError, match="no controller is chosen"):
+            NEAR.run(Subject(MODEL, "newtonian"), silent)
+
+    def test_nothing_to_try(self):
+        with pytest.raises(ConfigurationError, match="no sizes"):
+            replace(NEAR, delays=()).run(subject_of(lqr()), silent)
+
+    def test_no_such_state(self):
+        with pytest.raises(ConfigurationError, match="alpha_x"):
+            replace(NEAR, offset={"alpha_x": 0.1}).run(subject_of(lqr()), silent)
+
+    def test_a_loop_that_is_never_back(self):
+        with pytest.raises(ConfigurationError, match="with nothing wrong"):
+            replace(NEAR, duration=1.0, swing=1e-9, rest=1e-9).run(subject_of(lqr()), silent)
+
+    def test_a_loop_that_does_not_hold(self):
+        findings = NEAR.run(subject_of(Changed(lqr(), late=4)), silent)
+        assert findings.results["holds"] is False
