@@ -12,6 +12,7 @@ Dry friction is left out: with it a saddle is a set, not a point.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -29,7 +30,8 @@ _BESIDE = 1e-4
 _BEYOND = 0.02
 _RING = 20
 _TOLERANCE = 1e-7
-_MOST_POINTS = 1500
+#: Widths of the window, and parts of the duration after which the length is looked at.
+_LONGEST, _PARTS = 3.0, 10
 #: 1/s. Slower than this is no direction of a saddle.
 _NO_RATE = 1e-6
 
@@ -149,30 +151,40 @@ def _followed(
     window: FloatArray,
     duration: float,
 ) -> FloatArray:
-    """Coordinates along a motion until it leaves the window, (n, n_c), in order of integration."""
+    """Coordinates along a motion, (n, n_c), in order of integration.
+
+    Until it leaves the window; a motion out of a saddle, which may wind into a focus for ever, also
+    until it is :data:`_LONGEST` widths long.
+    """
     from scipy.integrate import solve_ivp
 
     sign = -1.0 if backwards else 1.0
-    margin = _BEYOND * np.ptp(window, axis=1)
-    low, high = window[:, 0] - margin, window[:, 1] + margin
+    width = np.ptp(window, axis=1)
+    low, high = window[:, 0] - _BEYOND * width, window[:, 1] + _BEYOND * width
 
     def room(t: float, x: FloatArray) -> float:
         c = coordinates(x)
         return float(np.minimum(c - low, high - c).min())
 
     room.terminal = True  # type: ignore[attr-defined]
-    solution = solve_ivp(
-        lambda t, x: sign * field(x),
-        (0.0, duration),
-        start,
-        method="LSODA",
-        events=room,
-        rtol=_TOLERANCE,
-        atol=_TOLERANCE * np.maximum(0.1, np.abs(start)),
-    )
-    path = np.array([coordinates(x) for x in solution.y.T])
-    every = max(1, len(path) // _MOST_POINTS)
-    return path[::every]
+    times = np.linspace(0.0, duration, _PARTS + 1)
+    path: list[FloatArray] = []
+    for begin, end in itertools.pairwise(times):
+        solution = solve_ivp(
+            lambda t, x: sign * field(x),
+            (begin, end),
+            start,
+            method="LSODA",
+            events=room,
+            rtol=_TOLERANCE,
+            atol=_TOLERANCE * np.maximum(0.1, np.abs(start)),
+        )
+        path += [coordinates(x) for x in solution.y.T]
+        length = np.linalg.norm(np.diff(np.array(path), axis=0) / width, axis=1).sum()
+        if solution.status != 0 or (length > _LONGEST and not backwards):
+            break
+        start = solution.y[:, -1]
+    return np.array(path)
 
 
 def _whole(path: FloatArray, saddle: FloatArray, into: bool) -> FloatArray:
