@@ -172,7 +172,7 @@ def survey(
     given = np.tile(v, (len(proof_inputs), 1))
     given[:, index] = proof_inputs
     proofs = prover.at(given)
-    curves, late = _completed(equations, curves, proofs)
+    curves, late = completed(equations, curves, proofs)
     checks = tuple(
         _check(field, equations, curves, float(value), proof)
         for value, proof in zip(proof_inputs, proofs, strict=True)
@@ -194,7 +194,7 @@ def survey(
     )
 
 
-def _completed(
+def completed(
     equations: CurveEquations, curves: list[Curve], proofs: Sequence[Proof]
 ) -> tuple[list[Curve], int]:
     """The curves with those through proved equilibria that are on none, and how many those are."""

@@ -1,0 +1,301 @@
+"""Equilibria of the rigs: the check values of the design, folds, proofs, friction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.dead_zone import DeadZone
+from trms_cli.effects.extended_model import ExtendedModel
+from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.models.feedback_manual import FeedbackManual
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian, geometry
+from trms_cli.models.tras import Tras
+from trms_cli.stability.equilibria.completeness import Prover, over_range
+from trms_cli.stability.equilibria.continuation import curves_through, starts
+from trms_cli.stability.equilibria.named_points import named_points
+from trms_cli.stability.equilibria.rest_system import rest_system
+from trms_cli.stability.equilibria.search_box import bounds_of
+from trms_cli.stability.equilibria.survey import (
+    Setting,
+    Survey,
+    completed,
+    setting_of,
+    survey,
+)
+from trms_cli.stability.study import silent
+from trms_cli.stability.vector_field import VectorField
+
+#: Table of the design: u_v [V] → ω_v [rad/s], α_v [rad].
+TABLE = {
+    -1.0: (-165.4, -0.898),
+    -0.5: (-104.8, -0.730),
+    0.2: (52.5, -0.578),
+    0.4: (86.7, -0.506),
+    0.6: (114.1, -0.422),
+    0.8: (137.6, -0.330),
+    1.0: (158.5, -0.231),
+    1.2: (177.6, -0.124),
+    1.6: (211.6, 0.121),
+    1.8: (227.1, 0.271),
+    2.0: (241.8, 0.458),
+}
+NEWTONIAN = Newtonian()
+
+
+def prover_of(model: Model, over: str, held: dict[str, float] | None = None) -> tuple[Prover, int]:
+    system = rest_system(model, {over}, held)
+    box, scale = bounds_of(system, {})
+    return Prover(system, box, scale), system.given_index(over)
+
+
+def surveyed(model: Model, over: str, points: int = 6, whole: bool = False) -> Survey:
+    limit = model.input_limits[over]
+    setting = setting_of(model, over, (-limit, limit), None)
+    return survey(model, setting, {}, np.linspace(-limit, limit, points), whole, silent)
+
+
+def analytic_fold(model: Newtonian) -> float:
+    """u_v where the thrust's moment is as large as gravity's can be, by the motor's equation."""
+    c = {parameter.name: parameter.value for parameter in model.parameters}
+    g = geometry(c)
+    weight = c["g"] * np.hypot(g["B"] - g["A"], g["C"])
+    omega = np.sqrt(weight / (c["l_m"] * c["k_fvp"]))
+    torque = c["B_mr"] * omega + c["k_tvp"] * omega**2
+    return float((c["R"] * torque / c["kphi"] + c["kphi"] * omega) / c["k_uv"])
+
+
+@pytest.fixture(scope="module")
+def over_u_v() -> Survey:
+    return surveyed(NEWTONIAN, "u_v", 11, whole=True)
+
+
+@pytest.mark.parametrize("model", [NEWTONIAN, Lagrangian()], ids=["newtonian", "lagrangian"])
+def test_the_table_of_the_design_is_proved(model: Model) -> None:
+    prover, index = prover_of(model, "u_v")
+    given_ = np.zeros((len(TABLE), len(prover.system.given)))
+    given_[:, index] = list(TABLE)
+    for proof, (omega, alpha) in zip(prover.at(given_), TABLE.values(), strict=True):
+        lowest = min(proof.proved, key=lambda one: one.x.middle[model.state_index("alpha_v")])
+        assert proof.complete
+        assert proof.count == (2 if alpha > 0.45 else 1)
+        assert abs(lowest.x.middle[model.state_index("omega_v")] - omega) < 0.051
+        assert abs(lowest.x.middle[model.state_index("alpha_v")] - alpha) < 6e-4
+        assert np.all(lowest.x.width < 1e-6)
+
+
+def test_proved_equilibria_rest() -> None:
+    prover, index = prover_of(NEWTONIAN, "u_v")
+    given_ = np.zeros((3, len(prover.system.given)))
+    given_[:, index] = [-1.3, 0.0, 1.9]
+    field = VectorField(NEWTONIAN)
+    for proof in prover.at(given_):
+        for one in proof.proved:
+            assert np.abs(field.rates(one.x.middle, one.u.middle)).max() < 1e-6
+
+
+def test_rest_and_hover() -> None:
+    rest, hover = named_points(NEWTONIAN, {})[0]
+    assert abs(rest.x[NEWTONIAN.state_index("alpha_v")] + 0.6194) < 5e-5
+    assert abs(hover.u[0] - 1.413) < 5e-4
+    assert abs(hover.x[NEWTONIAN.state_index("omega_v")] - 196.3) < 0.05
+    assert abs(hover.quantities["thrust_main"] - 0.624) < 5e-4
+    assert abs(hover.quantities["current_main"] - 1.01) < 5e-3
+    assert not rest.unstable and not hover.unstable
+
+
+def test_the_fold_is_where_gravity_is_exhausted(over_u_v: Survey) -> None:
+    (fold,) = [one for one in over_u_v.landmarks if one.kind == "fold"]
+    assert abs(fold.y[-1] - 2.23) < 5e-3
+    assert abs(fold.y[-1] - analytic_fold(NEWTONIAN)) < 1e-8
+    slopes, _ = VectorField(NEWTONIAN).linearised(fold.at.x, fold.at.u)
+    assert np.abs(np.linalg.eigvals(slopes)).min() < 1e-6
+
+
+def test_curves_and_proofs_agree(over_u_v: Survey) -> None:
+    assert all(check.agree and check.proof.complete for check in over_u_v.checks)
+    assert over_u_v.late == 0
+    by_input = {round(check.input, 6): check.proof.count for check in over_u_v.checks}
+    assert by_input[2.0] == 2 and by_input[1.0] == 1 and by_input[2.5] == 0
+
+
+def test_upper_branch_is_unstable_and_the_lower_is_not(over_u_v: Survey) -> None:
+    row = NEWTONIAN.state_index("alpha_v")
+    for curve in over_u_v.curves:
+        for point in curve.points:
+            if abs(point.x[row] - 0.9514) > 1e-3:
+                assert (point.unstable > 0) == (point.x[row] > 0.9514)
+
+
+def test_the_range_is_proved_but_for_slivers_around_its_changes(over_u_v: Survey) -> None:
+    fold = analytic_fold(NEWTONIAN)
+    pieces = over_u_v.pieces
+    untold = sum(piece.upper - piece.lower for piece in pieces if piece.count is None)
+    assert 0.0 < untold < 0.01
+    assert (pieces[0].lower, pieces[-1].upper) == (-2.5, 2.5)
+    assert max(p.upper for p in pieces if p.count == 2) <= fold
+    assert min(p.lower for p in pieces if p.count == 0 and p.lower > 0) >= fold
+    assert [p.count for p in pieces if p.count is not None] == [0, 1, 2, 0]
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(-2.4, 2.4), st.floats(1e-5, 0.02))
+def test_a_number_over_an_interval_is_never_wrong(centre: float, width: float) -> None:
+    prover, index = SHARED
+    lower = np.zeros((1, len(prover.system.given)))
+    upper = lower.copy()
+    lower[0, index], upper[0, index] = centre - width, centre + width
+    (count,) = prover.counts(lower, upper)
+    if count is not None:
+        for u in (centre - width, centre, centre + width):
+            assert count == _pitches(u)
+
+
+def _pitches(u: float) -> int:
+    """How many pitch angles of the box rest, by the closed form of the design."""
+    c = {parameter.name: parameter.value for parameter in NEWTONIAN.parameters}
+    g = geometry(c)
+
+    def torque(omega: float) -> float:
+        side = "p" if omega >= 0 else "n"
+        current = (c["k_uv"] * u - c["kphi"] * omega) / c["R"]
+        drag = c["B_mr"] * omega + c[f"k_tv{side}"] * omega * abs(omega)
+        return float(c["kphi"] * current - drag)
+
+    omega = brentq(torque, -2000.0, 2000.0, xtol=1e-12)
+    lift = c["l_m"] * c["k_fvp" if omega >= 0 else "k_fvn"] * omega * abs(omega)
+    weight = c["g"] * np.hypot(g["B"] - g["A"], g["C"])
+    if abs(lift) > weight:
+        return 0
+    tilt, turn = np.arctan2(g["B"] - g["A"], g["C"]), np.arcsin(lift / weight)
+    return sum(abs(angle) <= 1.57 for angle in (turn - tilt, np.pi - turn - tilt))
+
+
+SHARED = prover_of(NEWTONIAN, "u_v")
+
+
+def test_yaw_at_hover() -> None:
+    prover, index = prover_of(NEWTONIAN, "u_h", {"alpha_v": 0.0})
+    given_ = np.zeros((4, len(prover.system.given)))
+    given_[:, index] = [0.2, 0.5, 1.0, -0.5]
+    row = NEWTONIAN.state_index("alpha_h")
+    for proof, yaw in zip(prover.at(given_), (0.10, 0.50, 1.56, -0.85), strict=True):
+        assert proof.count == 1
+        assert abs(proof.found[0].x.middle[row] - yaw) < 6e-3
+        assert abs(proof.found[0].u.middle[0] - 1.413) < 5e-4
+
+
+def test_main_reaction_on_yaw_asks_for_the_tail_rotor() -> None:
+    drag = NEWTONIAN.parameters["k_tvp"].value
+    model = ExtendedModel(
+        NEWTONIAN, "reaction", RotorReaction(rotor="main", drag=drag, inertia=0.0)
+    )
+    found = surveyed(model, "u_h")
+    (balanced,) = [one for one in found.landmarks if one.kind == "level"]
+    assert abs(balanced.y[-1] + 0.776) < 5e-4
+    (idle,) = [one for one in found.landmarks if one.kind == "zero"]
+    assert abs(idle.at.x[model.state_index("alpha_h")] - 1.23) < 5e-3
+    hover = next(point for point in named_points(model, {})[0] if point.name == "hover")
+    assert abs(hover.u[1] + 0.776) < 5e-4
+
+
+def test_pitch_of_the_thesis_set_begins_to_swing_above_a_third_of_a_radian() -> None:
+    found = surveyed(Newtonian(parameter_set="rahideh"), "u_v")
+    angles = [one.at.x[5] for one in found.landmarks if one.kind == "oscillation"]
+    assert min(abs(angle - 0.34) for angle in angles) < 2e-3
+
+
+def test_all_unknowns_of_the_rigs_are_solved_one_by_one() -> None:
+    for model in (NEWTONIAN, Newtonian(currents="dynamic"), Lagrangian(), Tras()):
+        system = rest_system(model, {"u_v"})
+        assert [len(block.rows) for block in system.blocks] == [1] * system.n
+
+
+def test_eliminated_equations_are_the_models_own() -> None:
+    for model in (Newtonian(currents="dynamic"), Lagrangian(), Tras()):
+        system, field = rest_system(model, {"u_v"}), VectorField(model)
+        box, scale = bounds_of(system, {})
+        given_ = np.zeros(len(system.given))
+        given_[system.given_index("u_v")] = 0.6 * model.input_limits["u_v"] * 0.7
+        for one in Prover(system, box, scale).at(given_)[0].proved:
+            rates = field.rates(one.x.middle, one.u.middle)
+            steepest = np.abs(field.linearised(one.x.middle, one.u.middle)[0]).max()
+            assert np.abs(rates).max() < 1e-9 * max(1.0, steepest)
+
+
+def test_a_yaw_that_nothing_pulls_back_is_free_and_its_input_follows() -> None:
+    system = rest_system(Tras(), {"u_v"})
+    assert (system.free, system.released) == (("alpha_h",), ("u_h",))
+    found = surveyed(Tras(), "u_v", 3)
+    at_zero = found.checks[1]
+    # The tail rotor's thrust ω|ω| has no slope at zero: one is there, not proved to be the only.
+    assert at_zero.proof.count is None
+    assert [one.exists for one in at_zero.proof.undecided] == [True]
+    assert at_zero.agree and len(at_zero.points) == 1
+
+
+def test_a_curve_that_the_search_misses_is_found_by_the_proof(over_u_v: Survey) -> None:
+    proofs = [check.proof for check in over_u_v.checks if abs(check.input) < 0.1]
+    curves, late = completed(over_u_v.equations, [], proofs)
+    assert late == len(curves) == 1
+
+
+def test_many_starts_lead_to_the_same_curve(over_u_v: Survey) -> None:
+    seeds = starts(over_u_v.equations, np.linspace(-2.0, 2.1, 4), 4)
+    assert len(seeds) >= 4
+    assert len(curves_through(over_u_v.equations, seeds)) == 1
+
+
+def test_a_dead_zone_is_part_of_rest() -> None:
+    model = ExtendedModel(NEWTONIAN, "dead", DeadZone(rotor="main", width=0.2))
+    prover, index = prover_of(model, "u_v")
+    given_ = np.zeros((2, len(prover.system.given)))
+    given_[:, index] = [0.19, 1.2]
+    plain, plain_index = SHARED
+    without = np.zeros((2, len(plain.system.given)))
+    without[:, plain_index] = [0.0, 1.0]
+    for one, other in zip(prover.at(given_), plain.at(without), strict=True):
+        np.testing.assert_allclose(one.found[0].x.middle, other.found[0].x.middle, atol=1e-9)
+
+
+def test_coulomb_friction_holds_a_band() -> None:
+    torque = 0.01
+    model = ExtendedModel(NEWTONIAN, "friction", CoulombFriction(axis="pitch", torque=torque))
+    rest = named_points(model, {})[0][0]
+    (band,) = rest.bands
+    c = {parameter.name: parameter.value for parameter in NEWTONIAN.parameters}
+    g = geometry(c)
+    half = np.arcsin(torque / (c["g"] * np.hypot(g["B"] - g["A"], g["C"])))
+    tilt = -np.arctan2(g["B"] - g["A"], g["C"])
+    assert abs(band.torque - torque) < 1e-7
+    assert band.lower is not None and band.upper is not None
+    np.testing.assert_allclose([band.lower, band.upper], [tilt - half, tilt + half], atol=1e-6)
+    assert named_points(NEWTONIAN, {})[0][0].bands == ()
+
+
+def test_friction_of_the_makers_model_holds_its_free_yaw() -> None:
+    points, missing = named_points(FeedbackManual(), {})
+    assert [point.name for point in points] == ["rest"] and "hover" in missing[0]
+    yaw = next(band for band in points[0].bands if band.axis == "yaw")
+    assert yaw.lower is None and yaw.command is not None
+    assert yaw.command[0] == "u_h" and yaw.command[1] < 0.0 < yaw.command[2]
+
+
+def test_a_range_cut_no_further_is_told_as_unknown() -> None:
+    prover, index = SHARED
+    pieces = over_range(prover, np.zeros(len(prover.system.given)), index, (2.0, 2.4), 0.4)
+    assert any(piece.count is None for piece in pieces)
+
+
+def test_settings_hold_the_pitch_over_the_tail_rotor() -> None:
+    assert setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), None) == Setting(
+        "u_h", (-1.0, 1.0), {}, {"alpha_v": 0.0}
+    )
+    given_ = setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {"u_v": 1.0})
+    assert (given_.inputs, given_.held) == ({"u_v": 1.0}, {})

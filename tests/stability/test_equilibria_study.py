@@ -1,0 +1,117 @@
+"""The study of equilibria as it is asked for and told."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from trms_cli.controllers.lqr import Lqr
+from trms_cli.core.chart import as_data
+from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
+from trms_cli.models.driven import DrivenModel
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.stability.findings import Findings
+from trms_cli.stability.studies.equilibria import Equilibria
+from trms_cli.stability.study import Study, silent
+from trms_cli.stability.subject import LoopParts, Subject
+
+
+def asked(model: object, **keys: object) -> Findings:
+    study = Equilibria(**({"proof_range": False, "proof_points": 5, "map": False} | keys))  # type: ignore[arg-type]
+    assert isinstance(study, Study)
+    return study.run(Subject(model, "tested"), silent)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def found() -> Findings:
+    return asked(Newtonian(), map=True)
+
+
+def test_the_answer_comes_first(found: Findings) -> None:
+    told = " ".join(found.lead)
+    for words in ("Rest: ", "Hover: ", "u_v = 1.413 V", "196.3 rad/s", "2.2272", "Proved"):
+        assert words in told
+    assert not found.warnings
+
+
+def test_figures_are_made(found: Findings) -> None:
+    charts = {chart.name: chart for chart in found.charts}
+    assert list(charts) == ["equilibria_u_v", "equilibria_u_h", "equilibria_map"]
+    drawn = as_data(charts["equilibria_u_v"])
+    assert [panel["y"]["label"] for panel in drawn["panels"]] == ["α_v", "ω_v"]
+    labels = {mark.get("label") for mark in drawn["panels"][0]["marks"]}
+    assert {"stable", "unstable", "proved", "fold", "stop"} <= labels
+
+
+def test_results_are_json_with_all_that_was_found(found: Findings) -> None:
+    results = json.loads(json.dumps(found.results, allow_nan=False))
+    survey = results["surveys"][0]
+    assert survey["over"] == "u_v" and len(survey["proofs"]) == 5
+    assert all(proof["complete"] and proof["agrees_with_curves"] for proof in survey["proofs"])
+    fold = next(one for one in survey["landmarks"] if one["kind"] == "fold")
+    assert abs(fold["input"] - 2.2272) < 1e-4
+    assert [point["name"] for point in results["named"]] == ["rest", "hover"]
+    curve = survey["curves"][0]
+    assert len(curve["states"]["alpha_v"]) == len(curve["growing"]) == len(curve["inputs"]["u_v"])
+
+
+def test_special_points_and_ranges_of_ones_own() -> None:
+    found = asked(
+        Newtonian(freedom="vertical"),
+        special={"nose up": {"alpha_v": 0.4}},
+        range={"u_v": (0.0, 2.3)},
+        box={"alpha_v": (-0.7, 1.0)},
+    )
+    named = {point["name"]: point for point in found.results["named"]}
+    assert abs(named["nose up"]["states"]["alpha_v"] - 0.4) < 1e-9
+    survey = found.results["surveys"][0]
+    assert survey["range"] == [0.0, 2.3]
+    assert survey["box"]["alpha_v"] == [-0.7, 1.0]
+    assert survey["curves"][0]["ends"] == ["end of the range", "alpha_v = 1 rad"]
+
+
+def test_a_beam_driven_by_its_rotors_speeds() -> None:
+    model = DrivenModel(Newtonian(), ("omega_v", "omega_h"))
+    with pytest.raises(ModelError, match="have no limits"):
+        asked(model)
+    found = asked(model, over=("omega_v",), range={"omega_v": (0.0, 300.0)})
+    fold = next(one for one in found.results["surveys"][0]["landmarks"] if one["kind"] == "fold")
+    assert abs(fold["input"] - 257.654) < 1e-2
+
+
+@pytest.mark.parametrize(
+    ("keys", "where"),
+    [
+        ({"over": ("u_x",)}, "study.over"),
+        ({"over": ()}, "study.over"),
+        ({"range": {"u_v": (1.0, 1.0)}}, "study.range.u_v"),
+        ({"range": {"uv": (0.0, 1.0)}}, "study.range"),
+        ({"at": {"alpha_h": 0.0}}, "study.at"),
+        ({"box": {"alpha_h": (-1.0, 1.0)}}, "study.box.alpha_h"),
+        ({"box": {"alpha_v": (1.0, -1.0)}}, "study.box.alpha_v"),
+        ({"special": {"far": {"alpha_v": 2.0}}}, "study.special.far"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(keys: dict[str, object], where: str) -> None:
+    with pytest.raises(TrmsError) as refused:
+        asked(Newtonian(freedom="vertical"), **keys)
+    assert refused.value.where == where
+    assert refused.value.remedy
+
+
+def test_an_upright_beam_in_the_box_is_told() -> None:
+    with pytest.raises(ModelError, match="may be singular"):
+        asked(Lagrangian(), box={"alpha_v": (-1.6, 1e9)})
+
+
+def test_a_loop_and_a_model_that_only_steps_are_refused() -> None:
+    model = Newtonian()
+    loop = LoopParts(model, Lqr(), None, 0.02, {"controller": "lqr"})
+    with pytest.raises(ConfigurationError, match="about the model alone"):
+        Equilibria().run(Subject(model, "newtonian", loop), silent)
+    stepping = Newtonian()
+    stepping.sample_time = 0.02
+    with pytest.raises(ModelError, match="only steps"):
+        Equilibria().run(Subject(stepping, "narx_2dof"), silent)
