@@ -30,6 +30,8 @@ Kind = Literal["fold", "period doubling", "torus"]
 _BORN = 0.02
 #: Step along the branch, in shares of the orbit's scales: first, least, most.
 _FIRST_STEP, _LEAST_STEP, _MOST_STEP = 0.05, 1e-4, 0.25
+#: The same where the branch turns back in the command.
+_TURNING_STEP = 0.03
 #: V, that counts as much along the branch as a change by the scale of a state.
 _COMMAND_SCALE = 0.1
 #: Beyond this many first periods, or this error of the trivial multiplier, it is not followed.
@@ -120,23 +122,35 @@ class Branch:
     def changes(self, channel: int, state: int) -> list[Change]:
         """Folds, period doublings and tori."""
         found = []
-        for one, other in zip(self.orbits[:-1], self.orbits[1:], strict=True):
+        for i in range(len(self.orbits) - 1):
+            one, other = self.orbits[i : i + 2]
             if _outside(one) == _outside(other):
                 continue
             before, after = abs(one.largest), abs(other.largest)
-            if max(abs(one.trivial_error), abs(other.trivial_error)) > 0.02:
-                continue
             share = (1.0 - before) / (after - before) if after != before else 0.5
             share = min(max(share, 0.0), 1.0)
-            crossing = one.largest if abs(before - 1) < abs(after - 1) else other.largest
-            values = [
-                (orbit.u[channel], orbit.period, orbit.swing[state], low.min(), low.max())
-                for orbit in (one, other)
-                for low in (orbit.path[:, state],)
-            ]
-            between = [float(a + share * (b - a)) for a, b in zip(*values, strict=True)]
-            found.append(Change(_kind(crossing), *between))
+            kind = _kind(one.largest if abs(before - 1) < abs(after - 1) else other.largest)
+            rows = np.array([_row(orbit, channel, state) for orbit in self.orbits])
+            values = rows[i] + share * (rows[i + 1] - rows[i])
+            if kind == "fold" and 0 < i < len(rows) - 2:
+                values = _turn(rows[i - 1 : i + 3])
+            found.append(Change(kind, *values.tolist()))
         return found
+
+
+def _row(orbit: Orbit, channel: int, state: int) -> list[float]:
+    """Command, period, swing, lowest and highest of an orbit."""
+    values = orbit.path[:, state]
+    low, high = float(values.min()), float(values.max())
+    return [float(orbit.u[channel]), orbit.period, high - low, low, high]
+
+
+def _turn(rows: FloatArray) -> FloatArray:
+    """Where the command turns back among four rows: the vertex of a parabola over the swing."""
+    swing = rows[:, 2]
+    a, b, _ = np.polyfit(swing, rows[:, 0], 2)
+    at = float(np.clip(-b / (2.0 * a), swing.min(), swing.max())) if a else float(swing[1])
+    return np.array([np.polyval(np.polyfit(swing, column, 2), at) for column in rows.T])
 
 
 def _outside(orbit: Orbit) -> int:
@@ -311,27 +325,38 @@ def followed(
             command,
             row=Row(channel, tangent / scale, z, step),
         )
+        turned = (
+            trial is not None
+            and float((trial.u - orbits[-1].u)[channel] * (z - before)[m * n + 1]) < 0.0
+        )
+        if turned and step > _TURNING_STEP:
+            # A fold lies here: come up to it in small steps.
+            step = max(step / 3.0, _TURNING_STEP)
+            continue
         if trial is None or _jumped(orbits[-1], trial, step):
             step /= 2.0
             if step < _LEAST_STEP:
                 ended = "Newton's method found no next orbit"
                 break
             continue
+        if trial.swing.max() < 0.25 * _BORN:
+            ended = "the cycle shrinks to a point: a Hopf bifurcation"
+            break
         before, z = z, packed(trial.nodes, trial.period, trial.u, row)
         orbits.append(trial)
         step = min(1.4 * step, _MOST_STEP)
         if not low <= trial.u[channel] <= high:
             ended = "the command's limit"
             break
-        if trial.trivial_error > _WORST_TRIVIAL or trial.period > _LONGEST * first.period:
-            orbits.pop()
+        if trial.period > _LONGEST * first.period:
             ended = (
                 f"the period grows beyond {trial.period:.3g} s: the orbit draws near to one that "
                 "leaves an equilibrium and returns to it (homoclinic)"
             )
             break
-        if trial.swing.max() < 0.25 * _BORN:
-            ended = "the cycle shrinks to a point: a Hopf bifurcation"
+        if trial.trivial_error > _WORST_TRIVIAL:
+            orbits.pop()
+            ended = "the orbit is too unstable to be known well"
             break
         if _beyond(model, trial):
             ended = "far beyond the mechanical stops"

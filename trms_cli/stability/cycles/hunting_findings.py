@@ -32,6 +32,7 @@ _VERDICTS = {
     "hunting": "hunts",
     "rest": "comes to rest",
     "dying out": "slips die out",
+    "undecided": "slips too seldom to tell",
     "oscillating": "oscillates without sticking",
     "unstable": "does not hold",
 }
@@ -144,6 +145,11 @@ def _lead(studied: Studied) -> list[str]:
         lead = [
             f"The loop oscillates without sticking, with {friction}: {name} swings by "
             f"{seen.swing:.4f} rad. That is no hunting: look at its margins (study=margins)."
+        ]
+    elif seen.verdict == "undecided":
+        lead = [
+            f"Undecided, with {friction}: the axis slipped only once or twice in the second half of "
+            f"{seen.time[-1]:.0f} s; run longer (study.duration={4 * seen.time[-1]:.0f})."
         ]
     elif seen.verdict == "unstable":
         lead = [f"The loop does not hold, with {friction}: look at its margins (study=margins)."]

@@ -19,6 +19,8 @@ FloatArray = npt.NDArray[np.float64]
 _LEAST, _MOST, _COUNT = 1e-3, 4.0, 28
 #: Iterations of the map before Newton's method.
 _ITERATIONS = 12
+#: Relative change of the swing at which they end.
+_SETTLED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -134,13 +136,15 @@ def _swing(events: StickSlip) -> float:
     if not any(grows):
         return float("nan")
     z = events.settled(float(errors[int(np.flatnonzero(grows)[-1])]))
+    travel = float("nan")
     for _ in range(_ITERATIONS):
         half = None if z is None else events.half(z)
         if half is None:
             return float("nan")
+        before, travel = travel, abs(float(events.loop.angle @ (half.end - half.start)))
+        if abs(travel - before) < _SETTLED * travel:
+            break
         z = -half.end
-    assert half is not None
-    travel = abs(float(events.loop.angle @ (half.end - half.start)))
     return travel if travel > 1e-6 else float("nan")
 
 

@@ -23,7 +23,7 @@ from trms_cli.stability.subject import LoopParts
 from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
-Verdict = Literal["hunting", "rest", "dying out", "oscillating", "unstable"]
+Verdict = Literal["hunting", "rest", "dying out", "undecided", "oscillating", "unstable"]
 
 #: rad/s: slower than this the axis sticks.
 _STUCK = 1e-6
@@ -46,6 +46,7 @@ class Watched:
     stuck : (n,) bool array
     verdict : Verdict
         ``hunting``; ``rest``: no slips any more; ``dying out``: slips, each smaller;
+        ``undecided``: a slip or two, too few to tell;
         ``oscillating``: a steady swing that never sticks; ``unstable``: the run had to end, or the
         swing grows.
     period : float or None
@@ -135,9 +136,8 @@ def slips(
     """Beginning (s) and travel (rad) of each whole slip, creep left out."""
     edges = np.diff(stuck.astype(int))
     begins, ends = np.flatnonzero(edges == -1), np.flatnonzero(edges == 1)
-    if begins.size:
-        ends = ends[ends > begins[0]]
-    pairs = zip(begins[: len(ends)], ends, strict=True)
+    ends = ends[ends > begins[0]] if begins.size else ends[:0]
+    pairs = zip(begins, ends, strict=False)  # a run may end within a slip
     found = [(float(time[b]), float(angle[e + 1] - angle[b])) for b, e in pairs]
     return [slip for slip in found if abs(slip[1]) > _SHORTEST]
 
@@ -165,8 +165,10 @@ def _verdict(
         return ("oscillating" if steady else "dying out"), _period_of_crossings(run.time, angle)
     found = slips(run.time[half:], tail, stuck[half:])
     travels = np.array([travel for _, travel in found])
-    if len(travels) < 3 or np.abs(travels).max() < _CALM:
+    if not len(travels) or np.abs(travels).max() < _CALM:
         return "rest", None
+    if len(travels) < 3:
+        return "undecided", None
     both = bool((travels > 0).any() and (travels < 0).any())
     if not both or abs(travels[-2:]).max() < _KEEPS * abs(travels[:2]).max():
         return "dying out", None
@@ -174,13 +176,19 @@ def _verdict(
 
 
 def _period_of_slips(found: list[tuple[float, float]]) -> float | None:
-    """Mean time between slips of one direction that follow one of the other."""
-    begins, last = [], 0.0
+    """Twice the mean time between slips that turn back."""
+    turns, last = list[float](), 0.0
     for begin, travel in found:
-        if travel > 0 and last < 0:
-            begins.append(begin)
+        if travel * last < 0:
+            turns.append(begin)
         last = travel
-    return float(np.mean(np.diff(begins))) if len(begins) > 1 else None
+    if len(turns) < 2:
+        return None
+    # Whole periods where there are any: rest to either side may differ in length.
+    whole = turns[: 2 * ((len(turns) - 1) // 2) + 1]
+    if len(whole) > 2:
+        return 2.0 * (whole[-1] - whole[0]) / (len(whole) - 1)
+    return 2.0 * (turns[-1] - turns[0])
 
 
 def _period_of_crossings(time: FloatArray, angle: FloatArray) -> float | None:

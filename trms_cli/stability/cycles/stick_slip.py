@@ -116,42 +116,48 @@ class StickSlip:
         """The same loop with another friction; what is compiled is kept."""
         other = StickSlip(self.loop, law)
         other.__dict__.update({k: v for k, v in self.__dict__.items() if k != "law"})
-        other.law = law
         return other
 
     @cached_property
     def _step(self) -> BufferedFunction:
-        """``(z, s, h, [F_c, e, v_s]) → z⁺, Ω⁺`` of a slip."""
-        loop = self.loop
-        n = len(loop.b)
+        """``(z, s, h, [F_c, e, v_s], A, b, r) → z⁺, Ω⁺`` of a slip; compiled once for a size."""
+        loop, n = self.loop, len(self.loop.b)
         z, s, h, sizes = (ca.SX.sym(v, k) for v, k in (("z", n), ("s", 1), ("h", 1), ("f", 3)))
-        rate = ca.SX(ca.sparsify(ca.DM(loop.rate))).T
+        A, b, r = ca.SX.sym("A", n, n), ca.SX.sym("b", n), ca.SX.sym("r", n)
 
         def f(at: ca.SX) -> ca.SX:
-            ratio = (rate @ at) / sizes[2]
+            ratio = ca.dot(r, at) / sizes[2]
             moment = sizes[0] * (1 + sizes[1] * ca.exp(-(ratio**2)))
-            return ca.sparsify(ca.DM(loop.A)) @ at - ca.sparsify(ca.DM(loop.b)) * (s * moment)
+            return A @ at - b * (s * moment)
 
         k1 = f(z)
         k2 = f(z + h / 2 * k1)
         k3 = f(z + h / 2 * k2)
         k4 = f(z + h * k3)
         after = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        return BufferedFunction(ca.Function("slip", [z, s, h, sizes], [after, rate @ after]))
+        inputs, results = [z, s, h, sizes, A, b, r], [after, ca.dot(r, after)]
+        step = BufferedFunction(ca.Function("slip", inputs, results))
+        for target, value in zip(step.inputs[4:], (loop.A, loop.b, loop.rate), strict=True):
+            target[...] = value
+        return step
 
     @cached_property
-    def _sticking(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Transitions of a stick by the fine and the coarse step, and the matrix itself."""
+    def _sticking(self) -> tuple[FloatArray, FloatArray]:
+        """Transitions of a stick by the fine and the coarse step."""
         from scipy.linalg import expm
 
-        stuck = self.loop.stuck
-        return expm(stuck * _FINE), expm(stuck * _COARSE), stuck
+        return expm(self.loop.stuck * _FINE), expm(self.loop.stuck * _COARSE)
+
+    @cached_property
+    def _halves(self) -> list[FloatArray]:
+        """Transitions by a half, a quarter… of the coarse step, for bisection."""
+        from scipy.linalg import expm
+
+        return [expm(self.loop.stuck * (_COARSE / 2.0**k)) for k in range(1, _BISECTIONS + 1)]
 
     def stick(self, z: FloatArray) -> tuple[FloatArray, float] | None:
         """State at the next break-away and the time until then; None if it does not come."""
-        from scipy.linalg import expm
-
-        fine, coarse, stuck = self._sticking
+        fine, coarse = self._sticking
         holding, limit = self.loop.holding, self.law.breakaway
         time = 0.0
         while time < LONGEST_STICK:
@@ -162,14 +168,15 @@ class StickSlip:
             z, time = after, time + step
         else:
             return None
-        low, high = 0.0, step
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            if abs(float(holding @ (expm(stuck * middle) @ z))) >= limit:
-                high = middle
-            else:
-                low = middle
-        return expm(stuck * high) @ z, time + high
+        advanced = 0.0
+        for k, transition in enumerate(self._halves, start=1):
+            size = _COARSE / 2.0**k
+            if advanced + size > step:
+                continue
+            after = transition @ z
+            if abs(float(holding @ after)) < limit:
+                z, advanced = after, advanced + size
+        return z, time + advanced
 
     def slip(self, z: FloatArray) -> tuple[FloatArray, float, float] | None:
         """State where the next slip ends, its time and direction; None if it does not end."""

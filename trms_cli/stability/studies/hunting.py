@@ -31,9 +31,11 @@ _Factors = tuple[Annotated[float, Meta(gt=0)], ...]
 
 _LEVEL = {"alpha_v": 0.0, "alpha_h": 0.3}
 #: s, of a run at least; predicted periods that it lasts at least.
-_SHORTEST, _PERIODS = 240.0, 9
+_SHORTEST, _PERIODS = 200.0, 8
+#: By which a run in which slips are too rare to tell is lengthened, once.
+_LONGER = 4.0
 #: Factors of the predicted curves, and excesses beside the one in force.
-_CURVE = np.geomspace(0.25, 4.0, 13)
+_CURVE = np.geomspace(0.25, 4.0, 11)
 _EXCESSES = (0.5, 1.0, 2.0)
 
 
@@ -50,7 +52,7 @@ class Hunting:
     push : float
         rad, by which the axis starts beside its reference.
     duration : float or None
-        s, of each run; None: 240, or nine predicted periods.
+        s, of each run; None: 200, or eight predicted periods.
     torques, integrals : tuple of float or None
         Factors of the friction, and of k_i of a PID, for further runs; None: half and twice for a
         PID, none for others.
@@ -120,10 +122,15 @@ class Hunting:
             # The push may have ended within the reach of rest: begin on the cycle.
             elsewhere = seen
             seen, command = case.seen(duration, channel=channel, push=expected / 2.0)
+        if seen.verdict == "undecided" and self.duration is None:
+            duration *= _LONGER
+            tell(f"slips are rare: {duration:.0f} s of the loop")
+            seen, command = case.seen(duration, channel=channel)
         coulomb = None
         if friction.law.excess > 0:
             tell("the same with Coulomb friction alone")
-            coulomb, _ = case.seen(duration, law=replace(friction.law, excess=0.0))
+            short = min(duration, _SHORTEST)
+            coulomb, _ = case.seen(short, law=replace(friction.law, excess=0.0))
         sweeps = [
             s
             for s in (
