@@ -105,8 +105,8 @@ def certified(
     inner, bounded_by = _inner(found, outer)
     tell("where V rises")
     rising = None
-    if everywhere is None or not everywhere.holds:
-        ceiling = min(found.wells.depth, _DEEPEST)
+    ceiling = min(found.wells.depth, _DEEPEST)
+    if found.level < ceiling and (everywhere is None or not everywhere.holds):
         seek = lowest_rising if found.level > 0.0 else fastest_rising
         rising = seek(found.candidate, found.wells, ceiling)
     tell("claims")

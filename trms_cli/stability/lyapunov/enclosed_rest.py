@@ -78,8 +78,8 @@ def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> I
             return Interval.of(guess - reach, guess + reach)
         if high.upper < 0.0 < low.lower:
             raise ModelError(
-                f"the equilibrium at {what} = {guess:.4g} is on a crest of the potential: a saddle, "
-                "which no function can show to be stable",
+                f"the equilibrium at {what} = {guess:.4g} is on a crest of the potential: a "
+                "saddle, which no function can show to be stable",
                 where="study.at",
                 remedy="choose one in the well, at a smaller angle; study=equilibria shows both",
             )

@@ -15,8 +15,11 @@ from trms_cli.stability.lyapunov.well import Wells
 from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 _STEP = 0.05
+_DOUBLINGS = 60
+_HALVINGS = 50
 #: Rise of V, as a share of its level at the start, that the integrator's error may make.
 _ERROR = 1e-6
 
@@ -59,30 +62,31 @@ def on_level(
 ) -> FloatArray:
     """States of motion with V = level, one on each ray that meets it in the well: (m, 3k)."""
     y, k = candidate.centre, candidate.energy.k
-    found = []
-    for direction in directions:
-        angles = direction[2 * k :]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends = np.where(
-                angles > 0,
-                (wells.ends.upper - y[2 * k :]) / angles,
-                (wells.ends.lower - y[2 * k :]) / angles,
-            )
-        ends = ends[angles != 0.0]
-        high = min(float(np.nanmin(ends, initial=np.inf)), 1e6)
-        low, start = 0.0, 1e-3
-        while start < high and candidate.value(y + start * direction)[0] < level:
-            low, start = start, 1.5 * start
-        high = min(high, start)
-        for _ in range(50):
-            middle = 0.5 * (low + high)
-            if candidate.value(y + middle * direction)[0] < level:
-                low = middle
-            else:
-                high = middle
-        if abs(candidate.value(y + low * direction)[0] - level) < 1e-6 * level:
-            found.append(y + low * direction)
-    return np.array(found).reshape(-1, 3 * k)
+    angles = directions[:, 2 * k :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.where(
+            angles > 0.0,
+            (wells.ends.upper - y[2 * k :]) / angles,
+            (wells.ends.lower - y[2 * k :]) / angles,
+        )
+    ends = np.where(angles == 0.0, np.inf, ends).min(axis=1)
+
+    def below(steps: FloatArray) -> BoolArray:
+        return np.asarray(candidate.value(y + steps[:, None] * directions) < level)
+
+    low, high = np.zeros(len(directions)), np.minimum(1e-3, ends)
+    for _ in range(_DOUBLINGS):
+        short = below(high) & (high < ends)
+        if not short.any():
+            break
+        low = np.where(short, high, low)
+        high = np.where(short, np.minimum(2.0 * high, ends), high)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        under = below(middle)
+        low, high = np.where(under, middle, low), np.where(under, high, middle)
+    found = y + low[:, None] * directions
+    return np.asarray(found[np.abs(candidate.value(found) - level) < 1e-6 * level])
 
 
 def plane_directions(candidate: Candidate, axis: str, count: int) -> FloatArray:
