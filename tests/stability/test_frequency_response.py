@@ -103,6 +103,7 @@ class TestALinearLaw:
         turned = plain.L * np.exp(-1j * plain.omega * PERIOD)[:, None, None]
         assert alike(late.L, turned)
 
+    @pytest.mark.slow
     def test_turns_by_a_delay_in_the_rig_that_it_does_not_know(self, plain):
         rig = extended(MODEL, {"late": InputDelay(rotor="tail", delay=PERIOD)})
         turn = np.ones((plain.omega.size, 2), dtype=complex)

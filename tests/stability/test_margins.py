@@ -220,6 +220,7 @@ class TestBadRequests:
         findings = level.run(subject_of(lqr()), silent)
         assert any("study.at.alpha_h=0.3" in words for words in findings.warnings)
 
+    @pytest.mark.slow
     def test_a_fall_back_is_not_the_law(self):
         findings = STUDY.run(subject_of(Changed(lqr(), status=Status.RELAXED)), silent)
         assert "relaxed" in findings.warnings[0]

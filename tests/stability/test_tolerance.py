@@ -222,10 +222,12 @@ class TestBadRequests:
         with pytest.raises(ConfigurationError, match="alpha_x"):
             replace(NEAR, offset={"alpha_x": 0.1}).run(subject_of(lqr()), silent)
 
+    @pytest.mark.slow
     def test_a_loop_that_is_never_back(self):
         with pytest.raises(ConfigurationError, match="with nothing wrong"):
             replace(NEAR, duration=1.0, swing=1e-9, rest=1e-9).run(subject_of(lqr()), silent)
 
+    @pytest.mark.slow
     def test_a_loop_that_does_not_hold(self):
         findings = NEAR.run(subject_of(Changed(lqr(), late=4)), silent)
         assert findings.results["holds"] is False

@@ -35,14 +35,13 @@ def bode(margins: Margins, condition: str) -> Chart:
         size.append(Points(lines, np.abs(at_lines[:, i]), "lines measured", "dot", "ink", size=1.6))
         degrees = _degrees(curve)
         phase.append(Curve(margins.omega, degrees, label, colour))
-        for limit, panel, values, marker in (
-            (loop.crossings.up, size, np.abs(curve), "triangle"),
-            (loop.crossings.phase, phase, degrees, "square"),
-        ):
-            if limit is not None:
-                value = float(np.interp(limit.omega, margins.omega, values))
-                label = "limit of the gain" if panel is size else "limit of the phase"
-                panel.append(Points([limit.omega], [value], label, marker, colour))
+        up, lost = loop.crossings.up, loop.crossings.phase
+        if up is not None:
+            at = float(np.interp(up.omega, margins.omega, np.abs(curve)))
+            size.append(Points([up.omega], [at], "limit of the gain", "triangle", colour))
+        if lost is not None:
+            at = float(np.interp(lost.omega, margins.omega, degrees))
+            phase.append(Points([lost.omega], [at], "limit of the phase", "square", colour))
     return Chart(
         "margins_bode",
         [

@@ -115,12 +115,18 @@ def _lead(margins: Margins, where: str) -> list[str]:
             f"{_degrees_lost(c.phase)}, {_delay(c.delay)}; the sensitivity peaks at "
             f"{loop.sensitivity.value:.2f} ({loop.sensitivity.omega:.2g} rad/s)."
         )
-    astray = margins.measured.nonlinearity
+    m = margins.measured
     first = f"{where}: the loop is stable, with these margins."
-    if astray > _NOT_LINEAR:
+    if m.nonlinearity > _NOT_LINEAR:
         first = (
-            f"{where}: the loop stays at the point, but {100 * astray:.0f} % of its answer is not "
-            "that of a linear loop. The figures hold for this test signal, and are no margins."
+            f"{where}: the loop stays at the point, but {100 * m.nonlinearity:.0f} % of its answer "
+            "is not that of a linear loop. The figures hold for this test signal, and are no "
+            "margins."
+        )
+    elif m.reversed:
+        first = (
+            f"{where}: the loop stays at the point, but {' and '.join(m.reversed)} passes zero "
+            "there, and no linear loop exists. The figures hold for this test signal."
         )
     lead = [first, *said]
     if len(margins.loops) > 1:
@@ -262,8 +268,9 @@ def _quality_table(margins: Margins) -> Table:
         ["power between the lines", f"{100 * m.beside:.2g} %"],
         ["bound of what the interpolation misses", _share(margins.interpolation, _BETWEEN)],
         ["control samples at a limit", m.limited],
-        *([f"control samples that ended {label}", count] for label, count in m.statuses.items()),
     ]
+    for label, count in m.statuses.items():
+        rows.append([f"control samples that ended {label}", count])
     return Table(["quality of the measurement", "found"], rows, on_screen=False)
 
 

@@ -124,7 +124,9 @@ class Margins:
     @cached_property
     def together(self) -> Crossings:
         """One factor or delay on all commands: by the characteristic loci, eigenvalues of L."""
-        return crossings(self.omega, continuous(np.linalg.eigvals(self.L)))
+        return crossings(
+            self.omega, continuous(np.asarray(np.linalg.eigvals(self.L), dtype=np.complex128))
+        )
 
     @cached_property
     def disk_each(self) -> DiskMargin:

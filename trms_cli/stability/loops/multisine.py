@@ -49,7 +49,7 @@ class Probe:
     @property
     def omega(self) -> FloatArray:
         """Frequencies of the lines, rad/s, (n,)."""
-        return 2 * math.pi * self.lines / self.period
+        return np.asarray(2 * math.pi * self.lines / self.period, dtype=np.float64)
 
     def spectrum(self, samples: FloatArray) -> ComplexArray:
         """Of one period (N, m), at the lines, (n, m)."""
