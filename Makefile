@@ -43,10 +43,10 @@ run: $(READY) ## set up and close the loop: newton_mpc follows a square (ARGS="r
 	@$(BIN)/trms run controller=newton_mpc ref=square $(ARGS)
 
 test: $(READY) ## set up and run the tests
-	@$(BIN)/python -m pytest -n $(JOBS) -m 'not slow' -q $(ARGS)
+	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m 'not slow' -q $(ARGS)
 
 slow: $(READY) ## the long tests
-	@$(BIN)/python -m pytest -n $(JOBS) -m slow -q $(ARGS)
+	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m slow -q $(ARGS)
 
 lint: $(READY) ## formatting, lint and types
 	@$(BIN)/ruff format --check .
