@@ -261,7 +261,7 @@ def setting_of(
         for name, value in asked.items()
         if name in holder and holder[name] not in (None, over)
     }
-    if at is None and "pitch" in model.axes and own["pitch"] not in (None, over):
+    if at is None and "pitch" in model.axes and own["pitch"] is not None and over == own["yaw"]:
         angle = model.axes["pitch"].angle
         if not rest_system(model, {over}).free:
             held = {angle: 0.0}
