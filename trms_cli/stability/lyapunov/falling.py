@@ -89,7 +89,7 @@ def falling(
         ceiling = min(fails, most)
         if lowest.min() >= (1.0 - _CLOSE) * ceiling:
             break
-        order = np.argsort(lowest)[:_CHUNK]
+        order = np.argsort(lowest)[: min(_CHUNK, budget - examined)]
         boxes = waiting[order]
         rest = np.ones(len(lowest), dtype=bool)
         rest[order] = False
