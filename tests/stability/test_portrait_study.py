@@ -20,7 +20,11 @@ from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.observers.full_state import FullState
-from trms_cli.stability.portraits.drawing import has_field
+from trms_cli.stability.portraits.account import Told, lead_of_model
+from trms_cli.stability.portraits.drawing import Picture, has_field
+from trms_cli.stability.portraits.ends import ends_of
+from trms_cli.stability.portraits.journeys import journeys
+from trms_cli.stability.portraits.rest_points import rest_point
 from trms_cli.stability.portraits.section import section_of
 from trms_cli.stability.studies.phase_portrait import PhasePortrait
 from trms_cli.stability.study import silent
@@ -217,3 +221,15 @@ def test_values_of_the_wrong_kind_are_refused_by_their_key(typed, where):
     with pytest.raises(ConfigurationError) as error:
         build(config, "study")
     assert error.value.where == where
+
+
+def test_equilibria_at_one_place_of_the_portrait_are_told_apart():
+    # Hover and the saddle above it have the same speed, and no rate.
+    section = section_of(VERTICAL, ("omega_v", "S_v"), {"alpha_v": 0.0})
+    window = np.array([[100.0, 300.0], [-1.0, 1.0]])
+    above = section.point.x + np.array([0.0, 0.0, 1.90274])
+    both = [rest_point(section, x) for x in (section.point.x, above)]
+    paths = journeys(section, section.point.x[None], 1.0, 0.1)
+    picture = Picture(section, window, both, paths, ends_of(section, window, both, paths), ())
+    lead = lead_of_model(Told(picture, 1.0, False))
+    assert "a stable focus at α_v = 0 rad and a saddle at α_v = 1.903 rad" in lead[0]

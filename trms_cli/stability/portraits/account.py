@@ -198,9 +198,22 @@ def _equilibria(section: Section, rests: Sequence[RestPoint]) -> str:
         return "rest points lie side by side on a line: in its direction nothing pulls"
     alone = all(rest.isolated for rest in rests)
     beside = "" if alone else " (in one direction, not seen here, their neighbours rest too)"
-    words = [f"a {rest.kind} at {place(section, rest)}" for rest in rests]
+    places = [place(section, rest) for rest in rests]
+    if len(set(places)) < len(places):  # they differ in what the portrait does not show
+        places = [_angles(section, rest) for rest in rests]
+    words = [f"a {rest.kind} at {where}" for rest, where in zip(rests, places, strict=True)]
     joined = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
     return f"{joined}{beside}" if len(words) < 6 else f"{len(words)} equilibria in the window"
+
+
+def _angles(section: Section, rest: RestPoint) -> str:
+    """``α_v = 1.903 rad``: by the controlled states."""
+    model = section.coordinates.model
+    shown = [(name, model.state_index(name)) for name in model.controlled]
+    return ", ".join(
+        f"{symbol(name)} = {short(float(rest.x[i]))}{_unit(model.states[i].unit)}"
+        for name, i in shown
+    )
 
 
 def _ends(picture: Picture, duration: float) -> str:
