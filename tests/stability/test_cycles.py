@@ -27,12 +27,9 @@ class Oscillator(Model):
     outputs = (Signal("x", "1"),)
     disturbances = ()
     controlled = ("x",)
-    input_limits = {"u": 2.0}
-    stops: dict[str, float] = {}
-    axes: dict = {}
-    rotors: dict = {}
 
     def __init__(self, equations) -> None:
+        self.input_limits, self.stops, self.axes, self.rotors = {"u": 2.0}, {}, {}, {}
         self.parameters = ParameterSet([], "none")
         self._equations = equations
 
@@ -165,6 +162,24 @@ def test_both_axes_are_left_open():
     proof = absence(model, point.u, box(model, point))
     assert not proof.proved and len(proof.blocks[-1].states) == 4
     assert not proof.blocks[-1].constant
+
+
+def test_what_an_open_block_drives_is_open_too():
+    """x, y cycle as van der Pol's, z settles towards x: a limit cycle in z too."""
+
+    class Driven(Oscillator):
+        states = (*Oscillator.states, Signal("z", "1"))
+
+        def dynamics(self, x, u, p, w):
+            return ca.vertcat(super().dynamics(x, u, p, w), x[0] - x[2])
+
+    model = Driven(lambda x, y, u: (y, (1 - x**2) * y - x))
+    proof = absence(model, np.zeros(1), (-3 * np.ones(3), 3 * np.ones(3)))
+    assert [(block.states, block.constant) for block in proof.blocks] == [
+        (("x", "y"), False),
+        (("z",), False),
+    ]
+    assert proof.blocks[1].driven
 
 
 def test_nothing_is_proved_of_an_oscillator_that_cycles():

@@ -221,7 +221,8 @@ def test_other_levels_are_predicted_too():
 
 
 def test_another_controller_is_only_simulated():
-    loop = replace(LOOP, controller=Lqr(operating_point={"alpha_v": 0.0}), names={"controller": "lqr", "observer": "full_state"})  # fmt: skip
+    names = {"controller": "lqr", "observer": "full_state"}
+    loop = replace(LOOP, controller=Lqr(operating_point={"alpha_v": 0.0}), names=names)
     findings = Hunting(duration=40.0).run(Subject(RIG, "newtonian_vertical", loop), silent)
     assert findings.results["predicted"] is None and findings.results["levels"] == []
     assert any("controller=pid only" in words for words in findings.warnings)

@@ -49,16 +49,21 @@ class Block:
         Whether they hold for all states; else in the box.
     constant : bool
         Whether its periodic solutions are proved to be constant.
+    driven : bool
+        Whether a block that is not proved constant acts on it.
     """
 
     states: tuple[str, ...]
     divergence: tuple[float, float] | None
     everywhere: bool
     constant: bool
+    driven: bool = False
 
     @property
     def reason(self) -> str:
         """Why, in a few words."""
+        if self.driven:
+            return "driven by a block that stays open"
         if len(self.states) == 1:
             return "one state: periodic only if constant"
         if self.divergence is None:
@@ -110,9 +115,16 @@ def absence(model: Model, u: FloatArray, box: tuple[FloatArray, FloatArray]) -> 
     at = [x, ca.SX(u), ca.SX(field.parameters), ca.SX.zeros(model.n_w)]
     f = ca.Function("f", [x, command, p, w], [f])(*at)
     slope = ca.jacobian(f, x)
-    blocks = []
+    blocks: list[Block] = []
+    not_constant: set[int] = set()
+    pattern = ca.DM(slope.sparsity(), 1.0).full() > 0
     for members in _cascade(slope.sparsity()):
         named = tuple(model.state_names[i] for i in members)
+        if blocks and not blocks[-1].constant:
+            not_constant |= {model.state_index(name) for name in blocks[-1].states}
+        if any(pattern[i, j] for i in members for j in not_constant):
+            blocks.append(Block(named, None, False, False, driven=True))
+            continue
         if len(members) == 1:
             blocks.append(Block(named, None, True, True))
             continue

@@ -148,8 +148,8 @@ def _lead(studied: Studied) -> list[str]:
         ]
     elif seen.verdict == "undecided":
         lead = [
-            f"Undecided, with {friction}: the axis slipped only once or twice in the second half of "
-            f"{seen.time[-1]:.0f} s; run longer (study.duration={4 * seen.time[-1]:.0f})."
+            f"Undecided, with {friction}: the axis slipped only once or twice in the second half "
+            f"of {seen.time[-1]:.0f} s; run longer (study.duration={4 * seen.time[-1]:.0f})."
         ]
     elif seen.verdict == "unstable":
         lead = [f"The loop does not hold, with {friction}: look at its margins (study=margins)."]
@@ -300,8 +300,14 @@ def _harmonic_section(studied: Studied, one: Harmonics) -> Section:
         "An axis that sticks, under a sine of the moment, has no balance with the loop either."
         if one.balance is None
         else f"With the axis that sticks under a sine of the moment there is a balance: "
-        f"{one.balance.swing:.4f} rad every {2 * np.pi / one.balance.omega:.2f} s. It tells that "
-        "there is a cycle; its figures are rough, as the moment on an axis that sticks is a ramp."
+        f"{one.balance.swing:.4f} rad every {2 * np.pi / one.balance.omega:.2f} s"
+        + (
+            ". It tells that there is a cycle; its figures are rough, as the moment on an axis that "
+            "sticks is a ramp, no sine."
+            if studied.prediction is not None and studied.prediction.cycle is not None
+            else ", and that is wrong: the moment on an axis that sticks is a ramp, no sine. The "
+            "event map and the simulation have no cycle."
+        )
     )
     return Section("Describing functions", (sliding, sticking), (nyquist(one),))
 

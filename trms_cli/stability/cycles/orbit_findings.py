@@ -34,8 +34,8 @@ def _answer(found: Found) -> list[str]:
         return [
             "There is no limit cycle, whatever the start: proved by Bendixson's criterion "
             f"({words}).",
-            "All motions that stay bounded end at an equilibrium: "
-            f"{_fates(found.search)} in {found.duration:g} s.",
+            f"In simulation, {len(found.search.motions)} motions of {found.duration:g} s: "
+            f"{_fates(found.search)}.",
         ]
     orbits = found.search.orbits
     if not orbits:
@@ -44,10 +44,10 @@ def _answer(found: Found) -> list[str]:
             if found.proof.proved and found.smooth
             else ""
         )
-        means = "motions and Newton's method on their returns" if found.smooth else "motions"
+        means = " and Newton's method on their returns" if found.smooth else ""
         return [
-            f"{proved}No limit cycle was found at {words}, by {len(found.search.motions)} {means} "
-            f"of {found.duration:g} s from the box of starts ({_fates(found.search)})."
+            f"{proved}No limit cycle was found at {words}, by {len(found.search.motions)} motions "
+            f"of {found.duration:g} s from the box of starts{means} ({_fates(found.search)})."
             + ("" if proved else " That is a search, not a proof.")
         ]
     count = {True: 0, False: 0}
@@ -83,6 +83,11 @@ def _hopf_words(found: Found) -> list[str]:
     command = found.model.inputs[found.channel]
     signal = found.model.states[found.state]
     low, high = (float(v) for v in found.over.curve.commands[[0, -1]])
+    if low == high:
+        return [
+            f"Over {symbol(command.name)} alone the equilibrium does not go on: the other commands "
+            "would have to follow."
+        ]
     reach = f"{symbol(command.name)} from {low:.3g} to {high:.3g} {command.unit}"
     if not found.over.hopfs:
         return [f"Over {reach} the equilibrium has no Hopf point: no cycle is born from it."]

@@ -114,7 +114,8 @@ def half_widths(model: Model, x: FloatArray, given: Mapping[str, float]) -> Floa
     for name in model.controlled:
         i = model.state_index(name)
         if model.states[i].unit == "rad":
-            found[i] = 0.5 * model.stops.get(name, 1.0)
+            stop = model.stops.get(name, 1.0)
+            found[i] = 0.5 * stop if np.isfinite(stop) else 0.5
     for name, width in given.items():
         found[model.state_index(name)] = width
     return found

@@ -22,14 +22,14 @@ from trms_cli.stability.cycles.hunting_prediction import harmonics, predicted, s
 from trms_cli.stability.cycles.hunting_runs import Watched, watched, with_sizes
 from trms_cli.stability.cycles.pid_loop import friction_loop
 from trms_cli.stability.cycles.stick_slip import StickSlip
+from trms_cli.stability.cycles.usual_point import usual_point
 from trms_cli.stability.findings import Findings
-from trms_cli.stability.operating_point import OperatingPoint, operating_point
+from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
 
 _Factors = tuple[Annotated[float, Meta(gt=0)], ...]
 
-_LEVEL = {"alpha_v": 0.0, "alpha_h": 0.3}
 #: s, of a run at least; predicted periods that it lasts at least.
 _SHORTEST, _PERIODS = 200.0, 8
 #: By which a run in which slips are too rare to tell is lengthened, once.
@@ -85,8 +85,7 @@ class Hunting:
                 where="integrals",
                 remedy="leave it out, or choose controller=pid",
             )
-        asked = self.at or {name: _LEVEL[name] for name in model.controlled if name in _LEVEL}
-        point = operating_point(model, asked)
+        point = usual_point(model, self.at)
         channel = names(model.inputs).index(model.rotors[ROTOR_OF_AXIS[friction.axis]])
         case = _Case(model, loop, point, friction, self.push)
         prediction = one = events = None

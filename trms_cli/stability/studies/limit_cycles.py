@@ -16,14 +16,10 @@ from trms_cli.stability.cycles.orbit_findings import Found, findings_of
 from trms_cli.stability.cycles.over_command import followed_over
 from trms_cli.stability.cycles.search import half_widths, has_impulses, searched, starts_in
 from trms_cli.stability.cycles.shooting import Shooting
+from trms_cli.stability.cycles.usual_point import usual_point
 from trms_cli.stability.findings import Findings
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
-
-#: Level, and yaw where the cable pulls: at yaw 0 its stiffness jumps, and a cycle that small
-#: has no slopes.
-_LEVEL = {"alpha_v": 0.0, "alpha_h": 0.3}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +79,7 @@ class LimitCycles:
                 remedy=nearest(over, inputs),
             )
         channel = inputs.index(over)
-        asked = self.at or {name: _LEVEL[name] for name in model.controlled if name in _LEVEL}
-        point = operating_point(model, asked)
+        point = usual_point(model, self.at)
         widths = half_widths(model, point.x, self.box)
         smooth = not has_impulses(model)
         tell("is a cycle possible at all")
