@@ -302,8 +302,8 @@ def _harmonic_section(studied: Studied, one: Harmonics) -> Section:
         else f"With the axis that sticks under a sine of the moment there is a balance: "
         f"{one.balance.swing:.4f} rad every {2 * np.pi / one.balance.omega:.2f} s"
         + (
-            ". It tells that there is a cycle; its figures are rough, as the moment on an axis that "
-            "sticks is a ramp, no sine."
+            ". It tells that there is a cycle; its figures are rough, as the moment on an axis "
+            "that sticks is a ramp, no sine."
             if studied.prediction is not None and studied.prediction.cycle is not None
             else ", and that is wrong: the moment on an axis that sticks is a ramp, no sine. The "
             "event map and the simulation have no cycle."
