@@ -218,6 +218,17 @@ def test_motions_into_a_saddle_of_three_states_fill_a_surface():
     assert (np.abs(from_middle.c - saddle.c) / np.ptp(window, axis=1)).max(axis=1).min() < 0.01
 
 
+def test_the_ways_out_of_a_saddle_of_more_states_are_motions_of_all_of_them():
+    section = section_of(Newtonian(), ("alpha_v", "rate_v"), {"alpha_v": 0.0})
+    saddle = search(section, WINDOW)[1]
+    back, over = sorted(
+        separatrices(section, False, WINDOW, saddle, 25.0), key=lambda path: path.c[-1, 0]
+    )
+    assert not (back.into or over.into)
+    assert np.all(np.abs(back.c) <= 2.5) and over.c[-1, 0] > 2.5
+    assert back.c[0] == pytest.approx(saddle.c) and back.c[:, 0].min() < -0.5
+
+
 def test_no_separatrix_of_what_is_no_saddle(hover, rests):
     assert separatrices(hover, True, WINDOW, rests[0], 5.0) == ()
 

@@ -34,6 +34,8 @@ _NO_RATE = 1e-10
 #: Two rest points closer than this, in shares of the window, are one.
 _SAME = 1e-5
 _MOST = 24
+#: rad: a little more than π. Beyond, the same rest is met again in another turn.
+_HALF_A_TURN = 3.6
 #: Share of a mode's participation that must lie in the coordinates' states.
 _SHOWN = 0.3
 
@@ -104,6 +106,7 @@ def _no_rate(eigenvalues: npt.NDArray[np.complex128]) -> float:
 def search(section: Section, window: FloatArray) -> tuple[RestPoint, ...]:
     """Equilibria whose coordinates lie in a window (n_c, 2), sorted by them.
 
+    Angles that the portrait does not show are looked at within half a turn of the operating point.
     At most a few of a continuum (a yaw that nothing pulls back) are returned.
     """
     coordinates, point = section.coordinates, section.point
@@ -117,11 +120,20 @@ def search(section: Section, window: FloatArray) -> tuple[RestPoint, ...]:
         c = coordinates.values(x, point.u)
         if np.any(c < window[:, 0] - _SAME * width) or np.any(c > window[:, 1] + _SAME * width):
             continue
+        if _turned(section, x):
+            continue
         scale = np.maximum(1.0, np.abs(x))
         if all(np.abs((x - other) / scale).max() > _SAME for other in found):
             found.append(x)
     points = [rest_point(section, x) for x in found]
     return tuple(sorted(points, key=lambda rest: tuple(rest.c.round(6))))
+
+
+def _turned(section: Section, x: FloatArray) -> bool:
+    """Whether an angle that the portrait does not show is more than half a turn away."""
+    model = section.coordinates.model
+    unseen = [i for i in section.coordinates.others if model.states[i].unit == "rad"]
+    return bool(np.any(np.abs(x - section.point.x)[unseen] > _HALF_A_TURN))
 
 
 def rest_point(section: Section, x: FloatArray) -> RestPoint:

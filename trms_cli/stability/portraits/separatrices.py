@@ -32,6 +32,8 @@ _RING = 20
 _TOLERANCE = 1e-7
 #: Widths of the window, and parts of the duration after which the length is looked at.
 _LONGEST, _PARTS = 3.0, 10
+#: s between points of a motion of the whole model.
+_STEP = 0.02
 #: 1/s. Slower than this is no direction of a saddle.
 _NO_RATE = 1e-6
 
@@ -110,16 +112,23 @@ def _of_whole(
         size = float(np.abs(ahead / width).max()) / 1e-6
         if size < 1e-6:
             continue
-        for sign in (-1.0, 1.0):
-            path = _followed(
-                lambda x: coordinates.field.rates(x, u),
-                lambda x: coordinates.values(x, u),
-                rest.x + sign * _BESIDE / size * vector,
-                into,
-                window,
-                duration,
-            )
-            found.append(Separatrix(_whole(path, rest.c, into), into))
+        beside = rest.x + np.array([[-1.0], [1.0]]) * _BESIDE / size * vector
+        if into:
+            paths = [
+                _followed(
+                    lambda x: coordinates.field.rates(x, u),
+                    lambda x: coordinates.values(x, u),
+                    start,
+                    into,
+                    window,
+                    duration,
+                )
+                for start in beside
+            ]
+        else:
+            moved = coordinates.field.motions(beside, u, duration, _STEP, impulses=False)
+            paths = [_cut(path, window) for path in coordinates.values(moved, u).swapaxes(0, 1)]
+        found += [Separatrix(_whole(path, rest.c, into), into) for path in paths]
     return tuple(found)
 
 
@@ -185,6 +194,18 @@ def _followed(
             break
         start = solution.y[:, -1]
     return np.array(path)
+
+
+def _cut(path: FloatArray, window: FloatArray) -> FloatArray:
+    """A motion (n, n_c) until it leaves the window or is long enough."""
+    width = np.ptp(window, axis=1)
+    outside = np.any(
+        (path < window[:, 0] - _BEYOND * width) | (path > window[:, 1] + _BEYOND * width), axis=1
+    )
+    steps = np.linalg.norm(np.diff(path, axis=0) / width, axis=1)
+    over = outside | ~np.isfinite(path).all(axis=1)
+    over[1:] |= np.cumsum(steps) > _LONGEST
+    return path[: int(np.argmax(over)) + 1] if over.any() else path
 
 
 def _whole(path: FloatArray, saddle: FloatArray, into: bool) -> FloatArray:
