@@ -7,6 +7,7 @@ import pytest
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.feedback_manual import FeedbackManual
+from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian, geometry
 from trms_cli.stability.local.crossings import crossings
 from trms_cli.stability.local.entries import entry_words, state_words
@@ -98,6 +99,28 @@ def test_the_loop_is_closed_over_pitch_and_yaw():
     strongest = loops_through(a, row, column, 1j * found.frequency)[0]
     words = {state_words(path.model, k) for k in strongest.states}
     assert words == {"pitch rate", "pitch angle", "yaw rate"}
+
+
+def test_the_instability_needs_both_couplings_in_product():
+    _, _, (over_k_g,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
+    thesis = Newtonian(parameter_set="rahideh")
+    _, _, (over_k_m,) = locus({"alpha_v": 0.4}, "k_m", (0.0, 4e-4), model=thesis)
+    bench = Newtonian().parameters
+    assert over_k_m.value * thesis.parameters["k_g"].value == pytest.approx(
+        over_k_g.value * bench["k_m"].value, rel=1e-6
+    )
+
+
+def test_the_lagrangian_form_has_no_such_instability():
+    model = Lagrangian(parameter_set="rahideh")
+    path, sweep, found = locus({}, "alpha_v", (-0.6, 0.94), points=31, model=model)
+    assert found == () and sweep.eigenvalues.real.max() < 0
+    # Its yaw moment depends on the pitch rate, which the Newtonian form's does not.
+    for form, expected in ((model, -0.186), (Newtonian(parameter_set="rahideh"), 0.0)):
+        path = Path(form, {}, "alpha_v")
+        point = path.first(0.4, 0.4).point
+        row, column = (form.state_index(name) for name in ("S_h", "S_v"))
+        assert path.linear.a(point.x, point.u)[row, column] == pytest.approx(expected, abs=1e-3)
 
 
 def test_gains_of_loops_are_those_of_masons_rule():

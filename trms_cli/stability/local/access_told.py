@@ -24,6 +24,8 @@ _GRADES: dict[str, tuple[str, Judgement]] = {
     "weak": ("weakly", "doubtful"),
     "yes": ("yes", "good"),
 }
+#: A full command that moves an angle by less than this share of a typical motion is no input to it.
+_LITTLE = 0.1
 #: Commands beyond this many limits move nothing worth the name.
 _ABSURD = 1e3
 
@@ -50,7 +52,7 @@ def lead_of(found: Found, along: Along) -> list[str]:
             f"To move {name} by {size} in {found.duration:g} s takes at least (rms): "
             f"{'; '.join(parts)}."
         )
-        told += _loss_words(along, i)
+        told += _loss_words(found, along, i)
     for one in found.sets:
         blind = [
             a.mode.name
@@ -69,15 +71,16 @@ def lead_of(found: Found, along: Along) -> list[str]:
     return told
 
 
-def _loss_words(along: Along, i: int) -> list[str]:
+def _loss_words(found: Found, along: Along, i: int) -> list[str]:
     """Where an input ceases to move a controlled state, if it does within the range."""
     path, values = along.path, along.sweep.values
     told = []
     for j, signal in enumerate(path.model.inputs):
         reach = along.reach.per_volt[:, i, j]
         best = float(reach.max(initial=0.0))
-        zero = np.flatnonzero(reach <= 1e-6 * best) if best > 0 else np.array([], dtype=int)
-        if 0 < len(zero) <= 3:
+        zero = np.flatnonzero(reach <= 1e-6 * best)
+        # What hardly moves it anywhere has nothing to lose.
+        if 0 < len(zero) <= 3 and best * found.scales.u[j] > _LITTLE * MOTION:
             at = values[zero[0]]
             unit = f" {path.unit}" if path.unit else ""
             told.append(
