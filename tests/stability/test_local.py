@@ -284,3 +284,40 @@ def test_states_of_effects_are_named_after_the_effect():
         Newtonian(), {"yaw_cable_hysteresis": CableHysteresis(axis="yaw", torque=0.004, width=0.1)}
     )
     assert parts_of(model)[-1] == Part("yaw cable hysteresis")
+
+
+def growth_in_simulation(alpha_v, duration=240.0):
+    """Rate at which a pitch swing of 1e-4 rad grows in the nonlinear equations, both slopes in."""
+    model = Newtonian(parameter_set="rahideh")
+    point = Balance(model).first({"alpha_v": alpha_v})
+    start = point.x.copy()
+    row = model.state_index("alpha_v")
+    start[row] += 1e-4
+    run = VectorField(model).motions(start, point.u, duration, 0.02, impulses=False)[:, 0, row]
+    swing = run - alpha_v
+    tops = np.flatnonzero((swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:])) + 1
+    tops = tops[tops > 2000]  # the other modes have died out
+    return np.polyfit(tops * 0.02, np.log(swing[tops]), 1)[0]
+
+
+def test_small_swings_across_the_switch_grow_as_the_mean_of_both_slopes_says():
+    # The crossing is at 0.3396 and 0.3541 rad with the slopes of either side, at 0.3468 with the
+    # mean; the simulated swing decides for the mean, to 2 mrad.
+    assert growth_in_simulation(0.3447) < 0 < growth_in_simulation(0.3489)
+
+
+def test_the_growth_of_a_simulated_swing_is_that_of_its_eigenvalue():
+    modes = modes_at(Newtonian(parameter_set="rahideh"), {"alpha_v": 0.4})
+    pitch = by_name(modes)["pitch swing"]
+    assert growth_in_simulation(0.4, 120.0) == pytest.approx(pitch.real, rel=0.05)
+
+
+def test_the_yaw_swing_across_the_switch_has_nearly_the_frequency_of_the_mean():
+    model = Newtonian(freedom="horizontal")
+    yaw = by_name(modes_at(model, {}))["yaw swing"]
+    start = [0.0, 0.05, 0.0]
+    angle = VectorField(model).motions(start, [0.0], 40.0, 0.005, impulses=False)[:, 0, 2]
+    k = np.flatnonzero((angle[:-1] < 0) & (angle[1:] >= 0))
+    crossings = 0.005 * (k + angle[k] / (angle[k] - angle[k + 1]))
+    found = 2 * np.pi / np.diff(crossings)
+    assert found == pytest.approx(yaw.imag, rel=0.02)
