@@ -198,6 +198,8 @@ def test_an_unstable_point_is_told_from_a_function_that_fails() -> None:
     [
         (Tras(), "is not stated here"),
         (Newtonian(currents="dynamic"), "quasi-static"),
+        (Newtonian(parameters={"k_ov": 0.0}), "viscous friction of pitch"),
+        (Lagrangian(parameters={"k_chn": 0.0}), "yaw rests anywhere"),
         (
             extended(Newtonian(), {"main_inflow": Inflow(rotor="main", coefficient=0.1)}),
             "main_inflow",

@@ -183,12 +183,14 @@ def _limits(
 ) -> Panel:
     """Where Q is not definite, beside N."""
     candidate = certificate.found.candidate
-    x, y, places = _grid(certificate, first, second, 1.6 * display)
+    whole = certificate.outer >= certificate.found.wells.depth * (1.0 - 1e-6)
+    x, y, places = _grid(certificate, first, second, display if whole else 1.6 * display)
     flat = places.reshape(-1, places.shape[2])
     value = candidate.value(flat).reshape(_GRID, _GRID)
     bad = ~definite(candidate.matrices(Interval.point(flat)))[0].reshape(_GRID, _GRID)
     marks = _sets(certificate, x, y, value, np.ones(_GRID, dtype=bool))
-    marks.append(Region(x, y, bad, "V may rise", "vermilion", 0.3))
+    if bad.any():
+        marks.append(Region(x, y, bad, "no decay proved", "vermilion", 0.3))
     marks.append(
         Contour(x, y, value, [display * s for s in (0.1, 0.4, 1.0)], "", "grey", width=0.8)
     )
@@ -197,7 +199,7 @@ def _limits(
         Axis(_name(first), _UNIT[first[0]]),
         Axis(_name(second), _UNIT[second[0]]),
         marks,
-        "Where the decay ends",
+        "The decay is proved all over" if whole else "Where the decay ends",
     )
 
 

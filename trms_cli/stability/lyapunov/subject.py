@@ -84,4 +84,24 @@ def rig_of(subject: Subject) -> Rig:
             where="model.currents",
             remedy="model.currents=quasi_static (it differs by less than 1e-4 rad)",
         )
+    _require_friction_and_cable(model)
     return Rig(model, tuple(resisting), tuple(dry), tuple(sensing))
+
+
+def _require_friction_and_cable(model: TwinRotor) -> None:
+    c = {p.name: p.value for p in model.parameters}
+    for axis, name in (("h", "yaw"), ("v", "pitch")):
+        if f"alpha_{axis}" in model.state_names and not c[f"k_o{axis}"] > 0.0:
+            raise ModelError(
+                f"k_o{axis} = {c[f'k_o{axis}']:g}: without viscous friction of {name} its energy "
+                "has nothing to fall by",
+                where=f"model.parameters.k_o{axis}",
+                remedy="give it a value above 0",
+            )
+    if "alpha_h" in model.state_names and not min(c["k_chp"], c["k_chn"]) > 0.0:
+        raise ModelError(
+            "without a cable that pulls back (k_chp, k_chn > 0) yaw rests anywhere: there is no "
+            "single equilibrium to prove",
+            where="model.parameters.k_chp",
+            remedy="give both a value above 0, or choose model=newtonian_vertical",
+        )

@@ -72,9 +72,6 @@ def wells_of(candidate: Candidate) -> Wells:
             proofs += _rises(candidate, a, rest, float(lower[i]), float(upper[i]))
             heights = [candidate.well_at(a, end) for end in (lower[i], upper[i])]
             depth = min(heights)
-        elif min(energy.c["k_chp"], energy.c["k_chn"]) <= 0.0:
-            none = Interval(np.array([[-math.inf]]), np.array([[math.inf]]))
-            proofs.append(Proof("undecided", None, None, 0, none))
     return Wells(Interval(lower, upper), depth, saddles, tuple(proofs))
 
 
