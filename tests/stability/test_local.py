@@ -284,6 +284,9 @@ def test_states_of_effects_are_named_after_the_effect():
         Newtonian(), {"yaw_cable_hysteresis": CableHysteresis(axis="yaw", torque=0.004, width=0.1)}
     )
     assert parts_of(model)[-1] == Part("yaw cable hysteresis")
+    # Of all memories that it may rest with, that of a rig without a past.
+    point = Balance(model).first({"alpha_v": 0.0})
+    assert abs(point.x[-1]) < 1e-6 and abs(point.u[model.n_u - 1]) < 1e-6
 
 
 def growth_in_simulation(alpha_v, duration=240.0):

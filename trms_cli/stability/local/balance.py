@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.operating_point import SteadyState
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import nearest
+from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.models.model import Model, names
 from trms_cli.models.rest import rest_equations
 from trms_cli.stability.operating_point import OperatingPoint, operating_point
@@ -119,6 +120,9 @@ class Balance:
         """
         held = self.held(at, where)
         if self.model.sample_time is None:
+            beside = self._without_memory(at, held, where)
+            if beside is not None:
+                return beside
             point = operating_point(self.model, at, where)
             return self.solve(held, point) or point
         rest = OperatingPoint(self.model.rest(), np.zeros(self.model.n_u))
@@ -138,6 +142,26 @@ class Balance:
                 remedy="ask for a smaller angle or command",
             )
         return found
+
+    def _without_memory(
+        self, at: Mapping[str, float], held: Held, where: str
+    ) -> OperatingPoint | None:
+        """The point next to that of the model without effects, where effects have states.
+
+        A hysteresis rests with any memory: of a whole line of points this is the one that a rig
+        without a past has.
+        """
+        plain = self.model
+        while isinstance(plain, ExtendedModel):
+            plain = plain.base
+        if plain.n_x == self.model.n_x:
+            return None
+        try:
+            point = operating_point(plain, at, where)
+        except TrmsError:
+            return None
+        x = np.concatenate([point.x, self.model.rest()[plain.n_x :]])
+        return self.solve(held, OperatingPoint(x, point.u))
 
     def solve(self, held: Held, guess: OperatingPoint) -> OperatingPoint | None:
         """Newton's method from a point nearby; None where it does not converge."""
