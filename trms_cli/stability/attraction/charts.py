@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.chart import Axis, Chart, Colour, Contour, Curve, Mark, Panel, Points, Region
+from trms_cli.core.chart import (
+    Axis,
+    Chart,
+    Colour,
+    Contour,
+    Curve,
+    Mark,
+    Marker,
+    Panel,
+    Points,
+    Region,
+)
 from trms_cli.stability.attraction.estimates import Estimate, Method
 from trms_cli.stability.attraction.inquiry import Region as Found
 from trms_cli.stability.attraction.truth import SETTLED
@@ -81,7 +92,11 @@ def _panel(found: Found, box: FloatArray, title: str) -> Panel:
             label = "motions that do" if settled else "motions that do not"
             marks.append(
                 Curve(
-                    origin[i] + shown[:, i], origin[j] + shown[:, j], label, colour, width=0.7,
+                    origin[i] + shown[:, i],
+                    origin[j] + shown[:, j],
+                    label,
+                    colour,
+                    width=0.7,
                     arrow=not bool(np.all(out)),
                 )
             )
@@ -90,9 +105,12 @@ def _panel(found: Found, box: FloatArray, title: str) -> Panel:
     for rest in found.rests:
         place = rest.y if found.starts.direct else rest.y[: len(box)]
         if np.all(np.abs(place[[i, j]]) <= box[[i, j]]):
-            label, marker = ("another rest", "stable") if rest.stable else ("saddle", "saddle")
+            label = "another rest" if rest.stable else "saddle"
+            marker: Marker = "stable" if rest.stable else "saddle"
             marks.append(
-                Points([origin[i] + place[i]], [origin[j] + place[j]], label, marker, "alarm", size=8)  # type: ignore[arg-type]
+                Points(
+                    [origin[i] + place[i]], [origin[j] + place[j]], label, marker, "alarm", size=8
+                )
             )
     names, model = found.starts.names, found.system.model
     axes = [

@@ -39,7 +39,8 @@ def positive_definite(matrix: Interval) -> BoolArray:
     half = Interval.point(np.full_like(matrix.lower, 0.5))
     both = (matrix + turned) * half
     finite = np.all(np.isfinite(both.lower) & np.isfinite(both.upper), axis=(1, 2))
-    middle = np.where(finite[:, None, None], 0.5 * (both.lower + both.upper), 0.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        middle = np.where(finite[:, None, None], 0.5 * (both.lower + both.upper), 0.0)
     middle = 0.5 * (middle + middle.transpose(0, 2, 1))
     radius = np.maximum(both.upper - middle, middle - both.lower) * (1.0 + 1e-12)
     n = middle.shape[1]

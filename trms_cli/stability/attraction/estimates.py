@@ -20,7 +20,7 @@ from trms_cli.stability.attraction.inclusion import (
     optimised,
 )
 from trms_cli.stability.attraction.level_set import Rays, SampledLevel, sampled_level
-from trms_cli.stability.attraction.proof import frame, proved_level
+from trms_cli.stability.attraction.proof import LevelProof, frame, proved_level
 from trms_cli.stability.attraction.system import Around
 from trms_cli.stability.study import Tell
 
@@ -36,6 +36,9 @@ LABELS: dict[Method, str] = {
     "integrals": "with integrals of the rates",
     "quartic": "polynomial of degree 4",
 }
+#: States up to which functions with many weights are fitted unasked, and proofs by boxes are tried:
+#: the number of boxes grows with a power of the states.
+_FEW = 3
 #: Share of the sampled level that is to be proved: V̇ = 0 on the level itself.
 _SHARE = 0.98
 _RAYS = 600
@@ -115,7 +118,7 @@ class Estimate:
 def estimates(
     system: Around,
     limits: FloatArray,
-    methods: Sequence[Method],
+    methods: Sequence[Method] | None,
     most: int,
     tell: Tell,
     linear_inside: tuple[Around, FloatArray] | None = None,
@@ -128,7 +131,8 @@ def estimates(
         Around an attractive equilibrium.
     limits : (n,) array
         Nothing is sought beyond \\|y_i\\| ≤ limits_i.
-    methods : sequence of Method
+    methods : sequence of Method or None
+        None: all for a few states, without those that are fitted for more.
     most : int
         Boxes for one proof.
     tell : callable
@@ -136,6 +140,8 @@ def estimates(
         For the methods by inclusion: simpler equations, the same where \\|row · y\\| < 1 for every
         row.
     """
+    if methods is None:
+        methods = tuple(LABELS) if system.n <= _FEW else ("lyapunov", "inclusion", "level_set")
     walls, simple = np.diag(1.0 / limits), system
     if linear_inside is not None:
         simple = linear_inside[0]
@@ -194,10 +200,12 @@ def _by_level_set(
     if not reached:
         return []
     candidate, level = max(reached, key=lambda pair: pair[1].log_volume)
-    tell(f"{LABELS[method]}: proof by boxes")
-    proof = proved_level(
-        candidate, level, most, _SHARE, lambda words: tell(f"{LABELS[method]}: {words}")
-    )
+    proof = LevelProof(0.0, 0, False, 0.0, frame(candidate, level))
+    if system.n <= _FEW:
+        tell(f"{LABELS[method]}: proof by boxes")
+        proof = proved_level(
+            candidate, level, most, _SHARE, lambda words: tell(f"{LABELS[method]}: {words}")
+        )
     common = {"sampled": level.level, "samples": level.samples, "boxes": proof.boxes}
     found = []
     if proof.level > 0.0:

@@ -86,9 +86,7 @@ def _points(
     return inside, few * random.uniform(0.01, 0.2, (len(few), 1))
 
 
-def _fitted(
-    basis: Basis, far: FloatArray, near: FloatArray, first: Candidate
-) -> Candidate | None:
+def _fitted(basis: Basis, far: FloatArray, near: FloatArray, first: Candidate) -> Candidate | None:
     from scipy.optimize import linprog
 
     y = np.vstack([far, near])

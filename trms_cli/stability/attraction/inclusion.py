@@ -19,6 +19,7 @@ proposal: what is reported is proved again in interval arithmetic.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -153,7 +154,7 @@ def optimised(
         Proved; None where no box admits a common P.
     """
     search = _Search(system, slabs)
-    most = max(20, min(60, 100 - 10 * system.n)) if most is None else most
+    most = max(12, min(60, 100 - 11 * system.n)) if most is None else most
     begin = scales(system) if first is None else first.extents
     scale = _largest(lambda s: search.at(begin * s) is not None, 1.0, 0.1)
     best = None if scale is None else search.at(begin * scale)
@@ -253,7 +254,10 @@ class _Search:
             # A slot that is not used holds a matrix that asks for nothing.
             parameter.value = matrices[k] if k < len(matrices) else self._idle
         try:
-            self._problem.solve(solver=cp.CLARABEL, warm_start=False)
+            with warnings.catch_warnings():
+                # An inaccurate solution is a proposal like any other.
+                warnings.simplefilter("ignore")
+                self._problem.solve(solver=cp.CLARABEL, warm_start=False)
         except (cp.SolverError, ArithmeticError):
             return None
         if self._problem.status not in ("optimal", "optimal_inaccurate"):

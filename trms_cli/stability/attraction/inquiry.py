@@ -79,23 +79,29 @@ class Options:
 
     Attributes
     ----------
-    methods : sequence of Method
+    methods : sequence of Method or None
     box : dict of str to float
         Half-widths of the box of starts by state.
     plane : sequence of str
         Two states that the figure shows; empty: the first two of starts that are angle and rate.
-    boxes, samples, grid : int
+    boxes : int
+    samples, grid : int or None
     duration : float or None
         s.
     """
 
-    methods: Sequence[Method]
+    methods: Sequence[Method] | None
     box: Mapping[str, float]
     plane: Sequence[str]
     boxes: int
-    samples: int
-    grid: int
+    samples: int | None
+    grid: int | None
     duration: float | None
+
+    def for_states(self, n: int) -> tuple[int, int]:
+        """Samples and grid: fewer where motions of many states take long to arrive."""
+        samples = (2000 if n <= 3 else 800) if self.samples is None else self.samples
+        return samples, (61 if n <= 3 else 41) if self.grid is None else self.grid
 
 
 @dataclass(frozen=True)
@@ -202,36 +208,32 @@ def inquire(
     limits = _limits(system, options.box)
     found = estimates(system, limits, options.methods, options.boxes, tell, linear_inside)
     proved = [e for e in found if e.proved]
-    if proved:
-        arrival = max(proved, key=lambda e: e.log_volume).contains
-    else:
-        arrival = _tiny(system, limits)
+    arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(system, limits)
     if box is None:
         reach = np.max([e.extents for e in found], axis=0) if found else 0.2 * limits
         box = np.minimum(_ROOM * reach, limits)
-    box = np.array(
-        [options.box.get(n, float(r)) for n, r in zip(starts.names, box, strict=True)]
-    )
+    box = np.array([options.box.get(n, float(r)) for n, r in zip(starts.names, box, strict=True)])
+    samples, grid = options.for_states(system.n)
     slowest = float(-system.eigenvalues.real.max())
     duration = options.duration or _TIME_CONSTANTS / slowest
     far = 4.0 * np.maximum(limits, np.abs(starts.matrix) @ box)
-    tell(f"{options.samples} motions from random starts")
+    tell(f"{samples} motions from random starts")
     random = np.random.default_rng(0)
     fate = fates(
         system,
-        starts.of(random.uniform(-1.0, 1.0, (options.samples, len(box))) * box),
+        starts.of(random.uniform(-1.0, 1.0, (samples, len(box))) * box),
         arrival,
         duration,
         far,
     )
-    truth = share_of(int(np.sum(fate == SETTLED)), options.samples)
+    truth = share_of(int(np.sum(fate == SETTLED)), samples)
     tell("motions from starts in the estimates")
     tests = failures(system, found, _TESTED, duration, 1)
     verdicts = tuple(
         Verdict(e, _covered(e, starts, box, truth), *test)
         for e, test in zip(found, tests, strict=True)
     )
-    tell(f"{options.grid}² motions in a plane")
+    tell(f"{grid}² motions in a plane")
     rests = other_rests(system, np.minimum(2.0 * limits, far))
     plane = _plane(system, starts, options, box, lambda y: fates(system, y, arrival, duration, far))
     undecided = int(np.sum(fate == UNDECIDED))
@@ -241,7 +243,7 @@ def inquire(
         box,
         verdicts,
         truth,
-        options.samples,
+        samples,
         undecided,
         duration,
         plane,
@@ -249,7 +251,9 @@ def inquire(
     )
 
 
-def require_states(given: Mapping[str, float] | Sequence[str], known: Sequence[str], where: str) -> None:
+def require_states(
+    given: Mapping[str, float] | Sequence[str], known: Sequence[str], where: str
+) -> None:
     """Refuse names that are not among the states that starts deviate in.
 
     Raises
@@ -299,7 +303,9 @@ def _covered(estimate: Estimate, starts: Starts, box: FloatArray, truth: Share) 
     return Share(filled, filled, filled).over(truth)
 
 
-def plane_axes(names: Sequence[str], units: Sequence[str], wanted: Sequence[str]) -> tuple[int, int]:
+def plane_axes(
+    names: Sequence[str], units: Sequence[str], wanted: Sequence[str]
+) -> tuple[int, int]:
     """Positions of the two states of the figure.
 
     Raises
@@ -321,13 +327,15 @@ def plane_axes(names: Sequence[str], units: Sequence[str], wanted: Sequence[str]
         return 0, 1
     last = angles[-1]
     rate = "S" + names[last].removeprefix("alpha")
-    return last, names.index(rate) if rate in names else next(i for i in range(len(names)) if i != last)
+    return last, names.index(rate) if rate in names else next(
+        i for i in range(len(names)) if i != last
+    )
 
 
 def _plane(system: Around, starts: Starts, options: Options, box: FloatArray, fate_of) -> Plane:  # type: ignore[no-untyped-def]
     units = [system.model.states[system.model.state_index(n)].unit for n in starts.names]
     i, j = plane_axes(starts.names, units, options.plane)
-    lines = np.linspace(-1.0, 1.0, options.grid)
+    lines = np.linspace(-1.0, 1.0, options.for_states(system.n)[1])
     across, up = np.meshgrid(lines * box[i], lines * box[j])
     d = np.zeros((across.size, len(box)))
     d[:, i] = across.ravel()

@@ -20,6 +20,8 @@ FloatArray = npt.NDArray[np.float64]
 
 _RADII = 120
 _REFINED = 8
+#: A local minimum above a ray's own level by this factor belongs to another place.
+_ELSEWHERE = 1.02
 
 
 @dataclass(frozen=True)
@@ -97,13 +99,22 @@ def sampled_level(candidate: Candidate, rays: Rays) -> SampledLevel | None:
     first = np.where(at_end, len(shares) - 1, np.argmax(wrong, axis=1))
     # A ray is content with a level that V reaches on it before V̇ goes wrong.
     allowed = np.maximum.accumulate(value, axis=1)[row, np.where(at_end, first, first - 1)]
+    # Between two samples V̇ is taken to be straight.
+    before = np.maximum(first - 1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.clip(rate[row, before] / (rate[row, before] - rate[row, first]), 0.0, 1.0)
+    part = np.where(at_end, 1.0, np.nan_to_num(part))
+    crossing = value[row, before] + part * (value[row, first] - value[row, before])
+    share = shares[before] + part * (shares[first] - shares[before])
+    allowed = np.maximum(allowed, np.nan_to_num(crossing, nan=-np.inf))
     order = np.argsort(allowed)
-    best = int(order[0])
-    level, place = float(allowed[best]), rays.ends[best] * shares[first[best]]
+    places = rays.ends * share[:, None]
     for k in order[:_REFINED]:
-        found = _refined(candidate, rays, rays.ends[k] * shares[first[k]], bool(at_end[k]))
-        if found is not None and found[0] < level:
-            level, place, best = found[0], found[1], int(k)
+        found = _refined(candidate, rays, places[k], bool(at_end[k]))
+        if found is not None and found[0] < _ELSEWHERE * allowed[k]:
+            allowed[k], places[k] = found
+    best = int(np.argmin(allowed))
+    level, place = float(allowed[best]), places[best]
     inside = value < level
     # The radius at which each ray leaves the level set, by interpolation.
     last = np.minimum(np.argmax(~inside, axis=1), first)
@@ -144,8 +155,8 @@ def _refined(
     value, rate = candidate.both(ca.DM(rays.root) @ z, ca.DM.zeros(candidate.system.model.n_x))
     at = ca.Function("at", [z], [value, rate, ca.gradient(value, z), ca.gradient(rate, z)])
     z0 = np.linalg.solve(rays.root, start)
-    v0, r0 = (abs(float(v)) or 1.0 for v in at(z0)[:2])
-    scale = max(r0, 1e-3 * v0)
+    v0 = abs(float(at(z0)[0])) or 1.0
+    scale = v0 * float(np.abs(candidate.system.eigenvalues).max())
     found = minimize(
         lambda p: float(at(p)[0]) / v0,
         z0,
@@ -164,5 +175,5 @@ def _refined(
     y = rays.root @ found.x
     limits = np.abs(rays.ends).max(axis=0)
     away = np.linalg.norm(found.x) > 1e-2 * np.linalg.norm(z0)
-    usable = away and level > 0.0 and slope > -1e-6 * scale and bool(np.all(np.abs(y) <= limits))
+    usable = away and level > 0.0 and slope > -1e-5 * scale and bool(np.all(np.abs(y) <= limits))
     return (level, y) if usable and np.isfinite(level) else None

@@ -50,7 +50,7 @@ class LinearLaw:
 
 
 def linear_law(model: Model, loop: LoopParts, point: OperatingPoint) -> LinearLaw | None:
-    """The law of an LQR loop; None for other controllers, and where rig and belief differ in states.
+    """The law of an LQR loop; None for other controllers, or where rig and belief differ in states.
 
     Raises
     ------

@@ -76,7 +76,9 @@ def loop_findings(
     """
     model, loop = subject.model, subject.require_loop("study=region_of_attraction")
     known = chosen or _deviating(subject)
-    require_states([n for n in known if n not in model.state_names], model.state_names, "study.states")
+    require_states(
+        [n for n in known if n not in model.state_names], model.state_names, "study.states"
+    )
     require_states(options.box, known, "study.box")
     box = np.array([options.box.get(n, _half_width(subject, point, n)) for n in known])
     duration = options.duration or _DURATION
@@ -95,7 +97,9 @@ def loop_findings(
             proved = drawn[best.estimate.contains(found.starts.of(drawn))][:_INSIDE]
             if len(proved):
                 inside = _runs(subject, point, known, proved, duration, tolerance, tell)
-    return _told(subject, point, known, box, options, runs, inside, found, duration, tolerance, title)
+    return _told(
+        subject, point, known, box, options, runs, inside, found, duration, tolerance, title
+    )
 
 
 def _by_law(
@@ -235,7 +239,14 @@ def _law_lead(found: Region, inside: Runs | None) -> list[str]:
 
 
 def _run_table(runs: Runs, inside: Runs | None) -> Table:
-    rows = [("random in the box", len(runs.recovered), int(runs.recovered.sum()), report.percent(runs.share))]
+    rows = [
+        (
+            "random in the box",
+            len(runs.recovered),
+            int(runs.recovered.sum()),
+            report.percent(runs.share),
+        )
+    ]
     table: list[Sequence[Any]] = [*rows]
     if inside is not None:
         good = bool(inside.recovered.all())
@@ -248,7 +259,9 @@ def _run_table(runs: Runs, inside: Runs | None) -> Table:
             )
         )
     return Table(
-        ("starts", "runs", "recovered", "share (95 % confidence)"), table, "Runs of the loop itself."
+        ("starts", "runs", "recovered", "share (95 % confidence)"),
+        table,
+        "Runs of the loop itself.",
     )
 
 
@@ -269,14 +282,11 @@ def _run_blocks(
         return []
     origin = [float(point.x[model.state_index(n)]) for n in known]
     marks: list[Mark] = []
-    for kind, label, marker, colour in (
-        (runs.recovered, "recovers", "dot", "blue"),
-        (~runs.recovered, "does not", "cross", "alarm"),
-    ):
-        if kind.any():
-            marks.append(
-                Points(origin[i] + runs.d[kind, i], origin[j] + runs.d[kind, j], label, marker, colour)  # type: ignore[arg-type]
-            )
+    good, bad = (_of(origin, runs.d[kind]) for kind in (runs.recovered, ~runs.recovered))
+    if len(good):
+        marks.append(Points(good[:, i], good[:, j], "recovers", "dot", "blue"))
+    if len(bad):
+        marks.append(Points(bad[:, i], bad[:, j], "does not", "cross", "alarm"))
     marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
     x, y = (
         Axis(known[k], signals[k].unit, (origin[k] - 1.05 * box[k], origin[k] + 1.05 * box[k]))
@@ -293,6 +303,10 @@ def _run_blocks(
             height=4.2,
         )
     ]
+
+
+def _of(origin: Sequence[float], d: FloatArray) -> FloatArray:
+    return np.asarray(np.array(origin) + d)
 
 
 def _data(

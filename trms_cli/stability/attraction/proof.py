@@ -121,7 +121,8 @@ def proved_level(
             np.concatenate([falls[rest], fall[open_]]),
         )
         if tell and count // (32 * _BATCH) != (count - len(low)) // (32 * _BATCH):
-            tell(f"{count} boxes, proved to {value.min(initial=target) / target:.0%} of the level")
+            done = max(0.0, float(value.min(initial=target))) / target
+            tell(f"{count} boxes, proved to {done:.0%} of the level")
     reached = min(target, stuck, float(value.min(initial=np.inf)))
     return LevelProof(max(reached, 0.0), count, reached >= target, inner, search.T)
 

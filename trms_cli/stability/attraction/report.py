@@ -21,8 +21,9 @@ METHOD = (
     "'Lyapunov equation' and 'LMI over a box' write the equations as ẏ = A(y) y with A(y) in an "
     "interval matrix, and prove AᵀP + PA ≺ 0 at all its corners. The other methods take the "
     "largest level set of V in which sampling finds V̇ < 0, and prove V̇ < 0 in it by interval "
-    "branch and bound; V is quadratic, or fitted by linear programmes so that its level set grows: "
-    "a quadratic with the integrals of the model's own rates, or a polynomial of degree 4.",
+    "branch and bound (up to three states; beyond, the boxes would be too many); V is quadratic, "
+    "or fitted by linear programmes so that its level set grows: a quadratic with the integrals of "
+    "the model's own rates, or a polynomial of degree 4.",
     "The region itself is found by simulation. Mechanical stops are no part of the equations: a "
     "motion that a rig's stop would catch counts here as the equations have it.",
 )
@@ -31,6 +32,8 @@ METHOD = (
 def percent(share: Share) -> str:
     """``72 % (67–78 %)``."""
     value, low, high = (100.0 * v for v in (share.value, share.lower, share.upper))
+    if value < 0.1:
+        return f"{value:.1g} %"
     digits = 0 if value >= 10.0 else max(1, -math.floor(math.log10(max(value, 1e-12))))
     digits = min(digits, 6)
     return f"{value:.{digits}f} % ({low:.{digits}f}–{min(high, 100.0):.{digits}f} %)"
@@ -69,7 +72,8 @@ def lead(found: Region) -> list[str]:
     if tested:
         said.append(
             f"Of {tested} simulated motions from starts in proved sets {failed or 'none'} failed "
-            "to come to rest." + (" A proof and the simulation contradict each other." * (failed > 0))
+            "to come to rest."
+            + (" A proof and the simulation contradict each other." * (failed > 0))
         )
     saddles = [rest for rest in found.rests if not rest.stable]
     if saddles:
@@ -96,9 +100,11 @@ def sections(found: Region) -> list[Section]:
 def estimate_table(found: Region) -> Table:
     """A row for each estimate."""
     names = found.system.names
-    shown = len(names) - 1 - [n.startswith("alpha") for n in names][::-1].index(True) if any(
-        n.startswith("alpha") for n in names
-    ) else 0
+    shown = (
+        len(names) - 1 - [n.startswith("alpha") for n in names][::-1].index(True)
+        if any(n.startswith("alpha") for n in names)
+        else 0
+    )
     unit = found.system.model.states[found.system.kept[shown]].unit
     rows = []
     for v in found.verdicts:
@@ -128,8 +134,9 @@ def estimate_table(found: Region) -> Table:
         ),
         rows,
         f"Volume in the units of {', '.join(names)}. The true region is counted in a box by "
-        f"{found.samples} random starts ({found.undecided} undecided after {found.duration:.0f} s); "
-        "in brackets 95 % confidence. The last column simulates starts in the set.",
+        f"{found.samples} random starts ({found.undecided} undecided after "
+        f"{found.duration:.0f} s); in brackets 95 % confidence. The last column simulates starts "
+        "in the set.",
     )
 
 
@@ -152,7 +159,10 @@ def results(found: Region) -> dict[str, Any]:
         "duration": found.duration,
         "estimates": [_estimate_data(v) for v in found.verdicts],
         "other_equilibria": [
-            {"deviation": dict(zip(system.names, rest.y.tolist(), strict=True)), "stable": rest.stable}
+            {
+                "deviation": dict(zip(system.names, rest.y.tolist(), strict=True)),
+                "stable": rest.stable,
+            }
             for rest in found.rests
         ],
     }
@@ -193,7 +203,7 @@ def warnings(found: Region) -> list[str]:
     system = found.system
     if system.settled:
         said.append(
-            f"{', '.join(system.settled)} are at rest throughout: what is proved and simulated "
+            f"At rest throughout: {', '.join(system.settled)}. What is proved and simulated "
             "holds for motions that begin with them settled, where they stay. "
             "study.states=all lets them deviate too."
         )
@@ -208,7 +218,8 @@ def warnings(found: Region) -> list[str]:
     if any(not v.estimate.proved for v in found.verdicts):
         said.append(
             "Sets marked 'sampled only' are not proved: V fell at every sample, and no bound was "
-            "found for all points. More boxes (study.boxes) may close it."
+            "found for all points"
+            + (". More boxes (study.boxes) may close it." if system.n <= 3 else ", nor tried.")
         )
     slow = np.abs(system.eigenvalues.real).min()
     frequency = max(abs(v) for v in system.eigenvalues)

@@ -121,7 +121,7 @@ class Around:
         everything = tuple(i for i in range(n_x) if i not in self.neutral)
         whole = Around(self.model, self.point, everything, self.neutral)
         bounds, zero = Enclosure(whole.function), Interval.point(np.zeros(n_x))
-        inverse = np.linalg.inv(whole.A)
+        inverse = np.asarray(np.linalg.inv(whole.A), dtype=np.float64)
         rate = bounds(Interval.point(np.zeros((1, whole.n))), zero)[0][0]
         newton = -_product(inverse, rate)
         for size in _RADII:
@@ -164,7 +164,8 @@ class Around:
         """
         shares = (np.arange(_PARTS) + 1.0) / _PARTS
         r = np.nextafter(shares[:, None] * radii, np.inf)
-        slope = self.slopes_within(Interval(-r, r), self.error)
+        with np.errstate(over="ignore", invalid="ignore"):
+            slope = self.slopes_within(Interval(-r, r), self.error)
         total = slope[0]
         for k in range(1, _PARTS):
             total = total + slope[k]

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.models.discretisation import discretise
 from trms_cli.stability.attraction.estimates import Estimate
 from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
 from trms_cli.stability.attraction.system import Around
 from trms_cli.stability.operating_point import refined
-from trms_cli.stability.vector_field import VectorField
+from trms_cli.stability.vector_field import LONGEST_STEP, VectorField, without_impulses
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int8]
@@ -52,11 +54,11 @@ class Share:
 
 def share_of(hits: int, count: int) -> Share:
     """The share of hits among independent draws."""
-    from scipy.stats import beta
+    from scipy.special import betaincinv
 
     tail = 0.5 * (1.0 - _CONFIDENCE)
-    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, count - hits + 1))
-    high = 1.0 if hits == count else float(beta.ppf(1.0 - tail, hits + 1, count - hits))
+    low = 0.0 if hits == 0 else float(betaincinv(hits, count - hits + 1, tail))
+    high = 1.0 if hits == count else float(betaincinv(hits + 1, count - hits, 1.0 - tail))
     return Share(hits / count if count else math.nan, low, high)
 
 
@@ -82,30 +84,58 @@ def fates(
     (m,) array
         :data:`SETTLED`, :data:`UNDECIDED` or :data:`LEFT`.
     """
-    field, kept = VectorField(system.model), list(system.kept)
-    origin = system.point.x
+    kept, origin = list(system.kept), system.point.x
     found = np.zeros(len(starts), dtype=np.int8)
     found[inside(starts)] = SETTLED
     waiting = np.flatnonzero(found == UNDECIDED)
-    states = np.tile(origin, (len(starts), 1))
+    if not len(waiting):
+        return found
+    mover = _Mover(system)
+    states = np.tile(mover.rest, (len(starts), 1))
     states[:, kept] += starts
     for _ in range(math.ceil(duration / _CHUNK)):
         if not len(waiting):
             break
         for first in range(0, len(waiting), _BLOCK):
             rows = waiting[first : first + _BLOCK]
-            block = np.resize(rows, _BLOCK)  # the last one is filled up: one size, one function
-            path = field.motions(states[block], system.point.u, _CHUNK, _STEP, impulses=False)
-            path = path[:, : len(rows)]
+            path = mover.moved(states[rows])
             y = path[:, :, kept] - origin[kept]
             states[rows] = path[-1]
             with np.errstate(invalid="ignore"):
                 gone = np.any(~(np.abs(y) <= far), axis=(0, 2))
             finite = np.where(np.isfinite(y), y, np.inf)
-            arrived = inside(finite[1:].reshape(-1, system.n)).reshape(-1, len(rows)).any(axis=0)
+            arrived = inside(finite.reshape(-1, system.n)).reshape(-1, len(rows)).any(axis=0)
             found[rows] = np.where(gone, LEFT, np.where(arrived, SETTLED, UNDECIDED))
         waiting = waiting[found[waiting] == UNDECIDED]
     return found
+
+
+class _Mover:
+    """Motions over a chunk of time: one compiled function for a block of them."""
+
+    def __init__(self, system: Around) -> None:
+        model = without_impulses(system.model)
+        substeps = math.ceil(_STEP / LONGEST_STEP - 1e-9)
+        discrete = discretise(model, _STEP, substeps)
+        self.rest = discrete.initial(system.point.x, system.point.u)
+        self._every = BufferedFunction(discrete.step.map(_BLOCK))
+        _, commands, p, _ = self._every.inputs
+        commands.reshape(model.n_u, _BLOCK, order="F")[:] = system.point.u[:, None]
+        values = model.parameters.values
+        if p.size:
+            p.reshape(values.size, _BLOCK, order="F")[:] = values[:, None]
+
+    def moved(self, states: FloatArray) -> FloatArray:
+        """(k, m, n) states after each of k steps, from (m, n) with m up to a block."""
+        x, m = self._every.inputs[0], len(states)
+        # A block that is not full repeats its states: one size, one function.
+        x[...] = np.resize(states, (_BLOCK, states.shape[1])).T
+        path = np.empty((round(_CHUNK / _STEP), m, states.shape[1]))
+        for k in range(len(path)):
+            self._every()
+            x[...] = self._every.outputs[0]
+            path[k] = x[:, :m].T
+        return path
 
 
 def failures(

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from trms_cli.models.model import names
 from trms_cli.stability.attraction.inquiry import Options, inquire
 from trms_cli.stability.attraction.loop_region import loop_findings
 from trms_cli.stability.attraction.report import lead, results, sections, warnings
@@ -16,7 +17,6 @@ from trms_cli.stability.findings import Findings
 from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
-from trms_cli.models.model import names
 
 Method = Literal["lyapunov", "inclusion", "level_set", "integrals", "quartic"]
 _HalfWidth = Annotated[float, Meta(gt=0)]
@@ -40,13 +40,16 @@ class RegionOfAttraction:
     plane : sequence of str
         The two states of the figure. Empty: the last angle and its rate; in a loop of two axes
         both angles.
-    methods : sequence of str
+    methods : sequence of str or None
+        ``lyapunov``, ``inclusion``, ``level_set``, ``integrals``, ``quartic``. None: all; of more
+        than three states without the last two.
     boxes : int
         Boxes that one proof may take.
-    samples : int
-        Random starts, from which the share of the true region is counted.
-    grid : int
-        Starts along each side of the figure.
+    samples : int or None
+        Random starts, from which the share of the true region is counted. None: 2000, of more than
+        three states 800.
+    grid : int or None
+        Starts along each side of the figure. None: 61, of more than three states 41.
     duration : float or None
         s, after which a motion is undecided. None: ten time constants of the slowest mode; 20 s
         in a loop.
@@ -60,10 +63,10 @@ class RegionOfAttraction:
     states: Sequence[str] | Literal["all"] | None = None
     box: Mapping[str, _HalfWidth] = field(default_factory=dict)
     plane: Sequence[str] = ()
-    methods: Sequence[Method] = ("lyapunov", "inclusion", "level_set", "integrals", "quartic")
+    methods: Sequence[Method] | None = None
     boxes: Annotated[int, Meta(ge=100, le=10_000_000)] = 40_000
-    samples: Annotated[int, Meta(ge=20, le=1_000_000)] = 2000
-    grid: Annotated[int, Meta(ge=5, le=401)] = 61
+    samples: Annotated[int, Meta(ge=20, le=1_000_000)] | None = None
+    grid: Annotated[int, Meta(ge=5, le=401)] | None = None
     duration: Annotated[float, Meta(gt=0)] | None = None
     loop_starts: Annotated[int, Meta(ge=2, le=100_000)] = 24
     tolerance: Annotated[float, Meta(gt=0)] = 0.02
@@ -96,8 +99,11 @@ class RegionOfAttraction:
             )
         at = self.at or ({"u_v": 1.8} if "u_v" in names(model.inputs) else {})
         point = operating_point(model, at, "study.at")
-        chosen = model.state_names if self.states == "all" else self.states
-        system = around(model, point, chosen or model.controlled)
+        system = around(
+            model,
+            point,
+            model.state_names if self.states == "all" else self.states or model.controlled,
+        )
         require_attractive(system)
         found = inquire(system, options, tell)
         left_out = subject.left_out_of_equations()

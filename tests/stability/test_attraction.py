@@ -1,0 +1,280 @@
+"""Regions of attraction: what is called proved must hold, and known regions must come out."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from attraction_cases import Planar, VanDerPol, at_origin
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.models.feedback_manual import FeedbackManual
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.stability.attraction.definite import corners, decays, positive_definite
+from trms_cli.stability.attraction.estimates import estimates
+from trms_cli.stability.attraction.functions import basis_of, quadratic
+from trms_cli.stability.attraction.inclusion import (
+    Ellipsoid,
+    from_lyapunov_equation,
+    largest_level,
+    optimised,
+    proved,
+)
+from trms_cli.stability.attraction.level_set import Rays, sampled_level
+from trms_cli.stability.attraction.proof import proved_level
+from trms_cli.stability.attraction.system import around, require_attractive
+from trms_cli.stability.attraction.truth import SETTLED, failures, fates, share_of
+from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.study import silent
+
+
+@pytest.fixture(scope="module")
+def van_der_pol():
+    model = VanDerPol()
+    return around(model, at_origin(model))
+
+
+@pytest.fixture(scope="module")
+def found(van_der_pol):
+    limits = np.array([3.0, 3.0])
+    return estimates(van_der_pol, limits, None, 20_000, silent)
+
+
+def cycle():
+    """The limit cycle of the van der Pol equation in reversed time, as a polygon (n, 2)."""
+
+    def forwards(t, x):
+        return [x[1], -x[0] - (x[0] ** 2 - 1.0) * x[1]]
+
+    path = solve_ivp(forwards, (0.0, 60.0), [2.0, 0.0], rtol=1e-9, atol=1e-10, max_step=0.01)
+    last = path.t > 60.0 - 6.66328686
+    return path.y[:, last].T
+
+
+def area(polygon):
+    x, y = polygon.T
+    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+
+
+def test_estimates_of_van_der_pol_lie_inside_its_cycle(found):
+    from matplotlib.path import Path
+
+    region = Path(cycle())
+    assert {e.method for e in found} == {
+        "lyapunov",
+        "inclusion",
+        "level_set",
+        "integrals",
+        "quartic",
+    }
+    for estimate in found:
+        assert estimate.proved
+        y = estimate.drawn(2000, 0)
+        assert len(y) == 2000
+        assert region.contains_points(y).all(), estimate.method
+
+
+def test_how_much_of_van_der_pols_region_is_covered(found):
+    whole = area(cycle())
+    covered = {e.method: math.exp(e.log_volume) / whole for e in found}
+    # The best quadratic is known to cover less than the polynomials of higher degree do.
+    assert covered["lyapunov"] <= covered["inclusion"] * 1.001
+    assert 0.3 < covered["level_set"] < covered["quartic"] < 1.0
+    assert covered["quartic"] > 0.7
+
+
+def test_true_region_of_van_der_pol_by_simulation(van_der_pol, found):
+    largest = max(found, key=lambda e: e.log_volume)
+    box = np.array([3.0, 3.0])
+    starts = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 2)) * box
+    fate = fates(van_der_pol, starts, largest.contains, 60.0, 4.0 * box)
+    share = share_of(int((fate == SETTLED).sum()), 1000)
+    assert share.lower < area(cycle()) / 36.0 < share.upper
+
+
+def test_a_wrong_estimate_is_caught_by_simulation(van_der_pol, found):
+    import dataclasses
+
+    right = next(e for e in found if e.method == "level_set")
+    wrong = dataclasses.replace(right, level=3.0 * right.level, frame=2.0 * right.frame)
+    tested = failures(van_der_pol, [right, wrong], 100, 60.0, 0)
+    assert tested[0] == (100, 0)
+    assert tested[1][1] > 10
+
+
+def test_no_level_above_the_sampled_one_is_proved(van_der_pol):
+    import dataclasses
+
+    candidate = quadratic(van_der_pol, from_lyapunov_equation(van_der_pol))
+    rays = Rays.drawn(candidate.P, np.array([3.0, 3.0]), 200, 0)
+    level = sampled_level(candidate, rays)
+    value, rate = candidate.at(level.at[None])
+    assert value[0] == pytest.approx(level.level, rel=1e-3)
+    assert abs(rate[0]) < 1e-3 * level.level
+    inflated = dataclasses.replace(level, level=2.0 * level.level, edge=2.0 * level.edge)
+    proof = proved_level(candidate, inflated, 20_000)
+    assert not proof.complete
+    assert proof.level <= level.level * (1.0 + 1e-9)
+
+
+def test_all_of_a_linear_systems_box_is_proved():
+    model = Planar()
+    system = around(model, at_origin(model))
+    limits = np.array([5.0, 0.5])
+    assert system.curved == ()
+    walls = np.diag(1.0 / limits)
+    P = from_lyapunov_equation(system)
+    shape = largest_level(system, P, walls)
+    touching = (shape.extents / limits).max()
+    assert 0.98 < touching <= 1.0
+    best = optimised(system, walls, first=shape)
+    # The largest ellipse in a box touches all of its sides, if the flow allows; it may not leave.
+    assert np.all(best.extents <= limits * (1.0 + 1e-6))
+    assert best.log_volume >= shape.log_volume - 1e-6
+
+
+@given(
+    st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
+    st.floats(0.2, 1.0),
+    st.floats(0.1, 3.0),
+)
+@settings(max_examples=8, deadline=None)
+def test_what_is_proved_of_random_systems_comes_to_rest(entries, decay, bend):
+    a = np.array(entries).reshape(2, 2)
+    a -= (np.linalg.eigvals(a).real.max() + decay) * np.eye(2)
+    model = Planar("random", a, bend)
+    system = around(model, at_origin(model))
+    shape = largest_level(system, from_lyapunov_equation(system), np.eye(2) / 10.0)
+    assume(shape is not None)
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    root = np.linalg.inv(np.linalg.cholesky(shape.P / shape.level)).T
+    field = ca.Function("f", [y := ca.SX.sym("y", 2)], [system.function(y, ca.DM.zeros(2))])
+    for direction in np.column_stack([np.cos(angle), np.sin(angle)]) * 0.999:
+        start = root @ direction
+        path = solve_ivp(lambda t, x: np.array(field(x)).ravel(), (0.0, 20.0), start, rtol=1e-8)
+        values = np.einsum("ij,ik,kj->j", path.y, shape.P, path.y)
+        assert np.all(np.diff(values) < 1e-6 * shape.level)
+        assert values[-1] < 0.2 * values[0]
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None)
+def test_corners_and_definiteness(seed):
+    random = np.random.default_rng(seed)
+    n = int(random.integers(1, 5))
+    middle = random.normal(size=(n, n))
+    radius = random.uniform(0.0, 0.3, (n, n)) * (random.uniform(size=(n, n)) < 0.5)
+    bounds = Interval.of(middle - radius, middle + radius)
+    spanning = corners(bounds)
+    assert np.all(spanning.lower >= bounds.lower) and np.all(spanning.upper <= bounds.upper)
+    square = middle @ middle.T + random.uniform(-0.5, 0.5) * np.eye(n)
+    whole = Interval.of(square - radius, square + radius)
+    if positive_definite(whole[None])[0]:
+        for _ in range(20):
+            m = random.uniform(whole.lower, whole.upper)
+            assert np.linalg.eigvalsh(0.5 * (m + m.T))[0] > 0.0
+    assert not positive_definite(Interval.point(np.diag([1.0, -1e-9]))[None])[0]
+    if decays(np.eye(n), bounds):
+        for _ in range(20):
+            m = random.uniform(bounds.lower, bounds.upper)
+            assert np.linalg.eigvalsh(m + m.T)[-1] < 0.0
+
+
+def test_slopes_of_a_segment_hold_the_rates():
+    model = Newtonian(freedom="both")
+    system = around(model, operating_point(model, {"u_v": 1.8}))
+    random = np.random.default_rng(0)
+    radii = np.array([20.0, 0.3, 0.3, 20.0, 0.3, 0.3])
+    bounds = system.hull(radii)
+    for y in random.uniform(-1.0, 1.0, (50, 6)) * radii:
+        lower, upper = (
+            np.sum(np.minimum(bounds.lower * y, bounds.upper * y), axis=1),
+            np.sum(np.maximum(bounds.lower * y, bounds.upper * y), axis=1),
+        )
+        rate = system.rates(y[None])[0]
+        assert np.all(lower - 1e-9 <= rate) and np.all(rate <= upper + 1e-9)
+
+
+def test_the_pitch_region_stays_below_the_saddle():
+    model = Newtonian(freedom="vertical")
+    system = around(model, operating_point(model, {"u_v": 1.8}), ["alpha_v"])
+    assert system.names == ("S_v", "alpha_v") and system.settled == ("omega_v",)
+    limits = np.array([3.0, 3.0])
+    found = estimates(system, limits, ("inclusion", "integrals"), 20_000, silent)
+    assert all(e.proved for e in found)
+    wide = next(e for e in found if e.method == "integrals")
+    # sin(alpha_v + 0.6194) is the same at the saddle: pi - 2*(0.2706 + 0.6194) away.
+    saddle = np.array([0.0, math.pi - 2.0 * (0.2706 + 0.6194)])
+    assert not wide.contains(saddle[None])[0]
+    assert 0.9 < wide.extents[1] < saddle[1]
+    assert wide.contains(np.array([[0.0, 0.6 * saddle[1]]]))[0]
+    assert failures(system, found, 50, 214.0, 0) == [(50, 0), (50, 0)]
+
+
+def test_a_proof_with_rotors_that_are_not_settled():
+    model = Newtonian(freedom="both")
+    system = around(model, operating_point(model, {"u_v": 1.8}))
+    P = from_lyapunov_equation(system)
+    unit = Ellipsoid(P, 1.0).extents[system.names.index("alpha_v")]
+    # In 2 DOF the stiffness of the cable jumps where yaw is zero: both values are covered.
+    assert proved(system, Ellipsoid(P, (0.02 / unit) ** 2))
+    assert not proved(system, Ellipsoid(P, (0.2 / unit) ** 2))
+
+
+def test_a_state_moves_what_it_moves():
+    model = Newtonian(freedom="both")
+    point = operating_point(model, {"u_v": 1.8})
+    assert around(model, point, ["omega_h"]).settled == ("omega_v",)
+    assert around(model, point, ["alpha_v"]).settled == ("omega_h", "omega_v")
+    with pytest.raises(ConfigurationError, match="alpha_x"):
+        around(model, point, ["alpha_x"])
+
+
+def test_an_unstable_equilibrium_has_no_region():
+    model = Newtonian(freedom="both", parameter_set="rahideh")
+    system = around(model, operating_point(model, {"alpha_v": 0.4}))
+    with pytest.raises(ModelError, match="unstable") as told:
+        require_attractive(system)
+    worst = max(system.eigenvalues, key=lambda v: v.real)
+    assert 0.01 < worst.real < 0.04 and abs(worst.imag) == pytest.approx(1.27, abs=0.02)
+    assert f"{worst.real:.3g} + {abs(worst.imag):.3g}j" in told.value.problem
+    assert "no region of attraction" in told.value.problem
+
+
+def test_a_free_yaw_is_left_out_and_an_undamped_axis_is_refused():
+    manual = FeedbackManual()
+    system = around(manual, operating_point(manual, {}))
+    assert [manual.state_names[i] for i in system.neutral] == ["alpha_h"]
+    require_attractive(system)
+    model = Newtonian(freedom="vertical", parameters={"k_ov": 0.0})
+    rest = around(model, operating_point(model, {"u_v": 1.0}))
+    with pytest.raises(ModelError, match="marginal"):
+        require_attractive(rest)
+
+
+def test_integrals_of_the_rates_hold_the_potential_energy():
+    model = Newtonian(freedom="vertical")
+    system = around(model, operating_point(model, {"u_v": 1.8}), ["alpha_v"])
+    basis = basis_of(system, 2, integrals=True)
+    assert basis.names[-1] == "∫S_v' dalpha_v"
+    y = np.linspace(-1.5, 1.5, 7)
+    found = basis.at(np.column_stack([0.0 * y, y]))[0][:, -1]
+    # J_v S_v' = G [sin(ᾱ + .6194) − sin(α + .6194)], integrated by hand; k from the slope A.
+    at = 0.27064 + 0.61941
+    scale = -system.A[0, 1] / math.cos(at)
+    by_hand = scale * (np.sin(at) * y + np.cos(at + y) - np.cos(at))
+    assert found == pytest.approx(by_hand, abs=2e-4)
+
+
+def test_shares_and_their_confidence():
+    assert share_of(0, 100).lower == 0.0
+    assert share_of(0, 100).upper == pytest.approx(0.0362, abs=1e-4)  # 1 - 0.025^(1/100)
+    assert share_of(100, 100).lower == pytest.approx(0.9638, abs=1e-4)
+    half = share_of(50, 100)
+    assert (half.lower, half.upper) == pytest.approx((0.398, 0.602), abs=1e-3)
