@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_cases import AT, MODEL, POINT, Changed, loop_of, lqr, subject_of
 
+from trms_cli.cli import main
 from trms_cli.controllers.controller import Status
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.open_loop import OpenLoop
@@ -228,3 +229,14 @@ class TestBadRequests:
     def test_a_point_that_the_rig_does_not_have(self):
         with pytest.raises(ConfigurationError, match="no equilibrium"):
             replace(STUDY, at={"alpha_v": 1.4}).run(subject_of(lqr()), silent)
+
+
+def test_from_the_command_line(tmp_path, capsys):
+    words = ["study=margins", "model=newtonian_vertical", "controller=lqr", "page=false"]
+    keys = ["study.lowest=0.5", "study.ratio=1.2", "controller.operating_point.alpha_v=0"]
+    out = tmp_path / "margins"
+    assert main(["stability", *words, *keys, f"out={out}"]) == 0
+    document = json.loads((out / "stability.json").read_text(encoding="utf-8"))
+    assert document["study"] == "margins" and document["loop"]["controller"] == "lqr"
+    assert document["results"]["loops"]["u_v"]["gain_up"] > 2
+    assert "gain may grow" in capsys.readouterr().out

@@ -45,7 +45,8 @@ class TestVerdicts:
     def test_an_error_that_stays(self):
         assert kind(0.03 + 0.1 * np.exp(-TIME)) == "rests beside"
         assert kind(0.01 + 0.1 * np.exp(-TIME)) == "settles"
-        assert kind(0.2 * np.exp(-0.05 * TIME)) == "dies out"
+        assert kind(0.3 * np.exp(-0.08 * TIME)) == "dies out"
+        assert kind(0.3 * np.exp(-0.03 * TIME)) == "rests beside"
 
     def test_a_slip_is_no_swing(self):
         assert kind(np.where(TIME < 33, 0.015, -0.005)) == "dies out"

@@ -18,8 +18,9 @@ Kind = Literal["settles", "dies out", "rests beside", "chatters", "swings", "is 
 #: Crossings of its mean in the last two thirds that a swing has at the least: a start from where
 #: friction held an axis has fewer.
 _CROSSINGS = 4
-#: Of one third to the next: an error or a swing that keeps more than this part does not die out.
-_SHRINKS = 0.8
+#: Of one third to the next: a swing that keeps more than this part does not die out, and an error
+#: that does is not on its way back; it may come to rest anywhere.
+_SHRINKS, _RETURNS = 0.8, 0.5
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Bounds:
         if _swings_on(commands[-2 * third :], self.chatter).any():
             return Verdict("chatters", rest, swing, worst)
         away = np.abs(rest)
-        beside = (away > self.rest) & (away > _SHRINKS * np.abs(rest_before))
+        beside = (away > self.rest) & (away > _RETURNS * np.abs(rest_before))
         if beside.any():
             return Verdict(
                 "rests beside", rest, swing, int(np.argmax(np.where(beside, away, -1.0)))

@@ -61,7 +61,7 @@ class Tolerance:
 
     at: Mapping[str, float] = field(default_factory=dict)
     offset: Mapping[str, float] = field(default_factory=lambda: {"alpha_v": -0.2, "alpha_h": -0.2})
-    duration: _Positive = 40.0
+    duration: _Positive = 30.0
     rest: _Positive = 0.02
     swing: _Positive = 0.002
     chatter: _Positive = 0.02
