@@ -87,6 +87,7 @@ def test_a_rest_whose_neighbours_rest_too_is_told():
     assert rests[0].kind == "stable focus"
     # It is yaw that nothing pulls back: only a portrait of yaw shows the line.
     assert not any(rest.line for rest in rests)
+    assert len(rests) == 1
     of_yaw = section_of(FeedbackManual(), ("alpha_h", "rate_h"), {})
     assert all(rest.line for rest in search(of_yaw, np.array([[-1.0, 1.0], [-1.0, 1.0]])))
 

@@ -125,7 +125,12 @@ def search(section: Section, window: FloatArray) -> tuple[RestPoint, ...]:
         scale = np.maximum(1.0, np.abs(x))
         if all(np.abs((x - other) / scale).max() > _SAME for other in found):
             found.append(x)
-    points = [rest_point(section, x) for x in found]
+    points: list[RestPoint] = []
+    for rest in (rest_point(section, x) for x in found):
+        # Of a continuum that the portrait shows as one point, one is enough.
+        again = any(np.all(np.abs(rest.c - other.c) <= 1e-4 * width) for other in points)
+        if rest.isolated or not again:
+            points.append(rest)
     return tuple(sorted(points, key=lambda rest: tuple(rest.c.round(6))))
 
 
