@@ -26,7 +26,8 @@ from trms_cli.stability.vector_field import VectorField
 FloatArray = npt.NDArray[np.float64]
 Kind = Literal["fold", "period doubling", "torus"]
 
-#: Swing of the first cycle beside a Hopf point, rad (or the unit of the largest state).
+#: Swing of the first cycle beside a Hopf point, rad (or the unit of the largest state); doubled
+#: where none is reached.
 _BORN = 0.02
 #: Step along the branch, in shares of the orbit's scales: first, least, most.
 _FIRST_STEP, _LEAST_STEP, _MOST_STEP = 0.05, 1e-4, 0.25
@@ -264,12 +265,14 @@ def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch
     weights = direction / float(direction @ direction)
     first = None
     size = 0.5 * _BORN
-    for _ in range(4):
+    # Where the model's slope jumps at the equilibrium, only a cycle that is large beside the shift
+    # of the Hopf point between the two sides can be reached from there.
+    for _ in range(5):
         row = Row(channel, weights, place, size)
         first = shooting.closed(hopf.x + size * away, period, hopf.u, row=row)
         if first is not None:
             break
-        size /= 2.0
+        size *= 2.0
     if first is None:
         return Branch([], "no cycle closed beside the Hopf point")
     return followed(shooting, first, channel, limits, before=place)

@@ -17,6 +17,8 @@ from trms_cli.stability.findings import Findings, Judged, Section, Table, Value
 
 #: Orbits with a multiplier along themselves that is further from 1 are told with a warning.
 _DOUBTFUL = 1e-3
+#: The first cycle of a branch lies this close to its Hopf point where the model is smooth, V.
+_SHIFTED = 2e-3
 
 
 def findings_of(found: Found) -> Findings:
@@ -109,7 +111,14 @@ def _hopf_words(found: Found) -> list[str]:
             if first is not None
             else ""
         )
-        words.append(f"Hopf point {place}, {kind}{then}.")
+        shift = float(branch.orbits[0].u[found.channel] - hopf.u[found.channel])
+        jump = (
+            f" (the model's slope jumps there, and the smallest cycle closed lies "
+            f"{abs(shift):.3f} {command.unit} beside it)"
+            if abs(shift) > _SHIFTED
+            else ""
+        )
+        words.append(f"Hopf point {place}{jump}, {kind}{then}.")
     return words
 
 
