@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.dead_zone import DeadZone
+from trms_cli.effects.disturbance import Disturbance
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.models.feedback_manual import FeedbackManual
@@ -262,6 +263,21 @@ def test_a_dead_zone_is_part_of_rest() -> None:
     without[:, plain_index] = [0.0, 1.0]
     for one, other in zip(prover.at(given_), plain.at(without), strict=True):
         np.testing.assert_allclose(one.found[0].x.middle, other.found[0].x.middle, atol=1e-9)
+
+
+def test_a_curve_goes_around_the_corners_of_a_dead_zone() -> None:
+    model = ExtendedModel(NEWTONIAN, "dead", DeadZone(rotor="tail", width=0.1))
+    found = surveyed(model, "u_h", 9)
+    assert all(check.agree and check.proof.complete for check in found.checks)
+    assert found.late == 0 and len(found.curves) == 1
+    assert not [one for one in found.landmarks if one.kind == "level"]
+
+
+def test_a_fold_does_not_move_with_a_state_that_pitch_knows_nothing_of() -> None:
+    drift = Disturbance(axis="yaw", torque=0.005, time=1.0)
+    found = surveyed(ExtendedModel(NEWTONIAN, "drift", drift), "u_v", 3)
+    (fold,) = [one for one in found.landmarks if one.kind == "fold"]
+    assert abs(fold.y[-1] - analytic_fold(NEWTONIAN)) < 1e-8
 
 
 def test_coulomb_friction_holds_a_band() -> None:

@@ -140,11 +140,14 @@ def _traced(equations: CurveEquations, seed: FloatArray, direction: FloatArray) 
         here = trace.y[-1]
         guess = here + step * tangent * equations.scale
         y = equations.corrected(guess, tangent)
-        # Beside the curve's end nothing may be defined: a step that fails is made shorter.
-        if y is not None and np.abs((y - guess) / equations.scale).max() <= 0.5 * step:
+        # A step that fails is made shorter, down to where only a corner is left to explain it: a
+        # dead zone ends, a coefficient changes with the direction.
+        corner = step <= 100.0 * _SHORTEST_STEP
+        farthest = (20.0 if corner else 0.5) * step
+        if y is not None and np.abs((y - guess) / equations.scale).max() <= farthest:
             following = equations.tangent(y, tangent)
             turn = float(np.arccos(np.clip(following @ tangent, -1.0, 1.0)))
-            if turn <= _TURN or step <= 100.0 * _SHORTEST_STEP:
+            if turn <= _TURN or corner:
                 if not equations.inside(y):
                     last = _last_inside(equations, here, y)
                     trace.end = _reason(equations, last)

@@ -146,11 +146,8 @@ class CurveEquations:
 
             g(z, λ) = 0        g_z(z, λ) φ = 0        φ₀ᵀφ = 1
         """
-        slopes = self.residual(near)[1][:, : self.n]
-        size = np.abs(slopes).max(axis=1, keepdims=True)
-        reference = np.linalg.svd(slopes / np.where(size > 0, size, 1.0) * self.scale[:-1])[2][-1]
-        reference = reference / self.scale[:-1] if self.n else reference
-        null = reference * 1.0 / max(float(reference @ reference), 1e-300)
+        direction = self._weakest(near)[1]
+        null, reference = direction * self.scale[:-1], direction / self.scale[:-1]
         both = np.concatenate([near, null])
         for _ in range(_ITERATIONS):
             value, jacobian = (np.array(part) for part in self._fold(both, reference))
@@ -165,8 +162,20 @@ class CurveEquations:
             if np.abs(step).max() <= 1e-10:
                 y = both[: self.n + 1]
                 close = np.abs((y - near) / self.scale).max() < 0.2
-                return y if close and self._small(y) else None
+                flat = self._weakest(y)[0] < 1e-8
+                return y if close and flat and self._small(y) else None
         return None
+
+    def _weakest(self, y: FloatArray) -> tuple[float, FloatArray]:
+        """Least singular value of the slopes in z, and its direction.
+
+        Rows are of size one with their slope in λ, which is what is left of them at a fold.
+        """
+        slopes = self.residual(y)[1] * self.scale
+        size = np.abs(slopes).max(axis=1, keepdims=True)
+        scaled = slopes / np.where(size > 0, size, 1.0)
+        _, values, directions = np.linalg.svd(scaled[:, : self.n])
+        return float(values[-1]), directions[-1]
 
     def inside(self, y: FloatArray) -> bool:
         """Whether a point is within the box and the range, to rounding."""

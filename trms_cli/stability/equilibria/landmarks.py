@@ -72,12 +72,21 @@ def landmarks(
     for index, signal in enumerate(equations.system.unknowns):
         if signal.name in equations.system.model.controlled and _varies(curve.y[:, index]):
             for y in crossings_of(equations, curve, index, 0.0):
+                if _stays(equations, curve, y, index):
+                    continue
                 point = Landmark("level", signal.name, y, judged(field, equations, y))
                 found.append((_place(equations, curve, y), point))
     for y in crossings_of(equations, curve, equations.n, 0.0):
         point = Landmark("zero", "", y, judged(field, equations, y))
         found.append((_place(equations, curve, y), point))
     return [landmark for _, landmark in sorted(found, key=lambda item: item[0])]
+
+
+def _stays(equations: CurveEquations, curve: Curve, y: FloatArray, index: int) -> bool:
+    """Whether a coordinate keeps its value around a point: in a dead zone it crosses nothing."""
+    k = _place(equations, curve, y)
+    around = curve.y[max(k - 1, 0) : k + 2, index] - y[index]
+    return int(np.sum(np.abs(around) < 1e-9 * equations.scale[index])) >= 2
 
 
 def _varies(values: FloatArray) -> bool:
@@ -129,8 +138,9 @@ def _change(
             low = middle
         else:
             high = middle
-    # What is growing next to nothing is what crosses the axis.
-    crossing = at.eigenvalues[np.argmin(np.abs(at.eigenvalues.real) + 1e3 * (at.eigenvalues == 0))]
+    # What grows next to nothing crosses the axis; what is free stays on it.
+    moving = at.eigenvalues[np.argsort(np.abs(at.eigenvalues))[len(equations.system.free) :]]
+    crossing = moving[np.argmin(np.abs(moving.real))]
     turning = abs(crossing.imag) > 1e-6
     frequency = abs(float(crossing.imag)) / (2.0 * math.pi) if turning else None
     return Landmark("oscillation" if turning else "exchange", "", y, at, frequency)

@@ -70,7 +70,7 @@ def named_points(
     if "pitch" in model.axes:
         usual["hover"] = dict.fromkeys(model.controlled, 0.0)
     for name, at in usual.items():
-        if name in more:
+        if name in more or (name == "hover" and found and _is_level(model, found[0])):
             continue
         try:
             found.append(_named(model, name, operating_point(model, at)))
@@ -81,6 +81,11 @@ def named_points(
     for name, at in more.items():
         found.append(_named(model, name, operating_point(model, at, f"{where}.{name}")))
     return found, missing
+
+
+def _is_level(model: Model, rest: NamedPoint) -> bool:
+    """Whether a rig without command rests with all controlled angles at zero: that is its hover."""
+    return all(abs(rest.x[model.state_index(name)]) < 1e-9 for name in model.controlled)
 
 
 def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
