@@ -226,6 +226,14 @@ def test_the_form_is_the_derivative_along_the_models_own_equations(
     assert identity_residual(candidate, seed=3, states=60) < 1e-8
 
 
+def test_a_saturated_interface_is_part_of_the_rotor() -> None:
+    model = Newtonian(main_voltage_limit=8.0)
+    point = operating_point(model, {"u_v": 1.4})
+    assert point.x[model.state_index("alpha_v")] < -0.2  # 8 V of the 11.9 V asked for
+    candidate = Candidate(Energy(model, point.u), point.x, Weights(2e-3, 1e-3))
+    assert identity_residual(candidate, seed=3, states=60) < 1e-8
+
+
 def test_yaw_may_be_weighed_in_the_newtonian_model() -> None:
     model = Newtonian()
     point = operating_point(model, {"alpha_v": 0.2})

@@ -94,8 +94,7 @@ class Energy:
         self.axes = tuple(a for a in "hv" if f"alpha_{a}" in model.state_names)
         self.k = len(self.axes)
         self.c = {p.name: p.value for p in model.parameters}
-        command = dict(zip((s.name for s in model.inputs), self.u, strict=True))
-        self.rotors = {a: self._rotor(a, command[f"u_{a}"]) for a in self.axes}
+        self.rotors = {a: self._rotor(a) for a in self.axes}
         self.gravity = gravity_of(model, self.c)
         #: Symbols of the state of motion, and of the equilibrium.
         self.y = ca.SX.sym("y", 3 * self.k)
@@ -103,10 +102,14 @@ class Energy:
         self.theta = ca.SX.sym("theta", len(SLOPES))
         self.weights = ca.SX.sym("weights", 5)
 
-    def _rotor(self, axis: str, command: float) -> RotorAtRest:
-        constants = {key: ca.SX(value) for key, value in self.c.items()}
-        volt = self.model._circuits[axis].voltage(ca.SX(command), constants)
-        return rotor_at_rest(axis, float(ca.DM(volt)), self.c)
+    def _rotor(self, axis: str) -> RotorAtRest:
+        """The rotor at the voltage that the command gives it, saturation and all."""
+        x, u, p, _ = self.model.symbols()
+        name = "current_main" if axis == "v" else "current_tail"
+        blocked = ca.Function("current", [x, u, p], [self.model.quantities(x, u, p)[name]])
+        still = np.zeros(self.model.n_x)
+        current = float(blocked(still, self.u, self.model.parameters.values))
+        return rotor_at_rest(axis, self.c["R"] * current, self.c)
 
     def names(self) -> tuple[str, ...]:
         """``Omega_h, …, omega_v, …, alpha_v`` in the order of y."""
