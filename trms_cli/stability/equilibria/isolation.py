@@ -1,13 +1,8 @@
 """All roots of one block of equations in a box, by interval branch and prune.
 
 A box is thrown away when bounds of the equations over it exclude zero, or when the image of the
-interval Newton operator has nothing in common with it. It holds exactly one root, for each value
-of what is given, where
-
-- one equation with one unknown has a slope that is nowhere zero, and ends of opposite signs, or
-- the Krawczyk operator ``K(Z) = c − Y g(c) + (I − Y g'(Z))(Z − c)`` maps the box into its own
-  interior (Krawczyk 1969; Moore, Kearfott & Cloud 2009, ch. 8; Neumaier 1990, ch. 5).
-
+interval Newton operator (:mod:`trms_cli.stability.equilibria.interval_newton`) has nothing in common
+with it; that operator also tells which boxes hold exactly one root, for each value of what is given.
 All else is cut in two, until it is as small as the tolerance: what is left then is undecided, and
 told so. Boxes are tested a little larger than they are, so that a root on the border of two is
 found. The equations must be continuous; where they have a kink (a coefficient for each direction)
@@ -23,6 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.stability.equilibria.block_equations import BlockEquations
+from trms_cli.stability.equilibria.interval_newton import (
+    centre_of,
+    changes_sign,
+    newton,
+    refined,
+)
 from trms_cli.stability.intervals.interval import Interval
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,7 +34,6 @@ IntArray = npt.NDArray[np.int64]
 FAR = 1e6
 _INFLATION = 1.2
 _ROUNDS = 400
-_REFINEMENTS = 120
 #: Boxes of one problem at once, by unknowns; a problem with more is given up as undecided.
 _MOST_BOXES = {1: 256, 2: 1024}
 _MOST_BOXES_OF_MORE = 4096
@@ -184,7 +184,7 @@ def _round(
     """One test of every box, and the boxes that are left."""
     half = 0.5 * _INFLATION * queue.width + 1e-300
     tested = Interval(queue.middle - half, queue.middle + half)
-    step = _newton(equations, tested, given[owner])
+    step = newton(equations, tested, given[owner])
     alive = step.possible & np.all(step.image.meets(queue), axis=1)
     proved = alive & step.unique
     found.proved.append((owner[proved], tested[proved]))
@@ -211,107 +211,6 @@ def _round(
     return queue, owner
 
 
-@dataclass(frozen=True)
-class _Step:
-    """Of the interval Newton operator on boxes: what it tells, and its image."""
-
-    possible: BoolArray  #: whether a root is not excluded
-    unique: BoolArray  #: whether there is exactly one
-    image: Interval  #: holds every root of the box
-    slopes: Interval
-
-
-def _newton(equations: BlockEquations, box: Interval, given: Interval) -> _Step:
-    g, slopes = equations.with_slopes(box, given)
-    centre = _centre(box)
-    at_centre = equations.values(Interval.point(centre), given)
-    away = Interval.point(box.lower) - Interval.point(centre)
-    away = Interval(away.lower, (Interval.point(box.upper) - Interval.point(centre)).upper)
-    if equations.n == 1:
-        return _one_unknown(equations, box, given, (g, slopes), (centre, at_centre, away))
-    possible = np.all(g.contains_zero(), axis=1)
-    possible &= np.all((at_centre + _times(slopes, away)).contains_zero(), axis=1)
-    inverse = _inverses(slopes.middle)
-    deviation = _deviation(inverse, slopes)
-    shift = _times(Interval.point(inverse), at_centre)
-    image = Interval.point(centre) - shift + _times(deviation, away)
-    unique = np.all(image.within(box), axis=1)
-    return _Step(possible, unique, image, slopes)
-
-
-def _one_unknown(
-    equations: BlockEquations,
-    box: Interval,
-    given: Interval,
-    over: tuple[Interval, Interval],
-    about: tuple[FloatArray, Interval, Interval],
-) -> _Step:
-    (g, slopes), (centre, at_centre, away) = over, about
-    slope = slopes[:, :, 0]
-    monotonic = ~slope.contains_zero()[:, 0]
-    possible = (g.contains_zero() & (at_centre + slope * away).contains_zero())[:, 0]
-    low = _signs(equations.values(Interval.point(box.lower), given))
-    high = _signs(equations.values(Interval.point(box.upper), given))
-    unique = monotonic & (low * high < 0)
-    possible &= ~(monotonic & (low * high > 0))
-    image = box.intersection(_newton_image(centre, at_centre, slope))
-    return _Step(possible, unique, image, slopes)
-
-
-def _newton_image(centre: FloatArray, at_centre: Interval, slope: Interval) -> Interval:
-    with np.errstate(invalid="ignore", over="ignore"):
-        return Interval.point(centre) - at_centre / slope
-
-
-def _centre(box: Interval) -> FloatArray:
-    """The middle; of a box with very different ends of one sign, in orders of magnitude."""
-    near = np.minimum(np.abs(box.lower), np.abs(box.upper))
-    far = box.magnitude
-    sign = np.where(box.upper > 0, 1.0, -1.0)
-    wide = ((box.lower >= 0) | (box.upper <= 0)) & (far > 16.0 * np.maximum(near, 1.0))
-    return np.where(wide, sign * np.sqrt(np.maximum(near, 1.0) * far), box.middle)
-
-
-def _signs(values: Interval) -> FloatArray:
-    """−1, 1, or 0 where the sign is not certain."""
-    return np.where(values.lower[:, 0] > 0, 1.0, np.where(values.upper[:, 0] < 0, -1.0, 0.0))
-
-
-def _times(matrix: Interval, vector: Interval) -> Interval:
-    total: Interval | None = None
-    for j in range(vector.lower.shape[1]):
-        term = matrix[:, :, j] * vector[:, None, j]
-        total = term if total is None else total + term
-    assert total is not None
-    return total
-
-
-def _inverses(matrices: FloatArray) -> FloatArray:
-    """Approximate inverses; zero where there is none, which proves nothing."""
-    usable = np.all(np.isfinite(matrices), axis=(1, 2))
-    matrices = np.where(usable[:, None, None], matrices, 0.0)
-    size = np.where(usable, np.abs(matrices).max(axis=(1, 2)), 1.0)
-    usable &= np.abs(np.linalg.det(matrices / np.where(size > 0, size, 1.0)[:, None, None])) > 1e-14
-    found = np.zeros_like(matrices)
-    found[usable] = np.linalg.inv(matrices[usable])
-    return found
-
-
-def _deviation(inverse: FloatArray, slopes: Interval) -> Interval:
-    """``I − Y g'``."""
-    n = inverse.shape[1]
-    identity = np.broadcast_to(np.eye(n), inverse.shape)
-    total = Interval.point(identity)
-    for k in range(n):
-        left = Interval.point(np.repeat(inverse[:, :, k, None], n, axis=2))
-        right = Interval(
-            np.repeat(slopes.lower[:, None, k, :], n, axis=1),
-            np.repeat(slopes.upper[:, None, k, :], n, axis=1),
-        )
-        total = total - left * right
-    return total
-
-
 def _inside(
     boxes: Interval,
     owner: IntArray,
@@ -335,7 +234,7 @@ def _cut(box: Interval, slopes: Interval, tolerance: FloatArray) -> Interval:
     weight = np.where(np.isfinite(change), change, 1.0).sum(axis=1) + 1e-3
     side = np.argmax(np.where(box.width > tolerance, weight, -1.0), axis=1)
     rows = np.arange(len(side))
-    at = _centre(box)[rows, side]
+    at = centre_of(box)[rows, side]
     first, second = box.upper.copy(), box.lower.copy()
     first[rows, side] = at
     second[rows, side] = at
@@ -364,7 +263,7 @@ def _result(
     left: IntArray,
 ) -> Roots:
     owner, domain = found.together(found.proved)
-    tight = _refined(equations, domain, given[owner])
+    tight = refined(equations, domain, given[owner])
     owner, domain, tight, certain = _distinct(owner, domain, tight)
     small_owner, small = found.together(found.undecided)
     outside = ~_inside(small, small_owner, domain, owner)
@@ -375,12 +274,12 @@ def _result(
     proved = np.zeros(len(small_owner), dtype=bool)
     exists = proved.copy()
     if len(small_owner):
-        step = _newton(equations, tested, given[small_owner])
+        step = newton(equations, tested, given[small_owner])
         keep = step.possible
         proved, small_owner = step.unique[keep], small_owner[keep]
         small, tested = small[keep], tested[keep]
         small = small.intersection(step.image[keep])
-        exists = proved | _changes_sign(equations, tested, given[small_owner])
+        exists = proved | changes_sign(equations, tested, given[small_owner])
     everything = Interval(
         np.concatenate([tight.lower, small.lower]), np.concatenate([tight.upper, small.upper])
     )
@@ -399,42 +298,6 @@ def _result(
         (exists & whole)[order],
         False,
         left,
-    )
-
-
-def _refined(equations: BlockEquations, box: Interval, given: Interval) -> Interval:
-    """Proved boxes made as tight as they get."""
-    active = np.arange(len(box.lower))
-    lower, upper = box.lower.copy(), box.upper.copy()
-    rises = np.zeros(len(active))
-    if equations.n == 1 and len(active):
-        rises = _signs(equations.values(Interval.point(upper), given))
-    for _ in range(_REFINEMENTS):
-        if not len(active):
-            break
-        now = Interval(lower[active], upper[active])
-        image = now.intersection(_smaller(equations, now, given[active], rises[active]))
-        sound = np.all(image.lower <= image.upper, axis=1)
-        lower[active[sound]], upper[active[sound]] = image.lower[sound], image.upper[sound]
-        shrunk = np.any(image.width < 0.8 * now.width, axis=1)
-        active = active[sound & shrunk]
-    return Interval(lower, upper)
-
-
-def _smaller(
-    equations: BlockEquations, box: Interval, given: Interval, rises: FloatArray
-) -> Interval:
-    """The image of a box with one root; of one unknown also the side of its centre."""
-    if equations.n > 1:
-        return _newton(equations, box, given).image
-    _, slopes = equations.with_slopes(box, given)
-    centre = _centre(box)
-    at_centre = equations.values(Interval.point(centre), given)
-    image = _newton_image(centre, at_centre, slopes[:, :, 0])
-    side = (_signs(at_centre) * rises)[:, None]
-    return Interval(
-        np.where(side < 0, np.maximum(image.lower, centre), image.lower),
-        np.where(side > 0, np.minimum(image.upper, centre), image.upper),
     )
 
 
@@ -488,12 +351,3 @@ def _clusters(owner: IntArray, boxes: Interval, tolerance: FloatArray) -> tuple[
     low = np.array([h[0] for h in hulls]).reshape(-1, n)
     high = np.array([h[1] for h in hulls]).reshape(-1, n)
     return np.array(owners, dtype=np.int64), Interval(low, high)
-
-
-def _changes_sign(equations: BlockEquations, box: Interval, given: Interval) -> BoolArray:
-    """Whether one equation has ends of opposite signs: at least one root."""
-    if equations.n > 1:
-        return np.zeros(len(box.lower), dtype=bool)
-    low = _signs(equations.values(Interval.point(box.lower), given))
-    high = _signs(equations.values(Interval.point(box.upper), given))
-    return np.asarray(low * high < 0)
