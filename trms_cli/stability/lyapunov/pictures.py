@@ -28,7 +28,7 @@ from trms_cli.stability.lyapunov.seen import Motions
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-_GRID = 141
+_GRID = 101
 _SYMBOL = {"Omega": "Ω", "omega": "ω", "alpha": "α"}
 _UNIT = {"Omega": "rad/s", "omega": "rad/s", "alpha": "rad"}
 
@@ -122,6 +122,11 @@ def _grid(
     for what, axis in (first, second):
         j = energy.index(what, axis)
         low, high = float(box.lower[j]), float(box.upper[j])
+        if what == "Omega":  # as far as the set goes at the equilibrium's inertia
+            i, gamma = energy.axes.index(axis), candidate.weights.yaw if axis == "h" else 1.0
+            inertia = np.array(energy.inertia(rest))
+            reach = 1.1 * math.sqrt(2.0 * level * np.linalg.inv(inertia)[i, i] / gamma)
+            low, high = max(low, -reach), min(high, reach)
         room = 0.08 * (high - low)
         lines.append(np.linspace(low - room, high + room, _GRID))
     places = np.tile(rest, (_GRID, _GRID, 1))
@@ -173,8 +178,10 @@ def _sets(
     inside = np.broadcast_to(between, value.shape)
     if math.isfinite(certificate.outer) and certificate.outer > 0.0:
         marks.append(Region(x, y, (value < certificate.outer) & inside, "N", "orange", 0.3))
+        marks.append(Contour(x, y, value, [certificate.outer], colour="orange", width=1.2))
     if certificate.inner > 0.0:
         marks.append(Region(x, y, (value <= certificate.inner) & inside, "N′", "green", 0.35))
+        marks.append(Contour(x, y, value, [certificate.inner], colour="green", width=1.4))
     return marks
 
 
