@@ -1,8 +1,10 @@
 """All roots of one block of equations in a box, by interval branch and prune.
 
 A box is thrown away when bounds of the equations over it exclude zero, or when the image of the
-interval Newton operator (:mod:`trms_cli.stability.equilibria.interval_newton`) has nothing in common
-with it; that operator also tells which boxes hold exactly one root, for each value of what is given.
+interval Newton operator (:mod:`trms_cli.stability.equilibria.interval_newton`) has nothing in
+common with it; that operator also tells which boxes hold exactly one root, for each value of what
+is given.
+
 All else is cut in two, until it is as small as the tolerance: what is left then is undecided, and
 told so. Boxes are tested a little larger than they are, so that a root on the border of two is
 found. The equations must be continuous; where they have a kink (a coefficient for each direction)
