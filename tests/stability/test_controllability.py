@@ -304,6 +304,14 @@ def test_the_study_reports_everything():
     assert angles["together"] == 2
 
 
+def test_where_yaw_is_free_the_pitch_is_varied():
+    findings = Controllability(points=7).run(Subject(QuanserAero(), "quanser_aero"), silent)
+    found = findings.results["range"]
+    assert found["over"] == "alpha_v"
+    moved = np.array(found["moved_per_unit_rms"]["alpha_v"]["u_v"])
+    assert np.argmin(moved) == np.argmin(np.abs(found["values"]))  # level, the rotors stand still
+
+
 @pytest.mark.parametrize("sensors", [(("alpha_z",),), ((),)])
 def test_sensors_that_do_not_exist_are_refused(sensors):
     with pytest.raises(ConfigurationError, match=r"study\.sensors"):

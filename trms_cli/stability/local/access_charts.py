@@ -42,7 +42,9 @@ def loss_chart(path: Path, sweep: Sweep, reach: ReachAlong, duration: float) -> 
             for j, (signal, colour) in enumerate(zip(model.inputs, _COLOURS, strict=False))
         ]
         marks += _zeros(sweep, reach, i)
-        moved = Axis(f"{name} moved in {duration:g} s", f"{unit} per {model.inputs[0].unit} rms")
+        top = 1.08 * float(reach.per_volt[:, i].max()) or 1.0
+        per = f"{unit} per {_per(model.inputs[0].unit)} rms"
+        moved = Axis(f"{name} moved in {duration:g} s", per, (-0.03 * top, top))
         panels.append(Panel(axis, moved, marks, f"what moves {name}"))
     for i, j, speed in _rotors(path, sweep):
         name, signal = model.controlled[i], model.inputs[j]
@@ -51,7 +53,7 @@ def loss_chart(path: Path, sweep: Sweep, reach: ReachAlong, duration: float) -> 
         order = np.argsort(omega)
         gain = reach.per_volt[:, i, j][order]
         margin = reach.margin[:, i, j][order]
-        moved = Axis(f"{name} moved in {duration:g} s", f"{unit} per {signal.unit} rms")
+        moved = Axis(f"{name} moved in {duration:g} s", f"{unit} per {_per(signal.unit)} rms")
         turning = Axis(speed, "rad/s")
         colour = _COLOURS[j % len(_COLOURS)]
         panels.append(
@@ -90,7 +92,7 @@ def volts_chart(
         limit = float(scales.u.max())
         marks.append(Line(y=limit, label="limit", colour="alarm", style="dashed"))
         title = f"{MOTION:g} {unit} of {name} in {duration:g} s"
-        least = Axis("least command", f"{model.inputs[0].unit} rms", log=True)
+        least = Axis("least command", f"{_per(model.inputs[0].unit)} rms", log=True)
         panels.append(Panel(Axis(path.over, path.unit), least, marks, title))
     return Chart(
         "controllability_volts",
@@ -134,6 +136,11 @@ def torque_chart(
         "one. Sets of sensors that are missing cannot tell it."
     )
     return Chart("observability_torques", panels, caption, 2, 4.6, 3.3)
+
+
+def _per(unit: str) -> str:
+    """A normalised command is one of full."""
+    return "full" if unit == "1" else unit
 
 
 def _zeros(sweep: Sweep, reach: ReachAlong, i: int) -> list[Mark]:

@@ -17,6 +17,9 @@ from trms_cli.stability.local.tracks import tracks_of
 
 Tell = Callable[[str], None]
 
+#: 1/s: growth rates whose lines are drawn.
+_LEVELS = (-0.1, -0.04, -0.02, 0.02, 0.1, 0.3)
+
 
 def boundary_along(
     path: Path,
@@ -53,34 +56,38 @@ def map_section(
     """The map, and where stability ends along the second number."""
     unit_2 = Path(path.model, path.at, against).unit
     grow = mapped.growth > 0
-    marks: list[Mark] = [
-        Region(mapped.over, mapped.against, grow, "unstable", "alarm", 0.14),
-    ]
+    marks: list[Mark] = []
+    if grow.any():
+        marks.append(Region(mapped.over, mapped.against, grow, "unstable", "alarm", 0.14))
     nowhere = ~np.isfinite(mapped.growth)
     if nowhere.any():
         words = "no operating point within the limits"
         marks.append(Region(mapped.over, mapped.against, nowhere, words, "grey", 0.3))
-    if np.isfinite(mapped.growth).any() and np.nanmin(mapped.growth) < 0 < np.nanmax(mapped.growth):
+    finite = mapped.growth[np.isfinite(mapped.growth)]
+    if finite.size and finite.min() < 0 < finite.max():
         marks.append(
             Contour(
                 mapped.over, mapped.against, mapped.growth, [0.0], "boundary", "alarm", width=2.2
             )
         )
-        levels = [level for level in (-0.1, -0.04, -0.02, 0.02, 0.1, 0.3) if _within(mapped, level)]
-        if levels:
-            marks.append(
-                Contour(
-                    mapped.over,
-                    mapped.against,
-                    mapped.growth,
-                    levels,
-                    "largest Re λ [1/s]",
-                    "grey",
-                    "dotted",
-                    1.0,
-                    True,
-                )
+    levels = [level for level in _LEVELS if finite.size and finite.min() < level < finite.max()]
+    if len(levels) < 2 and finite.size and np.ptp(finite) > 0:
+        # None of the usual ones lies within: some that do.
+        levels = [float(f"{v:.2g}") for v in np.linspace(finite.min(), finite.max(), 7)[1:-1]]
+    if levels:
+        marks.append(
+            Contour(
+                mapped.over,
+                mapped.against,
+                mapped.growth,
+                sorted(set(levels)),
+                "largest Re λ [1/s]",
+                "grey",
+                "dotted",
+                1.0,
+                True,
             )
+        )
     if len(mapped.boundary):
         marks.append(
             Points(
@@ -90,9 +97,11 @@ def map_section(
     marks.append(Line(x=path.began, label=f"the model's {path.over}", colour="ink"))
     held = {name: v for name, v in path.at.items() if name not in (path.over, against)}
     where = "".join(f", {name} = {v:g}" for name, v in held.items() if v)
+    x = Axis(path.over, path.unit, (float(mapped.over[0]), float(mapped.over[-1])))
+    y = Axis(against, unit_2, (float(mapped.against[0]), float(mapped.against[-1])))
     chart = Chart(
         "root_locus_map",
-        [Panel(Axis(path.over, path.unit), Axis(against, unit_2), marks)],
+        [Panel(x, y, marks)],
         f"Largest growth rate over {path.over} and {against}{where}.",
         1,
         7.2,
@@ -118,7 +127,3 @@ def map_section(
     if rows:
         blocks.append(Table(columns, rows, f"Where stability ends along {against}."))
     return Section(f"{path.over} against {against}", text, blocks)
-
-
-def _within(mapped: StabilityMap, level: float) -> bool:
-    return bool(np.nanmin(mapped.growth) < level < np.nanmax(mapped.growth))

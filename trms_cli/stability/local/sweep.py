@@ -281,8 +281,8 @@ class Path:
         return self.kind != "angle" or self.balance.within_limits(point)
 
 
-def swept(path: Path, low: float, high: float, points: int, also: float | None = None) -> Sweep:
-    """Go through a range, by way of one more value if it lies within.
+def swept(path: Path, low: float, high: float, points: int, also: tuple[float, ...] = ()) -> Sweep:
+    """Go through a range, by way of further values where they lie within.
 
     Raises
     ------
@@ -291,8 +291,7 @@ def swept(path: Path, low: float, high: float, points: int, also: float | None =
     """
     begin = path.first(low, high)
     grid = np.linspace(low, high, points)
-    if also is not None and low < also < high:
-        grid = np.unique(np.append(grid, also))
+    grid = np.unique(np.concatenate([grid, [value for value in also if low < value < high]]))
     up, why_high = _one_way(path, begin, grid[grid > begin.value + 1e-12 * (high - low)])
     down, why_low = _one_way(path, begin, grid[grid < begin.value - 1e-12 * (high - low)][::-1])
     return Sweep((*down[::-1], begin, *up), why_low, why_high)

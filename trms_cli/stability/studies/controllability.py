@@ -17,6 +17,7 @@ from trms_cli.stability.local.access_data import data_of
 from trms_cli.stability.local.access_told import lead_of, sections_of, warnings_of
 from trms_cli.stability.local.found import Along, Found
 from trms_cli.stability.local.linear import Side
+from trms_cli.stability.local.parts import STILL
 from trms_cli.stability.local.scales import scales_of
 from trms_cli.stability.local.sensors import sensor_sets
 from trms_cli.stability.local.sweep import Path, swept, usual_line
@@ -45,7 +46,7 @@ class Controllability:
         tail rotor turns; with pitch at 0.2 rad where the rotors would stand; rest at last.
     over : str or None
         What is varied: a controlled state, an input or a parameter; None: the last angle
-        (yaw), or the command of a motor alone.
+        (yaw), the first where nothing depends on that, or the command of a motor alone.
     range : (float, float) or None
         In the unit of ``over``; None: 0.6 rad to either side, or what is usual for it.
     points : int
@@ -85,9 +86,11 @@ class Controllability:
         subject.require_no_loop("study=controllability", "leave it out; for loops: study=margins")
         model = subject.model
         sets = sensor_sets(model, self.sensors)
-        over = self.over or usual_line(model, last=True)
         tell("the operating point")
+        over = self.over or usual_line(model, last=True)
         at = dict(self.at) or _usual(model, over, self.side)
+        if self.over is None and _is_free(model, at, over):
+            over = usual_line(model)
         path = Path(model, at, over, self.side)
         point = path.balance.first(at)
         matrices = path.linear.matrices(point.x, point.u, self.side)
@@ -111,7 +114,7 @@ class Controllability:
         span = self.range
         if span is None and path.kind == "angle":
             span = (-_USUAL_SPAN, _USUAL_SPAN)
-        sweep = swept(path, *path.range(span), self.points, 0.0)
+        sweep = swept(path, *path.range(span), self.points, _standstill(path))
         found = Found(
             model=model,
             point=point,
@@ -134,6 +137,23 @@ class Controllability:
             data_of(found, along),
             warnings_of(found, along),
         )
+
+
+def _is_free(model: Model, at: Mapping[str, float], over: str) -> bool:
+    """Whether nothing depends on an angle: it rests wherever it is put."""
+    path = Path(model, at, over)
+    if path.kind != "angle":
+        return False
+    point = path.balance.first(at)
+    column = path.linear.a(point.x, point.u)[:, model.state_index(over)]
+    return model.sample_time is None and bool(np.abs(column).max() <= STILL)
+
+
+def _standstill(path: Path) -> tuple[float, ...]:
+    """Values at which a rotor may stand still, where an input is lost in a single point."""
+    if path.kind != "angle":
+        return (0.0,)
+    return 0.0, float(path.model.rest()[path.model.state_index(path.over)])
 
 
 def _usual(model: Model, over: str, side: Side) -> dict[str, float]:

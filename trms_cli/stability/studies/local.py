@@ -82,7 +82,7 @@ class Local:
         switches = linear.switches(point.x, point.u)
         tell(f"over {over}")
         low, high = path.range(self.range)
-        sweep = swept(path, low, high, self.points, _value_of(path, point))
+        sweep = swept(path, low, high, self.points, (_value_of(path, point),))
         tracks = tracks_of(model, sweep)
         found = crossings(path, sweep)
         words = point.words(model)
