@@ -132,16 +132,15 @@ def test_a_branch_from_a_cycle_ends_at_the_hopf_point():
     assert not any(orbit.stable for orbit in branch.orbits)
 
 
-def box(model, point):
-    widths = half_widths(model, point.x, {})
-    return point.x - widths, point.x + widths
+def proof_of(model, point):
+    return absence(model, point.x, point.u, half_widths(model, point.x, {}))
 
 
 @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
 def test_one_axis_has_no_cycle_and_that_is_proved(freedom):
     model = Newtonian(freedom=freedom)
     point = operating_point(model, {model.controlled[0]: 0.2})
-    proof = absence(model, point.u, box(model, point))
+    proof = proof_of(model, point)
     assert proof.proved and proof.everywhere
     rotor, beam = proof.blocks
     assert len(rotor.states) == 1 and len(beam.states) == 2
@@ -159,9 +158,11 @@ def test_one_axis_has_no_cycle_and_that_is_proved(freedom):
 def test_both_axes_are_left_open():
     model = Newtonian()
     point = operating_point(model, {"alpha_v": 0.0, "alpha_h": 0.3})
-    proof = absence(model, point.u, box(model, point))
+    proof = proof_of(model, point)
     assert not proof.proved and len(proof.blocks[-1].states) == 4
     assert not proof.blocks[-1].constant
+    # Close to the equilibrium areas shrink: there, none is proved.
+    assert 0.1 < proof.blocks[-1].share < 0.5
 
 
 def test_what_an_open_block_drives_is_open_too():
@@ -174,7 +175,7 @@ def test_what_an_open_block_drives_is_open_too():
             return ca.vertcat(super().dynamics(x, u, p, w), x[0] - x[2])
 
     model = Driven(lambda x, y, u: (y, (1 - x**2) * y - x))
-    proof = absence(model, np.zeros(1), (-3 * np.ones(3), 3 * np.ones(3)))
+    proof = absence(model, np.zeros(3), np.zeros(1), 3 * np.ones(3))
     assert [(block.states, block.constant) for block in proof.blocks] == [
         (("x", "y"), False),
         (("z",), False),
@@ -183,10 +184,37 @@ def test_what_an_open_block_drives_is_open_too():
 
 
 def test_nothing_is_proved_of_an_oscillator_that_cycles():
-    assert not absence(van_der_pol(), np.zeros(1), (-3 * np.ones(2), 3 * np.ones(2))).proved
+    assert not absence(van_der_pol(), np.zeros(2), np.zeros(1), 3 * np.ones(2)).proved
     # Within |x| < 1 the divergence 1 − x² is positive: no cycle lies there.
-    inner = absence(van_der_pol(), np.zeros(1), (-0.9 * np.ones(2), 0.9 * np.ones(2)))
+    inner = absence(van_der_pol(), np.zeros(2), np.zeros(1), 0.9 * np.ones(2))
     assert inner.proved and not inner.everywhere
+
+
+class WithLag(Oscillator):
+    """The normal form with a lag that acts back a little: one block of three states."""
+
+    states = (*Oscillator.states, Signal("z", "1"))
+
+    def __init__(self) -> None:
+        super().__init__(normal_form()._equations)
+
+    def dynamics(self, x, u, p, w):
+        plane = super().dynamics(x, u, p, w)
+        return ca.vertcat(plane[0] + 1e-3 * x[2], plane[1], x[0] - 3 * x[2])
+
+
+@settings(max_examples=4, deadline=None)
+@given(u=st.floats(-0.24, -0.02), width=st.floats(0.1, 1.5))
+def test_no_box_that_is_proved_empty_holds_a_known_cycle(u, width):
+    (block,) = absence(WithLag(), np.zeros(3), np.array([u]), np.full(3, width)).blocks
+    radius = np.sqrt((1 - np.sqrt(1 + 4 * u)) / 2)  # of the unstable cycle, to the lag's 1e-3
+    assert 0 < block.share <= 1 and not block.constant
+    assert block.share * width < radius + 0.01
+
+
+def test_a_block_whose_areas_shrink_everywhere():
+    (block,) = absence(WithLag(), np.zeros(3), np.array([-1.0]), np.full(3, 0.3)).blocks
+    assert block.share == 1.0
 
 
 def test_impulses_are_told():

@@ -10,9 +10,10 @@ orbit of the whole, taken in the order of the cascade, with what drives a block 
   3rd ed., lemma 2.2; for Lipschitz fields with the divergence almost everywhere). Its periodic
   solutions are constant too.
 
-So every periodic orbit is an equilibrium if all blocks are of these kinds. The divergence is
-bounded by interval arithmetic on the model's own equations, first over all of the state space, then
-over the box.
+So every periodic orbit is an equilibrium if all blocks are of these kinds. Of a block of more
+states :mod:`trms_cli.stability.cycles.contracting_areas` finds a part of the box without a closed
+orbit. The divergence is bounded by interval arithmetic on the model's own equations, first over all
+of the state space, then over the box.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model
+from trms_cli.stability.cycles.contracting_areas import share_without_orbits
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.vector_field import VectorField
@@ -34,6 +36,8 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Boxes that a region is cut into, along each of a block's two states and the ones that drive it.
 _CUTS = 8
+#: Equilibria are known to this part.
+_ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class Block:
         Whether its periodic solutions are proved to be constant.
     driven : bool
         Whether a block that is not proved constant acts on it.
+    share : float
+        Of a block of more than two states: part of the box that holds no periodic orbit, from 0.
     """
 
     states: tuple[str, ...]
@@ -58,6 +64,7 @@ class Block:
     everywhere: bool
     constant: bool
     driven: bool = False
+    share: float = 0.0
 
     @property
     def reason(self) -> str:
@@ -66,6 +73,11 @@ class Block:
             return "driven by a block that stays open"
         if len(self.states) == 1:
             return "one state: periodic only if constant"
+        if self.share > 0.0:
+            return (
+                f"areas shrink (λ₁ + λ₂ < 0) in {100 * self.share:.0f} % of the box's widths: "
+                "no closed orbit there"
+            )
         if self.divergence is None:
             return f"{len(self.states)} states: Bendixson's criterion is for two"
         low, high = self.divergence
@@ -98,17 +110,21 @@ class Absence:
         return all(block.everywhere for block in self.blocks)
 
 
-def absence(model: Model, u: FloatArray, box: tuple[FloatArray, FloatArray]) -> Absence:
+def absence(model: Model, x_rest: FloatArray, u: FloatArray, widths: FloatArray) -> Absence:
     """Whether the model has no periodic orbit with a command held.
 
     Parameters
     ----------
     model : Model
         With equations; impulses are no part of what is proved.
+    x_rest : (n_x,)
+        The equilibrium.
     u : (n_u,)
-    box : ((n_x,), (n_x,))
-        Least and largest states, where nothing can be said for all of them.
+        Its command.
+    widths : (n_x,)
+        Half-widths of the box around it, where nothing can be said for all states.
     """
+    box = x_rest - widths, x_rest + widths
     field = VectorField(model)
     x, command, p, w = model.symbols()
     f = model.dynamics(x, command, p, w)
@@ -117,6 +133,8 @@ def absence(model: Model, u: FloatArray, box: tuple[FloatArray, FloatArray]) -> 
     slope = ca.jacobian(f, x)
     blocks: list[Block] = []
     not_constant: set[int] = set()
+    # Half-widths within which the constants of the blocks before are known.
+    known = widths.copy()
     pattern = ca.DM(slope.sparsity(), 1.0).full() > 0
     for members in _cascade(slope.sparsity()):
         named = tuple(model.state_names[i] for i in members)
@@ -127,13 +145,28 @@ def absence(model: Model, u: FloatArray, box: tuple[FloatArray, FloatArray]) -> 
             continue
         if len(members) == 1:
             blocks.append(Block(named, None, True, True))
+            own = ca.Function("own", [x], [ca.densify(slope[members, members])])
+            if _falls(own, box):
+                # Its equilibrium is the only one in the box.
+                known[members] = _ROUNDING * (1.0 + np.abs(x_rest[members]))
             continue
         if len(members) > 2:
-            blocks.append(Block(named, None, False, False))
+            own = ca.Function("own", [x], [ca.densify(slope[members, members])])
+            share = share_without_orbits(own, members, x_rest, known)
+            blocks.append(Block(named, None, False, False, share=share))
             continue
         divergence = ca.densify(ca.simplify(ca.trace(slope[members, members])))
         blocks.append(_bounded(named, ca.Function("divergence", [x], [divergence]), box))
     return Absence(blocks)
+
+
+def _falls(slope: ca.Function, box: tuple[FloatArray, FloatArray]) -> bool:
+    """Whether the slope of a scalar equation is negative in the box."""
+    try:
+        bounds = Enclosure(slope)(Interval.of(box[0][None], box[1][None]))[0]
+    except ModelError:
+        return False
+    return bool(bounds.upper.max() < 0.0)
 
 
 def _cascade(sparsity: ca.Sparsity) -> list[list[int]]:

@@ -86,6 +86,7 @@ def results_of(found: Found) -> dict[str, Any]:
                     "states": list(block.states),
                     "constant": block.constant,
                     "divergence": _finite(block.divergence),
+                    "share": block.share,
                 }
                 for block in found.proof.blocks
             ],

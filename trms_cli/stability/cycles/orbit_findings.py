@@ -50,7 +50,8 @@ def _answer(found: Found) -> list[str]:
         return [
             f"{proved}No limit cycle was found at {words}, by {len(found.search.motions)} motions "
             f"of {found.duration:g} s from the box of starts{means} ({_fates(found.search)})."
-            + ("" if proved else " That is a search, not a proof.")
+            + ("" if proved else " That is a search, not a proof."),
+            *_share_words(found),
         ]
     count = {True: 0, False: 0}
     for orbit in orbits:
@@ -59,6 +60,24 @@ def _answer(found: Found) -> list[str]:
         f"{len(orbits)} limit cycle{'s' * (len(orbits) > 1)} at {words}: "
         f"{count[True]} stable, {count[False]} unstable.",
         *(_orbit_words(found, orbit) for orbit in orbits),
+    ]
+
+
+def _share_words(found: Found) -> list[str]:
+    """The part of the box in which a proof is had after all."""
+    blocks = [block for block in found.proof.blocks if not block.constant]
+    if not found.smooth or len(blocks) != 1 or not blocks[0].share:
+        return []
+    model, share = found.model, blocks[0].share
+    rows = [model.state_index(name) for name in model.controlled if name in blocks[0].states]
+    within = ", ".join(
+        f"{symbol(model.state_names[i])} within {found.point.x[i] + 0.0:.3f} ± "
+        f"{share * found.widths[i]:.2g} {model.states[i].unit}"
+        for i in rows
+    )
+    return [
+        f"In {100 * share:.0f} % of the box's widths around the equilibrium ({within}) there is "
+        "none: certified, as areas shrink."
     ]
 
 
@@ -159,8 +178,9 @@ def _proof_section(found: Found) -> Section:
             "Blocks of states that drive one another in one direction only, drivers first. On a "
             "periodic orbit a block of one state is constant; so is a block of two whose "
             "divergence has one sign (Bendixson), bounded by interval arithmetic.",
-            "All blocks constant: there is no periodic orbit but the equilibria. A block that "
-            "stays open says nothing.",
+            "All blocks constant: there is no periodic orbit but the equilibria. Of an open block "
+            "of more states, a part of the box may be proved to hold none: where the flow shrinks "
+            "every area (Smith 1986), no closed orbit lies.",
         ),
         (Table(["states", "periodic solutions", "why"], rows),),
     )

@@ -83,7 +83,7 @@ class LimitCycles:
         widths = half_widths(model, point.x, self.box)
         smooth = not has_impulses(model)
         tell("is a cycle possible at all")
-        proof = absence(model, point.u, (point.x - widths, point.x + widths))
+        proof = absence(model, point.x, point.u, widths)
         tell(f"{self.starts} motions of {self.duration:g} s")
         shooting = Shooting(model) if smooth and not (proof.proved and proof.everywhere) else None
         search = searched(
