@@ -206,6 +206,18 @@ def test_main_reaction_on_yaw_asks_for_the_tail_rotor() -> None:
     assert abs(hover.u[1] + 0.776) < 5e-4
 
 
+def test_each_change_of_stability_along_a_curve_is_told() -> None:
+    drag = RotorReaction(rotor="main", drag=1.5e-7, inertia=0.0)
+    found = surveyed(ExtendedModel(NEWTONIAN, "reaction", drag), "u_v", 3)
+    (curve,) = found.curves
+    changes = np.flatnonzero(np.diff([point.unstable for point in curve.points]))
+    told = [one for one in curve.landmarks if one.kind in ("fold", "oscillation", "exchange")]
+    assert len(told) == len(changes) == 3
+    for one in told:
+        rightmost = one.at.eigenvalues[np.argsort(np.abs(one.at.eigenvalues.real))[0]]
+        assert abs(rightmost.real) < 1e-6
+
+
 def test_pitch_of_the_thesis_set_begins_to_swing_above_a_third_of_a_radian() -> None:
     found = surveyed(Newtonian(parameter_set="rahideh"), "u_v")
     angles = [one.at.x[5] for one in found.landmarks if one.kind == "oscillation"]

@@ -62,7 +62,10 @@ def landmarks(
     folds = _folds(field, equations, curve)
     found += folds
     for k, after in enumerate(points[1:]):
-        if after.unstable == points[k].unstable or any(abs(place - k) <= 2 for place, _ in folds):
+        more = after.unstable - points[k].unstable
+        # At a fold one real eigenvalue crosses; a pair that does so near it is another matter.
+        folding = more % 2 == 1 and any(abs(place - k) <= 2 for place, _ in folds)
+        if more == 0 or folding:
             continue
         found.append((k, _change(field, equations, curve.y[k], curve.y[k + 1], points[k])))
     for k in curve.crossings:
