@@ -43,7 +43,7 @@ _FEW = 3
 _SHARE = 0.98
 _RAYS = 600
 #: Samples from which the volume of a set that is no ellipsoid is counted.
-_COUNTED = 200_000
+_COUNTED = 60_000
 
 
 @dataclass(frozen=True)

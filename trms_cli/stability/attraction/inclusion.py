@@ -156,7 +156,7 @@ def optimised(
     search = _Search(system, slabs)
     most = max(12, min(60, 100 - 11 * system.n)) if most is None else most
     begin = scales(system) if first is None else first.extents
-    scale = _largest(lambda s: search.at(begin * s) is not None, 1.0, 0.1)
+    scale = _largest(lambda s: search.bound(begin * s), 1.0, 0.1)
     best = None if scale is None else search.at(begin * scale)
     walls = list(system.curved)
     for factor in _FACTORS:
@@ -240,6 +240,11 @@ class _Search:
             self._active = masks
         return None
 
+    def bound(self, radii: FloatArray) -> bool:
+        """Whether the box holds an ellipsoid, and bounds it: a larger one would be of use."""
+        found, sides = self.at(radii), list(self._system.curved) or list(range(len(radii)))
+        return found is not None and bool(np.any(found.extents[sides] > 0.9 * radii[sides]))
+
     def _growth(self, matrices: FloatArray, Q: FloatArray) -> FloatArray:
         """Twice the rate at which V may grow at each corner: positive where Q will not do."""
         value, vectors = np.linalg.eigh(Q)
@@ -283,10 +288,14 @@ def _largest(holds: Callable[[float], bool], start: float, accuracy: float = 1e-
         low, high = low / 4.0, low
         if low < 1e-12 * start:
             return None
-    while high == low or holds(high):
-        low, high = max(low, high) if holds(high) else low, high * 4.0
-        if high > 1e12 * start:
-            raise ModelError("the region is as large as numbers go: the equations are linear")
+    if high == low:
+        high = 4.0 * low
+        while holds(high):
+            low, high = high, 4.0 * high
+            if high > 1e12 * start:
+                raise ModelError(
+                    "the set that is proved has no bound", remedy="give a box: study.box"
+                )
     while high > low * (1.0 + accuracy):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if holds(middle) else (low, middle)

@@ -32,10 +32,12 @@ FloatArray = npt.NDArray[np.float64]
 _TIME_CONSTANTS = 10.0
 #: Sides of the default box beyond those of the largest estimate.
 _ROOM = 1.6
+#: The default box goes to the nearest saddle and beyond by this factor.
+_BEYOND = 1.2
 #: Starts in each estimate, to test it by simulation.
 _TESTED = 80
 #: Points from which the share of the box that an estimate fills is counted.
-_COUNTED = 200_000
+_COUNTED = 60_000
 #: Motions that are drawn, and for how long, s.
 _DRAWN, _SHOWN = 6, 12.0
 
@@ -209,9 +211,14 @@ def inquire(
     found = estimates(system, limits, options.methods, options.boxes, tell, linear_inside)
     proved = [e for e in found if e.proved]
     arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(system, limits)
+    rests = other_rests(system, limits)
     if box is None:
         reach = np.max([e.extents for e in found], axis=0) if found else 0.2 * limits
-        box = np.minimum(_ROOM * reach, limits)
+        room = _ROOM
+        for rest in [rest for rest in rests if not rest.stable][:1]:
+            # The nearest saddle is to be seen, and what lies beyond it.
+            room = max(room, _BEYOND * float(np.max(np.abs(rest.y) / reach)))
+        box = np.minimum(room * reach, limits)
     box = np.array([options.box.get(n, float(r)) for n, r in zip(starts.names, box, strict=True)])
     samples, grid = options.for_states(system.n)
     slowest = float(-system.eigenvalues.real.max())
@@ -234,7 +241,6 @@ def inquire(
         for e, test in zip(found, tests, strict=True)
     )
     tell(f"{grid}² motions in a plane")
-    rests = other_rests(system, np.minimum(2.0 * limits, far))
     plane = _plane(system, starts, options, box, lambda y: fates(system, y, arrival, duration, far))
     undecided = int(np.sum(fate == UNDECIDED))
     return Region(

@@ -77,7 +77,8 @@ class Rays:
         """Uniform directions in the metric of P, as far as \\|y_i\\| ≤ limits_i; with opposites."""
         value, vectors = np.linalg.eigh(P)
         root = vectors / np.sqrt(value)
-        z = np.random.default_rng(seed).normal(size=(count // 2, len(P)))
+        half = count // 2 if len(P) > 1 else 1  # a line has two directions
+        z = np.random.default_rng(seed).normal(size=(half, len(P)))
         z /= np.linalg.norm(z, axis=1)[:, None]
         y = np.vstack([z, -z]) @ root.T
         return cls(root, y / np.max(np.abs(y) / limits, axis=1)[:, None])

@@ -8,13 +8,14 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from trms_cli.models.model import names
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.model import Model
 from trms_cli.stability.attraction.inquiry import Options, inquire
 from trms_cli.stability.attraction.loop_region import loop_findings
 from trms_cli.stability.attraction.report import lead, results, sections, warnings
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.findings import Findings
-from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -30,8 +31,9 @@ class RegionOfAttraction:
     Attributes
     ----------
     at : dict of str to float
-        Equilibrium: angles (rad) or commands (V). Empty: a main command of 1.8 V without a
-        controller; with one, level, and yaw at 0.3 rad, where the tail rotor turns.
+        Equilibrium: angles (rad) or commands (V). Empty: a main command of 1.8 V, or the rest
+        without command where the model has no equilibrium at that; with a controller, level, and
+        yaw at 0.3 rad, where the tail rotor turns.
     states : sequence of str, "all" or None
         In which starts deviate. None: the angles and what moves with them, the rotors at their
         speed.
@@ -97,8 +99,7 @@ class RegionOfAttraction:
             return loop_findings(
                 subject, point, options, chosen, self.loop_starts, self.tolerance, tell, TITLE
             )
-        at = self.at or ({"u_v": 1.8} if "u_v" in names(model.inputs) else {})
-        point = operating_point(model, at, "study.at")
+        point = self._point(model)
         system = around(
             model,
             point,
@@ -114,6 +115,15 @@ class RegionOfAttraction:
                 "equations, neither in the proofs nor in these simulations."
             )
         return Findings(TITLE, lead(found), sections(found), results(found), notes)
+
+    def _point(self, model: Model) -> OperatingPoint:
+        if self.at:
+            return operating_point(model, self.at, "study.at")
+        try:
+            return operating_point(model, {"u_v": 1.8})
+        except ConfigurationError:
+            # No such command, or no rest there (a yaw that nothing holds turns with it).
+            return operating_point(model, {}, "study.at")
 
 
 def _level(controlled: Sequence[str]) -> dict[str, float]:
