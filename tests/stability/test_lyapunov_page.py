@@ -43,7 +43,7 @@ ROWS: dict[str, tuple[Any, dict[str, Any], dict[str, float]]] = {
     "Lagrangian, `rahideh`, hover": (Lagrangian, {"parameter_set": "rahideh"}, {"alpha_v": 0.0}),
 }
 #: Rows that take more than a second or two.
-LONG = ("Newtonian", "Lagrangian, hover, α_h")
+LONG = ("Newtonian", "Lagrangian")
 
 
 def rows() -> list[list[str]]:
