@@ -58,7 +58,7 @@ def prover_of(model: Model, over: str, held: dict[str, float] | None = None) -> 
 
 def surveyed(model: Model, over: str, points: int = 6, whole: bool = False) -> Survey:
     limit = model.input_limits[over]
-    setting = setting_of(model, over, (-limit, limit), None)
+    setting = setting_of(model, over, (-limit, limit), {})
     return survey(model, setting, {}, np.linspace(-limit, limit, points), whole, silent)
 
 
@@ -322,7 +322,7 @@ def test_a_range_cut_no_further_is_told_as_unknown() -> None:
 
 
 def test_settings_hold_the_pitch_over_the_tail_rotor() -> None:
-    assert setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), None) == Setting(
+    assert setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {}) == Setting(
         "u_h", (-1.0, 1.0), {}, {"alpha_v": 0.0}
     )
     given_ = setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {"u_v": 1.0})

@@ -245,23 +245,23 @@ def setting_of(
     model: Model,
     over: str,
     bounds: tuple[float, float],
-    at: Mapping[str, float] | None,
+    at: Mapping[str, float],
 ) -> Setting:
     """The other inputs of a survey.
 
     Inputs of ``at`` have their value, the others zero. An angle of ``at`` is held by the input of
-    its own rotor, unless that is what is varied. With ``at`` None the pitch is held level where a
+    its own rotor, unless that is what is varied. With nothing named the pitch is held level where a
     tail rotor is varied and nothing else asks for the main rotor's command.
     """
     own = {axis: model.rotors.get(rotor) for axis, rotor in (("pitch", "main"), ("yaw", "tail"))}
     holder = {model.axes[axis].angle: own[axis] for axis in own if axis in model.axes}
-    asked = dict(at or {})
+    asked = dict(at)
     held = {
         name: value
         for name, value in asked.items()
         if name in holder and holder[name] not in (None, over)
     }
-    if at is None and "pitch" in model.axes and own["pitch"] is not None and over == own["yaw"]:
+    if not asked and "pitch" in model.axes and own["pitch"] is not None and over == own["yaw"]:
         angle = model.axes["pitch"].angle
         if not rest_system(model, {over}).free:
             held = {angle: 0.0}

@@ -48,8 +48,8 @@ class Equilibria:
         Inputs: a curve over each. None: all that act on the rest.
     range : dict of str to (float, float)
         Range by input, in its unit; what is not named reaches to its limits.
-    at : dict of str to float or None
-        The other inputs: commands, or angles (rad) that an input holds. None: no tail command over
+    at : dict of str to float
+        The other inputs: commands, or angles (rad) that an input holds. Empty: no tail command over
         the main rotor's, the beam held level over the tail rotor's.
     box : dict of str to (float, float)
         Bounds by state; what is not named as of
@@ -66,7 +66,7 @@ class Equilibria:
 
     over: tuple[str, ...] | None = None
     range: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    at: Mapping[str, float] | None = None
+    at: Mapping[str, float] = field(default_factory=dict)
     box: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     proof_points: Annotated[int, Meta(ge=2, le=201)] = 21
     proof_range: bool = True
@@ -120,12 +120,13 @@ class Equilibria:
 
     def _inputs(self, model: Model) -> tuple[str, ...]:
         known = names(model.inputs)
-        for key, given in (("over", self.over or ()), ("range", self.range), ("at", self.at or {})):
+        for key, given in (("over", self.over or ()), ("range", self.range), ("at", self.at)):
             allowed = (*known, *model.controlled) if key == "at" else known
+            kind = "neither an input nor a controlled angle" if key == "at" else "no input"
             for name in given:
                 if name not in allowed:
                     raise ConfigurationError(
-                        f"{name!r} is no input of model {model.name!r}",
+                        f"{name!r} is {kind} of model {model.name!r}",
                         where=f"study.{key}",
                         remedy=nearest(name, allowed),
                     )
