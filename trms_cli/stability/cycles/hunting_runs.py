@@ -52,7 +52,7 @@ class Watched:
     period : float or None
         s, mean of whole cycles.
     swing : float
-        Peak to peak of the angle, rad.
+        Peak to peak of the angle, rad: over the last cycle where it hunts.
     stuck_share : float
     at_limit : bool
         Whether a command reached its bound.
@@ -115,6 +115,10 @@ def judged(model: Model, run: LoopRun, point: OperatingPoint, axis: str) -> Watc
     tail = slice(len(angle) // 2, None)
     swing = float(np.ptp(angle[tail])) if len(angle) > 1 else math.nan
     verdict, period = _verdict(run, angle, stuck)
+    if verdict == "hunting" and period is not None:
+        # The last cycle alone: slips of the transient may still be larger.
+        since = run.time[-1] - 1.05 * period
+        swing = float(np.ptp(angle[max(len(angle) // 2, int(np.searchsorted(run.time, since))) :]))
     _, bound = model.input_bounds()
     return Watched(
         run.time,

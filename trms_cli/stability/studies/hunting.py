@@ -129,7 +129,10 @@ class Hunting:
         if friction.law.excess > 0:
             tell("the same with Coulomb friction alone")
             short = min(duration, _SHORTEST)
-            coulomb, _ = case.seen(short, law=replace(friction.law, excess=0.0))
+            alone = replace(friction.law, excess=0.0)
+            coulomb, _ = case.seen(short, law=alone)
+            if coulomb.verdict == "undecided":
+                coulomb, _ = case.seen(_LONGER * short, law=alone)
         sweeps = [
             s
             for s in (
