@@ -276,6 +276,11 @@ def test_bad_requests_say_what_is_possible(at, over, says):
     assert says in f"{refused.value.problem} {refused.value.remedy}"
 
 
+def test_a_range_that_the_rig_cannot_rest_in_is_refused():
+    with pytest.raises(ConfigurationError, match="cannot rest"):
+        Local(range=(2.5, 2.7)).run(Subject(Newtonian(), "newtonian"), silent)
+
+
 def test_states_of_effects_are_named_after_the_effect():
     from trms_cli.effects.cable_hysteresis import CableHysteresis
     from trms_cli.effects.extended_model import extended

@@ -162,6 +162,15 @@ def test_the_map_has_holes_where_there_is_no_operating_point():
     assert np.isnan(found.growth[-1]).all()
 
 
+def test_a_locus_over_a_command_ends_at_the_fold_and_so_does_its_map():
+    asked = RootLocus(over="u_v", range=(1.5, 2.5), against="u_h", points=9, map_points=3)
+    findings = asked.run(Subject(Newtonian(), "newtonian"), silent)
+    values = findings.results["locus"]["values"]
+    assert values[-1] == pytest.approx(2.23, abs=5e-3)
+    assert "ends" in findings.results["locus"]["ended_high"]
+    assert findings.results["map"]["along_against"][0]["over"] == 1.5
+
+
 def test_the_study_says_where_and_why():
     findings = RootLocus(points=21, map_points=5).run(Subject(Newtonian(), "newtonian"), silent)
     assert "k_g = 0.14813" in findings.lead[0]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.chart import Axis, Chart, Contour, Line, Mark, Panel, Points, Region
+from trms_cli.core.errors import TrmsError
 from trms_cli.stability.findings import Section, Table
 from trms_cli.stability.local.crossings import crossings
 from trms_cli.stability.local.map import StabilityMap
@@ -36,7 +37,10 @@ def boundary_along(
     for value in values:
         tell(f"along {against} at {path.over} = {value:.4g}")
         line = Path(path.model, path.at, against, path.side).moved(path.over, value)
-        run = swept(line, *span_2, 41)
+        try:
+            run = swept(line, *span_2, 41)
+        except TrmsError:
+            continue  # no operating point there: the map has a hole
         tracks = tracks_of(path.model, run)
         found.append(
             {

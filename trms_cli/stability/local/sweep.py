@@ -193,6 +193,12 @@ class Path:
         begin = self._begin()
         value = min(max(self.began, low), high)
         point = self.balance.advance(self.held(self.began), self.held(value), begin)
+        if point is not None and not self._within(point):
+            raise ConfigurationError(
+                f"the rig cannot rest at {self.over} = {value:g} within its inputs and stops",
+                where="study.range",
+                remedy="choose a range nearer to where it rests, or leave the range out",
+            )
         if point is None:
             raise ConfigurationError(
                 f"the operating point ends between {self.over} = {self.began:g} and {value:g}",

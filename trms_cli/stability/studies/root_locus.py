@@ -96,7 +96,8 @@ class RootLocus:
             span_2 = Path(model, at, against, self.side).range(self._against_range())
             size = (self.map_points, 2 * self.map_points + 1)
             mapped = stability_map(path, against, (low, high), span_2, size, tell)
-            at_ends = boundary_along(path, against, (low, high), span_2, tell)
+            ends = (float(sweep.values[0]), float(sweep.values[-1]))
+            at_ends = boundary_along(path, against, ends, span_2, tell)
             sections.append(map_section(path, against, mapped, at_ends))
         return Findings(
             "Root locus",
@@ -200,11 +201,13 @@ def _lead(
                 f"With {path.over} = {end['over']:.4g} no mode crosses for {against} from "
                 f"{low:g} to {high:g}."
             )
-        for c in end["crossings"][:1]:
-            told.append(
-                f"With {path.over} = {end['over']:.4g} the {c['mode']} is unstable "
-                f"{'above' if c['unstable_above'] else 'below'} {against} = {c['value']:.4g}."
-            )
+        parts = [
+            f"the {c['mode']} is unstable {'above' if c['unstable_above'] else 'below'} "
+            f"{against} = {c['value']:.4g}"
+            for c in end["crossings"]
+        ]
+        if parts:
+            told.append(f"With {path.over} = {end['over']:.4g} {'; '.join(parts)}.")
     return told
 
 
