@@ -42,7 +42,7 @@ def solved(
     return isolate(Equations(expression, z, Q), box, point, np.full(n, 1e-9))  # type: ignore[arg-type]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.lists(st.integers(-19, 19), min_size=1, max_size=4, unique=True))
 def test_all_roots_of_a_polynomial_are_found_and_proved(places: list[int]) -> None:
     roots = sorted(place / 10.0 + 0.003 for place in places)
