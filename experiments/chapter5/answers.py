@@ -20,7 +20,7 @@ from trms_cli.core.errors import ConfigurationError
 Figure = float | str | bool | None
 
 
-def answer(name: str, question: Question, pictures: str | None) -> dict[str, Any]:
+def answer(question: Question, pictures: str | None) -> dict[str, Any]:
     """The document of one question; its pictures are kept in a folder, if there is one."""
     from trms_cli.commands import stability
     from trms_cli.commands.composition import compose
@@ -36,8 +36,8 @@ def answer(name: str, question: Question, pictures: str | None) -> dict[str, Any
             (folder / stability.DOCUMENT_NAME).read_text(encoding="utf-8")
         )
         if pictures is not None:
-            for picture in question.pictures:
-                shutil.copy(folder / f"{picture}.png", Path(pictures, f"{name}_{picture}.png"))
+            for chart, picture in question.pictures.items():
+                shutil.copy(folder / f"{chart}.png", Path(pictures, f"{picture}.png"))
     return document
 
 
@@ -49,14 +49,13 @@ def answers(
     found: dict[str, dict[str, Any]] = {}
     if jobs <= 1:
         for name, question in study.questions.items():
-            found[name] = answer(name, question, kept)
+            found[name] = answer(question, kept)
             said(name)
         return found
     # A fresh process each, also where forking is usual: casadi's threads do not survive a fork.
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         futures = {
-            pool.submit(answer, name, question, kept): name
-            for name, question in study.questions.items()
+            pool.submit(answer, question, kept): name for name, question in study.questions.items()
         }
         for future in as_completed(futures):
             found[futures[future]] = future.result()

@@ -12,13 +12,10 @@ from trms_cli.reporting.page import shown_cell
 
 def parts_of(study: Study, documents: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """The text between the marks of the page, by question."""
-    return {
-        name: _part(question, documents[name], f"figures/chapter5/{name}_")
-        for name, question in study.questions.items()
-    }
+    return {name: _part(question, documents[name]) for name, question in study.questions.items()}
 
 
-def _part(question: Question, document: Mapping[str, Any], pictures: str) -> str:
+def _part(question: Question, document: Mapping[str, Any]) -> str:
     lines = [f"`trms stability {shlex.join(question.overrides)}`: {question.why}.", ""]
     lines += [f"- {sentence}" for sentence in document["lead"]]
     lines += [f"- *{warning}*" for warning in document["warnings"]]
@@ -28,8 +25,8 @@ def _part(question: Question, document: Mapping[str, Any], pictures: str) -> str
         if table["caption"]:
             lines += ["", f"*{table['caption']}*"]
     charts = {chart["name"]: chart for chart in document["charts"]}
-    for name in question.pictures:
-        lines += ["", f"![{charts[name]['caption']}]({pictures}{name}.png)"]
+    for name, picture in question.pictures.items() if question.shown else ():
+        lines += ["", f"![{charts[name]['caption']}](figures/chapter5/{picture}.png)"]
     return "\n".join(lines)
 
 

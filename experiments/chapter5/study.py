@@ -19,7 +19,8 @@ class Question(msgspec.Struct, forbid_unknown_fields=True):
     overrides: list[str]  #: as typed
     figures: list[str] = []  #: keys of ``results`` that are recorded, as ``modes.0.frequency_hz``
     tables: list[int] = []  #: tables that the page shows, by their place
-    pictures: list[str] = []  #: figures that the page shows, by name
+    pictures: dict[str, str] = {}  #: figures that are kept: file name by the figure's own
+    shown: bool = True  #: whether the page of the chapter shows its figures
     quick: bool = False  #: whether the quick study has it
 
 

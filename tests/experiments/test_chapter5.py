@@ -1,0 +1,149 @@
+"""The study of chapter 5: what it asks, that its answers are what was recorded, its page."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("experiments.chapter5", reason="the studies are in the checkout only")
+
+from experiments.chapter5.__main__ import EXPECTED, FIGURES, PAGE, main, read_expected
+from experiments.chapter5.answers import answers, differences, figures_of
+from experiments.chapter5.page import parts_of
+from experiments.chapter5.study import Question, Study, Tolerance, read_study
+from trms_cli.commands.catalogue import read_groups
+from trms_cli.core.errors import ConfigurationError
+
+#: What issue and thesis ask for, by the study that answers it.
+WANTED = {
+    "equilibria",
+    "local",
+    "root_locus",
+    "controllability",
+    "phase_portrait",
+    "limit_cycles",
+    "hunting",
+    "lyapunov",
+    "region_of_attraction",
+    "margins",
+    "tolerance",
+}
+
+
+def study_of(question: Question) -> str:
+    (word,) = [text for text in question.overrides if text.startswith("study=")]
+    return word.removeprefix("study=")
+
+
+class TestStudy:
+    def test_every_study_that_there_is_is_asked(self):
+        asked = {study_of(question) for question in read_study().questions.values()}
+        assert asked == WANTED == set(read_groups()["study"])
+
+    def test_each_question_records_something(self):
+        for name, question in read_study().questions.items():
+            assert question.figures and question.why, name
+
+    def test_the_quick_one_is_a_part_of_it(self):
+        full, quick = read_study().questions, read_study(quick=True).questions
+        assert 2 <= len(quick) < len(full)
+        assert all(full[name].overrides == q.overrides for name, q in quick.items())
+
+    @pytest.mark.parametrize("text", ["", "[]", "questions: x"])
+    def test_what_is_no_study_is_told(self, tmp_path, text, capsys):
+        file = tmp_path / "study.yaml"
+        file.write_text(text)
+        assert main(["--study", str(file)]) == 2
+        assert "no study" in capsys.readouterr().err
+
+
+class TestExpectation:
+    def test_quick_study(self):
+        study = read_study(quick=True)
+        found = figures_of(study, answers(study, 1, None, lambda name: None))
+        assert differences(found, read_expected(EXPECTED), study.tolerance) == []
+
+    @pytest.mark.slow
+    def test_whole_study_elsewhere(self, tmp_path, capsys):
+        before = PAGE.read_bytes()
+        assert main(["--out", str(tmp_path)]) == 0, capsys.readouterr().out
+        assert PAGE.read_bytes() == before
+        drawn = {path.name for path in tmp_path.glob("*.png")}
+        assert drawn == {path.name for path in FIGURES.glob("*.png")}
+
+    def test_recorded_is_what_is_asked(self):
+        recorded = read_expected(EXPECTED)
+        asked = {name: set(q.figures) for name, q in read_study().questions.items()}
+        assert {name: set(figures) for name, figures in recorded.items()} == asked
+
+    def test_a_figure_that_moved_is_named(self):
+        allowed = Tolerance(0.01, 0.1)
+        known = {"a": {"x": 1.0, "y": "proved", "z": None}}
+        assert differences({"a": {"x": 1.1, "y": "proved", "z": None}}, known, allowed) == []
+        moved = {"a": {"x": 1.12, "y": "searched", "z": 0.0}}
+        words = differences(moved, known, allowed)
+        assert len(words) == 3 and "a: x is 1.12, expected 1.0" in words
+        assert differences({"a": {"x": float("nan"), "w": 1}}, known, allowed) != []
+        # a part of what was recorded may be held against it, a part of a question may not
+        assert differences({}, known, allowed) == []
+        assert len(differences({"a": {"x": 1.0}}, known, allowed)) == 2
+
+    def test_a_key_that_is_not_there_is_told(self):
+        study = Study({"q": Question("why", [], ["a.1.b"])}, Tolerance(0, 0))
+        with pytest.raises(ConfigurationError, match=r"no 'a\.1\.b'") as caught:
+            figures_of(study, {"q": {"results": {"a": [{"b": 1.0}]}}})
+        assert "questions.q" in caught.value.where
+        study.questions["q"].figures = ["a.0"]
+        with pytest.raises(ConfigurationError, match="no single figure"):
+            figures_of(study, {"q": {"results": {"a": [{"b": 1.0}]}}})
+
+    @pytest.mark.parametrize("words", [["--update", "--quick"], ["--update", "--out", "x"]])
+    def test_a_part_is_not_recorded(self, words, capsys):
+        assert main(words) == 2
+        assert "--update" in capsys.readouterr().err
+
+
+class TestPage:
+    def test_it_has_a_place_for_every_question_and_no_other(self):
+        text = PAGE.read_text(encoding="utf-8")
+        begun = re.findall(r"<!-- (\w+): begin -->", text)
+        assert sorted(begun) == sorted(read_study().questions)
+        for name, question in read_study().questions.items():
+            part = text.partition(f"<!-- {name}: begin -->")[2].partition("<!--")[0]
+            for word in question.overrides:
+                assert word.split("=")[0] in part
+            assert part.count("\n- ") >= 1
+
+    def test_its_figures_are_there_and_small(self):
+        pages = [PAGE, *PAGE.parent.glob("stability*.md")]
+        text = "".join(page.read_text(encoding="utf-8") for page in pages)
+        shown = set(re.findall(r"figures/chapter5/(\w+\.png)", text))
+        assert shown == {path.name for path in FIGURES.glob("*.png")}
+        assert all(path.stat().st_size < 200_000 for path in FIGURES.glob("*.png"))
+
+    def test_a_part_is_made_of_the_answer(self):
+        document = {
+            "lead": ["It rests."],
+            "warnings": ["linear only"],
+            "tables": [{"columns": ["|x|"], "rows": [[1.23456], [None]], "caption": "Rest."}],
+            "charts": [{"name": "plane", "caption": "The plane."}],
+        }
+        question = Question("to see", ["study=local"], tables=[0], pictures={"plane": "rest_plane"})
+        study = Study({"rest": question}, Tolerance(0, 0))
+        part = parts_of(study, {"rest": document})["rest"]
+        assert part.splitlines()[0] == "`trms stability study=local`: to see."
+        assert "- It rests." in part and "- *linear only*" in part
+        assert "| \\|x\\| |" in part and "| 1.23 |" in part and "| – |" in part
+        assert "![The plane.](figures/chapter5/rest_plane.png)" in part
+
+
+def test_recorded_figures_that_are_missing_are_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="no recorded figures") as caught:
+        read_expected(tmp_path / "expected.json")
+    assert "--update" in caught.value.remedy
+    (tmp_path / "expected.json").write_text(json.dumps({"figures": 1}))
+    with pytest.raises(ConfigurationError):
+        read_expected(tmp_path / "expected.json")
