@@ -10,7 +10,7 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.full_state import FullState
-from trms_cli.stability.closed_loop import run_loop
+from trms_cli.stability.closed_loop import Enough, run_loop
 from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.subject import LoopParts
 
@@ -55,3 +55,19 @@ def test_the_rig_may_have_what_the_controller_does_not_know():
 def test_two_runs_are_equal():
     first, second = (run_loop(MODEL, LOOP, POINT, 3.0, offset={"alpha_h": 0.1}) for _ in "ab")
     assert np.array_equal(first.x, second.x) and np.array_equal(first.u, second.u)
+
+
+def test_a_run_may_end_at_a_state_or_when_its_path_has_enough():
+    def enough(k, u):
+        if k == 20:
+            raise Enough("seen")
+        return u
+
+    by_path = run_loop(MODEL, LOOP, POINT, 2.0, path=enough)
+    assert by_path.ended == "seen" and by_path.x.shape == (20, 6) and by_path.u.shape == (20, 2)
+    at_once = run_loop(MODEL, LOOP, POINT, 2.0, until=lambda x: "here")
+    assert at_once.ended == "here" and at_once.x.shape == (0, 6) and at_once.u.shape == (0, 2)
+
+
+def test_how_the_solves_ended_is_counted():
+    assert run_loop(MODEL, LOOP, POINT, 2.0).statuses == {"ok": 100}

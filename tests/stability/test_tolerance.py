@@ -223,6 +223,10 @@ class TestBadRequests:
         with pytest.raises(ConfigurationError, match="alpha_x"):
             replace(NEAR, offset={"alpha_x": 0.1}).run(subject_of(lqr()), silent)
 
+    def test_a_start_that_is_lost(self):
+        with pytest.raises(ConfigurationError, match="counts as lost"):
+            replace(NEAR, offset={"alpha_v": -2.0}).run(subject_of(lqr()), silent)
+
     @pytest.mark.slow
     def test_a_loop_that_is_never_back(self):
         with pytest.raises(ConfigurationError, match="with nothing wrong"):

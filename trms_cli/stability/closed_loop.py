@@ -24,6 +24,7 @@ from trms_cli.controllers.controller import (
 )
 from trms_cli.core.errors import SimulationError
 from trms_cli.models.model import Model, names
+from trms_cli.models.rest import rest_equations
 from trms_cli.plants.plant import PlantRun, PlantSetup
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
@@ -199,6 +200,10 @@ def run_loop(
     start = dict(zip(model.state_names, point.x.tolist(), strict=True))
     for name, change in (offset or {}).items():
         start[name] += change
+    if model.sample_time is not None:
+        # what a black box remembers follows from where it is, unless it is given
+        free = {model.state_names[i] for i in rest_equations(model).unknowns}
+        start = {name: value for name, value in start.items() if name in {*free, *(offset or {})}}
     goal = {name: float(point.x[model.state_index(name)]) for name in model.controlled} | dict(
         reference or {}
     )
@@ -235,7 +240,11 @@ def run_loop(
     plant = made[0]
     n = len(plant.applied)
     kept = plant.visited[:n], plant.commands[:n], plant.applied
-    x, u, applied = (np.array(rows).reshape(n, -1) for rows in kept)
+    widths = model.n_x, model.n_u, model.n_u
+    x, u, applied = (
+        np.array(rows, dtype=float).reshape(n, width)
+        for rows, width in zip(kept, widths, strict=True)
+    )
     failures = sum(kind == "solver" for _, kind, *_ in running.history.events)
     time = np.arange(n, dtype=np.float64) * loop.sample_time
     return LoopRun(time, x, u, applied, failures, ended, dict(counted.statuses))

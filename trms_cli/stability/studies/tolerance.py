@@ -124,6 +124,12 @@ class Tolerance:
                     where=f"offset.{name}",
                     remedy=nearest(name, model.state_names),
                 )
+            if name in model.controlled and abs(self.offset[name]) >= self.lost:
+                raise ConfigurationError(
+                    f"a start {abs(self.offset[name]):g} rad away counts as lost already",
+                    where=f"offset.{name}",
+                    remedy=f"start closer than study.lost ({self.lost:g} rad), or raise that",
+                )
         return {name: value for name, value in self.offset.items() if name in model.state_names}
 
     def _require_back(self, nothing: Tried, where: str) -> None:
