@@ -34,6 +34,7 @@ COMMANDS: dict[str, str] = {
     "stability": "equilibria, modes, phase portraits, limit cycles, Lyapunov sets, margins",
     "diagnose": "where a model and a rig differ, which effect causes it, how far the gap shrinks",
     "blind": "prove diagnoses on sealed rigs: make a set, diagnose it, open its key",
+    "watch": "a run or a sweep as it goes on, or a finished run replayed",
     "score": "metrics of logs, and comparison with a baseline",
     "runs": "what has been run: list, filter, sort, export",
     "compare": "many runs ranked: tracking, effort, robustness, time of a step, failures",

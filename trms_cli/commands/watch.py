@@ -1,0 +1,239 @@
+"""``trms watch``: a run or a sweep as it goes on, or a finished run once more."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trms_cli.commands.invocation import program
+from trms_cli.commands.plain_options import PlainOptions
+from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, RecordingError
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+    from trms_cli.commands.watch_player import Player
+    from trms_cli.runs.followed import FollowedRun
+    from trms_cli.runs.sweep_progress import FollowedSweep, Sweep
+
+SUMMARY = "a run or a sweep as it goes on, or a finished run replayed"
+
+HELP = """\
+usage: trms watch [LOG|FOLDER] [--speed N] [--from T] [--span T] [--once] [--plain]
+
+Shows a run while it goes on: reference, angle and estimate of each axis, errors, commands and
+their limits, the solver's time against its deadline, what the supervisor says, and what happens.
+It only reads the log. A run that has ended is shown once more, as fast as it was.
+
+  LOG|FOLDER   a log, the folder of a run, or that of a sweep; of any other folder the latest run
+               in it that is going on, else the latest one. Without it: the working folder.
+  --speed N    replay N times as fast as the run's own time (1)
+  --from T     replay from T seconds on
+  --span T     seconds that the curves show (20)
+  --once       print what there is now, and end
+  --plain      without Unicode
+
+keys
+  q  quit      space  pause      left, right  5 s back, forward      home  to the beginning
+  + -  twice, half the speed of a replay       end  to the latest sample; follows a run that goes on
+
+  Into a file or a pipe it writes one line a second instead.
+
+exit code
+  0; 1 if the run or the sweep that was watched to its end did not end well
+
+examples
+  trms watch                                   in a second terminal, while `trms run` is running
+  trms watch outputs/2026-11-22/sweep          how far a sweep is, its best and its failed jobs
+  trms watch outputs/…/run.mcap --speed 4      a finished run, four times as fast
+  trms watch run.mcap --once --from 30         one picture, of 30 s
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command; return the exit code."""
+    given = _given(argv)
+    from trms_cli.runs.sweep_progress import FollowedSweep
+
+    what = _target(given.what)
+    if what.is_dir():
+        for option, value in (("--speed", given.speed), ("--from", given.begin)):
+            if value is not None:
+                raise ConfigurationError(
+                    "this is the folder of a sweep, which is not replayed",
+                    where=option,
+                    remedy=f"name one of its runs: {what}/0",
+                )
+        return _watch_sweep(FollowedSweep(what), given)
+    return _watch_run(what, given)
+
+
+def _given(argv: list[str]) -> Any:
+    options = PlainOptions("trms watch", HELP)
+    options.add_argument("what", nargs="?", type=Path, metavar="LOG|FOLDER")
+    options.add_argument("--speed", type=float)
+    options.add_argument("--from", type=float, dest="begin")
+    options.add_argument("--span", type=float, default=20.0)
+    options.add_argument("--once", action="store_true")
+    options.add_argument("--plain", action="store_true")
+    given = options.parse_args(argv)
+    for name, value, low in (("--speed", given.speed, 0.0), ("--span", given.span, 0.0)):
+        if value is not None and not low < value < 1e6:
+            raise ConfigurationError(f"{value:g} given", where=name, remedy="a number above 0")
+    if given.begin is not None and not 0.0 <= given.begin < math.inf:
+        raise ConfigurationError(
+            f"{given.begin:g} given", where="--from", remedy="seconds of the run, from 0 on"
+        )
+    return given
+
+
+def _target(what: Path | None) -> Path:
+    """The log, or the folder of the sweep, that is meant."""
+    from trms_cli.runs.latest import latest_run, log_in
+    from trms_cli.runs.sweep_progress import is_sweep, sweep_of
+
+    folder = Path() if what is None else what.expanduser()
+    if what is not None and not folder.is_dir():
+        return folder  # a file, or nothing: who opens it tells
+    if what is not None:
+        log = log_in(folder)
+        if log is not None:
+            return log
+        if is_sweep(folder):
+            return folder
+    latest = latest_run(folder)
+    if latest is None:
+        raise RecordingError(
+            "there is no run in it" if what is not None else "there is no run under this folder",
+            where=str(folder.absolute()),
+            remedy=f"start one: {program()} run; or name its log: {program()} watch LOG",
+        )
+    sweep = sweep_of(latest.log) if latest.running else None
+    return latest.log if sweep is None else sweep
+
+
+def _watch_run(log: Path, given: Any) -> int:
+    from trms_cli.commands.watch_player import Player
+    from trms_cli.commands.watch_screen import show, show_once
+    from trms_cli.runs.followed import FollowedRun
+
+    run = FollowedRun(log)
+    try:
+        _begin(run, log, given.begin)
+        replay = given.begin is not None or given.speed is not None
+        if given.once:
+            replay = given.begin is not None
+            run.look_until(math.inf if not replay else math.nextafter(given.begin, math.inf))
+        live = not replay and (given.once or run.going_on)
+        player = Player(
+            run, live=live, speed=given.speed or 1.0, begin=given.begin or 0.0, span=given.span
+        )
+        shown = _WatchedRun(player, plain=_plain(given))
+        if given.once:
+            show_once(shown)
+            return EXIT_OK
+        show(shown)
+    finally:
+        run.close()
+    return (
+        EXIT_OK if not live or run.state in ("completed", "running", "unfinished") else EXIT_WORSE
+    )
+
+
+def _begin(run: FollowedRun, log: Path, begin: float | None) -> None:
+    """Read the first samples; tell what cannot be shown at all."""
+    while run.look() and run.latest <= 0.0:
+        pass
+    if run.state == "died" and log.stat().st_size == 0:
+        raise RecordingError("the file is empty", where=str(log), remedy="repeat the run")
+    if begin is not None and begin > 0.0:
+        run.look_until(begin)
+        if run.latest < begin and run.ended:
+            raise ConfigurationError(
+                f"{begin:g} s given; the run ends at {run.latest:g} s",
+                where="--from",
+                remedy="a time before that",
+            )
+
+
+def _watch_sweep(sweep: FollowedSweep, given: Any) -> int:
+    from trms_cli.commands.watch_screen import show, show_once
+
+    shown = _WatchedSweep(sweep, plain=_plain(given))
+    if given.once:
+        show_once(shown)
+        return EXIT_OK
+    show(shown)
+    now = shown.now
+    return EXIT_WORSE if now.ended and now.failures else EXIT_OK
+
+
+def _plain(given: Any) -> bool:
+    from trms_cli.commands.watch_terminal import is_plain
+
+    return bool(given.plain) or is_plain()
+
+
+class _WatchedRun:
+    """A run on the screen; see :class:`trms_cli.commands.watch_screen.Shown`."""
+
+    def __init__(self, player: Player, *, plain: bool) -> None:
+        self._player, self._plain = player, plain
+
+    def advance(self, seconds: float) -> None:
+        self._player.advance(seconds)
+
+    def press(self, key: str) -> bool:
+        return self._player.press(key)
+
+    def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
+        from trms_cli.commands.watch_frame import run_frame
+
+        return run_frame(self._player.view(keys=keys), width, height, plain=self._plain)
+
+    def line(self) -> str:
+        from trms_cli.commands.watch_frame import plain_line
+
+        return plain_line(self._player.view(keys=False))
+
+    def done(self, *, keys: bool) -> bool:
+        player = self._player
+        return player.at_end and (not keys or (player.live and not player.paused))
+
+
+class _WatchedSweep:
+    """A sweep on the screen."""
+
+    _LOOK = 0.5  # s between two looks at its folder
+
+    def __init__(self, sweep: FollowedSweep, *, plain: bool) -> None:
+        self._sweep, self._plain = sweep, plain
+        self.now: Sweep = sweep.now()
+        self._waited = 0.0
+
+    def advance(self, seconds: float) -> None:
+        self._waited += seconds
+        if self._waited >= self._LOOK:
+            self.now, self._waited = self._sweep.now(), 0.0
+
+    def press(self, key: str) -> bool:
+        return key not in ("q", "Q")
+
+    def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
+        from rich.text import Text
+
+        from trms_cli.commands.watch_sweep import sweep_frame
+
+        if not keys:
+            return sweep_frame(self.now, width, height, plain=self._plain)
+        lines = sweep_frame(self.now, width, height - 1, plain=self._plain)
+        return [*lines, Text("q quit", "dim")]
+
+    def line(self) -> str:
+        from trms_cli.commands.watch_sweep import sweep_line
+
+        return sweep_line(self.now)
+
+    def done(self, *, keys: bool) -> bool:
+        return self.now.ended

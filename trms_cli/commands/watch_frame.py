@@ -1,0 +1,393 @@
+"""A picture of a run at one moment, in characters: as wide and as high as the terminal is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.cells import set_cell_size
+from rich.text import Text
+
+from trms_cli.commands.watch_chart import Cell, Curve, chart, scale
+from trms_cli.runs.moment import Axis, Input, Moment, Solver
+
+#: What the signals of the twin rotor are called; others go by their own name.
+NAMES = {
+    "alpha_v": "pitch",
+    "alpha_h": "yaw",
+    "u_v": "main rotor",
+    "u_h": "tail rotor",
+}
+#: How the states of a run are told, and their colours.
+_STATES = {
+    "running": ("running", "bold green"),
+    "completed": ("completed", "bold cyan"),
+    "interrupted": ("interrupted", "bold yellow"),
+    "failed": ("failed", "bold red"),
+    "died": ("died: its log has no end, and nobody writes it", "bold red"),
+    "unfinished": ("its log has no end yet", "bold yellow"),
+}
+_REFERENCE, _ANGLE = "yellow", "bright_cyan"
+_ALARM = "bold red"
+_SILENT = 3.0  # s without a sample, after which that is told
+_MARGIN = 10  # columns of a chart's scale
+_LEAST_CHART = 3  # rows: fewer are no curve
+_MOST_EVENTS = 6
+#: Braille, blocks and lines, and what stands for them without Unicode.
+_PLAIN = str.maketrans({"·": "|", "×": "x", "–": "-", "→": "->", "←": "<-", "…": "~", "┤": "|"})
+
+
+@dataclass(frozen=True)
+class About:
+    """What does not change while a run goes on.
+
+    Attributes
+    ----------
+    what : str
+        Controller, reference, observer, plant.
+    extras : str
+        Effects and faults.
+    log : str
+        Its path.
+    total : float or None
+        s that the run is meant to last; None if nobody knows.
+    """
+
+    what: str
+    extras: str
+    log: str
+    total: float | None
+
+
+@dataclass(frozen=True)
+class View:
+    """What is to be shown.
+
+    Attributes
+    ----------
+    about : About
+    moment : Moment
+    state : str
+        Of the run: ``running``, ``completed``, ``interrupted``, ``failed``, ``died``,
+        ``unfinished``.
+    replay : str
+        How it is being replayed; empty while the latest samples are followed.
+    silent : float
+        s since the log last grew.
+    span : float
+        s that the curves show.
+    keys : str
+        The keys there are; empty without a keyboard.
+    problem : str
+        What of the log is damaged.
+    """
+
+    about: About
+    moment: Moment
+    state: str
+    replay: str = ""
+    silent: float = 0.0
+    span: float = 20.0
+    keys: str = ""
+    problem: str = ""
+
+
+def about(
+    choices: Mapping[str, Any], run: Mapping[str, str], log: str, total: float | None
+) -> About:
+    """What a run is, in words.
+
+    Parameters
+    ----------
+    choices : mapping
+        The option of each group; empty for a recording.
+    run : mapping of str to str
+        What the log says of the run.
+    log : str
+    total : float or None
+        s.
+    """
+    if not choices:
+        what = run.get("recording.file") or run.get("source") or run.get("command") or "a recording"
+        return About(what, "", log, total)
+    parts = [str(choices.get("controller"))]
+    if run.get("loop") != "open":
+        parts.append(f"ref {choices.get('ref')}")
+    parts.append(f"observer {choices.get('observer')}")
+    own = choices.get("model@plant.model")
+    rig = f" ({own})" if own else ""
+    parts += [f"plant {choices.get('plant')}{rig}", f"model {choices.get('model')}"]
+    extras = [
+        f"{word} {_joined(choices[group])}"
+        for group, word in (("effect", "effects"), ("fault", "faults"))
+        if choices.get(group)
+    ]
+    return About(" · ".join(parts), " · ".join(extras), log, total)
+
+
+def run_frame(view: View, width: int, height: int, *, plain: bool = False) -> list[Text]:
+    """The lines of the picture: at most `height` of at most `width` columns each.
+
+    What a small terminal has no room for is left out: curves first, then events.
+    """
+    moment = view.moment
+    head = [*_header(view, width, plain), *_table(moment.axes)]
+    body = [_bar(given, width, plain) for given in moment.inputs]
+    body += _solver_lines(moment.solver)
+    if view.problem:
+        body.append(Text(f"damaged  {view.problem}", _ALARM))
+    foot = [Text(view.keys, "dim")] if view.keys else []
+    events = [_event_line(event.time, event.source, event.message) for event in moment.events]
+    left = height - len(head) - len(body) - len(foot)
+    room = min(len(events), _MOST_EVENTS, max(1, left // 4))
+    charts = max(0, left - room - 1) // max(1, len(moment.axes)) if moment.axes else 0
+    charts = min(charts, 12)
+    if charts < _LEAST_CHART:
+        charts, room = 0, min(len(events), _MOST_EVENTS, max(0, left))
+    lines = list(head)
+    if charts:
+        for axis in moment.axes:
+            lines += _strip(axis, view, width, charts, plain)
+        lines.append(_time_axis(view, width))
+    lines += [*body, *(events[len(events) - room :] if room else []), *foot]
+    return [fitted(line, width, plain) for line in lines[:height]]
+
+
+def plain_line(view: View) -> str:
+    """The picture in one line, for a file or a pipe."""
+    moment, total = view.moment, view.about.total
+    parts = [f"{moment.time:.1f} s" + (f" of {total:g}" if total else "")]
+    if not math.isnan(moment.speed):
+        parts.append(f"{_short(moment.speed)}× real time")
+    for axis in moment.axes:
+        name = NAMES.get(axis.name, axis.name)
+        value = axis.measured if math.isnan(axis.state) else axis.state
+        if math.isnan(axis.reference):
+            parts.append(f"{name} {value:.3f} {axis.unit}")
+        else:
+            parts.append(
+                f"{name} {value:.3f} of {axis.reference:.3f} {axis.unit}, RMSE {_short(axis.rmse)}"
+            )
+    parts += [
+        f"{given.name} {given.value:.2f} {given.unit}{' at its limit' if given.saturated else ''}"
+        for given in moment.inputs
+    ]
+    solver = moment.solver
+    if solver is not None:
+        parts.append(f"solver {_short(solver.now_ms)} ms, {solver.misses} missed")
+        if solver.mode not in ("", "normal"):
+            parts.append(f"{solver.mode}: {solver.reasons}")
+    if view.state != "running":
+        parts.append(_STATES.get(view.state, (view.state, ""))[0])
+    return " | ".join(parts)
+
+
+def _header(view: View, width: int, plain: bool) -> list[Text]:
+    words, style = _STATES.get(view.state, (view.state, "bold"))
+    state = Text(words, style)
+    if view.replay:
+        state = Text.assemble((view.replay, "bold magenta"), " · ", state)
+    elif view.state in ("running", "unfinished") and view.silent > _SILENT:
+        state.append(f", no sample for {view.silent:.0f} s", "yellow")
+    lines = [between(Text(view.about.what, "bold"), state, width)]
+    if state.cell_len > width // 2:  # too long to share a line
+        lines = [Text(view.about.what, "bold"), state]
+    where = Text(tail_of(view.about.log, max(20, width - len(view.about.extras) - 4)), "dim")
+    lines.append(between(Text(view.about.extras), where, width))
+    moment, total = view.moment, view.about.total
+    begin = f"{moment.time:6.1f}" + (f" / {total:g} s " if total else " s ")
+    end = "" if math.isnan(moment.speed) else f"  {_short(moment.speed)}× real time"
+    share = min(1.0, moment.time / total) if total else 0.0
+    if total:
+        end = f" {100 * share:3.0f} %{end}"
+    cells = max(0, min(width - len(begin) - len(end), 60)) if total else 0
+    full = round(share * cells)
+    done, rest = ("=", "-") if plain else ("━", "─")
+    progress = Text.assemble(begin, (done * full, "green"), (rest * (cells - full), "dim"), end)
+    return [*lines, progress]
+
+
+def _table(axes: tuple[Axis, ...]) -> list[Text]:
+    if not axes:
+        return [Text("no sample yet", "dim")]
+    columns = ("reference", "measured", "state", "estimate", "error", "RMSE")
+    rows = [(a.reference, a.measured, a.state, a.estimate, a.error, a.rmse) for a in axes]
+    # What no axis has is no column.
+    kept = [i for i in range(len(columns)) if any(not math.isnan(row[i]) for row in rows)]
+    title = Text(" " * 14)
+    for i in kept:
+        style = {"reference": _REFERENCE, "state": _ANGLE}.get(columns[i], "")
+        if columns[i] == "measured" and 2 not in kept:
+            style = _ANGLE
+        title.append(f"{columns[i]:>11}", style or "dim")
+    lines = [title]
+    for axis, row in zip(axes, rows, strict=True):
+        line = Text(f"{NAMES.get(axis.name, axis.name)[:8]:<8} {axis.unit[:5]:<5}")
+        for i in kept:
+            line.append(f"{_figure(row[i]):>11}", "bold" if columns[i] in ("error", "RMSE") else "")
+        lines.append(line)
+    return lines
+
+
+def _window(view: View, columns: int) -> tuple[float, float]:
+    """The time at both edges: moved by whole columns, so that a curve does not flicker."""
+    step = view.span / columns
+    end = max(view.span, step * math.ceil(view.moment.time / step - 1e-9))
+    return end - view.span, end
+
+
+def _strip(axis: Axis, view: View, width: int, rows: int, plain: bool) -> list[Text]:
+    columns = width - _MARGIN
+    if columns < 8:
+        return []
+    limits = scale(axis.wanted, axis.shown)
+    curves = (Curve(axis.wanted, _REFERENCE, "-"), Curve(axis.shown, _ANGLE, "*"))
+    cells = chart(axis.time, curves, _window(view, columns), limits, (columns, rows), plain=plain)
+    middle = rows // 2
+    labels = {0: _tick(limits[1]), middle: NAMES.get(axis.name, axis.name)[: _MARGIN - 2]}
+    labels[rows - 1] = _tick(limits[0])
+    lines = []
+    for number, row in enumerate(cells):
+        style = "" if number == middle else "dim"
+        line = Text(f"{labels.get(number, ''):>{_MARGIN - 1}}", style).append("┤", "dim")
+        for sign, looks in _joined_cells(row):
+            line.append(sign, looks)
+        lines.append(line)
+    return lines
+
+
+def _joined_cells(row: list[Cell]) -> list[tuple[str, str]]:
+    """Neighbours that look the same, as one."""
+    found: list[tuple[str, str]] = []
+    for cell in row:
+        if found and found[-1][1] == cell.style:
+            found[-1] = found[-1][0] + cell.sign, cell.style
+        else:
+            found.append((cell.sign, cell.style))
+    return found
+
+
+def _time_axis(view: View, width: int) -> Text:
+    columns = width - _MARGIN
+    begin, end = _window(view, max(8, columns))
+    left, right = f"{begin:.1f} s", f"{end:.1f} s"
+    gap = max(1, columns - len(left) - len(right))
+    return Text(" " * _MARGIN + left + " " * gap + right, "dim")
+
+
+def _bar(given: Input, width: int, plain: bool) -> Text:
+    """A command between its limits, filled from zero."""
+    name = f"{NAMES.get(given.name, given.name)[:10]:<10} {given.name[:4]:<4}"
+    value = f"{_figure(given.value):>8} {given.unit}"
+    share = "" if math.isnan(given.share) else f"  at a limit {100 * given.share:.1f} %"
+    if not (
+        math.isfinite(given.lower) and math.isfinite(given.upper) and given.upper > given.lower
+    ):
+        return Text(f"{name} {value}")
+    low, high = f"{given.lower:g}", f"{given.upper:g}"
+    room = width - len(name) - len(value) - len(share) - len(low) - len(high) - 6
+    cells = max(8, min(room, 41))
+    line = Text(f"{name} {low} ").append("[", "dim")
+    reach = given.upper - given.lower
+    zero = round(min(1.0, max(0.0, -given.lower / reach)) * (cells - 1))
+    at = (
+        zero
+        if math.isnan(given.value)
+        else round((given.value - given.lower) / reach * (cells - 1))
+    )
+    at = min(cells - 1, max(0, at))
+    first, last = sorted((zero, at))
+    full, empty, centre = ("#", "-", "|") if plain else ("█", "─", "┼")
+    style = _ALARM if given.saturated else "blue"
+    for cell in range(cells):
+        inside = first <= cell <= last and at != zero
+        if inside:
+            line.append(full, style)
+        else:
+            line.append(centre if cell == zero else empty, "dim")
+    line.append("]", "dim").append(f" {high} ")
+    line.append(value, style if given.saturated else "bold")
+    return line.append(share, "dim")
+
+
+def _solver_lines(solver: Solver | None) -> list[Text]:
+    if solver is None:
+        return []
+    line = Text("solver   ")
+    late = solver.now_ms > solver.deadline_ms
+    line.append(f"{_short(solver.now_ms)} ms", _ALARM if late else "bold")
+    line.append(f" now · {_short(solver.p99_ms)} ms p99")
+    if not math.isnan(solver.deadline_ms):
+        line.append(f" of {_short(solver.deadline_ms)} ms")
+    line.append(" · ").append(f"{solver.misses} missed", _ALARM if solver.misses else "")
+    line.append(f" of {solver.steps}")
+    if solver.iterations > 0:
+        line.append(f" · {solver.iterations:.0f} iterations")
+    mode = Text("status   ")
+    mode.append(solver.status or "–", "" if solver.status in ("ok", "budget", "") else _ALARM)
+    style = {"degraded": "bold yellow", "landing": _ALARM}.get(solver.mode, "")
+    mode.append(" · mode ").append(solver.mode or "–", style)
+    if solver.reasons:
+        mode.append(f" ({solver.reasons})", style)
+    mode.append(" · ").append(f"{solver.fallbacks} fall-backs", _ALARM if solver.fallbacks else "")
+    if solver.message:
+        mode.append(f" · {solver.message}", "dim")
+    return [line, mode]
+
+
+def _event_line(time: float, source: str, message: str) -> Text:
+    words = message or source
+    return Text.assemble((f"{time:7.2f} s ", "dim"), words)
+
+
+def between(left: Text, right: Text, width: int) -> Text:
+    """One at each end of a line; the left one gives way."""
+    room = max(0, width - right.cell_len - 1)
+    left = left.copy()
+    left.truncate(room, overflow="ellipsis", pad=True)
+    return Text.assemble(left, " ", right)
+
+
+def fitted(line: Text, width: int, plain: bool) -> Text:
+    """No wider than the terminal, on one line, and without signs that steer it."""
+    line = line.copy()
+    text = "".join(sign if sign.isprintable() else " " for sign in line.plain)
+    line.plain = text
+    line.truncate(width, overflow="ellipsis")
+    if plain:
+        line.plain = _ascii(line.plain, width)
+    line.no_wrap, line.end = True, ""
+    return line
+
+
+def _ascii(text: str, width: int) -> str:
+    text = text.translate(_PLAIN).encode("ascii", "replace").decode()
+    return set_cell_size(text, width) if len(text) > width else text
+
+
+def tail_of(text: str, width: int) -> str:
+    return text if len(text) <= width else "…" + text[len(text) - width + 1 :]
+
+
+def _joined(value: Any) -> str:
+    return "+".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
+def _figure(value: float) -> str:
+    """Fixed places, so that figures stand still under one another."""
+    if math.isnan(value):
+        return "–"
+    return f"{value:.4f}" if abs(value) < 100 else f"{value:.4g}"
+
+
+def _short(value: float) -> str:
+    if math.isnan(value):
+        return "–"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def _tick(value: float) -> str:
+    return f"{np.round(value, 6) + 0.0:g}"[: _MARGIN - 2]

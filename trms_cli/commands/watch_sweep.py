@@ -1,0 +1,144 @@
+"""A picture of a sweep in characters: its jobs, how fast they come, the best and the failed."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from rich.text import Text
+
+from trms_cli.commands.watch_frame import between, fitted, tail_of
+from trms_cli.runs.sweep_progress import Job, Sweep
+
+_SILENT = 30.0  # s without a word from a job, after which that is told
+_COLUMNS = {"done": "green", "failed": "bold red", "interrupted": "yellow", "gone": "bold red"}
+
+
+def sweep_frame(sweep: Sweep, width: int, height: int, *, plain: bool = False) -> list[Text]:
+    """The lines of the picture: at most `height` of at most `width` columns each."""
+    lines = [_title(sweep, width), _progress(sweep, width, plain), _speed(sweep), Text("")]
+    room = max(1, (height - len(lines) - 4) // 3)
+    lines += _running(sweep, room)
+    lines += _best(sweep, room)
+    lines += _failures(sweep, room)
+    return [fitted(line, width, plain) for line in lines[:height]]
+
+
+def sweep_line(sweep: Sweep) -> str:
+    """The picture in one line, for a file or a pipe."""
+    of = "" if sweep.total is None else f" of {sweep.total}"
+    parts = [f"{sweep.count('done')}{of} done", *_troubles(sweep)]
+    parts.append(f"{sweep.count('running')} running")
+    if not math.isnan(sweep.rate):
+        parts.append(_per_time(sweep.rate))
+    if sweep.count("running") and not math.isnan(sweep.left_s):
+        parts.append(f"{_duration(sweep.left_s)} left")
+    if sweep.best:
+        parts.append(f"best {sweep.best[0].objective:.4g} ({_what(sweep, sweep.best[0])})")
+    return " | ".join(parts)
+
+
+def _title(sweep: Sweep, width: int) -> Text:
+    words, style = "running", "bold green"
+    if sweep.count("gone") and not sweep.count("running"):
+        words, style = "died: the process of a running job is gone", "bold red"
+    elif sweep.ended:
+        words, style = "ended", "bold cyan"
+    folder = tail_of(str(sweep.folder), max(20, width - len(words) - 8))
+    return between(Text(f"sweep {folder}", "bold"), Text(words, style), width)
+
+
+def _progress(sweep: Sweep, width: int, plain: bool) -> Text:
+    of = "" if sweep.total is None else f" / {sweep.total}"
+    begin = f"{sweep.count('done')}{of} done "
+    line = Text(begin)
+    if sweep.total:
+        cells = max(8, min(60, width - len(begin) - 24))
+        signs = {"done": "=", "failed": "!", "running": ">"} if plain else {}
+        used = 0
+        for states, name, style in (
+            (("done",), "done", "green"),
+            (("failed", "interrupted", "gone"), "failed", "red"),
+            (("running",), "running", "yellow"),
+        ):
+            count = sweep.count(*states)
+            part = min(cells - used, max(bool(count), round(cells * count / sweep.total)))
+            line.append(signs.get(name, "━") * part, style)
+            used += part
+        line.append(("-" if plain else "─") * (cells - used), "dim")
+    for words in (f"{sweep.count('running')} running", *_troubles(sweep)):
+        line.append(f"  {words}", "red" if words[-7:] != "running" else "")
+    return line
+
+
+def _troubles(sweep: Sweep) -> list[str]:
+    counts = [(sweep.count(state), state) for state in ("failed", "interrupted", "gone")]
+    return [f"{count} {state}" for count, state in counts if count]
+
+
+def _speed(sweep: Sweep) -> Text:
+    parts = [] if math.isnan(sweep.rate) else [_per_time(sweep.rate)]
+    if not sweep.ended and not math.isnan(sweep.left_s):
+        parts.append(f"{_duration(sweep.left_s)} left")
+    if sweep.total is None and not sweep.ended:
+        parts.append("how many there will be is not known")
+    line = Text(" · ".join(parts))
+    last = max((job.changed for job in sweep.jobs), default=sweep.now)
+    if not sweep.ended and sweep.now - last > _SILENT:
+        line.append(f"  no word for {_duration(sweep.now - last)}", "yellow")
+    return line
+
+
+def _running(sweep: Sweep, room: int) -> list[Text]:
+    running = [job for job in sweep.jobs if job.state == "running"]
+    if not running:
+        return []
+    lines = [Text("running", "bold")]
+    for job in running[:room]:
+        since = _duration(max(0.0, sweep.now - job.changed))
+        lines.append(Text(f"  {job.name:>6}  {_what(sweep, job)}  for {since}"))
+    return lines
+
+
+def _best(sweep: Sweep, room: int) -> list[Text]:
+    best = sweep.best[:room]
+    if not best:
+        return []
+    lines = [Text("best so far (objective: smaller is better)", "bold")]
+    return lines + [
+        Text.assemble(f"  {job.name:>6}  ", (f"{job.objective:<10.4g}", "green"), _what(sweep, job))
+        for job in best
+    ]
+
+
+def _failures(sweep: Sweep, room: int) -> list[Text]:
+    failed = sweep.failures[:room]
+    if not failed:
+        return []
+    lines = [Text("not done, the latest first", "bold")]
+    for job in failed:
+        problem = job.problem.splitlines()[0] if job.problem else _REASONS.get(job.state, "")
+        line = Text(f"  {job.name:>6}  ").append(job.state, _COLUMNS.get(job.state, ""))
+        lines.append(line.append(f"  {_what(sweep, job)}").append(f"  {problem}", "dim"))
+    return lines
+
+
+_REASONS = {"gone": "its process is not on this machine any more"}
+
+
+def _what(sweep: Sweep, job: Job) -> str:
+    """What was typed for a job, without what all jobs share."""
+    shared = set(sweep.overrides)
+    return " ".join(word for word in job.overrides if word not in shared) or Path(job.name).name
+
+
+def _per_time(rate: float) -> str:
+    return f"{rate:.3g} jobs/s" if rate >= 1 else f"{60 * rate:.3g} jobs/min"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(max(0.0, seconds)), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

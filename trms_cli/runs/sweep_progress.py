@@ -1,0 +1,285 @@
+"""How far a sweep is, from the ``status.json`` (``trms.status/1``) that each job keeps."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import re
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trms_cli.runs.status import STATUS_NAME
+
+_SCHEMA = "trms.status/1"
+_LONGEST = 2**20  # bytes of a status
+_DEEPEST = 3  # folders between a sweep and its jobs
+_RECENT = 60  # ended jobs that the throughput is told over
+_ENDED = ("done", "failed", "interrupted")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job of a sweep.
+
+    Attributes
+    ----------
+    name : str
+        Its folder, from that of the sweep.
+    state : str
+        ``running``, ``done``, ``failed``, ``interrupted``, or ``gone``: it says that it runs, and
+        this machine has no such process.
+    overrides : tuple of str
+        What was typed for it.
+    objective : float
+        What the sweep minimises; NaN if it has none (yet).
+    problem : str
+        Why it failed.
+    changed : float
+        When it last said something, seconds since the epoch.
+    """
+
+    name: str
+    state: str
+    overrides: tuple[str, ...]
+    objective: float
+    problem: str
+    changed: float
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep at one moment.
+
+    Attributes
+    ----------
+    folder : Path
+    overrides : tuple of str
+        What was typed; empty if that is not known.
+    total : int or None
+        Jobs that there will be; None if nobody knows.
+    jobs : tuple of Job
+        Those that have begun.
+    rate : float
+        Jobs that ended per second, of late; NaN before two have.
+    now : float
+        Seconds since the epoch.
+    """
+
+    folder: Path
+    overrides: tuple[str, ...]
+    total: int | None
+    jobs: tuple[Job, ...]
+    rate: float
+    now: float
+
+    def count(self, *states: str) -> int:
+        """The number of jobs in any of some states."""
+        return sum(job.state in states for job in self.jobs)
+
+    @property
+    def ended(self) -> bool:
+        """Nothing more will come: nothing runs, and all there is to be has ended, or a job died."""
+        if self.count("running"):
+            return False
+        return self.count("gone") > 0 or (self.total is not None and len(self.jobs) >= self.total)
+
+    @property
+    def left_s(self) -> float:
+        """Seconds until the end if it goes on as of late; NaN if nobody knows."""
+        if self.total is None or math.isnan(self.rate) or self.rate <= 0:
+            return math.nan
+        return (self.total - self.count(*_ENDED)) / self.rate
+
+    @property
+    def best(self) -> list[Job]:
+        """Jobs with an objective, the best (smallest) first."""
+        scored = [job for job in self.jobs if math.isfinite(job.objective)]
+        return sorted(scored, key=lambda job: job.objective)
+
+    @property
+    def failures(self) -> list[Job]:
+        """Jobs that did not end well, the latest first."""
+        failed = [job for job in self.jobs if job.state in ("failed", "interrupted", "gone")]
+        return sorted(failed, key=lambda job: -job.changed)
+
+
+@dataclass
+class FollowedSweep:
+    """A sweep's folder, followed as its jobs begin and end; only what has changed is read again.
+
+    Attributes
+    ----------
+    folder : Path
+    """
+
+    folder: Path
+    _jobs: dict[str, tuple[int, Job]] = field(default_factory=dict)
+    _plan: tuple[tuple[str, ...], int | None] | None = None
+
+    def now(self) -> Sweep:
+        """The sweep as it is."""
+        if self._plan is None:
+            self._plan = _plan(self.folder)
+        for file, changed in _status_files(self.folder):
+            known = self._jobs.get(file)
+            if known is None or known[0] != changed or known[1].state in ("running", "gone"):
+                job = _read(Path(file), self.folder, changed)
+                if job is not None:
+                    self._jobs[file] = changed, job
+        jobs = tuple(job for _, (_, job) in sorted(self._jobs.items(), key=_by_number))
+        overrides, total = self._plan
+        if total is not None and len(jobs) > total:
+            total = None  # not the sweep that the plan is of
+        return Sweep(self.folder, overrides, total, jobs, _rate(jobs), time.time())
+
+
+def is_sweep(folder: Path) -> bool:
+    """Whether a folder holds jobs of a sweep."""
+    return any(_document(Path(file)) is not None for file, _ in _status_files(folder))
+
+
+def sweep_of(log: Path) -> Path | None:
+    """The folder of the sweep that a run is a job of; None if it is none."""
+    if _document(log.with_name(STATUS_NAME)) is None:
+        return None
+    return log.parent.parent
+
+
+def _by_number(item: tuple[str, Any]) -> tuple[Any, ...]:
+    return tuple(int(part) if part.isdigit() else part for part in re.split(r"(\d+)", item[0]))
+
+
+def _status_files(folder: Path) -> Iterator[tuple[str, int]]:
+    waiting = [(str(folder), 0)]
+    while waiting:
+        place, depth = waiting.pop()
+        with contextlib.suppress(OSError), os.scandir(place) as entries:
+            for entry in entries:
+                with contextlib.suppress(OSError):
+                    if entry.name == STATUS_NAME and depth > 0:
+                        yield entry.path, entry.stat().st_mtime_ns
+                    elif depth < _DEEPEST and entry.is_dir(follow_symlinks=False):
+                        waiting.append((entry.path, depth + 1))
+
+
+def _document(file: Path) -> Mapping[str, Any] | None:
+    try:
+        with file.open("rb") as content:
+            document = json.loads(content.read(_LONGEST))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(document, Mapping) or document.get("schema") != _SCHEMA:
+        return None
+    return document
+
+
+def _read(file: Path, folder: Path, changed: int) -> Job | None:
+    document = _document(file)
+    if document is None:
+        return None
+    state = str(document.get("state"))
+    if state == "running" and not _is_alive(document.get("pid")):
+        state = "gone"
+    overrides = document.get("overrides")
+    objective = document.get("objective")
+    if isinstance(objective, bool) or not isinstance(objective, (int, float)):
+        objective = math.nan
+    error = document.get("error")
+    problem = error.get("problem") if isinstance(error, Mapping) else error
+    return Job(
+        name=str(file.parent.relative_to(folder)),
+        state=state,
+        overrides=tuple(map(str, overrides)) if isinstance(overrides, list) else (),
+        objective=float(objective),
+        problem=str(problem or ""),
+        changed=changed / 1e9,
+    )
+
+
+def _is_alive(pid: Any) -> bool:
+    if not isinstance(pid, int) or isinstance(pid, bool) or not 0 < pid < 2**31:
+        return True  # it does not say: believe it
+    try:
+        os.kill(pid, 0)  # asks; sends nothing
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass  # somebody else's process
+    return True
+
+
+def _rate(jobs: tuple[Job, ...]) -> float:
+    times = sorted(job.changed for job in jobs if job.state in _ENDED)[-_RECENT:]
+    if len(times) < 2 or times[-1] <= times[0]:
+        return math.nan
+    return (len(times) - 1) / (times[-1] - times[0])
+
+
+def _plan(folder: Path) -> tuple[tuple[str, ...], int | None]:
+    """What was typed for a sweep, and how many jobs that makes, from the file that Hydra leaves."""
+    try:
+        text = (folder / "multirun.yaml").read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return (), None
+    import yaml
+
+    # The sweep's own settings stand at the top; the experiment below is not looked at.
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    block = re.match(r"hydra:\n(?:[ \n].*\n?|\n)*", text)
+    try:
+        hydra = yaml.load(block[0] if block else "", Loader=loader)["hydra"]
+        overrides = tuple(str(word) for word in hydra["overrides"]["task"])
+        sweeper = str(hydra["sweeper"]["_target_"])
+    except (yaml.YAMLError, TypeError, KeyError, RecursionError):
+        return (), None
+    if not sweeper.endswith("BasicSweeper") or hydra["sweeper"].get("params"):
+        return overrides, None
+    counts = [_values(word.partition("=")[2]) for word in overrides]
+    known = [count for count in counts if count is not None]
+    return overrides, math.prod(known) if len(known) == len(counts) else None
+
+
+def _values(text: str) -> int | None:
+    """How many values an override has: those that commas part, outside of brackets and quotes.
+
+    None for what only Hydra can count: globs, intervals, and lists that are sorted or shuffled.
+    """
+    text = text.strip()
+    function = re.match(r"([a-z_]+)\((.*)\)$", text, re.DOTALL)
+    if function and function[1] == "range":
+        return _range(function[2])
+    if function and function[1] == "choice":
+        text = function[2]
+    elif function:
+        return None
+    count, depth, quote, previous = 1, 0, "", ""
+    for sign in text:
+        if quote:
+            quote = "" if sign == quote and previous != "\\" else quote
+        elif sign in "'\"":
+            quote = sign
+        elif sign in "([{":
+            depth += 1
+        elif sign in ")]}":
+            depth -= 1
+        elif sign == "," and depth == 0:
+            count += 1
+        previous = sign
+    return count
+
+
+def _range(arguments: str) -> int | None:
+    """The length of ``range(stop)``, ``range(start, stop)``, ``range(start, stop, step)``."""
+    try:
+        numbers = [float(part.rpartition("=")[2]) for part in arguments.split(",")]
+    except ValueError:
+        return None
+    if "=" in arguments or not 1 <= len(numbers) <= 3:
+        return None
+    start, stop, step = (0.0, numbers[0], 1.0) if len(numbers) == 1 else (*numbers, 1.0)[:3]
+    return max(0, math.ceil((stop - start) / step - 1e-9)) if step else None
