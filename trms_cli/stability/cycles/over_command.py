@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from trms_cli.models.model import Model
 from trms_cli.stability.cycles.branch import (
@@ -19,6 +20,8 @@ from trms_cli.stability.cycles.branch import (
 )
 from trms_cli.stability.cycles.shooting import Orbit, Shooting
 from trms_cli.stability.operating_point import OperatingPoint
+
+FloatArray = npt.NDArray[np.float64]
 
 #: Part of the period and of the swings by which an orbit may be off between its neighbours.
 _NEAR = 0.02
@@ -82,6 +85,27 @@ def followed_over(
                     )
                 )
     return OverCommand(curve, hopfs, found)
+
+
+def at_the_point(
+    shooting: Shooting, branches: Sequence[Branch], channel: int, u: FloatArray
+) -> list[Orbit]:
+    """The orbits of branches at one command, closed between their neighbours."""
+    found = []
+    for branch in branches:
+        for one, other in zip(branch.orbits[:-1], branch.orbits[1:], strict=True):
+            before, after = float(one.u[channel] - u[channel]), float(other.u[channel] - u[channel])
+            if before * after > 0.0 or before == after:
+                continue
+            share = before / (before - after)
+            orbit = shooting.closed(
+                one.nodes + share * (other.nodes - one.nodes),
+                one.period + share * (other.period - one.period),
+                u,
+            )
+            if orbit is not None:
+                found.append(orbit)
+    return found
 
 
 def _within_stops(model: Model, curve: Curve, point: OperatingPoint) -> Curve:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 from msgspec import Meta
@@ -13,8 +13,14 @@ from trms_cli.core.plugins import nearest
 from trms_cli.models.model import names
 from trms_cli.stability.cycles.absence import absence
 from trms_cli.stability.cycles.orbit_findings import Found, findings_of
-from trms_cli.stability.cycles.over_command import followed_over
-from trms_cli.stability.cycles.search import half_widths, has_impulses, searched, starts_in
+from trms_cli.stability.cycles.over_command import at_the_point, followed_over
+from trms_cli.stability.cycles.search import (
+    different,
+    half_widths,
+    has_impulses,
+    searched,
+    starts_in,
+)
 from trms_cli.stability.cycles.shooting import Shooting
 from trms_cli.stability.cycles.usual_point import usual_point
 from trms_cli.stability.findings import Findings
@@ -99,6 +105,9 @@ class LimitCycles:
             over_command = followed_over(
                 model, point, channel, search.orbits, shooting, self.orbits
             )
+            if shooting is not None:
+                more = at_the_point(shooting, over_command.branches, channel, point.u)
+                search = replace(search, orbits=different([*search.orbits, *more]))
         return findings_of(
             Found(model, point, widths, self.duration, smooth, proof, search, channel, over_command)
         )

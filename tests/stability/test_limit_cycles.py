@@ -1,0 +1,135 @@
+"""The study of limit cycles on the rig's models."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from trms_cli.controllers.lqr import Lqr
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extended
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.observers.full_state import FullState
+from trms_cli.stability.cycles.search import searched
+from trms_cli.stability.cycles.shooting import Shooting
+from trms_cli.stability.operating_point import operating_point
+from trms_cli.stability.studies.limit_cycles import LimitCycles
+from trms_cli.stability.study import Study, silent
+from trms_cli.stability.subject import LoopParts, Subject
+from trms_cli.stability.vector_field import VectorField
+
+SHORT = {"starts": 6, "duration": 40.0, "orbits": 45}
+
+
+def asked(model, **keys):
+    return LimitCycles(**{**SHORT, **keys}).run(Subject(model, "m"), silent)
+
+
+@pytest.fixture(scope="module")
+def strong_cross_moment():
+    """The set `rahideh`, k_g = 0.2, where a stable and an unstable cycle surround the hover."""
+    at = {"alpha_v": 0.17, "alpha_h": 0.3}
+    keys = {"starts": 8, "duration": 60.0, "box": {"alpha_v": 0.9}}
+    return asked(Newtonian(parameter_set="rahideh"), at=at, **keys)
+
+
+def test_is_a_study():
+    assert isinstance(LimitCycles(), Study)
+
+
+@pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
+def test_of_one_axis_there_is_none_and_the_lead_says_proved(freedom):
+    findings = asked(Newtonian(freedom=freedom))
+    assert "no limit cycle" in findings.lead[0] and "proved" in findings.lead[0]
+    proof = findings.results["proof"]
+    assert proof["no_cycle"] and proof["everywhere"]
+    assert findings.results["cycles"] == [] and findings.results["over"]["hopf"] == []
+    json.dumps(findings.results, allow_nan=False)
+
+
+def test_with_the_cross_moment_of_physics_none_is_found_and_no_hopf_point():
+    findings = asked(Newtonian())
+    assert "not a proof" in findings.lead[0] and "certified" in findings.lead[1]
+    assert findings.results["cycles"] == [] and findings.results["over"]["hopf"] == []
+    assert not findings.results["proof"]["no_cycle"]
+
+
+def test_two_cycles_around_a_stable_hover(strong_cross_moment):
+    unstable, stable = strong_cross_moment.results["cycles"]
+    assert not unstable["stable"] and stable["stable"]
+    assert unstable["period"] == pytest.approx(4.302, abs=0.002)
+    assert stable["period"] == pytest.approx(4.622, abs=0.002)
+    # The unstable one lies within the stable one, and around the equilibrium.
+    low, high = ([c["lowest"]["alpha_v"], c["highest"]["alpha_v"]] for c in (unstable, stable))
+    assert high[0] < low[0] < 0.17 < low[1] < high[1]
+    for cycle in (unstable, stable):
+        assert cycle["trivial_error"] < 1e-6 and cycle["misfit"] < 1e-8
+        # The rotors are driven by nothing but their commands: they stand still on a cycle.
+        assert cycle["lowest"]["omega_v"] == pytest.approx(cycle["highest"]["omega_v"])
+    json.dumps(strong_cross_moment.results, allow_nan=False)
+
+
+def test_the_multipliers_have_the_product_of_liouville():
+    """∏ μ = exp ∮ div f dt, along the orbit that a motion settles on."""
+    model = Newtonian(parameter_set="rahideh")
+    point = operating_point(model, {"alpha_v": 0.17, "alpha_h": 0.3})
+    start = point.x.copy()
+    start[model.state_index("alpha_v")] -= 0.8
+    found = searched(model, start[None], point.u, 60.0, Shooting(model))
+    (orbit,) = [orbit for orbit in found.orbits if orbit.stable]
+    field = VectorField(model)
+    divergence = [np.trace(field.linearised(x, point.u)[0]) for x in orbit.path]
+    expected = np.trapezoid(divergence, orbit.time)
+    assert np.log(np.abs(np.prod(orbit.multipliers))) == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_hopf_point_is_subcritical_and_the_branch_folds(strong_cross_moment):
+    over = strong_cross_moment.results["over"]
+    (hopf,) = over["hopf"]
+    model = Newtonian(parameter_set="rahideh")
+    assert hopf["x"][model.state_index("alpha_v")] == pytest.approx(0.29, abs=0.003)
+    branch = over["branches"][0]
+    assert not any(branch["stable"][:10]) and branch["u"][5] < hopf["u"]
+    fold = branch["changes"][0]
+    assert fold["kind"] == "fold" and fold["u"] == pytest.approx(1.645, abs=0.002)
+    assert any("subcritical" in sentence for sentence in strong_cross_moment.lead)
+
+
+def test_its_figures(strong_cross_moment):
+    names = [chart.name for chart in strong_cross_moment.charts]
+    assert names == ["limit_cycles", "floquet_multipliers", "cycles_over_command"]
+
+
+def test_with_dry_friction_motions_alone_are_looked_at():
+    rig = extended(
+        Newtonian(freedom="vertical"), {"friction": CoulombFriction(axis="pitch", torque=0.01)}
+    )
+    findings = asked(rig)
+    assert not findings.results["proof"]["no_cycle"] and "over" not in findings.results
+    assert findings.results["motions"]["rest"] == 6
+    assert any("no slopes" in words for words in findings.warnings)
+
+
+def test_what_makes_no_sense_is_told():
+    model = Newtonian()
+    loop = LoopParts(
+        model, Lqr(), FullState(), 0.02, {"controller": "lqr", "observer": "full_state"}
+    )
+    with pytest.raises(ConfigurationError, match="model alone") as told:
+        LimitCycles().run(Subject(model, "m", loop), silent)
+    assert "hunting" in told.value.remedy
+    for keys, where in (({"over": "u_x"}, "over"), ({"box": {"q": 1.0}}, "box.q")):
+        with pytest.raises(ConfigurationError) as told:
+            LimitCycles(**keys).run(Subject(model, "m"), silent)
+        assert told.value.where == where and told.value.remedy
+
+
+def test_a_model_that_only_steps_is_refused():
+    class Stepping(Newtonian):
+        sample_time = 0.02
+
+    with pytest.raises(ModelError, match="only steps"):
+        LimitCycles().run(Subject(Stepping(), "net"), silent)
