@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from loop_cases import AT, COARSE, MODEL, PERIOD, POINT, Changed, loop_of, lqr
@@ -47,6 +49,16 @@ def response(A: np.ndarray, B: np.ndarray, z: np.ndarray) -> np.ndarray:
     return np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B)
 
 
+def regulated(omega: np.ndarray) -> np.ndarray:
+    """Loop transfer of the LQR: u = −K x − K_i z, z⁺ = z + T C x, on the sampled rig."""
+    law = lqr().init(ControlSetup(MODEL, PERIOD, POINT.u)).regulator
+    A, B = sampled_rig(PERIOD)
+    z = np.exp(1j * omega * PERIOD)
+    rows = [MODEL.state_index(name) for name in MODEL.controlled]
+    states = response(A, B, z)
+    return law.K @ states + law.K_i @ (PERIOD * states[:, rows] / (z - 1)[:, None, None])
+
+
 def alike(first: np.ndarray, second: np.ndarray) -> bool:
     """Whether two loops differ by at most one part in a hundred at each line."""
     apart, size = (np.linalg.norm(m, axis=(1, 2)) for m in (first - second, second))
@@ -77,14 +89,21 @@ class TestTheSignal:
 
 class TestALinearLaw:
     def test_has_the_response_of_linear_algebra(self, plain):
-        law = lqr().init(ControlSetup(MODEL, PERIOD, POINT.u)).regulator
-        A, B = sampled_rig(PERIOD)
-        z = np.exp(1j * plain.omega * PERIOD)
-        rows = [MODEL.state_index(name) for name in MODEL.controlled]
-        states = response(A, B, z)
-        integral = PERIOD * states[:, rows] / (z - 1)[:, None, None]
-        exact = law.K @ states + law.K_i @ integral
-        assert alike(plain.L, exact)
+        assert alike(plain.L, regulated(plain.omega))
+
+    @pytest.mark.slow
+    def test_has_the_margins_of_linear_algebra(self):
+        found = Margins(measured(lqr(), analyser=Analyser()))
+        S = np.linalg.inv(np.eye(2) + regulated(found.omega))
+        exact = Margins(replace(found.measured, omega=found.omega, S=S, T=np.eye(2) - S))
+        for ours, theirs in zip(found.loops, exact.loops, strict=True):
+            for name in ("up", "phase", "delay"):
+                value = getattr(ours.crossings, name).value
+                assert value == pytest.approx(getattr(theirs.crossings, name).value, rel=1e-3)
+            assert ours.sensitivity.value == pytest.approx(theirs.sensitivity.value, rel=1e-3)
+        assert found.together.delay.value == pytest.approx(exact.together.delay.value, rel=1e-3)
+        assert found.disk_each.alpha == pytest.approx(exact.disk_each.alpha, rel=1e-3)
+        assert found.disk_any.alpha == pytest.approx(exact.disk_any.alpha, rel=1e-3)
 
     def test_is_measured_without_doubt(self, plain):
         assert plain.drift < 1e-4 and plain.nonlinearity < 2e-3 and plain.beside < 1e-5
