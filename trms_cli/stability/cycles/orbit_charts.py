@@ -43,11 +43,12 @@ def plane(
     label = symbol(signal.name)
     marks: list[Mark] = []
     shown = round(_SHOWN / search.step)
+    grey: Colour = "pale" if search.orbits else "grey"
     moving = [motion for motion in search.motions if motion.fate != "leaves"]
     for i, motion in enumerate(moving[:_DRAWN]):
         path = motion.path[:shown, state]
         rate = np.gradient(path, search.step)
-        marks.append(Curve(path, rate, "motions" if i == 0 else "", "grey", width=0.6))
+        marks.append(Curve(path, rate, "motions" if i == 0 else "", grey, width=0.6))
     over_time: list[Mark] = []
     for orbit in search.orbits:
         colour, style, words_of = _look(orbit)
