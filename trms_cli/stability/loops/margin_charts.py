@@ -16,7 +16,7 @@ FloatArray = npt.NDArray[np.float64]
 COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple")
 _OMEGA = Axis("ω", "rad/s", log=True)
 #: What the Nyquist figure shows of the plane.
-_REAL, _IMAGINARY = (-3.0, 2.0), (-1.85, 1.85)
+_REAL, _IMAGINARY = (-3.6, 2.4), (-1.9, 1.9)
 #: What the Bode figure shows of the phase, and the sensitivity's of sizes.
 _DEGREES, _SIZES = (-390.0, 90.0), (0.01, 5.0)
 #: Points along each side of a shaded disk's grid.

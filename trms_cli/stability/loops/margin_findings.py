@@ -45,6 +45,7 @@ def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: Operating
     rows = [model.state_index(name) for name in model.controlled]
     where = condition_of(subject, loop, point)
     words = warning_of_statuses(run.statuses)
+    turned = "" if found.leaves else _warning_of_reversed(found.reversed)
     chart = margin_charts.departure(
         run.time, run.x[:, rows] - point.x[rows], model.controlled, where
     )
@@ -69,7 +70,7 @@ def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: Operating
             )
         ],
         {"holds": False, "what_it_did": found.words, "statuses": dict(run.statuses)},
-        [said for said in (words, _warning_of_reversed(found.reversed)) if said],
+        [said for said in (words, turned) if said],
     )
 
 
@@ -300,9 +301,9 @@ def _warning_of_reversed(speeds: Sequence[str]) -> str:
     if not speeds:
         return ""
     return (
-        f"{' and '.join(speeds)} passes zero under the test signal: a rotor that stands still "
-        "has a thrust ω|ω| without slope, and what is read of its loop depends on the signal's "
-        "size; study.at.alpha_h=0.3 is a point at which the tail rotor turns"
+        f"{' and '.join(speeds)} passes zero here: a rotor that stands still has a thrust ω|ω| "
+        "without slope, and what is read of its loop depends on the signal's size; "
+        "study.at.alpha_h=0.3 is a point at which the tail rotor turns"
     )
 
 
