@@ -18,6 +18,8 @@ from trms_cli.core.errors import ConfigurationError
 
 #: A figure of an answer: a number, a verdict in words, or nothing.
 Figure = float | str | bool | None
+#: In place of a number in a key: how many there are.
+COUNT = "#"
 
 
 def answer(question: Question, pictures: str | None) -> dict[str, Any]:
@@ -76,7 +78,10 @@ def figures_of(
 def _at(node: Any, key: str, name: str) -> Figure:
     for part in key.split("."):
         try:
-            node = node[int(part)] if isinstance(node, list) else node[part]
+            if part == COUNT:
+                node = len(node)
+            else:
+                node = node[int(part)] if isinstance(node, list) else node[part]
         except (KeyError, IndexError, TypeError, ValueError):
             raise ConfigurationError(
                 f"the answer has no {key!r}",

@@ -96,6 +96,8 @@ class TestExpectation:
         with pytest.raises(ConfigurationError, match=r"no 'a\.1\.b'") as caught:
             figures_of(study, {"q": {"results": {"a": [{"b": 1.0}]}}})
         assert "questions.q" in caught.value.where
+        study.questions["q"].figures = ["a.#"]
+        assert figures_of(study, {"q": {"results": {"a": [{}, {}]}}}) == {"q": {"a.#": 2}}
         study.questions["q"].figures = ["a.0"]
         with pytest.raises(ConfigurationError, match="no single figure"):
             figures_of(study, {"q": {"results": {"a": [{"b": 1.0}]}}})

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.models.tras import Tras
 from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.vector_field import VectorField
 
@@ -70,3 +71,12 @@ def test_where_there_is_none(at, problem, remedy):
     with pytest.raises(ConfigurationError, match=problem) as caught:
         operating_point(MODEL, at)
     assert remedy in caught.value.remedy and caught.value.where.startswith("at")
+
+
+def test_its_words_have_units_but_for_a_bare_number():
+    assert operating_point(MODEL, {}).words(MODEL) == (
+        "u_v = 0 V, u_h = 0 V: alpha_v = -0.6194, alpha_h = 0 rad"
+    )
+    model = Tras()
+    words = operating_point(model, {}).words(model)
+    assert words.startswith("u_v = 0, u_h = 0: alpha_v = ")

@@ -9,10 +9,9 @@ import casadi as ca
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model
-from trms_cli.models.rest import RestEquations
+from trms_cli.models.rest import RestEquations, arriving
 
 _PROXIMAL = 1e-12
-_MEMORY_STEP = 0.02  # s; the fixed point of the input path's memory is that of any step
 
 
 def controlled_rows(model: Model, equations: RestEquations) -> list[int]:
@@ -47,8 +46,8 @@ def newton_step(model: Model, equations: RestEquations) -> ca.Function:
     active, bound = ca.SX.sym("active", n_u), ca.SX.sym("bound", n_u)
     reach = ca.SX.sym("reach", n_u)
 
-    arriving = _arriving(model, u, p)
-    f = equations.residual(s, arriving, p, w)
+    reached = arriving(model, u, p)
+    f = equations.residual(s, reached, p, w)
     slopes = ca.jacobian(f, z[:n])
     f_s, f_u = slopes[:, :n_s], slopes[:, n_s:]
     curvature = curved * ca.jacobian(slopes.T @ multiplier, z[:n])
@@ -80,7 +79,7 @@ def newton_step(model: Model, equations: RestEquations) -> ca.Function:
         [
             ca.vertcat(z[:n] + shorten * ca.vertcat(ds, du), following),
             report,
-            equations.state(s, arriving),
+            equations.state(s, reached),
         ],
         ["z", "r", "w", "p", "q", "active", "bound", "reach", "curved"],
         ["z_next", "report", "x"],
@@ -100,20 +99,3 @@ def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
 
     first = solve(right)
     return first + solve(right - matrix @ first)
-
-
-def _arriving(model: Model, u: ca.SX, p: ca.SX) -> ca.SX:
-    """What reaches the motors after a long time at ``u``.
-
-    The memory of the input path is at the fixed point of its update; one Newton step from zero
-    finds it for every path that is linear in its memory (delays, lags).
-    """
-    n_m = len(model.memory(_MEMORY_STEP))
-    memory = ca.SX.sym("memory", n_m)
-    arriving, after = model.input_path(memory, u, p, (0.0, 1.0), _MEMORY_STEP)
-    if n_m == 0:
-        return arriving
-    change = after - memory
-    fixed = -ca.solve(ca.densify(ca.jacobian(change, memory)), change)
-    fixed = ca.substitute(fixed, memory, ca.SX.zeros(n_m))
-    return ca.substitute(arriving, memory, fixed)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
+from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.models.model import Model, names
 from trms_cli.stability.vector_field import VectorField
 
@@ -42,7 +43,7 @@ class OperatingPoint:
     def words(self, model: Model) -> str:
         """``u_v = 1.41 V, u_h = 0.2 V: alpha_v = 0, alpha_h = 0.1 rad``."""
         commands = ", ".join(
-            f"{signal.name} = {_short(value)} {signal.unit}"
+            f"{signal.name} = {_short(value)} {signal.unit}".removesuffix(" 1")
             for signal, value in zip(model.inputs, self.u, strict=True)
         )
         angles = ", ".join(
@@ -71,6 +72,27 @@ def operating_point(model: Model, at: Mapping[str, float], where: str = "at") ->
     ConfigurationError
         For names that are neither, and where the model has no such equilibrium.
     """
+    by_angle = asked_by_angle(model, at, where)
+    plain = without_effects(model)
+    if plain.n_x < model.n_x:
+        # An effect with a memory (a hysteresis) rests at any of a line of points: this is the one
+        # that a rig without a past has.
+        beside = _beside(model, at, by_angle, operating_point(plain, at, where))
+        if beside is not None:
+            return beside
+    if by_angle:
+        return _at_angles(model, at, where)
+    return at_command(model, np.array([at.get(name, 0.0) for name in names(model.inputs)]), where)
+
+
+def asked_by_angle(model: Model, at: Mapping[str, float], where: str = "at") -> bool:
+    """Whether a request names angles, and not commands.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name that is no input and no controlled state, or names of both kinds.
+    """
     inputs = names(model.inputs)
     for name in at:
         if name not in (*inputs, *model.controlled):
@@ -79,17 +101,46 @@ def operating_point(model: Model, at: Mapping[str, float], where: str = "at") ->
                 where=f"{where}.{name}",
                 remedy=nearest(name, (*model.controlled, *inputs)),
             )
-    by_angle = [name for name in at if name in model.controlled]
-    if by_angle and len(by_angle) < len(at):
+    by_angle = [name in model.controlled for name in at]
+    if any(by_angle) and not all(by_angle):
         raise ConfigurationError(
             f"angles and commands given together: {', '.join(at)}",
             where=where,
             remedy=f"give angles ({', '.join(model.controlled)}) or commands "
             f"({', '.join(inputs)}); the others follow",
         )
+    return any(by_angle)
+
+
+def without_effects(model: Model) -> Model:
+    """The model beneath all effects."""
+    while isinstance(model, ExtendedModel):
+        model = model.base
+    return model
+
+
+def _beside(
+    model: Model, at: Mapping[str, float], by_angle: bool, plain: OperatingPoint
+) -> OperatingPoint | None:
+    """The point next to that of the model without effects, by Newton's method in x and u."""
+    field, n_x = VectorField(model), model.n_x
+    z = np.concatenate([plain.x, model.rest()[plain.x.size :], plain.u])
     if by_angle:
-        return _at_angles(model, at, where)
-    return at_command(model, np.array([at.get(name, 0.0) for name in inputs]), where)
+        rows = [model.state_index(name) for name in model.controlled]
+        held = np.array([at.get(name, 0.0) for name in model.controlled])
+    else:
+        rows, held = list(range(n_x, z.size)), plain.u
+    pins = np.eye(z.size)[rows]
+    for _ in range(_ITERATIONS):
+        rate, a, b = field.with_slopes(z[:n_x], z[n_x:])
+        error = np.concatenate([rate, pins @ z - held])
+        if not (np.all(np.isfinite(error)) and np.all(np.isfinite(a))):
+            return None
+        if np.abs(error).max() <= TOLERANCE:
+            return OperatingPoint(z[:n_x], z[n_x:])
+        system = np.vstack([np.hstack([a, b]), pins])
+        z = z - np.linalg.lstsq(system, error, rcond=1e-13)[0]
+    return None
 
 
 def _at_angles(model: Model, at: Mapping[str, float], where: str) -> OperatingPoint:
@@ -146,7 +197,7 @@ def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint
         # Along the tangent, which the branch leaves only slowly; another branch lies far from it.
         ahead = x - (goal - share) * np.linalg.lstsq(a, b @ u, rcond=1e-12)[0]
         following = refined(field, ahead, goal * u)
-        if following is None or not _beside(following, ahead, x):
+        if following is None or not _as_foretold(following, ahead, x):
             step /= 4.0
             if step < 1e-6:
                 reached = ", ".join(
@@ -164,7 +215,7 @@ def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint
     return OperatingPoint(x, u)
 
 
-def _beside(found: FloatArray, ahead: FloatArray, x: FloatArray) -> bool:
+def _as_foretold(found: FloatArray, ahead: FloatArray, x: FloatArray) -> bool:
     """Whether a solution is the one that the tangent pointed at, state by state."""
     room = 0.5 * np.abs(ahead - x) + 0.02 * (1.0 + np.abs(x))
     return bool(np.all(np.abs(found - ahead) <= room))

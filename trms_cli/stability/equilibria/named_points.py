@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.models.model import Model
+from trms_cli.models.rest import arriving
 from trms_cli.stability.equilibria.friction_band import Band, bands
 from trms_cli.stability.equilibria.stability_of_points import GROWTH
-from trms_cli.stability.equilibria.steady_input import arriving
 from trms_cli.stability.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.vector_field import VectorField
 

@@ -27,10 +27,9 @@ from scipy.sparse.csgraph import connected_components
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model, Signal, index_of, names
-from trms_cli.models.rest import rest_equations
+from trms_cli.models.rest import arriving, rest_equations
 from trms_cli.stability.equilibria.elimination import Eliminated, eliminated
 from trms_cli.stability.equilibria.factors import without_factors
-from trms_cli.stability.equilibria.steady_input import arriving
 from trms_cli.stability.equilibria.torque_balance import torques
 
 FloatArray = npt.NDArray[np.float64]

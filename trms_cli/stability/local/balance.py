@@ -15,12 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.operating_point import SteadyState
-from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.core.plugins import nearest
-from trms_cli.effects.extended_model import ExtendedModel
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model, names
 from trms_cli.models.rest import rest_equations
-from trms_cli.stability.operating_point import OperatingPoint, operating_point
+from trms_cli.stability.operating_point import (
+    OperatingPoint,
+    asked_by_angle,
+    operating_point,
+)
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -90,25 +92,11 @@ class Balance:
         ConfigurationError
             For a name that is no input and no controlled state, or names of both kinds.
         """
-        model, inputs = self.model, names(self.model.inputs)
-        for name in at:
-            if name not in (*inputs, *model.controlled):
-                raise ConfigurationError(
-                    f"{name!r} is neither a controlled state nor an input",
-                    where=f"{where}.{name}",
-                    remedy=nearest(name, (*model.controlled, *inputs)),
-                )
-        by_angle = [name in model.controlled for name in at]
-        if any(by_angle) and not all(by_angle):
-            raise ConfigurationError(
-                f"angles and commands given together: {', '.join(at)}",
-                where=where,
-                remedy=f"give angles ({', '.join(model.controlled)}) or commands "
-                f"({', '.join(inputs)}); the others follow",
-            )
-        order = model.controlled if any(by_angle) else inputs
+        model = self.model
+        by_angle = asked_by_angle(model, at, where)
+        order = model.controlled if by_angle else names(model.inputs)
         values = np.array([float(at.get(name, 0.0)) for name in order])
-        return Held(any(by_angle), values, model.parameters.values)
+        return Held(by_angle, values, model.parameters.values)
 
     def first(self, at: Mapping[str, float], where: str = "at") -> OperatingPoint:
         """The operating point of a request, from nowhere.
@@ -120,9 +108,6 @@ class Balance:
         """
         held = self.held(at, where)
         if self.model.sample_time is None:
-            beside = self._without_memory(at, held, where)
-            if beside is not None:
-                return beside
             point = operating_point(self.model, at, where)
             return self.solve(held, point) or point
         rest = OperatingPoint(self.model.rest(), np.zeros(self.model.n_u))
@@ -142,26 +127,6 @@ class Balance:
                 remedy="ask for a smaller angle or command",
             )
         return found
-
-    def _without_memory(
-        self, at: Mapping[str, float], held: Held, where: str
-    ) -> OperatingPoint | None:
-        """The point next to that of the model without effects, where effects have states.
-
-        A hysteresis rests with any memory: of a whole line of points this is the one that a rig
-        without a past has.
-        """
-        plain = self.model
-        while isinstance(plain, ExtendedModel):
-            plain = plain.base
-        if plain.n_x == self.model.n_x:
-            return None
-        try:
-            point = operating_point(plain, at, where)
-        except TrmsError:
-            return None
-        x = np.concatenate([point.x, self.model.rest()[plain.n_x :]])
-        return self.solve(held, OperatingPoint(x, point.u))
 
     def solve(self, held: Held, guess: OperatingPoint) -> OperatingPoint | None:
         """Newton's method from a point nearby; None where it does not converge."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.twin_rotor import TwinRotor
+from trms_cli.stability.operating_point import without_effects
 from trms_cli.stability.subject import Subject, effects_of
 
 #: Effects that only take energy from an axis: power −F_c|Ω| and the like.
@@ -67,8 +67,7 @@ def rig_of(subject: Subject) -> Rig:
                 remedy="leave it out; friction and damping of an axis and sensors may stay. "
                 + _INSTEAD,
             )
-    while isinstance(model, ExtendedModel):
-        model = model.base
+    model = without_effects(model)
     if not isinstance(model, Newtonian | Lagrangian):
         raise ModelError(
             f"the energy of model {subject.name!r} is not stated here, only that of the Newtonian "
