@@ -41,10 +41,9 @@ def plane_chart(found: Found) -> Chart:
         raise ValueError("a plane needs two states")
     panels = [_panel(found, found.box, "")]
     small = [v.estimate for v in found.verdicts if _size(v.estimate, found) < 0.25]
-    if small and len(small) < len(found.verdicts):
-        reach = np.max([e.extents for e in small], axis=0)
+    if small:
         box = found.box.copy()
-        box[[i, j]] = 1.3 * np.abs(found.starts.matrix.T @ reach)[[i, j]]
+        box[[i, j]] = 1.3 * np.max([_reach(e, found) for e in small], axis=0)
         panels.append(_panel(found, box, "near the equilibrium"))
     names, model = found.starts.names, found.system.model
     others = [n for k, n in enumerate(names) if k not in (i, j)]
@@ -65,9 +64,31 @@ def plane_chart(found: Found) -> Chart:
 
 
 def _size(estimate: Estimate, found: Found) -> float:
+    return float(np.max(_reach(estimate, found) / found.box[list(found.plane.axes)]))
+
+
+def _reach(estimate: Estimate, found: Found) -> FloatArray:
+    """Half-widths of the section of a set with the plane, (2,); tiny for an empty one."""
+    axes = list(found.plane.axes)
+    half = found.box[axes].copy()
+    for _ in range(16):
+        d, _, _ = _grid(found, half, 61)
+        inside = np.abs(d[estimate.contains(found.starts.of(d))][:, axes])
+        reach = inside.max(axis=0, initial=0.0) + half / 30.0
+        if np.all(reach > 0.4 * half):
+            return np.asarray(np.minimum(reach, half))
+        half = np.minimum(half, np.maximum(1.2 * reach, 0.25 * half))
+    return half
+
+
+def _grid(found: Found, half: FloatArray, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Starts of a grid in the plane, (lines², m), and its lines."""
     i, j = found.plane.axes
-    reach = np.abs(found.starts.matrix.T @ estimate.extents)
-    return float(max(reach[i] / found.box[i], reach[j] / found.box[j]))
+    x, y = (np.linspace(-half[k], half[k], lines) for k in (0, 1))
+    across, up = np.meshgrid(x, y)
+    d = np.zeros((across.size, len(found.box)))
+    d[:, i], d[:, j] = across.ravel(), up.ravel()
+    return d, x, y
 
 
 def _panel(found: Found, box: FloatArray, title: str) -> Panel:
@@ -133,12 +154,7 @@ def _contour(estimate: Estimate, found: Found, box: FloatArray) -> Contour | Non
     i, j = found.plane.axes
     origin = _origin(found)
     # As fine as the set is small.
-    reach = np.abs(found.starts.matrix.T @ estimate.extents)
-    half = np.minimum(1.1 * reach, box)
-    x, y = (np.linspace(-half[k], half[k], _FINE) for k in (i, j))
-    across, up = np.meshgrid(x, y)
-    d = np.zeros((across.size, len(box)))
-    d[:, i], d[:, j] = across.ravel(), up.ravel()
+    d, x, y = _grid(found, np.minimum(1.1 * _reach(estimate, found), box[[i, j]]), _FINE)
     states = found.starts.of(d)
     near = np.all(np.abs(np.linalg.solve(estimate.frame, states.T)) <= 1.2, axis=0)
     values = np.where(near, estimate.candidate.values(states) / estimate.level, np.nan)
@@ -148,7 +164,7 @@ def _contour(estimate: Estimate, found: Found, box: FloatArray) -> Contour | Non
     return Contour(
         origin[i] + x,
         origin[j] + y,
-        values.reshape(across.shape),
+        values.reshape(_FINE, _FINE),
         [1.0],
         label,
         _COLOURS[estimate.method],

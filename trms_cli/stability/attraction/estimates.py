@@ -42,6 +42,10 @@ _FEW = 3
 #: Share of the sampled level that is to be proved: V̇ = 0 on the level itself.
 _SHARE = 0.98
 _RAYS = 600
+#: Gain of log volume over the quadratic below which a fitted V counts as no other.
+_GAIN = 0.01
+#: Share of a sampled level below which what boxes proved of it is not worth a row.
+_TRIFLE = 0.01
 #: Samples from which the volume of a set that is no ellipsoid is counted.
 _COUNTED = 60_000
 
@@ -115,10 +119,15 @@ class Estimate:
         return np.asarray(np.abs(y).max(axis=0, initial=0.0))
 
 
+def methods_for(system: Around) -> tuple[Method, ...]:
+    """All methods for a few states; without those that fit many weights for more."""
+    return tuple(LABELS) if system.n <= _FEW else ("lyapunov", "inclusion", "level_set")
+
+
 def estimates(
     system: Around,
     limits: FloatArray,
-    methods: Sequence[Method] | None,
+    methods: Sequence[Method],
     most: int,
     tell: Tell,
     linear_inside: tuple[Around, FloatArray] | None = None,
@@ -131,8 +140,7 @@ def estimates(
         Around an attractive equilibrium.
     limits : (n,) array
         Nothing is sought beyond \\|y_i\\| ≤ limits_i.
-    methods : sequence of Method or None
-        None: all for a few states, without those that are fitted for more.
+    methods : sequence of Method
     most : int
         Boxes for one proof.
     tell : callable
@@ -140,8 +148,6 @@ def estimates(
         For the methods by inclusion: simpler equations, the same where \\|row · y\\| < 1 for every
         row.
     """
-    if methods is None:
-        methods = tuple(LABELS) if system.n <= _FEW else ("lyapunov", "inclusion", "level_set")
     walls, simple = np.diag(1.0 / limits), system
     if linear_inside is not None:
         simple = linear_inside[0]
@@ -200,6 +206,9 @@ def _by_level_set(
     if not reached:
         return []
     candidate, level = max(reached, key=lambda pair: pair[1].log_volume)
+    largest = max(start.level.log_volume for start in starts)
+    if method != "level_set" and level.log_volume < largest + _GAIN:
+        return []  # the weights are a quadratic's, which has a row of its own
     proof = LevelProof(0.0, 0, False, 0.0, frame(candidate, level))
     if system.n <= _FEW:
         tell(f"{LABELS[method]}: proof by boxes")
@@ -208,7 +217,7 @@ def _by_level_set(
         )
     common = {"sampled": level.level, "samples": level.samples, "boxes": proof.boxes}
     found = []
-    if proof.level > 0.0:
+    if proof.level > _TRIFLE * level.level:
         means = "V̇ < 0 by interval branch and bound"
         found.append(
             Estimate(method, candidate, proof.level, True, means, proof.frame, **common)  # type: ignore[arg-type]

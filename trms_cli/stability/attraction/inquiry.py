@@ -10,7 +10,13 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.stability.attraction.estimates import Estimate, Method, estimates
+from trms_cli.stability.attraction.estimates import (
+    LABELS,
+    Estimate,
+    Method,
+    estimates,
+    methods_for,
+)
 from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
 from trms_cli.stability.attraction.system import Around
 from trms_cli.stability.attraction.truth import (
@@ -167,6 +173,8 @@ class Region:
         s, until a motion is undecided.
     plane : Plane
     rests : tuple of OtherRest
+    nothing : tuple of str
+        Labels of methods that were tried and found no set, or none larger than a quadratic's.
     """
 
     system: Around
@@ -179,6 +187,7 @@ class Region:
     duration: float
     plane: Plane
     rests: tuple[OtherRest, ...]
+    nothing: tuple[str, ...]
 
 
 def inquire(
@@ -208,7 +217,8 @@ def inquire(
     starts = Starts.of_all(system) if starts is None else starts
     require_states(options.box, starts.names, "study.box")
     limits = _limits(system, options.box)
-    found = estimates(system, limits, options.methods, options.boxes, tell, linear_inside)
+    tried = methods_for(system) if options.methods is None else options.methods
+    found = estimates(system, limits, tried, options.boxes, tell, linear_inside)
     proved = [e for e in found if e.proved]
     arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(system, limits)
     rests = other_rests(system, limits)
@@ -254,6 +264,7 @@ def inquire(
         duration,
         plane,
         tuple(rests),
+        tuple(LABELS[m] for m in tried if m not in {e.method for e in found}),
     )
 
 

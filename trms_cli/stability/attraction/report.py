@@ -212,8 +212,14 @@ def warnings(found: Region) -> list[str]:
         said.append(f"{names} moves nothing and is left out: there is no attraction in it.")
     if found.undecided:
         said.append(
-            f"{found.undecided} of {found.samples} motions were undecided after "
-            f"{found.duration:.0f} s and count as not attracted."
+            f"{found.undecided} of {found.samples} motions were neither here nor gone for good "
+            f"after {found.duration:.0f} s (at rest elsewhere, or still moving), and count as not "
+            "attracted."
+        )
+    if found.nothing:
+        said.append(
+            f"Nothing, or nothing larger than a quadratic's, was found by: "
+            f"{', '.join(found.nothing)}."
         )
     if any(not v.estimate.proved for v in found.verdicts):
         said.append(
