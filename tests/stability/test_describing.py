@@ -14,7 +14,7 @@ from trms_cli.stability.cycles.pid_loop import FrictionLoop
 SIZES = st.floats(1e-3, 0.1)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(torque=SIZES, excess=st.floats(0.0, 2.0), velocity=SIZES, amplitude=st.floats(1e-4, 10.0))
 def test_of_a_sine_of_the_rate(torque, excess, velocity, amplitude):
     """N(A) = (1/πA) ∫ F(A sin θ) sgn(sin θ) sin θ dθ over a turn."""
@@ -27,6 +27,7 @@ def test_of_a_sine_of_the_rate(torque, excess, velocity, amplitude):
     assert law.describing(amplitude) == pytest.approx(4 * integral / (np.pi * amplitude), rel=1e-6)
 
 
+@settings(max_examples=20)
 @given(torque=SIZES, amplitude=SIZES)
 def test_coulomb_is_the_relay(torque, amplitude):
     assert FrictionLaw(torque).describing(amplitude) == pytest.approx(
