@@ -25,13 +25,15 @@ Each answer says whether it is proved, or found by a search, and within which bo
 examples
   trms stability                                            where the rig can rest, all of it
   trms stability study=local                                modes at rest and over the range
-  trms stability study=local study.at.alpha_v=0.3 model=rahideh
-  trms stability study=root_locus study.over=k_g 'study.range=[0.0123,0.2]' model=rahideh
+  trms stability study=local study.at.alpha_v=0.4 model=rahideh
+  trms stability study=root_locus                           where k_g makes pitch unstable, and why
+  trms stability study=root_locus study.over=k_ov study.at.alpha_v=0.3
   trms stability study=controllability                      what each input moves, each sensor sees
-  trms stability study=phase_portrait model=newtonian_vertical 'study.states=[alpha_v,S_v]'
-  trms stability study=phase_portrait controller=pid        the same plane, the loop closed
-  trms stability study=limit_cycles model=rahideh
-  trms stability study=hunting controller=pid effect=pitch_stribeck_friction
+  trms stability study=phase_portrait model=newtonian_vertical study.at.alpha_v=0
+  trms stability study=phase_portrait controller=pid study.at.alpha_v=0
+  trms stability study=limit_cycles model=rahideh study.at.alpha_v=0.17
+  trms stability study=hunting controller=pid effect=pitch_stribeck_friction \\
+    effect.pitch_stribeck_friction.torque=0.02 effect.pitch_stribeck_friction.velocity=0.01
   trms stability study=lyapunov model=newtonian_vertical    functions of energy, checked
   trms stability study=region_of_attraction model=newtonian_vertical
   trms stability study=margins controller=newton_mpc observer=ukf
