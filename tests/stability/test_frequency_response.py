@@ -131,6 +131,7 @@ class TestALinearLaw:
         assert alike(measured(lqr(), rig).L, plain.L * turn[:, None, :])
 
 
+@pytest.mark.slow
 def test_pid_has_the_margins_that_it_was_tuned_with():
     """Yaw is tuned last, with the loop of pitch closed: the loop that is measured."""
     pid = Pid(operating_points=[AT])

@@ -192,6 +192,7 @@ class TestTheStudy:
             grows = pitch[-500:].max() > 0.001
             assert grows == (late * 0.1 > foretold)
 
+    @pytest.mark.slow
     def test_one_axis_needs_no_point_of_the_other(self):
         vertical = Newtonian(freedom="vertical")
         loop = loop_of(Lqr(operating_point={"alpha_v": 0.0}, sample_time=0.1), vertical)
