@@ -45,3 +45,19 @@ class VanDerPol(Planar):
 
 def at_origin(model: Model) -> OperatingPoint:
     return OperatingPoint(np.zeros(model.n_x), np.zeros(model.n_u))
+
+
+class Jumping(Planar):
+    """With dry friction written as a sign: its rate jumps."""
+
+    def dynamics(self, x, u, p, w):
+        return super().dynamics(x, u, p, w) - ca.vertcat(0, 0.1 * ca.sign(x[1]))
+
+
+class Cabled(Planar):
+    """With a spring whose stiffness changes away from the equilibrium, at x1 = -0.3."""
+
+    def dynamics(self, x, u, p, w):
+        slack = x[0] + 0.3
+        spring = ca.if_else(slack >= 0, 1.0, 3.0) * slack - 0.3
+        return ca.vertcat(x[1], -spring - 0.4 * x[1] + u[0])

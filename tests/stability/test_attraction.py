@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from attraction_cases import Planar, VanDerPol, at_origin
+from attraction_cases import Cabled, Jumping, Planar, VanDerPol, at_origin
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -273,3 +273,22 @@ def test_shares_and_their_confidence():
     assert share_of(100, 100).lower == pytest.approx(0.9638, abs=1e-4)
     half = share_of(50, 100)
     assert (half.lower, half.upper) == pytest.approx((0.398, 0.602), abs=1e-3)
+
+
+def test_rates_that_jump_are_refused():
+    model = Jumping()
+    with pytest.raises(ModelError, match="jumps"):
+        around(model, at_origin(model))
+
+
+def test_a_kink_is_covered_and_gives_no_integral():
+    model = Cabled()
+    system = around(model, at_origin(model))
+    assert not any("∫" in name for name in basis_of(system, 2, integrals=True).names)
+    limits = np.array([2.0, 2.0])
+    found = estimates(system, limits, ("lyapunov", "level_set"), 20_000, silent)
+    assert [e.proved for e in found] == [True, True]
+    for estimate, (count, failed) in zip(found, failures(system, found, 60, 60.0, 0), strict=True):
+        assert (count, failed) == (60, 0)
+        y = estimate.drawn(3000, 2)
+        assert np.all(estimate.candidate.at(y)[1] < 0.0)

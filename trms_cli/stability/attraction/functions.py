@@ -21,11 +21,16 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.attraction.system import Around
+from trms_cli.stability.attraction.system import Around, operations
 
 FloatArray = npt.NDArray[np.float64]
 
 _NODES = 6
+#: What an expression with a kink or a jump holds.
+_SWITCHES = {
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_IF_ELSE_ZERO),
+    *(ca.OP_SIGN, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FLOOR, ca.OP_CEIL),
+}
 
 
 @dataclass(frozen=True)
@@ -127,7 +132,7 @@ def basis_of(system: Around, degree: int = 2, *, integrals: bool = False) -> Bas
     degree : int
         2, 3 or 4.
     integrals : bool
-        Of those rates that are curved along an axis.
+        Of those rates that are curved along an axis, and smooth.
     """
     y = ca.SX.sym("y", system.n)
     found: list[ca.SX] = []
@@ -159,12 +164,14 @@ def _power(names: Sequence[str], group: tuple[int, ...]) -> str:
 
 
 def _curved_pairs(system: Around) -> list[tuple[int, int]]:
-    """(i, j) where ∂f_i/∂y_j depends on y_j: along which axis a rate is curved."""
+    """(i, j) where ∂f_i/∂y_j depends on y_j, smoothly: along which axis a rate is curved."""
     y, e = system.symbols()
     slopes = system.slopes(y, e)
     found = []
     for i, j in itertools.product(range(system.n), repeat=2):
-        if ca.jacobian_sparsity(slopes[i, j], y[j]).nnz():
+        slope = ca.Function("slope", [y, e], [slopes[i, j]])
+        # A rate with a kink would give V, summed at nodes, slopes that jump.
+        if ca.jacobian_sparsity(slopes[i, j], y[j]).nnz() and not operations(slope) & _SWITCHES:
             found.append((i, j))
     return found
 

@@ -37,6 +37,9 @@ FloatArray = npt.NDArray[np.float64]
 _MARGINAL = 1e-8
 #: Parts of the segment from the equilibrium over which slopes are averaged.
 _PARTS = 16
+#: Operations that jump. A coefficient that changes with the sign of the very quantity it multiplies
+#: does not.
+_JUMPS = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL}
 #: Radii tried for the box that holds the exact equilibrium, relative to 1 + |x̄|.
 _RADII = (1e-12, 1e-10, 1e-8, 1e-6)
 
@@ -188,6 +191,8 @@ def around(model: Model, point: OperatingPoint, states: Sequence[str] | None = N
     ------
     ConfigurationError
         For a name that is no state.
+    ModelError
+        If a rate jumps.
     """
     for name in states or ():
         if name not in model.state_names:
@@ -201,6 +206,14 @@ def around(model: Model, point: OperatingPoint, states: Sequence[str] | None = N
     pairs = list(zip(*moves.get_triplet(), strict=True))  # (moved, moving)
     neutral = {j for j in range(model.n_x) if all(moving != j for _, moving in pairs)}
     kept = {model.state_index(n) for n in states} if states else set(range(model.n_x))
+    jumps = operations(ca.Function("f", [x], [_rates(model, x, point.u)])) & _JUMPS
+    if jumps:
+        raise ModelError(
+            "a rate of this model jumps (a sign in its equations), and a jump has no slopes that "
+            "bounds could rest on",
+            where="model",
+            remedy="smooth it, or take the effect that adds it as impulses (*_friction)",
+        )
     while True:
         following = kept | {i for i, j in pairs if j in kept}
         if following == kept:
@@ -238,6 +251,11 @@ def require_attractive(system: Around) -> None:
         remedy="choose a point where all modes decay, or give the axis some damping or stiffness "
         "(model.parameters)",
     )
+
+
+def operations(function: ca.Function) -> set[int]:
+    """The kinds of operations in a function."""
+    return {function.instruction_id(k) for k in range(function.n_instructions())}
 
 
 def written(value: complex) -> str:
