@@ -71,6 +71,7 @@ def test_rotors_may_deviate_too():
     assert estimate["failed"] == 0
 
 
+@pytest.mark.slow
 def test_a_box_that_is_given_is_kept_to():
     found = answered(
         "model=newtonian_vertical",
