@@ -35,6 +35,8 @@ _SHAPES = {
     "square": "s",
     "triangle": "^",
 }
+#: Behind words, so that they can be read across lines.
+_PAPER = {"boxstyle": "square,pad=0.1", "facecolor": (1, 1, 1, 0.7), "edgecolor": "none"}
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ def _points(axes: Any, mark: Points) -> Handle:
     for place in zip(mark.names, *where, strict=False):
         name, *at = place
         if mark.z is not None:
-            axes.text(*at, f" {name}", fontsize=8, color=INK)
+            axes.text(*at, f"   {name}", fontsize=8, color=INK, zorder=10, bbox=_PAPER)
             continue
         axes.annotate(
             name,
@@ -155,7 +157,7 @@ def _points(axes: Any, mark: Points) -> Handle:
             fontsize=8,
             color=INK,
             zorder=6,
-            bbox={"boxstyle": "square,pad=0.1", "facecolor": (1, 1, 1, 0.7), "edgecolor": "none"},
+            bbox=_PAPER,
             annotation_clip=True,
         )
     return Handle(Line2D([], [], **look), ("points", mark.marker, mark.colour))

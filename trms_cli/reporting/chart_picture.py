@@ -17,6 +17,8 @@ from trms_cli.reporting.style import new_figure
 
 #: Letters of a legend that fit into an inch, its handle counted as some.
 _LETTERS_PER_INCH, _HANDLE_LETTERS = 15.0, 6
+#: Numbers that fit along an inch of a panel, with a sign and three digits each.
+_TICKS_PER_INCH = 1.4
 #: Inches from a panel down to its legend: tick labels and the axis' label lie between.
 _BENEATH = 0.45
 #: A logarithmic axis up to this ratio has room for 1, 2 and 5 of each decade.
@@ -35,6 +37,8 @@ def picture_of(chart: Chart) -> Figure:
         projection = None if panel.z is None else "3d"
         axes = figure.add_subplot(rows, columns, number, projection=projection)
         legends.append(_draw_panel(axes, panel))
+        if not panel.x.log and panel.z is None:
+            axes.locator_params(axis="x", nbins=max(4, round(_TICKS_PER_INCH * chart.width)))
         places.append(axes)
     if _one_legend_serves(legends):
         union = {label: handle for legend in legends for label, handle in legend.items()}

@@ -105,11 +105,11 @@ def _lead(
 ) -> list[str]:
     modes = sides["mean"]
     verdict = {
-        "stable": "Small motions about it die out",
-        "marginal": "Small motions about it neither grow nor all die out",
-        "unstable": "Small motions about it grow",
+        "stable": "small motions die out",
+        "marginal": "small motions neither grow nor all die out",
+        "unstable": "small motions grow",
     }[modes.verdict]
-    told = [f"{verdict}: {words} is {modes.verdict}."]
+    told = [f"{modes.verdict.capitalize()}, {verdict}, at {words}."]
     critical = max(
         (m for m in modes.modes if math.isfinite(m.eigenvalue.real)),
         key=lambda m: m.eigenvalue.real,
