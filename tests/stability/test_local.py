@@ -242,7 +242,7 @@ def test_the_study_answers_with_names_verdict_and_range():
     model = Newtonian(parameter_set="rahideh")
     findings = Local(at={"alpha_v": 0.4}, points=21).run(Subject(model, "rahideh"), silent)
     assert findings.results["at"]["verdict"] == "unstable"
-    assert "unstable" in findings.lead[0]
+    assert "Unstable" in findings.lead[0]
     assert "pitch swing" in findings.lead[1]
     (first, *_) = findings.results["crossings"]
     assert first["mode"] == "pitch swing" and first["unstable_above"]
