@@ -1,0 +1,280 @@
+"""Following a log that grows: what is read is what the log reader reads of as much of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.log_reader import LoggedRun, Table, read_log
+from trms_cli.recordings.log_tail import LogTail, Piece
+from trms_cli.recordings.run_log import RunLog
+from trms_cli.recordings.topics import Topic
+
+
+def write_sample(log: RunLog, k: int) -> None:
+    """Numbers, texts, truth values, arrays and what is missing, at 100 Hz."""
+    t = k * 10_000_000
+    log.write("/reference", t, (0.3, -0.5 * k))
+    log.write("/measurement", t, [0.1 * k, float("nan") if k % 2 else 0.0])
+    words = (1e-4, 2e-5, 3e-5, 3, "ok", 1.5, 0.0, 1e-9, False, k == 7, "", "normal", "", 0.0)
+    log.write("/controller", t, words)
+    if k % 10 == 0:
+        horizon = np.arange(4) * 0.1
+        log.write("/prediction", t, [horizon, *(horizon * i for i in range(5))])
+    if k == 5:
+        log.event(t, "note", "person", "pushed the beam")
+
+
+def joined(pieces: list[Piece]) -> dict[str, Table]:
+    """The pieces of each topic as one table."""
+    found: dict[str, Table] = {}
+    for topic in {topic for piece in pieces for topic in piece.tables}:
+        parts = [piece.tables[topic] for piece in pieces if topic in piece.tables]
+        columns = {
+            name: np.concatenate([part.columns[name] for part in parts])
+            for name in parts[0].columns
+        }
+        time_ns = np.concatenate([part.time_ns for part in parts])
+        time = np.concatenate([part.time for part in parts])
+        found[topic] = Table(time, time_ns, columns, parts[0].units)
+    return found
+
+
+def read_all(tail: LogTail, at_once: int = 1 << 20) -> list[Piece]:
+    pieces = []
+    while (piece := tail.read(at_once)) is not None:
+        pieces.append(piece)
+    return pieces
+
+
+def check_same(tables: dict[str, Table], log: LoggedRun) -> None:
+    assert set(tables) == {topic for topic, table in log.tables.items() if len(table)}
+    for topic, table in tables.items():
+        whole = log.tables[topic]
+        np.testing.assert_array_equal(table.time_ns, whole.time_ns)
+        np.testing.assert_array_equal(table.time, whole.time)
+        assert table.units == whole.units
+        assert list(table.columns) == list(whole.columns)
+        for name, column in table.columns.items():
+            assert column.dtype == whole.columns[name].dtype
+            if column.dtype == object:
+                assert len(column) == len(whole.columns[name])
+                for a, b in zip(column, whole.columns[name], strict=True):
+                    np.testing.assert_array_equal(a, b)
+            else:
+                np.testing.assert_array_equal(column, whole.columns[name])
+
+
+@pytest.mark.parametrize("at_once", [1, 1000, 20_000, 1 << 20])
+def test_a_finished_log_is_what_the_log_reader_reads(
+    tmp_path: Path, write_run: Callable[..., Path], at_once: int
+) -> None:
+    path = write_run(tmp_path / "run.mcap", 350)
+    log = read_log(path)
+    with LogTail(path) as tail:
+        check_same(joined(read_all(tail, at_once)), log)
+        assert tail.finished and tail.of_trms and not tail.problems
+        assert tail.run == log.run
+        assert tail.attachments == log.attachments
+        assert tail.config == log.config
+
+
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(steps=st.lists(st.integers(0, 60), min_size=1, max_size=12))
+def test_a_log_that_grows(tmp_path_factory, topics: list[Topic], steps: list[int]) -> None:
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    log, done, pieces = RunLog(path, topics, {"command": "trms run"}), 0, []
+    with LogTail(path) as tail:
+        for samples in steps:
+            for _ in range(samples):
+                write_sample(log, done)
+                done += 1
+            before = read_all(tail)
+            assert not any(piece.tables for piece in before)  # nothing before the flush
+            log.flush()
+            found = read_all(tail)
+            assert any(piece.tables for piece in found) == (samples > 0)
+            pieces += found
+            assert not tail.finished
+            if done:
+                check_same(joined(pieces), read_log(path))
+        log.close("completed")
+        pieces += read_all(tail)
+        assert tail.finished
+        assert tail.run["outcome"] == "completed"
+        check_same(joined(pieces), read_log(path))
+
+
+@pytest.fixture(scope="module")
+def last_chunk(tmp_path_factory) -> tuple[bytes, bytes]:
+    """A log up to a flush, and what the next flush adds."""
+    from trms_cli.recordings.topics import Field, standard_topics
+
+    path = tmp_path_factory.mktemp("chunk") / "run.mcap"
+    angle = [Field("alpha_h", "rad")]
+    log = RunLog(path, standard_topics(references=angle, outputs=angle), {"command": "trms run"})
+    sizes = [path.stat().st_size]
+    for second in range(2):
+        for k in range(4):
+            t = second * 10**9 + k * 10**7
+            log.write("/reference", t, (0.5,))
+            log.write("/measurement", t, (0.1 * k + second,))
+        log.flush()
+        sizes.append(path.stat().st_size)
+    data = path.read_bytes()
+    log.close("completed")
+    return data[: sizes[1]], data[sizes[1] :]
+
+
+def test_a_chunk_cut_at_every_byte_is_left_for_the_next_look(
+    tmp_path: Path, last_chunk: tuple[bytes, bytes]
+) -> None:
+    before, after = last_chunk
+    path = tmp_path / "run.mcap"
+    whole = 0
+    for length in range(len(after)):
+        path.write_bytes(before + after[:length])
+        with LogTail(path) as tail:
+            pieces = read_all(tail)
+            check_same(joined(pieces), read_log(path))
+            assert not tail.finished and not tail.problems
+            early = len(joined(pieces)["/measurement"])
+            assert early in (4, 8)
+            whole += early == 8
+            with path.open("ab") as file:
+                file.write(after[length:])
+            pieces += read_all(tail)
+            check_same(joined(pieces), read_log(path))
+            assert len(joined(pieces)["/measurement"]) == 8
+    # the samples are there once their chunk is, whether its index is or not; never before
+    assert 0 < whole < len(after) / 2
+
+
+def test_a_log_that_comes_byte_by_byte(tmp_path: Path, last_chunk: tuple[bytes, bytes]) -> None:
+    data = b"".join(last_chunk)
+    path = tmp_path / "run.mcap"
+    path.touch()
+    pieces = []
+    with LogTail(path) as tail, path.open("ab", buffering=0) as file:
+        for k in range(len(data)):
+            file.write(data[k : k + 1])
+            pieces += read_all(tail)
+        assert not tail.problems
+    check_same(joined(pieces), read_log(path))
+
+
+def test_only_what_is_wanted(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+    path = write_run(tmp_path / "run.mcap")
+    with LogTail(path, lambda topic, column: (topic, column) == ("/command", "u_h")) as tail:
+        tables = joined(read_all(tail))
+    assert set(tables) == {"/command"} and set(tables["/command"].columns) == {"u_h"}
+    assert tail.units == {"/command": {"u_h": "V"}}
+
+
+def test_damage_is_left_out_and_told(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+    path = write_run(tmp_path / "run.mcap")
+    data = bytearray(path.read_bytes())
+    position = 8
+    while data[position] != 0x06:  # the first chunk
+        position += 9 + int.from_bytes(data[position + 1 : position + 9], "little")
+    length = int.from_bytes(data[position + 1 : position + 9], "little")
+    data[position + 9 + length // 2] ^= 0xFF
+    path.write_bytes(data)
+    log = read_log(path)
+    with LogTail(path) as tail:
+        check_same(joined(read_all(tail)), log)
+        assert len(tail.problems) == len([p for p in log.problems if "damaged" in p]) == 1
+
+
+def test_progress_is_told_by_chunk(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+    path = write_run(tmp_path / "run.mcap", 250)
+    with LogTail(path) as tail:
+        written = [pair for piece in read_all(tail) for pair in piece.written]
+    assert [log for log, _ in written] == [990_000_000, 1_990_000_000, 2_490_000_000]
+    assert sorted(written) == written and written[0][1] > 10**17
+
+
+class TestWriter:
+    """Whether somebody writes the log."""
+
+    def test_a_run_has_one_until_it_closes(self, tmp_path: Path, topics: list[Topic]) -> None:
+        log = RunLog(tmp_path / "run.mcap", topics, {})
+        with LogTail(log.path) as tail:
+            first = tail.has_writer()
+            if first is None:
+                pytest.skip("this system does not tell")
+            assert first is True
+            write_sample(log, 0)
+            log.flush()
+            assert tail.has_writer() is True
+            log.close("completed")
+            assert tail.has_writer() is False
+
+    def test_a_reader_is_none(self, tmp_path: Path, write_run: Callable[..., Path]) -> None:
+        path = write_run(tmp_path / "run.mcap")
+        with LogTail(path) as tail, LogTail(path) as other, path.open("rb"):
+            assert tail.has_writer() in (False, None)
+            assert other.has_writer() in (False, None)
+
+
+class TestBadFiles:
+    """What is no log."""
+
+    def test_none(self, tmp_path: Path) -> None:
+        with pytest.raises(RecordingError, match="no such file"):
+            LogTail(tmp_path / "none.mcap")
+
+    def test_no_mcap(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mcap"
+        path.write_text("t[s],u_v[V]\n0,1\n")
+        with LogTail(path) as tail, pytest.raises(RecordingError, match="not an MCAP file"):
+            tail.read()
+
+    def test_a_folder(self, tmp_path: Path) -> None:
+        with pytest.raises(RecordingError), LogTail(tmp_path) as tail:
+            tail.read()
+
+    @pytest.mark.parametrize("length", range(9))
+    def test_one_that_has_just_begun(
+        self, tmp_path: Path, last_chunk: tuple[bytes, bytes], length: int
+    ) -> None:
+        path = tmp_path / "run.mcap"
+        path.write_bytes(last_chunk[0][:length])
+        with LogTail(path) as tail:
+            assert tail.read() is None and not tail.finished
+
+    def test_a_record_of_a_length_that_cannot_be(
+        self, tmp_path: Path, last_chunk: tuple[bytes, bytes]
+    ) -> None:
+        path = tmp_path / "run.mcap"
+        path.write_bytes(last_chunk[0] + b"\x06" + (2**60).to_bytes(8, "little") + bytes(100))
+        with LogTail(path) as tail:
+            pieces = read_all(tail)
+            assert tail.finished and "damaged" in tail.problems[-1]
+        assert len(joined(pieces)["/measurement"]) == 4
+
+    @settings(
+        max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    )
+    @given(spoilt=st.lists(st.tuples(st.integers(8, 10**6), st.integers(0, 255)), min_size=1))
+    def test_damage_anywhere_ends_in_a_message_or_in_fewer_samples(
+        self, tmp_path: Path, last_chunk: tuple[bytes, bytes], spoilt: list[tuple[int, int]]
+    ) -> None:
+        data = bytearray(b"".join(last_chunk))
+        for place, value in spoilt:
+            data[8 + place % (len(data) - 8)] = value
+        path = tmp_path / "spoilt.mcap"
+        path.write_bytes(data)
+        try:
+            with LogTail(path) as tail:
+                read_all(tail)
+        except RecordingError:
+            pass
