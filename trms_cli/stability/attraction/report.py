@@ -84,7 +84,8 @@ def lead(found: Region) -> list[str]:
             if abs(value) > 1e-9
         )
         said.append(
-            f"The nearest unstable equilibrium that a search from random starts finds is {away} away."
+            f"The nearest unstable equilibrium that a search from random starts finds is {away} "
+            "away."
         )
     return said
 
