@@ -37,7 +37,15 @@ class Curve:
 
 @dataclass(frozen=True)
 class Cell:
-    """A character of a chart and how it looks."""
+    """A character of a chart.
+
+    Attributes
+    ----------
+    sign : str
+        The character.
+    style : str
+        How it looks, as rich has it.
+    """
 
     sign: str
     style: str

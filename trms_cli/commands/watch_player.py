@@ -96,9 +96,9 @@ class Player:
         """What there is to see now."""
         run = self.run
         replay = ""
-        if self.paused:
+        if keys and self.paused:
             replay = "paused"
-        elif not self.live and not self.at_end:
+        elif keys and not self.live and not self.at_end:
             replay = f"replay {self.speed:g}×"
         return View(
             about=about(run.choices, run.run, str(run.path), run.total),
