@@ -61,22 +61,23 @@ def perform(composition: Composition) -> Outcome:
         If the question makes no sense for the model; it says what is possible.
     """
     from trms_cli.commands import stability_request as request
+    from trms_cli.commands.progress_line import ProgressLine
     from trms_cli.commands.run_folder import removed_if_empty, write_document
-    from trms_cli.commands.stability_screen import StabilityScreen
+    from trms_cli.commands.stability_screen import say_finished
 
     begin = perf_counter()
     asked = request.asked_of(composition)
-    screen = StabilityScreen(composition)
     folder = composition.folder("stability")  # before the work, which a wrong name would lose
-    with screen, removed_if_empty(folder):
-        findings = request.answered(asked, screen.progress)
+    with ProgressLine() as line, removed_if_empty(folder):
+        findings = request.answered(asked, line.tell)
         document = request.document_of(composition, asked, findings)
         write_document(document, folder / DOCUMENT_NAME)
         page = None
         if asked.page:
             from trms_cli.commands.stability_page import write_page
 
-            screen.progress("figures")
+            line.tell("figures")
             page = write_page(document, findings, folder, PAGE_NAME)
-    screen.say_finished(document, findings, folder / DOCUMENT_NAME, page, perf_counter() - begin)
+    spent = perf_counter() - begin
+    say_finished(composition, document, findings, folder / DOCUMENT_NAME, page, spent)
     return Outcome(EXIT_OK)

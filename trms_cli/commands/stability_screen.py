@@ -1,13 +1,11 @@
-"""What a person sees of a study of stability: progress, then the answer, tables and files."""
+"""What a person sees of a study of stability: the answer, tables and files."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from time import perf_counter
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from trms_cli.reporting.page import shown_cell
 from trms_cli.stability.findings import Findings, Judged, Table
@@ -21,73 +19,43 @@ _MOST_ROWS = 16
 _WIDTH = 110
 
 
-class StabilityScreen:
-    """Progress on standard error if that is a terminal; the findings on standard output."""
+def say_finished(
+    composition: Composition,
+    document: Mapping[str, Any],
+    findings: Findings,
+    path: Path,
+    page: Path | None,
+    spent: float,
+) -> None:
+    """The answer, its tables, and the files; one line for a job of a sweep."""
+    if composition.job is not None:
+        what = " ".join(composition.overrides)
+        print(f"{composition.job:>4}  {what}  {document['lead'][0]}")
+        return
+    from rich.console import Console
 
-    _PATIENCE = 0.5  # s, before progress is worth a line
+    # Into a file or a pipe: as wide as the tables like it.
+    console = Console() if sys.stdout.isatty() else Console(width=_WIDTH)
 
-    def __init__(self, composition: Composition) -> None:
-        self._composition = composition
-        self._begin = perf_counter()
-        self._width = 0
+    def say(text: str, style: str = "") -> None:
+        console.print(text, style=style, highlight=False, markup=False, soft_wrap=False)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._width:
-            sys.stderr.write("\r" + " " * self._width + "\r")
-
-    def progress(self, doing: str) -> None:
-        """What is being done."""
-        if not sys.stderr.isatty() or perf_counter() - self._begin < self._PATIENCE:
-            return
-        sys.stderr.write("\r" + doing.ljust(self._width))
-        sys.stderr.flush()
-        self._width = max(self._width, len(doing))
-
-    def say_finished(
-        self,
-        document: Mapping[str, Any],
-        findings: Findings,
-        path: Path,
-        page: Path | None,
-        spent: float,
-    ) -> None:
-        """The answer, its tables, and the files; one line for a job of a sweep."""
-        if self._composition.job is not None:
-            what = " ".join(self._composition.overrides)
-            print(f"{self._composition.job:>4}  {what}  {document['lead'][0]}")
-            return
-        from rich.console import Console
-
-        # Into a file or a pipe: as wide as the tables like it.
-        console = Console() if sys.stdout.isatty() else Console(width=_WIDTH)
-
-        def say(text: str, style: str = "") -> None:
-            console.print(text, style=style, highlight=False, markup=False, soft_wrap=False)
-
-        say(f"stability  {document['title'].lower()} · {subject_words(document)}")
+    say(f"stability  {document['title'].lower()} · {subject_words(document)}")
+    console.print()
+    for sentence in document["lead"]:
+        say(sentence, "bold")
+    console.print()
+    for table in findings.tables:
+        if table.on_screen and table.rows:
+            _print_table(console, table)
+    for warning in document["warnings"]:
+        say(f"! {warning}", "yellow")
+    if document["warnings"]:
         console.print()
-        for sentence in document["lead"]:
-            say(sentence, "bold")
-        console.print()
-        for table in findings.tables:
-            if table.on_screen and table.rows:
-                _print_table(console, table)
-        for warning in document["warnings"]:
-            say(f"! {warning}", "yellow")
-        if document["warnings"]:
-            console.print()
-        print(f"time       {spent:.1f} s")
-        print(f"figures    {path}")
-        if page is not None:
-            print(f"page       {page}")
+    print(f"time       {spent:.1f} s")
+    print(f"figures    {path}")
+    if page is not None:
+        print(f"page       {page}")
 
 
 def subject_words(document: Mapping[str, Any]) -> str:

@@ -73,6 +73,7 @@ def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Ou
         What each model was called on the command line; empty for one from a configuration.
     """
     from trms_cli.commands import validate_request as request
+    from trms_cli.commands.progress_line import ProgressLine
     from trms_cli.commands.run_folder import write_document
     from trms_cli.commands.validate_screen import ValidateScreen
     from trms_cli.identification.validation.document import document_of
@@ -81,10 +82,10 @@ def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Ou
     begin = perf_counter()
     asked = request.validation_of(compositions, given)
     screen = ValidateScreen(compositions[0], asked)
-    with screen:
-        validations = validate_all(asked.models, asked.datasets, asked.options, screen.progress)
-        validations, notes = request.calibrated_where_asked(validations, asked, screen.progress)
-        screen.progress("figures")
+    with ProgressLine() as line:
+        validations = validate_all(asked.models, asked.datasets, asked.options, line.tell)
+        validations, notes = request.calibrated_where_asked(validations, asked, line.tell)
+        line.tell("figures")
         document = document_of(validations)
         document["notes"] = [*request.notes_on(asked), *notes]
         document["warnings"] = request.warnings_of(asked)
@@ -95,7 +96,7 @@ def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Ou
         if asked.page:
             from trms_cli.commands.validate_page import page_of
 
-            screen.progress("page")
+            line.tell("page")
             page = folder / PAGE_NAME
             try:
                 page_of(document, validations).write(page)

@@ -1,13 +1,10 @@
-"""What a person sees of a validation: progress, then the verdict, tables and files."""
+"""What a person sees of a validation: the verdict, tables and files."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
-from time import perf_counter
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from trms_cli.identification.validation.verdict import (
     Remark,
@@ -24,7 +21,7 @@ _MARKS = {"good": ("✓", "green"), "bad": ("✗", "red"), "doubtful": ("?", "ye
 
 
 class ValidateScreen:
-    """Progress on standard error if that is a terminal; the figures on standard output.
+    """The figures, on standard output.
 
     Parameters
     ----------
@@ -32,32 +29,8 @@ class ValidateScreen:
     asked : Asked
     """
 
-    _PATIENCE = 0.5  # s, before progress is worth a line
-
     def __init__(self, composition: Composition, asked: Asked) -> None:
         self._composition, self._asked = composition, asked
-        self._begin = perf_counter()
-        self._line = ""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._line:
-            sys.stderr.write("\r" + " " * len(self._line) + "\r")
-
-    def progress(self, doing: str) -> None:
-        """What is being done."""
-        if not sys.stderr.isatty() or perf_counter() - self._begin < self._PATIENCE:
-            return
-        sys.stderr.write("\r" + doing.ljust(len(self._line)))
-        sys.stderr.flush()
-        self._line = doing
 
     def say_finished(
         self, document: Mapping[str, Any], path: Path, page: Path | None, spent: float
