@@ -359,7 +359,7 @@ def fitted(line: Text, width: int, plain: bool) -> Text:
     line.truncate(width, overflow="ellipsis")
     if plain:
         line.plain = _ascii(line.plain, width)
-    line.no_wrap, line.end = True, ""
+    line.no_wrap = True
     return line
 
 

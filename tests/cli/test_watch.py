@@ -1,0 +1,660 @@
+"""``trms watch``: pictures that fit, a terminal that is left as it was, runs that go on or die."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+import pty
+import re
+import select
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.text import Text
+
+from trms_cli.commands.watch_chart import Curve, chart, scale
+from trms_cli.commands.watch_frame import NAMES, About, View, about, plain_line, run_frame
+from trms_cli.commands.watch_player import Player
+from trms_cli.commands.watch_sweep import sweep_frame, sweep_line
+from trms_cli.commands.watch_terminal import keys_in
+from trms_cli.runs.followed import FollowedRun
+from trms_cli.runs.latest import latest_run
+from trms_cli.runs.moment import Axis, Event, Input, Moment, Solver
+from trms_cli.runs.sweep_progress import FollowedSweep, _values
+
+ALTERNATE, NORMAL = b"\x1b[?1049h", b"\x1b[?1049l"
+
+
+@pytest.fixture(scope="module")
+def made(executable, tmp_path_factory) -> Path:
+    """A folder with a run of 6 s and a sweep of four, of which two fail."""
+    folder = tmp_path_factory.mktemp("lab")
+    environment = os.environ | {"TRMS_RUNS": "off"}
+    for argv, code in (
+        (["-m", "controller=pid,lqr", "seed=1,2", "out=sweep", "sim.duration=2"], 0),
+        (["controller=lqr", "effect=yaw_coulomb_friction", "out=one", "sim.duration=6"], 0),
+    ):
+        result = subprocess.run(
+            [str(executable), "run", *argv, "picture=false"],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert result.returncode == code, result.stderr
+    return folder
+
+
+@pytest.fixture
+def there(made, trms, tmp_path):
+    """Run ``trms watch`` beside a copy of them."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    os.utime(tmp_path / "one" / "run.mcap")  # the latest
+
+    def watch(*argv: str, code: int = 0, **environment: str):
+        result = trms(
+            "watch", *argv, **{"TRMS_RUNS": "off", "LINES": "25", "COLUMNS": "80"} | environment
+        )
+        assert result.returncode == code, result.stderr
+        return result.stdout if code == 0 else result.stderr
+
+    return watch
+
+
+def a_view(axes: int = 2, events: int = 5, words: str = "", **changes) -> View:
+    """A run at 12.5 s with everything that a run can have."""
+    t = np.arange(0.0, 12.5, 0.02)
+    names = ["alpha_v", "alpha_h", "omega_v", "third 出力"][:axes]
+    moment = Moment(
+        time=12.5,
+        speed=37.2,
+        axes=tuple(
+            Axis(n, "rad", 0.3, 0.29, 0.291, 0.2905, 0.009, 0.12, t, np.sign(np.sin(t)), np.sin(t))
+            for n in names
+        ),
+        inputs=(
+            Input("u_v", "V", 2.5, -2.5, 2.5, True, 0.25),
+            Input("u_h", "V", -0.7, -2.5, 2.5, False, 0.0),
+            Input("u_free", "V", math.nan, -math.inf, math.inf, False, math.nan),
+        ),
+        solver=Solver(
+            3.0, 41.5, 20.0, 600, 7, 2, 3.0, "failed", words, "degraded", "missing alpha_h"
+        ),
+        events=tuple(Event(i, "fault", "plant", f"happening {i} {words}") for i in range(events)),
+        event_count=events,
+    )
+    made_of = {
+        "about": About(
+            f"newton_mpc · ref square {words}", "effects x", f"runs/{words}/run.mcap", 80.0
+        )
+    }
+    return View(**({"moment": moment, "state": "running", "keys": "q quit"} | made_of | changes))
+
+
+def text_of(lines: list[Text]) -> str:
+    return "\n".join(line.plain for line in lines)
+
+
+class TestFrame:
+    """A picture of a run."""
+
+    def test_of_80_by_24_has_everything(self):
+        text = text_of(run_frame(a_view(), 80, 24))
+        for words in (
+            "newton_mpc", "running", "effects x", "run.mcap", "12.5 / 80 s", "16 %", "37.2×",
+            "reference", "measured", "state", "estimate", "error", "RMSE",
+            "0.3000", "0.2900", "0.2910", "0.2905", "0.0090", "0.1200", "pitch", "yaw",
+            "main rotor", "2.5000 V", "at a limit 25.0 %", "-0.7000 V",
+            "3 ms now", "41.5 ms p99", "of 20 ms", "7 missed", "failed", "degraded",
+            "missing alpha_h", "2 fall-backs", "happening 4", "q quit",
+        ):  # fmt: skip
+            assert words in text
+        assert sum("⠀" < sign <= "⣿" for sign in text) > 100
+        assert "0.0 s" in text and "20.0 s" in text  # of the curves
+
+    @settings(max_examples=80, deadline=None)
+    @given(
+        width=st.integers(1, 200),
+        height=st.integers(1, 60),
+        axes=st.integers(0, 4),
+        events=st.integers(0, 8),
+        words=st.text(max_size=40),
+        plain=st.booleans(),
+        state=st.sampled_from(["running", "completed", "failed", "died", "unfinished"]),
+        replay=st.sampled_from(["", "replay 4×"]),
+        silent=st.sampled_from([0.0, 100.0]),
+    )
+    def test_fits_whatever_it_shows(
+        self, width, height, axes, events, words, plain, state, replay, silent
+    ):
+        view = a_view(axes, events, words, state=state, replay=replay, silent=silent)
+        lines = run_frame(view, width, height, plain=plain)
+        assert 0 < len(lines) <= height
+        for line in lines:
+            assert line.cell_len <= width
+            assert line.plain.isprintable()
+            assert not plain or line.plain.isascii()
+
+    def test_a_small_terminal_keeps_the_figures(self):
+        text = text_of(run_frame(a_view(), 80, 12))
+        assert "RMSE" in text and "7 missed" in text and "q quit" in text
+        assert "⣀" not in text
+
+    def test_more_room_is_given_to_curves_and_events(self):
+        small, large = run_frame(a_view(), 80, 24), run_frame(a_view(), 160, 50)
+        assert len(small) <= 24 < len(large) <= 50
+        assert max(line.cell_len for line in large) == 160
+
+    def test_what_a_run_does_not_have_is_left_out(self):
+        moment = Moment(0.0, math.nan, (), (), None, (), 0)
+        text = text_of(run_frame(View(About("x", "", "l", None), moment, "running"), 80, 24))
+        assert "no sample yet" in text and "nan" not in text and "solver" not in text
+
+    @pytest.mark.parametrize(
+        ("state", "words"),
+        [("died", "nobody writes it"), ("failed", "failed"), ("interrupted", "interrupted")],
+    )
+    def test_says_how_a_run_ended(self, state, words):
+        assert words in text_of(run_frame(a_view(state=state), 80, 24))
+        assert words in plain_line(a_view(state=state))
+
+    def test_says_that_nothing_comes(self):
+        assert "no sample for 12 s" in text_of(run_frame(a_view(silent=12.0), 100, 24))
+        assert "no sample for" not in text_of(run_frame(a_view(silent=1.0), 100, 24))
+
+    def test_names_are_those_of_the_figures(self):
+        from trms_cli.reporting.style import LABELS
+
+        assert {name: LABELS[name] for name in NAMES} == NAMES
+
+    def test_what_a_run_is(self):
+        choices = {"controller": "lqr", "ref": "sine", "observer": "ekf", "plant": "simulated",
+                   "model": "newtonian", "effect": ["a", "b"], "fault": []}  # fmt: skip
+        found = about(choices, {"loop": "closed"}, "run.mcap", 1.0)
+        assert found.what.startswith("lqr · ref sine · observer ekf · plant simulated")
+        assert found.extras == "effects a+b"
+        assert "ref" not in about(choices, {"loop": "open"}, "run.mcap", 1.0).what
+        assert about({}, {"recording.file": "rig.csv"}, "run.mcap", 1.0).what == "rig.csv"
+
+
+class TestChart:
+    """Curves in characters."""
+
+    @settings(max_examples=60, deadline=None)
+    @given(
+        values=st.lists(st.floats(-50, 50) | st.just(math.nan), min_size=1, max_size=60),
+        columns=st.integers(1, 60),
+        rows=st.integers(1, 10),
+        plain=st.booleans(),
+    )
+    def test_has_its_size_and_a_dot_where_there_are_values(self, values, columns, rows, plain):
+        v = np.array(values)
+        t = np.linspace(0.0, 10.0, len(v))
+        limits = scale(v)
+        present = v[~np.isnan(v)]
+        if present.size:
+            assert limits[0] <= present.min() + 1e-9 and present.max() - 1e-9 <= limits[1]
+        cells = chart(t, (Curve(v, "", "*"),), (0.0, 10.0), limits, (columns, rows), plain=plain)
+        assert [len(row) for row in cells] == [columns] * rows
+        drawn = {i for row in cells for i, cell in enumerate(row) if cell.sign != " "}
+        expected = {min(int(x / 10.0 * columns), columns - 1) for x in t[~np.isnan(v)]}
+        assert expected <= drawn
+
+    def test_a_rising_line_rises(self):
+        t = np.linspace(0.0, 1.0, 100)
+        cells = chart(t, (Curve(t, "", "*"),), (0.0, 1.0), (0.0, 1.0), (10, 10), plain=True)
+        rows = ["".join(cell.sign for cell in row) for row in cells]
+        assert rows[0].rstrip().endswith("*") and rows[-1].startswith("*")
+        for column in range(9):
+            highest = [
+                next(i for i, row in enumerate(rows) if row[c] == "*") for c in (column, column + 1)
+            ]
+            assert highest[1] <= highest[0]
+
+    def test_one_line_without_holes_and_a_hole_where_samples_are_missing(self):
+        t = np.linspace(0.0, 10.0, 500)
+        lost = (t > 4.0) & (t < 6.0)
+        for keep, holes in ((t >= 0, 0), (~lost, 1)):
+            v = np.where(keep, 0.5, np.nan)
+            row = chart(t, (Curve(v, "", "*"),), (0.0, 10.0), (0.0, 1.0), (50, 1))[0]
+            text = "".join(cell.sign for cell in row)
+            assert len(re.findall(" +", text.strip())) == holes
+
+    def test_of_dots(self):
+        # 2 × 4 dots: a line along the lowest row, and one along the highest
+        t = np.linspace(0.0, 1.0, 50)
+        curves = (Curve(np.zeros(50), "a", "-"), Curve(np.ones(50), "b", "*"))
+        row = chart(t, curves, (0.0, 1.0), (0.0, 1.0), (3, 1))[0]
+        assert [cell.sign for cell in row] == ["⣉"] * 3
+        assert row[0].style == "b"  # the later one lies over the earlier one
+
+
+@pytest.mark.parametrize(
+    ("sent", "keys"),
+    [
+        ("q", ["q"]),
+        ("\x1b[C\x1b[D", ["right", "left"]),
+        ("+\x1bOC ", ["+", "right", " "]),
+        ("\x1b[H\x1b[F", ["home", "end"]),
+        ("\x1b[15~q", ["q"]),
+        ("\x1b", []),
+    ],
+)
+def test_keys(sent, keys):
+    assert keys_in(sent) == keys
+
+
+class TestPlayer:
+    """Where one is in a run."""
+
+    @pytest.fixture
+    def player(self, made):
+        run = FollowedRun(made / "one" / "run.mcap")
+        yield Player(run, live=False, speed=2.0, begin=1.0, span=20.0)
+        run.close()
+
+    def test_goes_at_its_speed_to_the_end(self, player):
+        player.advance(0.5)
+        assert player.position == pytest.approx(2.0)
+        player.press("+")
+        player.advance(0.5)
+        assert player.position == pytest.approx(4.0)
+        player.press("-")
+        player.advance(0.25)
+        assert player.position == pytest.approx(4.5) and not player.at_end
+        player.advance(10.0)
+        assert player.position == pytest.approx(5.98) and player.at_end
+
+    def test_pauses_and_seeks(self, player):
+        player.press(" ")
+        player.advance(1.0)
+        assert player.position == 1.0
+        player.press("right")
+        assert player.position == pytest.approx(5.98)
+        player.press("left")
+        assert player.position == pytest.approx(0.98)
+        player.press("end")
+        assert player.position == pytest.approx(5.98)
+        player.press("home")
+        assert player.position == 0.0
+        assert player.press("x") and not player.press("q")
+
+    def test_a_moment_seen_again_is_the_same(self, player):
+        player.advance(1.0)
+        first = text_of(run_frame(player.view(keys=False), 80, 24))
+        player.press("end")
+        player.press("home")
+        player.advance(1.5)
+        assert text_of(run_frame(player.view(keys=False), 80, 24)) == first
+
+
+class TestOnce:
+    """One picture, printed."""
+
+    def test_of_the_latest_run_with_the_figures_of_its_score(self, there, tmp_path):
+        text = there("--once")
+        score = json.loads((tmp_path / "one" / "score.json").read_text())
+        for name, label in (("alpha_v", "pitch"), ("alpha_h", "yaw")):
+            rmse = f"{score['channels'][name]['rmse']:.4f}"
+            assert re.search(rf"{label} .* {rmse}$", text, re.M)
+        assert "lqr · ref square" in text and "yaw_coulomb_friction" in text
+        assert "completed" in text and "6.0 / 6 s" in text
+        lines = text.splitlines()
+        assert len(lines) <= 24 and max(map(len, lines)) <= 80
+        assert "\x1b" not in text
+
+    @pytest.mark.parametrize("what", ["one", "one/run.mcap"])
+    def test_of_a_moment(self, there, what):
+        assert "3.0 / 6 s" in there(what, "--once", "--from", "3")
+
+    def test_without_unicode(self, there):
+        assert there("one", "--once", "--plain").isascii()
+        assert there("one", "--once", PYTHONIOENCODING="ascii").isascii()
+
+    def test_of_a_sweep(self, there):
+        text = there("sweep", "--once")
+        assert "4 / 4 done" in text and "ended" in text and "controller=lqr seed=1" in text
+
+    def test_is_quick_and_without_hydra(self, there, tmp_path):
+        code = (
+            "import sys, trms_cli.cli as c; c.main(['watch', 'one', '--once']);"
+            "print(*sys.modules, file=sys.stderr)"
+        )
+        result = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        loaded = {name.partition(".")[0] for name in result.stderr.split()}
+        assert not loaded & {"hydra", "omegaconf", "casadi", "scipy", "matplotlib", "pyarrow"}
+
+
+class TestLines:
+    """Without a terminal."""
+
+    def test_a_line_now_and_then_and_the_last_one(self, there):
+        lines = there("one", "--speed", "4").splitlines()
+        assert 2 <= len(lines) <= 5
+        assert lines[0].startswith("0.0 s of 6") and lines[-1].startswith("6.0 s of 6")
+        assert "pitch" in lines[0] and "RMSE" in lines[0] and "completed" in lines[-1]
+
+    def test_a_reader_that_leaves(self, there, executable, tmp_path):
+        result = subprocess.run(
+            f"'{executable}' watch one --speed 2 | head -1",
+            shell=True,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=30,
+        )
+        assert result.stdout.count("\n") == 1 and result.stderr == ""
+
+
+class TestWrong:
+    """What cannot be watched is told, with exit code 2."""
+
+    @pytest.mark.parametrize(
+        ("argv", "words"),
+        [
+            (["--speed", "0"], "--speed"),
+            (["--speed", "-1"], "--speed"),
+            (["--speed", "nan"], "--speed"),
+            (["--speed", "fast"], "--speed"),
+            (["--span", "0"], "--span"),
+            (["--from", "-3"], "--from"),
+            (["one", "--from", "60"], "the run ends at 5.98 s"),
+            (["nothing"], "there is no such file"),
+            (["one/score.json"], "not an MCAP file"),
+            (["sweep", "--speed", "2"], "not replayed"),
+            (["empty"], "there is no run in it"),
+            (["empty.mcap"], "the file is empty"),
+            (["--sped", "2"], "did you mean --speed"),
+        ],
+    )
+    def test_is_told(self, there, tmp_path, argv, words):
+        (tmp_path / "empty").mkdir()
+        (tmp_path / "empty.mcap").touch()
+        assert words in " ".join(there(*argv, code=2).split())
+
+    def test_no_run_at_all(self, trms):
+        result = trms("watch", TRMS_RUNS="off")
+        assert result.returncode == 2 and "there is no run under this folder" in result.stderr
+
+    def test_a_log_of_another_program(self, trms, tmp_path):
+        from mcap.writer import Writer
+
+        with (tmp_path / "other.mcap").open("wb") as file:
+            writer = Writer(file)
+            writer.start(library="other")
+            writer.finish()
+        result = trms("watch", "other.mcap")
+        assert result.returncode == 2 and "of another program (other)" in result.stderr
+
+
+class Screen:
+    """A program in a terminal of its own."""
+
+    def __init__(self, argv: list[str], folder: Path, size: tuple[int, int] = (24, 80)) -> None:
+        self.master, self.slave = pty.openpty()
+        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
+        self.before = termios.tcgetattr(self.slave)
+        self.shown = b""
+        slave = self.slave
+        self.process = subprocess.Popen(
+            argv,
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            cwd=folder,
+            env=os.environ | {"TERM": "xterm-256color", "TRMS_RUNS": "off"},
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(slave, termios.TIOCSCTTY, 0),
+        )
+
+    def read(self, seconds: float, until: bytes = b"\0") -> bool:
+        """Read what is shown; whether `until` was among it."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end and until not in self.shown:
+            if select.select([self.master], [], [], 0.05)[0]:
+                self.shown += os.read(self.master, 65536)
+            elif self.process.poll() is not None:
+                break
+        return until in self.shown
+
+    def type(self, keys: bytes) -> None:
+        os.write(self.master, keys)
+
+    def end(self) -> int:
+        self.read(20.0)
+        return self.process.wait(5)
+
+    def is_as_it_was(self) -> bool:
+        left = self.shown.rfind(NORMAL) > self.shown.rfind(ALTERNATE)
+        cursor = self.shown.rfind(b"\x1b[?25h") > self.shown.rfind(b"\x1b[?25l")
+        return left and cursor and termios.tcgetattr(self.slave) == self.before
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        os.close(self.master)
+        os.close(self.slave)
+
+
+@pytest.fixture
+def on_screen(executable, there, tmp_path):
+    opened = []
+
+    def start(*argv: str, **keys) -> Screen:
+        opened.append(Screen([str(executable), "watch", *argv], tmp_path, **keys))
+        return opened[-1]
+
+    yield start
+    for screen in opened:
+        screen.close()
+
+
+class TestTerminal:
+    """In a real terminal."""
+
+    @pytest.mark.parametrize(("how", "code"), [("q", 0), ("ctrl-c", 130), ("sigterm", 143)])
+    def test_is_left_as_it_was(self, on_screen, how, code):
+        screen = on_screen("one", "--speed", "0.5")
+        assert screen.read(20.0, b"RMSE")
+        assert termios.tcgetattr(screen.slave) != screen.before  # keys come one by one
+        if how == "sigterm":
+            screen.process.send_signal(signal.SIGTERM)
+        else:
+            screen.type(b"q" if how == "q" else b"\x03")
+        assert screen.end() == code
+        assert screen.is_as_it_was()
+        assert b"Traceback" not in screen.shown
+
+    def test_keys_pause_and_seek(self, on_screen):
+        screen = on_screen("one", "--speed", "0.1")
+        assert screen.read(20.0, b"replay 0.1")
+        screen.type(b" ")
+        assert screen.read(5.0, b"paused")
+        screen.type(b"\x1b[C\x1b[C")
+        assert screen.read(5.0, b"6.0 / 6 s")
+        screen.type(b"q")
+        assert screen.end() == 0
+        last = screen.shown.rpartition(NORMAL)[2].decode()
+        assert "6.0 / 6 s" in last and "q quit" not in last  # the last picture stays
+
+
+@pytest.fixture
+def long_run(executable, tmp_path):
+    """A run that goes on until it is ended."""
+    process = subprocess.Popen(
+        [
+            str(executable),
+            "run",
+            "controller=newton_mpc",
+            "sim.duration=20000",
+            "picture=false",
+            "out=long",
+        ],
+        cwd=tmp_path,
+        env=os.environ | {"TRMS_RUNS": "off"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    log = tmp_path / "long" / "run.mcap"
+    end = time.monotonic() + 60
+    while not (log.exists() and log.stat().st_size > 50_000):
+        assert time.monotonic() < end and process.poll() is None
+        time.sleep(0.05)
+    yield process
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+
+
+class TestLive:
+    """A run that goes on."""
+
+    def test_is_found_followed_and_told_when_killed(self, long_run, on_screen, there, tmp_path):
+        if FollowedRun(tmp_path / "long" / "run.mcap").state == "unfinished":
+            pytest.skip("this system does not tell who writes a file")
+        os.utime(tmp_path / "one" / "run.mcap")  # a later one, but not running
+        found = latest_run(tmp_path)
+        assert found is not None and found.running and found.log.parent.name == "long"
+        assert "running" in there("--once").splitlines()[0]
+        screen = on_screen()
+        assert screen.read(20.0, b"running") and screen.read(5.0, b"/ 20000 s")
+        long_run.kill()
+        long_run.wait()
+        assert screen.end() == 1
+        assert screen.is_as_it_was()
+        last = screen.shown.rpartition(NORMAL)[2].decode()
+        assert "died: its log has no end, and nobody writes it" in last
+        assert "died" in there("long", "--once")
+
+    def test_is_not_disturbed_and_its_end_is_told(self, long_run, on_screen, tmp_path):
+        screen = on_screen("long")
+        assert screen.read(20.0, b"/ 20000 s")
+        long_run.send_signal(signal.SIGINT)
+        assert long_run.wait(30) == 130
+        assert screen.end() == 1
+        assert b"interrupted" in screen.shown and screen.is_as_it_was()
+
+
+class TestSweep:
+    """A sweep that goes on."""
+
+    @pytest.fixture
+    def folder(self, tmp_path) -> Path:
+        folder = tmp_path / "sweep"
+        for job in range(4):
+            (folder / str(job)).mkdir(parents=True)
+        (folder / "multirun.yaml").write_text(
+            "hydra:\n  sweeper:\n    _target_: x.BasicSweeper\n    params: null\n"
+            "  overrides:\n    task:\n"
+            "    - controller=pid,lqr\n    - seed=range(1,4)\n    - ref=sine\n"
+            "  verbose: false\nsim:\n  duration: 1\n"
+        )
+        return folder
+
+    @staticmethod
+    def say(folder: Path, job: int, at: float | None = None, **words) -> None:
+        file = folder / str(job) / "status.json"
+        given = ["controller=pid", f"seed={job}", "ref=sine"]
+        file.write_text(
+            json.dumps({"schema": "trms.status/1", "job": job, "overrides": given} | words)
+        )
+        if at is not None:
+            os.utime(file, (at, at))
+
+    def test_progress(self, folder):
+        now = time.time()
+        sweep = FollowedSweep(folder)
+        for job in range(2):
+            self.say(folder, job, now - 20 + 10 * job, state="done", objective=0.5 - 0.1 * job)
+        self.say(folder, 2, now, state="failed", error={"problem": "no way\nat all"})
+        self.say(folder, 3, now, state="running", pid=os.getpid())
+        seen = sweep.now()
+        assert (seen.total, len(seen.jobs), seen.ended) == (6, 4, False)
+        assert [job.state for job in seen.jobs] == ["done", "done", "failed", "running"]
+        assert seen.rate == pytest.approx(0.1) and seen.left_s == pytest.approx(30.0)
+        text = text_of(sweep_frame(seen, 80, 24))
+        for words in (
+            "2 / 6 done", "1 running", "1 failed", "6 jobs/min", "30 s left",
+            "1  0.4 ", "controller=pid seed=1", "no way",
+        ):  # fmt: skip
+            assert words in text
+        assert "ref=sine" not in text and "at all" not in text
+        assert sweep_line(seen).startswith("2 of 6 done | 1 failed | 1 running | 6 jobs/min")
+
+    def test_a_job_whose_process_is_gone(self, folder):
+        ended = subprocess.Popen(["true"])
+        ended.wait()
+        self.say(folder, 0, state="running", pid=ended.pid)
+        seen = FollowedSweep(folder).now()
+        assert seen.count("gone") == 1 and seen.ended
+        assert "died" in text_of(sweep_frame(seen, 80, 24))
+
+    def test_what_has_changed_is_seen(self, folder):
+        sweep = FollowedSweep(folder)
+        self.say(folder, 0, 100.0, state="running", pid=os.getpid())
+        assert sweep.now().count("running") == 1
+        self.say(folder, 0, 110.0, state="done", objective=1.0)
+        assert sweep.now().count("done") == 1
+
+    @settings(max_examples=40, deadline=None)
+    @given(width=st.integers(1, 150), height=st.integers(1, 50), plain=st.booleans())
+    def test_fits(self, width, height, plain):
+        jobs = [
+            {"state": state, "objective": 1.0}
+            for state in ("done", "failed", "running", "interrupted") for _ in range(5)
+        ]  # fmt: skip
+        seen = _seen(jobs)
+        lines = sweep_frame(seen, width, height, plain=plain)
+        assert 0 < len(lines) <= height and all(line.cell_len <= width for line in lines)
+        assert not plain or all(line.plain.isascii() for line in lines)
+
+    def test_of_a_stranger(self, folder):
+        for job, text in enumerate(['{"schema": 3}', "[", "null", '{"schema": "trms.status/1"}']):
+            (folder / str(job) / "status.json").write_text(text)
+        seen = FollowedSweep(folder).now()
+        assert len(seen.jobs) == 1
+        assert sweep_frame(seen, 80, 24)
+
+    @pytest.mark.parametrize(
+        "text",
+        ["1", "a,b", "[a,b]", "[a,b],[c]", "'a,b',c", "range(1,5)", "range(5)", "range(0,1,0.25)",
+         "choice(a,b,c)", "{a:1,b:2}", "range(5,1,-2)", "null,1.5"],
+    )  # fmt: skip
+    def test_jobs_are_counted_as_hydra_does(self, text):
+        from hydra.core.override_parser.overrides_parser import OverridesParser
+
+        override = OverridesParser.create().parse_override(f"key={text}")
+        count = len(list(override.sweep_string_iterator())) if override.is_sweep_override() else 1
+        assert _values(text) == count
+
+    @pytest.mark.parametrize(
+        "text", ["glob(*)", "interval(0,1)", "shuffle(a,b)", "range(start=1,stop=3)"]
+    )
+    def test_what_only_hydra_can_count_is_not_known(self, text):
+        assert _values(text) is None
+
+
+def _seen(jobs):
+    from trms_cli.runs.sweep_progress import Job, Sweep
+
+    made = tuple(
+        Job(str(i), job["state"], ("a=1", f"b={i}"), job["objective"], "a problem " * 9, 100.0 + i)
+        for i, job in enumerate(jobs)
+    )
+    return Sweep(Path("a/folder"), ("a=1",), 30, made, 0.3, 200.0)
