@@ -145,6 +145,7 @@ def run_frame(view: View, width: int, height: int, *, plain: bool = False) -> li
     room = min(len(events), _MOST_EVENTS, max(1, left // 4))
     charts = max(0, left - room - 1) // max(1, len(moment.axes)) if moment.axes else 0
     charts = min(charts, 12)
+    room = min(len(events), _MOST_EVENTS, max(0, left - 1 - charts * len(moment.axes)))
     if charts < _LEAST_CHART:
         charts, room = 0, min(len(events), _MOST_EVENTS, max(0, left))
     lines = list(head)

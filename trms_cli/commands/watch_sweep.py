@@ -128,8 +128,9 @@ _REASONS = {"gone": "its process is not on this machine any more"}
 
 def _what(sweep: Sweep, job: Job) -> str:
     """What was typed for a job, without what all jobs share."""
-    shared = set(sweep.overrides)
-    return " ".join(word for word in job.overrides if word not in shared) or Path(job.name).name
+    shared = {word.lower() for word in sweep.overrides}  # a sweep turns `false` into `False`
+    own = [word for word in job.overrides if word.lower() not in shared]
+    return " ".join(own) or Path(job.name).name
 
 
 def _per_time(rate: float) -> str:
