@@ -24,6 +24,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.text import Text
 
+from trms_cli import cli
 from trms_cli.commands.watch_chart import Curve, chart, scale
 from trms_cli.commands.watch_frame import NAMES, About, View, about, plain_line, run_frame
 from trms_cli.commands.watch_player import Player
@@ -382,10 +383,15 @@ class TestWrong:
             (["--sped", "2"], "did you mean --speed"),
         ],
     )
-    def test_is_told(self, there, tmp_path, argv, words):
+    def test_is_told(self, made, tmp_path, monkeypatch, capsys, argv, words):
+        for name in ("one", "sweep"):
+            (tmp_path / name).symlink_to(made / name)
         (tmp_path / "empty").mkdir()
         (tmp_path / "empty.mcap").touch()
-        assert words in " ".join(there(*argv, code=2).split())
+        monkeypatch.chdir(tmp_path)
+        assert cli.main(["watch", *argv]) == 2
+        printed = capsys.readouterr()
+        assert words in " ".join(printed.err.split()) and printed.out == ""
 
     def test_no_run_at_all(self, trms):
         result = trms("watch", TRMS_RUNS="off")
