@@ -25,8 +25,9 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """Shell commands, one a line, comments and empty lines left out."""
-        lines = (re.sub(r"\s+# .*$", "", line).strip() for line in self.text.splitlines())
+        """Shell commands, each on one line, comments and empty lines left out."""
+        whole = re.sub(r"\s*\\\n\s*", " ", self.text)  # a line that ends in a backslash goes on
+        lines = (re.sub(r"\s+# .*$", "", line).strip() for line in whole.splitlines())
         return [line for line in lines if line and not line.startswith("#")]
 
 

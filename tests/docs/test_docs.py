@@ -30,7 +30,7 @@ _SHORT = 2.0  # s
 
 def shortened(command: str) -> str:
     """A run that begins as the page says, but ends soon and draws nothing."""
-    if not command.startswith("trms run") or "--cfg" in command:
+    if not command.startswith("trms run ") or "--cfg" in command:
         return command
     if "controller=played" in command:  # what is recorded is fitted afterwards: all of it counts
         return f"{command} picture=false"
@@ -137,8 +137,8 @@ def test_a_push_settles_as_getting_started_says(tmp_path: Path) -> None:
 def test_make_targets_in_the_pages_exist() -> None:
     targets = set(re.findall(r"^([a-z0-9-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     for page in PAGES:
-        fenced = "\n".join(block.text for block in blocks(page) if block.language == "sh")
-        for line in fenced.splitlines():
+        shell = [block for block in blocks(page) if block.language == "sh"]
+        for line in (command for block in shell for command in block.commands):
             words = shlex.split(line, comments=True)
             # `make -C FOLDER` is about another makefile.
             if len(words) > 1 and words[0] == "make" and words[1] != "-C":
