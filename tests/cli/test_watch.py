@@ -188,7 +188,9 @@ class TestFrame:
         assert found.what.startswith("lqr · ref sine · observer ekf · plant simulated")
         assert found.extras == "effects a+b"
         assert "ref" not in about(choices, {"loop": "open"}, "run.mcap", 1.0).what
-        assert about({}, {"recording.file": "rig.csv"}, "run.mcap", 1.0).what == "rig.csv"
+        assert about({}, {"file": "rig.csv"}, "run.mcap", 1.0).what == "rig.csv"
+        replayed = about(choices, {"recording.file": "rig.csv"}, "run.mcap", 1.0)
+        assert replayed.what == "rig.csv · observer ekf · model newtonian"
 
 
 class TestChart:

@@ -110,9 +110,12 @@ def about(
     total : float or None
         s.
     """
+    recording = run.get("recording.file") or run.get("file")
     if not choices:
-        what = run.get("recording.file") or run.get("source") or run.get("command") or "a recording"
-        return About(what, "", log, total)
+        return About(recording or run.get("command") or "a recording", "", log, total)
+    if recording:  # replayed: the recording is its own controller and reference
+        parts = [recording, f"observer {choices.get('observer')}", f"model {choices.get('model')}"]
+        return About(" · ".join(parts), "", log, total)
     parts = [str(choices.get("controller"))]
     if run.get("loop") != "open":
         parts.append(f"ref {choices.get('ref')}")

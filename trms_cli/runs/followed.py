@@ -84,6 +84,8 @@ class FollowedRun:
     @property
     def total(self) -> float | None:
         """How long the run is meant to last (s); for a recording, how long it does."""
+        if "recording.file" in self.run:  # `sim.duration` does not lengthen it
+            return self._last
         duration = re.search(r"^sim:\n(?: .*\n)*? +duration: +([\d.eE+-]+)\s", self.config, re.M)
         with contextlib.suppress(ValueError):
             if duration is not None:
