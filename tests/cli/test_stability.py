@@ -93,7 +93,7 @@ def test_effects_are_named_and_what_equations_do_not_hold_is_told(trms, tmp_path
     document = read(tmp_path / "found")
     assert document["effects"] == ["main_reaction_on_yaw", "pitch_coulomb_friction"]
     (told,) = [words for words in document["warnings"] if "no part of" in words]
-    assert told.startswith("pitch_coulomb_friction is")
+    assert told.startswith("pitch_coulomb_friction: ")
 
 
 def test_a_sweep_prints_a_line_each(trms, folder):

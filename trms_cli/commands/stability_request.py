@@ -120,14 +120,25 @@ def document_of(composition: Composition, asked: Asked, findings: Findings) -> d
 
 
 def _left_out(subject: Subject) -> list[str]:
-    outside = subject.left_out_of_equations()
-    if not outside or subject.loop is not None:
+    """What of the effects is no part of ẋ = f(x, u), for a study of the model alone."""
+    if subject.loop is not None:
         return []
-    verb = "is" if len(outside) == 1 else "are"
-    return [
-        f"{', '.join(outside)} {verb} no part of ẋ = f(x, u) (dry friction, a delay or a sensor): "
-        "eigenvalues and equilibria are those without"
-    ]
+    told = []
+    if subject.dry:
+        told.append(
+            f"{', '.join(subject.dry)}: dry friction acts by impulses, which are no part of "
+            "ẋ = f(x, u); eigenvalues and equilibria are those without"
+        )
+    if subject.on_commands:
+        told.append(
+            f"{', '.join(subject.on_commands)}: on the commands' way to the motors; eigenvalues "
+            "are those of the rig behind it"
+        )
+    if subject.on_sensors:
+        told.append(
+            f"{', '.join(subject.on_sensors)}: changes what is measured, not how the rig moves"
+        )
+    return told
 
 
 def _table(table: Table) -> dict[str, Any]:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 _COLOURS = {"good": "green", "bad": "red", "doubtful": "yellow", "": ""}
 #: Rows of a table on the screen; the page and the document have them all.
 _MOST_ROWS = 16
+#: Of the answer to a job of a sweep.
+_SENTENCES_OF_A_JOB = 4
 _WIDTH = 110
 
 
@@ -27,10 +29,13 @@ def say_finished(
     page: Path | None,
     spent: float,
 ) -> None:
-    """The answer, its tables, and the files; one line for a job of a sweep."""
+    """The answer, its tables, and the files; a few lines for a job of a sweep."""
     if composition.job is not None:
         what = " ".join(composition.overrides)
-        print(f"{composition.job:>4}  {what}  {document['lead'][0]}")
+        first, *more = document["lead"][:_SENTENCES_OF_A_JOB]
+        print(f"{composition.job:>4}  {what}  {first}")
+        for sentence in more:
+            print(f"      {sentence}")
         return
     from rich.console import Console
 

@@ -148,7 +148,10 @@ def _at_angles(model: Model, at: Mapping[str, float], where: str) -> OperatingPo
     target = SteadyState(model).solve(asked)
     if not target.converged or target.projected:
         wanted, reached = (
-            ", ".join(f"{n}={v:.4g}" for n, v in zip(model.controlled, values, strict=True))
+            ", ".join(
+                f"{n}={round(v, 6) + 0.0:.4g}"
+                for n, v in zip(model.controlled, values, strict=True)
+            )
             for values in (asked, target.reference_reached)
         )
         raise ConfigurationError(

@@ -8,7 +8,7 @@ from typing import Any
 from trms_cli.controllers.controller import Controller
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import ExtendedModel
+from trms_cli.effects.extended_model import ExtendedModel, extended
 from trms_cli.models.model import Model
 
 
@@ -53,8 +53,22 @@ class Subject:
     name: str
     loop: LoopParts | None = None
 
-    def require_equations(self, study: str, instead: str = "") -> Model:
+    def require_equations(
+        self, study: str, instead: str = "", *, command_path: bool = False
+    ) -> Model:
         """The model, refused if it only steps from sample to sample.
+
+        Parameters
+        ----------
+        study : str
+            Who asks, for the message.
+        instead : str
+            What is possible instead, for the message.
+        command_path : bool
+            Whether effects stay that only change a command on its way to the motors (a delay, a
+            dead zone). Like those of sensors they are no part of ẋ = f(x, u): without them,
+            whoever simulates sees the same rig as whoever reads the equations, and commands are
+            those that reach the motors. Effects with impulses (dry friction) stay.
 
         Raises
         ------
@@ -68,7 +82,9 @@ class Subject:
                 remedy=(f"{instead}; or " if instead else "")
                 + "choose a model with equations, as model=newtonian or a fitted model.yaml of one",
             )
-        return self.model
+        if command_path or self.loop is not None:  # a loop feels its delays
+            return self.model
+        return _without_paths(self.model)
 
     def require_loop(self, study: str) -> LoopParts:
         """The loop, refused where there is none.
@@ -102,7 +118,28 @@ class Subject:
 
     def left_out_of_equations(self) -> tuple[str, ...]:
         """Effects that f(x, u) does not hold, by name: friction as impulses, delays, sensors."""
-        return tuple(name for name, effect in effects_of(self.model) if _outside_equations(effect))
+        return (*self.dry, *self.on_commands, *self.on_sensors)
+
+    @property
+    def dry(self) -> tuple[str, ...]:
+        """Effects that act by impulses, by name."""
+        return _overriding(self.model, _IMPULSES)
+
+    @property
+    def on_commands(self) -> tuple[str, ...]:
+        """Effects that change commands on their way to the motors, by name."""
+        return _overriding(self.model, _COMMANDS)
+
+    @property
+    def on_sensors(self) -> tuple[str, ...]:
+        """Effects that change what is measured, by name."""
+        return _overriding(self.model, _SENSORS)
+
+
+#: Methods of an effect by what they change.
+_INSIDE = ("states", "derivative", "disturbance")
+_IMPULSES, _COMMANDS = ("impulse",), ("input_path",)
+_SENSORS = ("output", "sensor_path", "reading")
 
 
 def effects_of(model: Model) -> tuple[tuple[str, Effect], ...]:
@@ -112,6 +149,24 @@ def effects_of(model: Model) -> tuple[tuple[str, Effect], ...]:
     return (*effects_of(model.base), (model.effect_name, model.effect))
 
 
-def _outside_equations(effect: Effect) -> bool:
-    parts = ("input_path", "impulse", "output", "sensor_path", "reading", "noise_sd")
-    return any(getattr(type(effect), part) is not getattr(Effect, part) for part in parts)
+def _overrides(effect: Effect, methods: tuple[str, ...]) -> bool:
+    return any(getattr(type(effect), name) is not getattr(Effect, name) for name in methods)
+
+
+def _overriding(model: Model, methods: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name for name, effect in effects_of(model) if _overrides(effect, methods))
+
+
+def _without_paths(model: Model) -> Model:
+    """The model without the effects that act on commands and sensors only."""
+    effects = effects_of(model)
+    kept = {name: e for name, e in effects if _overrides(e, (*_INSIDE, *_IMPULSES))}
+    if len(kept) == len(effects):
+        return model
+    plain = model
+    while isinstance(plain, ExtendedModel):
+        plain = plain.base
+    moving = extended(plain, kept)
+    values = {p.name: p.value for p in model.parameters if p.name in moving.parameters}
+    moving.parameters = moving.parameters.replaced(values)
+    return moving

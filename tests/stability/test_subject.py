@@ -1,0 +1,76 @@
+"""What a study is about: effects inside and outside the equations, loops, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.dead_zone import DeadZone
+from trms_cli.effects.extended_model import effect_names, extended
+from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.effects.sensor_bias import SensorBias
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.parameters import ParameterSet
+from trms_cli.stability.subject import LoopParts, Subject
+
+EFFECTS = {
+    "zone": DeadZone(rotor="main", width=0.1),
+    "drag": RotorReaction(rotor="main", drag=3e-7, inertia=0.0),
+    "bias": SensorBias(axis="pitch", bias=0.1),
+    "dry": CoulombFriction(axis="pitch", torque=0.01),
+}
+MODEL = extended(Newtonian(), EFFECTS)
+
+
+def test_effects_are_told_by_what_they_change():
+    subject = Subject(MODEL, "newtonian")
+    assert subject.dry == ("dry",)
+    assert subject.on_commands == ("zone",) and subject.on_sensors == ("bias",)
+    assert set(subject.left_out_of_equations()) == {"dry", "zone", "bias"}
+
+
+def test_the_equations_are_those_of_what_moves():
+    model = Subject(MODEL, "newtonian").require_equations("a study")
+    assert effect_names(model) == ("drag", "dry")
+    whole = Subject(MODEL, "newtonian").require_equations("a study", command_path=True)
+    assert whole is MODEL
+
+
+def test_values_that_were_changed_later_stay():
+    model = extended(Newtonian(), EFFECTS)
+    model.parameters = model.parameters.replaced({"k_g": 0.05, "drag.drag": 1e-7})
+    assert isinstance(model.parameters, ParameterSet)
+    moving = Subject(model, "newtonian").require_equations("a study")
+    found = {p.name: p.value for p in moving.parameters}
+    assert found["k_g"] == 0.05 and found["drag.drag"] == 1e-7
+
+
+def test_nothing_is_made_anew_without_need():
+    model = extended(Newtonian(), {"drag": EFFECTS["drag"]})
+    assert Subject(model, "newtonian").require_equations("a study") is model
+
+
+def test_a_loop_keeps_its_delays_and_sensors():
+    loop = LoopParts(Newtonian(), None, None, 0.02, {"controller": "lqr"})  # type: ignore[arg-type]
+    subject = Subject(MODEL, "newtonian", loop)
+    assert subject.require_equations("a study") is MODEL
+    assert subject.require_loop("a study") is loop
+    with pytest.raises(ConfigurationError, match="about the model alone"):
+        subject.require_no_loop("a study")
+
+
+def test_no_loop():
+    with pytest.raises(ConfigurationError, match="no controller is chosen"):
+        Subject(MODEL, "newtonian").require_loop("a study")
+    Subject(MODEL, "newtonian").require_no_loop("a study")
+
+
+def test_a_model_that_only_steps():
+    model = Newtonian()
+    model.sample_time = 0.02
+    with pytest.raises(ModelError, match="only steps from sample to sample") as caught:
+        Subject(model, "net").require_equations("a study", "ask another")
+    assert caught.value.remedy.startswith("ask another; or ")
+    assert np.isfinite(model.sample_time)
