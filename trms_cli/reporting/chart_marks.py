@@ -188,8 +188,13 @@ def _contour(axes: Any, mark: Contour) -> Handle:
         linewidths=mark.width,
     )
     if mark.numbers:
-        axes.clabel(drawn, fontsize=7, fmt="%.3g", inline_spacing=2)
+        axes.clabel(drawn, fontsize=7, fmt=_level, inline_spacing=2)
     return _line_handle(mark.colour, mark.style, mark.width)
+
+
+def _level(value: float) -> str:
+    """A level with a minus that is as wide as a digit, not a hyphen that the line hides."""
+    return f"{value:.3g}".replace("-", "−")
 
 
 def _region(axes: Any, mark: Region) -> Handle:
