@@ -18,6 +18,7 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
+from trms_cli.stability.local.asked import in_order
 from trms_cli.stability.local.balance import Balance, Held
 from trms_cli.stability.local.linear import Linear, Side
 from trms_cli.stability.local.tracking import Spectrum, matched, spectrum_of
@@ -222,28 +223,26 @@ class Path:
         place = self.place(value, point)
         return replace(place, spectrum=matched(last.spectrum, place.spectrum)[0])
 
-    def range(self, given: tuple[float, float] | None) -> tuple[float, float]:
+    def range(
+        self, given: tuple[float, float] | None, where: str = "study.range"
+    ) -> tuple[float, float]:
         """The range asked for, or the usual one.
 
         Raises
         ------
         ConfigurationError
-            For one that is empty or outside the parameter's bounds.
+            For one that is empty, reversed or outside the parameter's bounds.
         """
         if given is None:
             return self._usual()
-        low, high = min(given), max(given)
-        if not low < high:
-            raise ConfigurationError(
-                f"{list(given)} given", where="study.range", remedy="give two different numbers"
-            )
+        low, high = in_order(given, where)
         if self.kind == "parameter":
             p = self.model.parameters[self.over]
             if not p.lower <= low <= high <= p.upper:
                 raise ConfigurationError(
                     f"{list(given)} given, and {self.over} lies between {p.lower:g} and "
                     f"{p.upper:g} {p.unit}",
-                    where="study.range",
+                    where=where,
                     remedy="give a range within",
                 )
         return low, high

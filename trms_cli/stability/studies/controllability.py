@@ -15,6 +15,7 @@ from trms_cli.stability.findings import Findings
 from trms_cli.stability.local.access import gramians, mode_access, reach_along, volts_table
 from trms_cli.stability.local.access_data import data_of
 from trms_cli.stability.local.access_told import lead_of, sections_of, warnings_of
+from trms_cli.stability.local.asked import line_of
 from trms_cli.stability.local.found import Along, Found
 from trms_cli.stability.local.linear import Side
 from trms_cli.stability.local.parts import STILL
@@ -46,7 +47,8 @@ class Controllability:
         tail rotor turns; with pitch at 0.2 rad where the rotors would stand; rest at last.
     over : str or None
         What is varied: a controlled state, an input or a parameter; None: the last angle
-        (yaw), the first where nothing depends on that, or the command of a motor alone.
+        (yaw), the first where nothing depends on that, the first command where ``at`` names
+        commands, or the command of a motor alone.
     range : (float, float) or None
         In the unit of ``over``; None: 0.6 rad to either side, or what is usual for it.
     points : int
@@ -87,7 +89,7 @@ class Controllability:
         model = subject.model
         sets = sensor_sets(model, self.sensors)
         tell("the operating point")
-        over = self.over or usual_line(model, last=True)
+        over = line_of(model, self.at, self.over, usual_line(model, last=True))
         at = dict(self.at) or _usual(model, over, self.side)
         if self.over is None and _is_free(model, at, over):
             over = usual_line(model)

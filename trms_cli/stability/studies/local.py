@@ -13,6 +13,7 @@ from msgspec import Meta
 from trms_cli.core.chart import Axis
 from trms_cli.models.model import Model, names
 from trms_cli.stability.findings import Findings, Section, Table
+from trms_cli.stability.local.asked import line_of
 from trms_cli.stability.local.charts import over_range, plane, points_alone
 from trms_cli.stability.local.crossings import Crossing, crossings
 from trms_cli.stability.local.linear import Linear, Side, Switch
@@ -44,8 +45,8 @@ class Local:
     at : dict of str to float
         Operating point: angles (rad) or commands (V); empty: the rest without command.
     over : str or None
-        What is varied: a controlled state, an input or a parameter; None: the first angle, or
-        the command of a motor alone.
+        What is varied: a controlled state, an input or a parameter; None: the first angle,
+        the first command where ``at`` names commands, or the command of a motor alone.
     range : (float, float) or None
         In the unit of ``over``; None: as far as the rig has operating points.
     points : int
@@ -71,7 +72,7 @@ class Local:
         subject.require_no_loop("study=local", "leave it out; for loops: study=margins")
         model, at = subject.model, dict(self.at)
         tell("the operating point")
-        over = self.over or usual_line(model)
+        over = line_of(model, at, self.over, usual_line(model))
         path = Path(model, at, over, self.side)
         point = path.balance.first(at)
         linear = path.linear

@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from trms_cli.models.model import Model
 from trms_cli.stability.findings import Findings
+from trms_cli.stability.local.asked import line_of
 from trms_cli.stability.local.crossings import Crossing, crossings
 from trms_cli.stability.local.linear import Side
 from trms_cli.stability.local.locus_told import held_words, locus_section, results_of, why_section
@@ -42,7 +43,7 @@ class RootLocus:
     over : str or None
         An input, a controlled state, or a parameter (an effect's size: ``effect.size``). None:
         ``k_g`` where the model has it, at 0.4 rad; else the first angle, or
-        the command of a motor alone.
+        the command of a motor alone. Where ``at`` names commands: the first of them.
     range : (float, float) or None
         In the unit of ``over``; None: what is usual for it.
     points : int
@@ -93,7 +94,8 @@ class RootLocus:
         sections.append(why_section(path, sweep, found, reasons, tracks))
         mapped, at_ends = None, []
         if against is not None:
-            span_2 = Path(model, at, against, self.side).range(self._against_range())
+            line = Path(model, at, against, self.side)
+            span_2 = line.range(self._against_range(), "study.against_range")
             size = (self.map_points, 2 * self.map_points + 1)
             mapped = stability_map(path, against, (low, high), span_2, size, tell)
             ends = (float(sweep.values[0]), float(sweep.values[-1]))
@@ -115,8 +117,9 @@ class RootLocus:
         self, model: Model
     ) -> tuple[dict[str, float], str, tuple[float, float] | None, str | None]:
         at = dict(self.at)
-        if self.over is not None:
-            return at, self.over, self.range, self.against
+        over = line_of(model, at, self.over, "")
+        if over:
+            return at, over, self.range, self.against
         both = {"pitch", "yaw"} <= set(model.axes)
         if _USUAL_PARAMETER in model.parameters and both:
             return (
