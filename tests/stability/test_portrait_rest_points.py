@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
+from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.portraits.rest_points import halving_time, kind_of, period, search
 from trms_cli.stability.portraits.section import section_of
 from trms_cli.stability.portraits.window import default_window
@@ -104,7 +105,33 @@ def test_a_swing_that_grows_is_told_from_a_way_out():
 def test_a_portrait_tells_the_modes_that_it_shows():
     section = section_of(BOTH, ("alpha_h", "rate_h"), {"alpha_v": 0.0})
     (rest,) = search(section, np.array([[-1.0, 1.0], [-1.0, 1.0]]))
-    assert period(rest.eigenvalues[rest.shown][0]) == pytest.approx(12.94, abs=0.1)  # not pitch
+    assert period(rest.eigenvalues[rest.shown][0]) == pytest.approx(14.15, abs=0.1)  # not pitch
+
+
+def test_on_a_switch_eigenvalues_are_those_of_the_mean():
+    # The cable is stiffer on one side of α_h = 0: a swing takes half its time on either.
+    yaw = Newtonian(freedom="horizontal")
+    section = section_of(yaw, None, {"u_h": 0.0})
+    (rest,) = search(section, default_window(section, {}))
+    assert [yaw.state_names[i] for i in rest.switches] == ["alpha_h"]
+    mean = np.linalg.eigvals(Linear(yaw).a(rest.x, section.point.u))
+    assert np.sort_complex(rest.eigenvalues) == pytest.approx(np.sort_complex(mean))
+    angle = yaw.state_index("alpha_h")
+    start = rest.x.copy()
+    start[angle] = 0.3
+    path = section.coordinates.field.motions(start, section.point.u, 30.0, 0.01)[:, 0, angle]
+    down = np.flatnonzero((path[:-1] > 0) & (path[1:] <= 0))
+    swing = 0.01 * np.diff(down)[0]
+    assert period(rest.eigenvalues[0]) == pytest.approx(swing, rel=0.02)
+
+
+def test_the_same_rest_a_turn_away_has_the_same_eigenvalues():
+    section = section_of(BOTH, None, {})
+    rests = search(section, np.array([[-4.5, 4.0], [-1.0, 1.0]]))
+    first, last = (rest for rest in rests if rest.kind == "saddle")
+    assert last.c[0] - first.c[0] == pytest.approx(2 * np.pi)
+    assert first.eigenvalues == pytest.approx(last.eigenvalues)
+    assert np.count_nonzero(first.eigenvalues.imag) == 2  # rounding makes no pair
 
 
 def test_a_rest_beside_the_section_is_told():

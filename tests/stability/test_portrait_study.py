@@ -105,6 +105,15 @@ def test_a_projection_is_told():
     assert not marks(findings, Flow) and not marks(findings, Contour)
 
 
+def test_slopes_of_two_sides_are_told():
+    yaw = found(Newtonian(freedom="horizontal"), at={"u_h": 0.0}, starts=2)
+    (told,) = [words for words in yaw.warnings if "mean of both" in words]
+    assert told.startswith("at α_h = 0 the slopes differ")
+    assert yaw.results["equilibria"][0]["switches"] == ["alpha_h"]
+    beside = found(Newtonian(freedom="horizontal"), at={"u_h": 0.5}, starts=2)
+    assert not any("mean of both" in words for words in beside.warnings)
+
+
 def test_three_states_make_a_space():
     findings = found(
         states=("omega_v", "S_v", "alpha_v"), at={"alpha_v": 0.0}, starts=4, duration=20.0

@@ -112,6 +112,7 @@ def warnings(told: Told) -> list[str]:
         )
     if not told.loop and not picture.rests:
         found.append("no equilibrium was found in the window; the search is no proof of none")
+    found += _switches(told)
     for name, stop in coordinates.model.stops.items():
         index = coordinates.model.state_index(name)
         visited = max(float(np.nanmax(np.abs(run.x[:, index]))) for run in picture.journeys)
@@ -121,6 +122,23 @@ def warnings(told: Told) -> list[str]:
                 "the equations have none"
             )
     return found
+
+
+def _switches(told: Told) -> list[str]:
+    """Where eigenvalues are those of a mean."""
+    model = told.picture.section.coordinates.model
+    on = [rest for rest in told.picture.rests if rest.switches]
+    if not on:
+        return []
+    states = sorted({state for rest in on for state in rest.switches})
+    where = " and ".join(
+        f"{symbol(model.state_names[i])} = {short(float(on[0].x[i]))}" for i in states
+    )
+    return [
+        f"at {where} the slopes differ on the two sides: the eigenvalues there, and what is said "
+        "of swings and of the kind, are those of the mean of both, as in study=local "
+        "(study.side=upper or lower shows each)"
+    ]
 
 
 def _others(told: Told) -> str:

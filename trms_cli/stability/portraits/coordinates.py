@@ -18,6 +18,7 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
+from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.vector_field import VectorField
 
@@ -126,6 +127,11 @@ class Coordinates:
     def others(self) -> tuple[int, ...]:
         """States that it leaves open."""
         return tuple(i for i in range(self.model.n_x) if i not in self.own)
+
+    @cached_property
+    def linear(self) -> Linear:
+        """Slopes of the whole model, with their mean where they differ on two sides."""
+        return Linear(self.model)
 
     @cached_property
     def function(self) -> ca.Function:

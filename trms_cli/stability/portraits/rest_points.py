@@ -50,7 +50,8 @@ class RestPoint:
     c : (n_c,) array
         Its coordinates.
     eigenvalues : (n_x,) complex array
-        Of the whole model, the slowest first, 1/s.
+        Of the whole model, the slowest first, 1/s; on a switch those of the mean of both sides'
+        slopes.
     kind : Kind
         By all of them.
     in_section : bool
@@ -59,6 +60,9 @@ class RestPoint:
         Whether a mode moves what the portrait shows: its participation in the coordinates' states.
     line : bool
         Whether it is one of a line of rest points that the portrait shows.
+    switches : tuple of int
+        The states on either side of which the slopes differ there (the cable's stiffness by the
+        sign of the yaw).
     """
 
     x: FloatArray
@@ -68,6 +72,7 @@ class RestPoint:
     in_section: bool
     shown: npt.NDArray[np.bool_]
     line: bool
+    switches: tuple[int, ...] = ()
 
     @property
     def isolated(self) -> bool:
@@ -142,10 +147,16 @@ def _turned(section: Section, x: FloatArray) -> bool:
 
 
 def rest_point(section: Section, x: FloatArray) -> RestPoint:
-    """An equilibrium with what its linearisation tells."""
+    """An equilibrium with what its linearisation tells.
+
+    On a switch that is the mean of both sides, as in ``study=local``: a small swing spends half of
+    its time on either.
+    """
     coordinates, point = section.coordinates, section.point
-    a, _ = coordinates.field.linearised(x, point.u)
-    eigenvalues, vectors = np.linalg.eig(a.astype(complex))
+    a = coordinates.linear.a(x, point.u)
+    switches = tuple(switch.state for switch in coordinates.linear.switches(x, point.u))
+    # Of a real matrix: real eigenvalues then have no imaginary part, not even rounding.
+    eigenvalues, vectors = (found.astype(complex) for found in np.linalg.eig(a))
     order = np.lexsort((eigenvalues.imag, np.abs(eigenvalues.real).round(9)))
     eigenvalues, vectors = eigenvalues[order], vectors[:, order]
     c = coordinates.values(x, point.u)
@@ -160,6 +171,7 @@ def rest_point(section: Section, x: FloatArray) -> RestPoint:
         on,
         _shown(vectors, coordinates.own),
         _on_a_line(section, x, eigenvalues, vectors),
+        switches,
     )
 
 

@@ -100,8 +100,7 @@ def _of_whole(
     section: Section, window: FloatArray, rest: RestPoint, duration: float
 ) -> tuple[Separatrix, ...]:
     coordinates, u = section.coordinates, section.point.u
-    slopes, _ = coordinates.field.linearised(rest.x, u)
-    values, vectors = np.linalg.eig(slopes)
+    values, vectors = np.linalg.eig(coordinates.linear.a(rest.x, u))
     width = np.ptp(window, axis=1)
     found = []
     for into, chosen in ((False, values.real > _NO_RATE), (True, values.real < -_NO_RATE)):

@@ -92,6 +92,7 @@ def results(told: Told) -> dict[str, Any]:
                 "isolated": rest.isolated,
                 "on_a_line": rest.line,
                 "in_section": rest.in_section,
+                "switches": [model.state_names[i] for i in rest.switches],
                 "eigenvalues": [[float(v.real), float(v.imag)] for v in rest.eigenvalues],
             }
             for rest in picture.rests
