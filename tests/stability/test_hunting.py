@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.controllers.linear_design import Linearisation
 from trms_cli.controllers.lqr import Lqr
+from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.controllers.pid import Pid
 from trms_cli.controllers.pid_tuning import AxisPlant, Filters, Gains, closed_loop
@@ -233,6 +234,12 @@ def test_another_controller_is_only_simulated():
     [
         (RIG, None, Hunting(), "controller"),
         (MODEL, LOOP, Hunting(), "effect"),
+        (
+            RIG,
+            replace(LOOP, controller=OpenLoop(operating_point={"alpha_v": 0.0})),
+            Hunting(),
+            "controller",
+        ),
         (RIG, LOOP, Hunting(axis="yaw"), "effect"),
         (
             extended(RIG, {"more": CoulombFriction(axis="pitch", torque=0.01)}),
