@@ -11,6 +11,7 @@ import pytest
 from trms_cli.commands.composition import compose
 from trms_cli.commands.recording_request import model_of
 from trms_cli.controllers.lqr import Lqr
+from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import build
@@ -20,6 +21,7 @@ from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.observers.full_state import FullState
+from trms_cli.stability.findings import Table
 from trms_cli.stability.portraits.account import Told, lead_of_model
 from trms_cli.stability.portraits.drawing import Picture, has_field
 from trms_cli.stability.portraits.ends import ends_of
@@ -92,6 +94,14 @@ def test_equilibria_are_marked_by_their_kind(hover):
     shown = {mark.label: mark for mark in marks(hover, Points)}
     assert shown["stable focus"].marker == "stable" and shown["saddle"].marker == "saddle"
     assert shown["saddle"].x[0] == pytest.approx(1.903, abs=1e-3)
+
+
+def test_an_unstable_equilibrium_is_told_by_how_fast_it_grows(hover):
+    (table,) = [b for b in hover.sections[1].blocks if isinstance(b, Table)]
+    focus, saddle = (row[-1] for row in table.rows)
+    growth = max(real for real, _ in hover.results["equilibria"][1]["eigenvalues"])
+    assert focus == "halves in 14.9 s"
+    assert saddle == f"doubles in {np.log(2) / growth:.3g} s"
 
 
 def test_a_projection_is_told():
@@ -167,6 +177,14 @@ def test_a_command_at_its_bound_is_marked():
     assert 0 < share < 1
     (at_bound,) = [c for c in marks(findings, Curve) if c.label == "command at its bound"]
     assert 0 < np.isfinite(at_bound.x).mean() < 1
+
+
+def test_a_controller_without_feedback_is_no_loop():
+    names = NAMES | {"controller": "open_loop"}
+    loop = LoopParts(VERTICAL, OpenLoop(), FullState(), 0.02, names)
+    with pytest.raises(ConfigurationError, match="there is no loop") as error:
+        found(loop=loop, at={"alpha_v": 0.0}, duration=1.0, starts=2)
+    assert error.value.where == "controller"
 
 
 def test_a_loop_that_does_not_arrive_is_not_praised():

@@ -75,9 +75,14 @@ class RestPoint:
     switches: tuple[int, ...] = ()
 
     @property
+    def no_rate(self) -> float:
+        """1/s: what is below it counts as zero."""
+        return _no_rate(self.eigenvalues)
+
+    @property
     def isolated(self) -> bool:
         """Whether its neighbours move; False where an eigenvalue is zero."""
-        return bool(np.all(np.abs(self.eigenvalues) > _no_rate(self.eigenvalues)))
+        return bool(np.all(np.abs(self.eigenvalues) > self.no_rate))
 
     @property
     def stable(self) -> bool:

@@ -26,20 +26,30 @@ def equilibria_table(section: Section, rests: Sequence[RestPoint]) -> Table:
     heads = [f"{symbol(state.name)} [{state.unit}]" for state in model.states]
     rows: list[list[Any]] = []
     for rest in rests:
-        halves = [halving_time(value) for value in rest.eigenvalues if value.real < 0]
         rows.append(
             [
                 Judged(rest.kind, "good" if rest.stable else "bad"),
                 *(short(float(value)) for value in rest.x),
                 ", ".join(_eigenvalue(value) for value in rest.eigenvalues if value.imag >= 0),
-                seconds(max(halves)) if halves else None,
+                _slowest(rest),
             ]
         )
     return Table(
-        ["equilibrium", *heads, "eigenvalues [1/s]", "slowest halves in [s]"],
+        ["equilibrium", *heads, "eigenvalues [1/s]", "tempo"],
         rows,
-        "Found in the window by Newton's method from many starts: a search.",
+        "Found in the window by Newton's method from many starts: a search. Tempo: of a stable one "
+        "the time in which its slowest mode halves, of an unstable one that in which its fastest "
+        "growing mode doubles.",
     )
+
+
+def _slowest(rest: RestPoint) -> str | None:
+    """``doubles in 0.35 s`` where something grows, else the time in which the slowest halves."""
+    moving = rest.eigenvalues[np.abs(rest.eigenvalues) > rest.no_rate].real
+    if not moving.size or abs(moving.max()) <= rest.no_rate:
+        return None
+    what = "doubles" if moving.max() > 0 else "halves"
+    return f"{what} in {seconds(halving_time(moving.max()))} s"
 
 
 def ends_table(section: Section, ends: Sequence[End], total: int) -> Table:
