@@ -16,13 +16,17 @@ from trms_cli.cli import main
 from trms_cli.controllers.controller import Status
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.open_loop import OpenLoop
+from trms_cli.controllers.pid import Pid
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extended
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.references.constant import Constant
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.loops.crossings import crossings
 from trms_cli.stability.loops.disk_margin import DiskMargin, diagonal_mu, disk_margin
 from trms_cli.stability.loops.margins import continuous, interpolated
+from trms_cli.stability.loops.sticking import held_by_friction
 from trms_cli.stability.studies.margins import Margins
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
@@ -201,7 +205,48 @@ class TestTheStudy:
         assert len(findings.tables) == 2  # nothing is changed together
 
 
+class TestDryFriction:
+    @pytest.mark.parametrize(("axis", "angle"), [("pitch", "alpha_v"), ("yaw", "alpha_h")])
+    def test_holds_its_axis(self, axis, angle):
+        rig = extended(MODEL, {"dry": CoulombFriction(axis=axis, torque=0.001)})
+        assert held_by_friction(rig, POINT) == (angle,)
+        assert held_by_friction(MODEL, POINT) == ()
+
+    def test_is_left_out_of_the_margins_and_that_is_told(self, findings):
+        rig = extended(MODEL, {"dry": CoulombFriction(axis="yaw", torque=0.003)})
+        stuck = STUDY.run(subject_of(lqr(), rig), silent)
+        assert stuck.results["quality"]["held_by_dry_friction"] == ["alpha_h"]
+        assert "Dry friction holds alpha_h" in stuck.lead[1]
+        for name, loop in findings.results["loops"].items():
+            gained = stuck.results["loops"][name]["gain_up"]
+            assert gained == pytest.approx(loop["gain_up"], rel=1e-6)
+
+    def test_a_loop_that_does_not_answer_has_no_margins(self):
+        """Whatever holds the rig: a loop that gives nothing back is not called robust."""
+        findings = STUDY.run(subject_of(Changed(lqr(), gain=(1.0, 1e-6))), silent)
+        assert findings.results["holds"]
+        assert any(said.startswith("u_h: no loop to speak of") for said in findings.lead)
+        assert any("the loop of u_h does not answer" in said for said in findings.warnings)
+
+
 class TestBadRequests:
+    @pytest.mark.parametrize("lowest", [40.0, 1000.0])
+    def test_a_lowest_line_beyond_half_the_rate(self, lowest):
+        with pytest.raises(ConfigurationError, match="ends at half its rate") as refused:
+            replace(STUDY, lowest=lowest).run(subject_of(Pid()), silent)
+        assert refused.value.where == "lowest"
+
+    @pytest.mark.parametrize("clock", [0.5, 5.0])
+    def test_a_clock_slower_than_the_rig(self, clock):
+        slow = replace(loop_of(Pid()), sample_time=clock)
+        with pytest.raises(ConfigurationError, match="slower than the rig moves"):
+            STUDY.run(Subject(MODEL, "newtonian", slow), silent)
+
+    def test_a_controller_slower_than_the_rig(self):
+        slow = Lqr(operating_point=AT, sample_time=3.0)
+        with pytest.raises(ConfigurationError, match="the controller samples every 3 s"):
+            STUDY.run(subject_of(slow), silent)
+
     def test_no_controller(self):
         with pytest.raises(ConfigurationError, match="no controller is chosen"):
             STUDY.run(Subject(MODEL, "newtonian"), silent)

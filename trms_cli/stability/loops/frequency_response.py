@@ -80,6 +80,9 @@ class Measured:
         Rotors' speeds that were zero or changed their sign: their thrust has no slope there.
     duration : float
         s simulated.
+    held : tuple of str
+        Angles and rotor speeds that dry friction holds at the point: the response is that of the
+        rig without it.
     """
 
     omega: FloatArray
@@ -96,6 +99,7 @@ class Measured:
     limited: int
     reversed: tuple[str, ...]
     duration: float
+    held: tuple[str, ...] = ()
 
     @property
     def L(self) -> ComplexArray:
@@ -115,7 +119,7 @@ class NotHeld:
         What it did: ``alpha_v is 0.31 rad away after 100 s, further and further``.
     leaves : bool
         Whether it leaves the point; else it stays near, but does not answer periodically.
-    reversed : tuple of str
+    reversed, held : tuple of str
         As of :class:`Measured`.
     """
 
@@ -123,6 +127,7 @@ class NotHeld:
     words: str
     leaves: bool
     reversed: tuple[str, ...]
+    held: tuple[str, ...] = ()
 
 
 class NoLoopError(Exception):

@@ -40,6 +40,7 @@ def results_of(margins: Margins) -> dict[str, Any]:
             "interpolation": margins.interpolation,
             "limited": m.limited,
             "reversed": list(m.reversed),
+            "held_by_dry_friction": list(m.held),
             "statuses": dict(m.statuses),
         },
     }

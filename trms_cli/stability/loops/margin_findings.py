@@ -21,6 +21,8 @@ from trms_cli.stability.subject import LoopParts, Subject
 _DRIFT, _NONLINEAR, _BETWEEN = 1e-3, 0.05, 0.1
 #: From this part on there is no talk of margins.
 _NOT_LINEAR = 0.25
+#: Peak of |T| below which a loop does not answer: nothing moves, or nothing is fed back.
+_NO_LOOP = 1e-3
 #: rad by which the loop may rest beside the point.
 _BESIDE = 0.01
 #: What is called good and bad: Åström & Murray, "Feedback Systems", 2nd ed. 2021, sec. 10.3: gain
@@ -56,6 +58,7 @@ def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: Operating
             if found.leaves
             else f"No margins can be read here: {found.words}.",
             f"Studied was {where}.",
+            *gliding_words(found.held),
         ],
         [
             Section(
@@ -79,6 +82,8 @@ def findings_of(
 ) -> Findings:
     """The answer for a loop that has been measured."""
     where = condition_of(subject, loop, point)
+    if margins.measured.held:
+        where += ", without its dry friction"
     several = len(margins.loops) > 1
     sections = [
         Section(
@@ -111,6 +116,13 @@ def _lead(margins: Margins, where: str) -> list[str]:
     said = []
     for loop in margins.loops:
         c = loop.crossings
+        if loop.complementary.value < _NO_LOOP:
+            said.append(
+                f"{loop.name}: no loop to speak of: of a signal added to it, the controller gives "
+                f"back a part of {loop.complementary.value:.2g} at the most, and margins say "
+                "nothing."
+            )
+            continue
         said.append(
             f"{loop.name}: the gain may grow {_factor(c.up)} and shrink {_factor(c.down)}, "
             f"{_degrees_lost(c.phase)}, {_delay(c.delay)}; the sensitivity peaks at "
@@ -129,7 +141,7 @@ def _lead(margins: Margins, where: str) -> list[str]:
             f"{where}: the loop stays at the point, but {' and '.join(m.reversed)} passes zero "
             "there, and no linear loop exists. The figures hold for this test signal."
         )
-    lead = [first, *said]
+    lead = [first, *gliding_words(m.held), *said]
     if len(margins.loops) > 1:
         c, disk = margins.together, margins.disk_each
         lead.append(
@@ -140,6 +152,18 @@ def _lead(margins: Margins, where: str) -> list[str]:
             f"(disk margin {disk.alpha:.2f} at {disk.omega:.2g} rad/s)."
         )
     return lead
+
+
+def gliding_words(held: Sequence[str]) -> list[str]:
+    """A sentence where dry friction was left out."""
+    if not held:
+        return []
+    names = " and ".join(held)
+    return [
+        f"Dry friction holds {names} at this point: the small signal of a linear measurement moves "
+        "nothing. The loop was measured with the rig gliding, without its dry friction; what "
+        "friction itself does to the loop, study=hunting and study=tolerance tell."
+    ]
 
 
 def _factor(limit: Limit | None) -> str:
@@ -329,6 +353,13 @@ def _warnings(margins: Margins, subject: Subject) -> list[str]:
     if margins.interpolation > _BETWEEN:
         said.append(
             "the lines are too far apart for the loop's peaks; lower study.lowest and study.ratio"
+        )
+    dead = [one.name for one in margins.loops if one.complementary.value < _NO_LOOP]
+    if dead:
+        said.append(
+            f"the loop of {' and '.join(dead)} does not answer: something holds the rig at the "
+            "point (a coarse sensor, a dead zone), or the controller does not use the command; a "
+            "larger study.amplitude may move it"
         )
     angles = zip(subject.model.controlled, m.rest.tolist(), strict=True)
     beside = [f"{name} by {rest:+.2g} rad" for name, rest in angles if abs(rest) > _BESIDE]

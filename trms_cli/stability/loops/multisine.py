@@ -63,6 +63,11 @@ class Probe:
         return (float(power.sum()) - on) / on if on > 0 else 0.0
 
 
+def harmonics_of(step: float, lowest: float) -> int:
+    """Harmonics of the lowest line (rad/s) up to half the rate of a control period (s)."""
+    return round(math.pi / (lowest * step))
+
+
 def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> Probe:
     """A multisine of a controller's band.
 
@@ -78,7 +83,7 @@ def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> Probe:
     seed : int
         0: Schroeder's phases; else random ones, of another signal of the same spectrum.
     """
-    half = max(2, round(math.pi / (lowest * step)))
+    half = max(2, harmonics_of(step, lowest))
     lines = [1]
     while lines[-1] < half:
         lines.append(max(lines[-1] + 1, round(lines[-1] * ratio)))

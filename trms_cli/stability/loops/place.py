@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.models.model import Model
 from trms_cli.stability.loops.frequency_response import Analyser, Measured, NoLoopError, NotHeld
+from trms_cli.stability.loops.multisine import harmonics_of
+from trms_cli.stability.loops.sticking import held_by_friction
 from trms_cli.stability.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
+from trms_cli.stability.vector_field import VectorField, without_impulses
 
 #: Level, and yaw where the cable pulls and the tail rotor turns: at ω_h = 0 its thrust, ω|ω|, has
 #: no slope, and no linear loop of yaw exists.
 DEFAULT = {"alpha_v": 0.0, "alpha_h": 0.3}
+#: Harmonics of the lowest line up to half the controller's rate: fewer are no curve.
+_FEWEST = 10
+#: Samples per swing of the rig: of its clock, over which it is integrated in one go, and of the
+#: controller, whose loop ends at half its rate.
+_OF_THE_RIG, _OF_THE_CONTROLLER = 10, 2
 
 
 def point_of(subject: Subject, at: Mapping[str, float]) -> OperatingPoint:
@@ -62,15 +73,19 @@ def _of_a_black_box(subject: Subject, at: Mapping[str, float]) -> OperatingPoint
 def measured(
     analyser: Analyser, subject: Subject, loop: LoopParts, point: OperatingPoint, tell: Tell
 ) -> Measured | NotHeld:
-    """The response.
+    """The response; that of the rig without its dry friction where that holds it at the point.
 
     Raises
     ------
     ConfigurationError
-        If the controller does not answer.
+        If the controller does not answer, samples slower than the rig swings, or leaves no band
+        above the lowest line.
     """
+    _require_band(analyser.lowest, subject, loop, point)
+    held = held_by_friction(subject.model, point)
+    rig = without_impulses(subject.model) if held else subject.model
     try:
-        return analyser.measure(subject.model, loop, point, tell)
+        return replace(analyser.measure(rig, loop, point, tell), held=held)
     except NoLoopError:
         raise ConfigurationError(
             f"the commands of controller={loop.names['controller']} do not depend on what it sees: "
@@ -79,3 +94,37 @@ def measured(
             remedy="choose one that feeds back, as controller=lqr; without a controller, "
             "study=local tells the rig's own modes",
         ) from None
+
+
+def _require_band(lowest: float, subject: Subject, loop: LoopParts, point: OperatingPoint) -> None:
+    """Refuse a sampling that is slower than the rig, and a lowest line too close to its end."""
+    step = getattr(loop.controller, "sample_time", None) or loop.sample_time
+    swing = _fastest_swing(loop.model, point)
+    periods = (
+        ("sim.sample_time", "the loop", loop.sample_time, _OF_THE_RIG),
+        ("controller.sample_time", "the controller", step, _OF_THE_CONTROLLER),
+    )
+    for where, who, period, fewest in periods:
+        most = 2 * math.pi / (fewest * swing) if swing else math.inf
+        if period > most:
+            raise ConfigurationError(
+                f"{who} samples every {period:g} s, slower than the rig moves: it swings at "
+                f"{swing:.2g} rad/s there, and at least {fewest} samples of a swing are needed",
+                where=where,
+                remedy=f"{where}=0.02; at the most {most:.2g} s",
+            )
+    if harmonics_of(step, lowest) < _FEWEST:
+        raise ConfigurationError(
+            f"a response from {lowest:g} rad/s on cannot be measured: the controller samples every "
+            f"{step:g} s, so that it ends at half its rate, {math.pi / step:.3g} rad/s",
+            where="lowest",
+            remedy=f"study.lowest of at most {math.pi / step / _FEWEST:.2g} rad/s",
+        )
+
+
+def _fastest_swing(model: Model, point: OperatingPoint) -> float:
+    """Largest frequency of the rig's own swings, rad/s; 0 without one, or without equations."""
+    if model.sample_time is not None:
+        return 0.0
+    A, _ = VectorField(model).linearised(point.x[: model.n_x], point.u)
+    return float(np.abs(np.linalg.eigvals(A).imag).max())

@@ -9,7 +9,11 @@ from typing import Any
 from trms_cli.stability.findings import Findings, Judged, Section, Table, Value
 from trms_cli.stability.loops import tolerance_charts
 from trms_cli.stability.loops.impairments import Impairment
-from trms_cli.stability.loops.margin_findings import condition_of, warning_of_statuses
+from trms_cli.stability.loops.margin_findings import (
+    condition_of,
+    gliding_words,
+    warning_of_statuses,
+)
 from trms_cli.stability.loops.margins import Margins
 from trms_cli.stability.loops.tolerance import Limits, Trial, explanation
 from trms_cli.stability.loops.tolerance_search import Found
@@ -50,6 +54,7 @@ def findings_of(limits: Sequence[Limits], trial: Trial, margins: Margins) -> Fin
                     "gain error of the simulation is of the whole command, so that the "
                     "controller has to give another one to hold the point; that of the linear "
                     "loop is of changes only.",
+                    *gliding_words(margins.measured.held),
                 ],
                 [_comparison(limits, why)],
             ),
