@@ -13,6 +13,8 @@ from trms_cli.core.chart import as_data
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.stability.attraction.linear_law import LinearLawLoop, linear_law
+from trms_cli.stability.attraction.report import percent
+from trms_cli.stability.attraction.truth import share_of
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.study import silent
@@ -166,3 +168,38 @@ def test_newtonian_models_have_a_saddle_in_common_with_the_energy():
     mirrored = point.x.copy()
     mirrored[2] = np.pi - 2.0 * 0.61941 - point.x[2]
     assert np.abs(VectorField(model).rates(mirrored, point.u)).max() < 1e-3
+
+
+def test_a_set_is_told_from_to_and_as_no_box(pitch):
+    best = max((e for e in pitch.results["estimates"] if e["proved"]), key=lambda e: e["volume"])
+    low, high = best["extent"]["alpha_v"]
+    assert low < 0.0 < high and high > -1.3 * low  # towards the saddle it goes further
+    assert max(-low, high) == pytest.approx(best["half_widths"]["alpha_v"])
+    assert "no box" in pitch.lead[0] and "half-widths" not in pitch.lead[0]
+    assert "alpha_v −0.7" in pitch.lead[0] and "±" not in pitch.lead[0]
+
+
+def test_labels_of_a_panel_are_drawn_in_it(pitch):
+    _, near = next(c for c in pitch.charts if c.name == "region_of_attraction").panels
+    labels = {getattr(mark, "label", "") for mark in near.marks}
+    assert "Lyapunov equation" in labels
+    assert not labels & {"with integrals of the rates", "saddle", "motions that do not"}
+
+
+def test_open_loop_is_no_loop():
+    with pytest.raises(ConfigurationError, match="closes no loop"):
+        answered("model=newtonian_vertical", "controller=open_loop", "study.loop_starts=3")
+
+
+@pytest.mark.parametrize("hits", [2000, 1999, 1990, 1500, 3, 0])
+def test_intervals_have_enough_digits(hits):
+    share = share_of(hits, 2000)
+    told = percent(share)
+    if share.value >= 1e-3:
+        low, high = told.split("(")[1].removesuffix(" %)").split("–")
+        assert low != high
+        assert (float(low) < 100.0) and (high == "100") == (share.upper == 1.0)
+
+
+def test_all_of_a_box_is_told_with_its_lower_end():
+    assert percent(share_of(2000, 2000)) == "100 % (99.8–100 %)"

@@ -95,19 +95,24 @@ def _panel(found: Found, box: FloatArray, title: str) -> Panel:
     (i, j), whole = found.plane.axes, title == ""
     origin = _origin(found)
     inside = found.plane.fate == SETTLED
-    marks: list[Mark] = [
-        Region(
-            origin[i] + found.plane.x,
-            origin[j] + found.plane.y,
-            inside,
-            "comes to rest (simulated)",
-            "sky",
-            0.35,
+    near = np.ix_(np.abs(found.plane.y) <= box[j], np.abs(found.plane.x) <= box[i])
+    marks: list[Mark] = []
+    if np.any(inside[near]):
+        marks.append(
+            Region(
+                origin[i] + found.plane.x,
+                origin[j] + found.plane.y,
+                inside,
+                "comes to rest (simulated)",
+                "sky",
+                0.35,
+            )
         )
-    ]
     if whole and found.starts.direct:
         for path, settled in found.plane.paths:
             out = np.any(np.abs(path[:, [i, j]]) > 1.02 * box[[i, j]], axis=1)
+            if np.all(out):
+                continue
             shown = np.where(out[:, None], np.nan, path)
             colour: Colour = "grey" if settled else "orange"
             label = "motions that do" if settled else "motions that do not"
@@ -118,7 +123,7 @@ def _panel(found: Found, box: FloatArray, title: str) -> Panel:
                     label,
                     colour,
                     width=0.7,
-                    arrow=not bool(np.all(out)),
+                    arrow=True,
                 )
             )
     marks += [mark for v in found.verdicts if (mark := _contour(v.estimate, found, box))]
@@ -158,7 +163,9 @@ def _contour(estimate: Estimate, found: Found, box: FloatArray) -> Contour | Non
     states = found.starts.of(d)
     near = np.all(np.abs(np.linalg.solve(estimate.frame, states.T)) <= 1.2, axis=0)
     values = np.where(near, estimate.candidate.values(states) / estimate.level, np.nan)
-    if not np.any(values < 1.0):
+    seen = values.reshape(_FINE, _FINE)[np.ix_(np.abs(y) <= box[j], np.abs(x) <= box[i])]
+    # A line that does not cross the window would still be in its legend.
+    if not (np.any(seen < 1.0) and np.any(seen >= 1.0)):
         return None
     label = estimate.label if estimate.proved else f"{estimate.label} (sampled)"
     return Contour(

@@ -114,9 +114,25 @@ class Estimate:
 
     @cached_property
     def extents(self) -> FloatArray:
-        """Half its width along each coordinate, (n,)."""
+        """How far it goes from the equilibrium along each coordinate, to the farther side, (n,)."""
+        return np.asarray(np.abs(self.bounds).max(axis=0))
+
+    @cached_property
+    def bounds(self) -> FloatArray:
+        """The lowest and highest deviation of each coordinate, (2, n).
+
+        Of starts drawn in it and moved outwards on their rays, as far as the set goes: evaluated
+        on the set, not proved, and short of the true bounds by the gap between rays.
+        """
         y = self.drawn(4000, 1)
-        return np.asarray(np.abs(y).max(axis=0, initial=0.0))
+        for factor in (1.1, 1.01, 1.001):
+            moving = np.arange(len(y))
+            for _ in range(60):
+                moving = moving[self.contains(factor * y[moving])]
+                if not len(moving):
+                    break
+                y[moving] *= factor
+        return np.array([y.min(axis=0, initial=0.0), y.max(axis=0, initial=0.0)])
 
 
 def methods_for(system: Around) -> tuple[Method, ...]:

@@ -223,7 +223,8 @@ def inquire(
     arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(system, limits)
     rests = other_rests(system, limits)
     if box is None:
-        reach = np.max([e.extents for e in found], axis=0) if found else 0.2 * limits
+        drawn = [np.abs(e.drawn(4000, 1)).max(axis=0, initial=0.0) for e in found]
+        reach = np.max(drawn, axis=0) if drawn else 0.2 * limits
         room = _ROOM
         for rest in [rest for rest in rests if not rest.stable][:1]:
             # The nearest saddle is to be seen, and what lies beyond it.

@@ -9,7 +9,7 @@ import numpy as np
 
 from trms_cli.core.chart import Chart
 from trms_cli.stability.attraction.charts import plane_chart
-from trms_cli.stability.attraction.estimates import LABELS
+from trms_cli.stability.attraction.estimates import LABELS, Estimate
 from trms_cli.stability.attraction.inquiry import Region, Verdict
 from trms_cli.stability.attraction.system import written
 from trms_cli.stability.attraction.truth import Share
@@ -35,8 +35,22 @@ def percent(share: Share) -> str:
     if value < 0.1:
         return f"{value:.1g} %"
     digits = 0 if value >= 10.0 else max(1, -math.floor(math.log10(max(value, 1e-12))))
-    digits = min(digits, 6)
-    return f"{value:.{digits}f} % ({low:.{digits}f}–{min(high, 100.0):.{digits}f} %)"
+    digits, high = min(digits, 6), min(high, 100.0)
+    # Ends that look the same, or an end that looks like a certainty, say nothing.
+    while digits < 6 and (
+        (low < high and f"{low:.{digits}f}" == f"{high:.{digits}f}")
+        or (low < 100.0 and float(f"{low:.{digits}f}") == 100.0)
+        or (high < 100.0 and float(f"{high:.{digits}f}") == 100.0)
+    ):
+        digits += 1
+    told = [f"{v:.{digits}f}" if v < 100.0 else "100" for v in (value, low, high)]
+    return f"{told[0]} % ({told[1]}–{told[2]} %)"
+
+
+def from_to(estimate: Estimate, k: int) -> str:
+    """``−0.765 to +1.38``: how far a set goes along a coordinate, from the equilibrium."""
+    low, high = (f"{v:+.3g}".replace("-", "−") for v in estimate.bounds[:, k])
+    return f"{low} to {high}"
 
 
 def largest(found: Region) -> Verdict | None:
@@ -55,12 +69,12 @@ def lead(found: Region) -> list[str]:
         said.append(f"No region around {place} could be proved by the methods asked for.")
     else:
         reach = ", ".join(
-            f"{name} ±{value:.3g}"
-            for name, value in zip(system.names, best.estimate.extents, strict=True)
+            f"{name} {from_to(best.estimate, k)}" for k, name in enumerate(system.names)
         )
         said.append(
-            f"All motions that begin in a set of half-widths {reach} around {place} are proved to "
-            f"come to rest there ({best.estimate.label})."
+            f"All motions that begin in a set around {place} are proved to come to rest there "
+            f"({best.estimate.label}). Evaluated on the set, it goes from the equilibrium by {reach}; "
+            "it lies within these bounds and does not fill them: it is no box."
         )
         if best.share is not None:
             said.append(
@@ -114,7 +128,7 @@ def estimate_table(found: Region) -> Table:
             (
                 e.label,
                 Judged("proved", "good") if e.proved else Judged("sampled only", "doubtful"),
-                float(f"{e.extents[shown]:.4g}"),
+                from_to(e, shown),
                 float(f"{math.exp(e.log_volume):.3g}"),
                 percent(v.share) if v.share else "too small to count",
                 None if e.sampled is None else f"{e.level / e.sampled:.0%}",
@@ -126,7 +140,7 @@ def estimate_table(found: Region) -> Table:
         (
             "V",
             "is",
-            f"reaches ±{names[shown]} [{unit}]",
+            f"{names[shown]} from, to [{unit}]",
             "volume",
             "of the true region",
             "of the sampled level",
@@ -136,8 +150,9 @@ def estimate_table(found: Region) -> Table:
         rows,
         f"Volume in the units of {', '.join(names)}. The true region is counted in a box by "
         f"{found.samples} random starts ({found.undecided} undecided after "
-        f"{found.duration:.0f} s); in brackets 95 % confidence. The last column simulates starts "
-        "in the set.",
+        f"{found.duration:.0f} s); in brackets 95 % confidence. From, to: away from the "
+        "equilibrium, evaluated on the set, which is no box. The last column simulates "
+        "starts in the set.",
     )
 
 
@@ -191,6 +206,10 @@ def _estimate_data(v: Verdict) -> dict[str, Any]:
         "samples": e.samples,
         "boxes": e.boxes,
         "half_widths": dict(zip(e.candidate.system.names, e.extents.tolist(), strict=True)),
+        "extent": {
+            name: [float(low), float(high)]
+            for name, low, high in zip(e.candidate.system.names, *e.bounds, strict=True)
+        },
         "volume": volume if math.isfinite(volume) else None,
         "share_of_true_region": share_data(v.share),
         "simulated": v.tested,
