@@ -14,18 +14,38 @@ from trms_cli.stability.local.charts import over_range, plane
 from trms_cli.stability.local.crossings import Crossing
 from trms_cli.stability.local.map import StabilityMap
 from trms_cli.stability.local.sweep import Path, Sweep
-from trms_cli.stability.local.told import crossing_data, finite, name_of, range_table, sweep_data
+from trms_cli.stability.local.told import (
+    amount_words,
+    crossing_data,
+    finite,
+    name_of,
+    range_table,
+    sweep_data,
+)
 from trms_cli.stability.local.tracks import Track
-from trms_cli.stability.local.why import Reason, reason_data, reason_words, share_chart, share_table
+from trms_cli.stability.local.why import (
+    Reason,
+    moves,
+    reason_data,
+    reason_words,
+    share_chart,
+    share_table,
+)
 
 
 def held_words(path: Path) -> str:
-    """``at alpha_v = 0.4``: what is held besides what is varied."""
-    held = [f"{name} = {v:g}" for name, v in path.at.items() if name != path.over]
+    """``at alpha_v = 0.4 rad``: what is held besides what is varied."""
+    model = path.model
+    held = [amount_words(model, name, v) for name, v in path.at.items() if name != path.over]
     if not held and path.kind == "angle":
-        held = [f"{name} = 0" for name in path.model.controlled if name != path.over]
+        held = [amount_words(model, name, 0.0) for name in model.controlled if name != path.over]
         return f"at {', '.join(held)}" if held else "held by its command"
     return f"at {', '.join(held)}" if held else "at rest without command"
+
+
+def still_words(path: Path) -> str:
+    """Where nothing moves."""
+    return f"Over this range {path.over} moves no growth rate, but for rounding."
 
 
 def locus_section(
@@ -101,13 +121,17 @@ def why_section(
     blocks: list[Any] = []
     for why in reasons:
         text += reason_words(path, why)
-        blocks.append(share_table(path, why))
+        if moves(why.sensitivity):
+            blocks.append(share_table(path, why))
+    if not reasons:
+        text.append(still_words(path))
     if reasons and len(sweep.places) > 2:
         first = reasons[0]
         member = found[0].track if found else None
         if member is None:
             member = next(t.members[0] for t in tracks if t.name == first.mode)
-        blocks.append(share_chart("root_locus_why", path, sweep, member, first.mode))
+        chart = share_chart("root_locus_why", path, sweep, member, first.mode)
+        blocks += [] if chart is None else [chart]
     return Section("Why", text, blocks)
 
 

@@ -13,7 +13,7 @@ from trms_cli.stability.findings import Section, Table
 from trms_cli.stability.local.crossings import crossings
 from trms_cli.stability.local.map import StabilityMap
 from trms_cli.stability.local.sweep import Path, swept
-from trms_cli.stability.local.told import crossing_data, name_of
+from trms_cli.stability.local.told import amount_words, crossing_data, name_of
 from trms_cli.stability.local.tracks import tracks_of
 
 Tell = Callable[[str], None]
@@ -35,7 +35,7 @@ def boundary_along(
         values.insert(1, path.began)
     found = []
     for value in values:
-        tell(f"along {against} at {path.over} = {value:.4g}")
+        tell(f"along {against} at {amount_words(path.model, path.over, value, 4)}")
         line = Path(path.model, path.at, against, path.side).moved(path.over, value)
         try:
             run = swept(line, *span_2, 41)
@@ -100,7 +100,7 @@ def map_section(
         )
     marks.append(Line(x=path.began, label=f"the model's {path.over}", colour="ink"))
     held = {name: v for name, v in path.at.items() if name not in (path.over, against)}
-    where = "".join(f", {name} = {v:g}" for name, v in held.items() if v)
+    where = "".join(f", {amount_words(path.model, name, v)}" for name, v in held.items() if v)
     x = Axis(path.over, path.unit, (float(mapped.over[0]), float(mapped.over[-1])))
     y = Axis(against, unit_2, (float(mapped.against[0]), float(mapped.against[-1])))
     chart = Chart(
@@ -122,7 +122,14 @@ def map_section(
         for end in at_ends
         for c in end["crossings"]
     ]
-    columns = (path.over, "mode", f"{against} [{unit_2}]", "ω [rad/s]", "unstable")
+    first = f"{path.over} [{path.unit}]" if path.unit else path.over
+    columns = (
+        first,
+        "mode",
+        f"{against} [{unit_2}]" if unit_2 else against,
+        "ω [rad/s]",
+        "unstable",
+    )
     text = [
         f"The largest growth rate of what is not at rest on the imaginary axis, over {path.over} "
         f"and {against}; the boundary is located along {path.over} in each row of the grid."

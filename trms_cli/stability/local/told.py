@@ -195,6 +195,15 @@ def crossing_data(crossing: Crossing, name: str) -> dict[str, Any]:
     }
 
 
+def amount_words(model: Model, name: str, value: float, digits: int = 6) -> str:
+    """``alpha_v = 0.4 rad``: a state, an input or a parameter with its unit."""
+    if name in model.parameters:
+        unit = model.parameters[name].unit
+    else:
+        unit = next(s.unit for s in (*model.states, *model.inputs) if s.name == name)
+    return f"{name} = {value:.{digits}g} {'' if unit == '1' else unit}".rstrip()
+
+
 def name_of(tracks: Sequence[Track], member: int) -> str:
     """The mode that a column of the sweep belongs to."""
     return next(track.name for track in tracks if member in track.members)

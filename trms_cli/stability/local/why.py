@@ -16,6 +16,7 @@ from trms_cli.stability.local.entries import entry_symbol, entry_words, state_wo
 from trms_cli.stability.local.modes import rate_of
 from trms_cli.stability.local.sensitivity import Loop, Sensitivity, loops_through, sensitivity
 from trms_cli.stability.local.sweep import Path, Place, Sweep
+from trms_cli.stability.local.told import amount_words
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -23,6 +24,10 @@ FloatArray = npt.NDArray[np.float64]
 _SMALL = 0.03
 #: 1/s per unit: a growth rate that changes by less does not move.
 _STILL = 1e-6
+#: Or by less than this share of the sizes that add up to it, which cancel but for rounding.
+_CANCELLED = 1e-9
+#: Derivatives that differ by more than this share of the largest from one place to the next jump.
+_JUMP = 0.5
 _COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange")
 
 
@@ -44,6 +49,47 @@ class Reason:
     value: float
     sensitivity: Sensitivity
     loops: tuple[Loop, ...]
+    course: Course | None = None
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the growth rate of a mode goes over the range, for a place where it does not move.
+
+    Attributes
+    ----------
+    growth : float
+        Re λ at the place, 1/s.
+    least, most : float
+        Of Re λ over the range, 1/s.
+    below, above : float
+        d Re λ/dp at the place before and after, 1/s per unit; NaN where there is none.
+    """
+
+    growth: float
+    least: float
+    most: float
+    below: float
+    above: float
+
+
+def moves(found: Sensitivity) -> bool:
+    """Whether a derivative of a growth rate is more than rounding."""
+    size = sum(abs(share.part.real) for share in found.shares)
+    return abs(found.total.real) >= max(_STILL, _CANCELLED * size)
+
+
+def course_of(path: Path, sweep: Sweep, k: int, track: int) -> Course:
+    """How Re λ of a column of a sweep goes around place k."""
+    T = path.model.sample_time
+    growth = [rate_of(place.spectrum.values[track], T).real for place in sweep.places]
+    below, above = (
+        sensitivity(path, sweep.places[i], track).total.real
+        if 0 <= i < len(sweep.places)
+        else float("nan")
+        for i in (k - 1, k + 1)
+    )
+    return Course(growth[k], min(growth), max(growth), below, above)
 
 
 def reason(path: Path, place: Place, track: int, mode: str) -> Reason:
@@ -63,12 +109,13 @@ def reason_words(path: Path, why: Reason) -> list[str]:
     model, total = path.model, why.sensitivity.total.real
     unit = f" per {path.unit}" if path.unit else " per unit"
     shares = _told(why.sensitivity)
-    if not shares or abs(total) < _STILL:
-        return [f"{path.over} does not move the growth rate of the {why.mode} there."]
+    at = amount_words(model, path.over, why.value, 4)
+    if not shares or not moves(why.sensitivity):
+        return _still(path, why, at, unit)
     sign = "raises" if total > 0 else "lowers"
     if model.sample_time is not None:
         return [
-            f"At {path.over} = {why.value:.4g} a larger {path.over} {sign} the growth rate of the "
+            f"At {at} a larger {path.over} {sign} the growth rate of the "
             f"{why.mode} by {abs(total):.3g} 1/s{unit}. What of it comes through which entry of A "
             "says nothing here: the entries are slopes of a network, and no equations of a rig."
         ]
@@ -77,7 +124,7 @@ def reason_words(path: Path, why: Reason) -> list[str]:
         for s in shares[:3]
     ]
     told = [
-        f"At {path.over} = {why.value:.4g} a larger {path.over} {sign} the growth rate of the "
+        f"At {at} a larger {path.over} {sign} the growth rate of the "
         f"{why.mode} by {abs(total):.3g} 1/s{unit}: {_listed(named)} of it."
     ]
     apart = abs(why.sensitivity.direct - why.sensitivity.total)
@@ -95,6 +142,24 @@ def reason_words(path: Path, why: Reason) -> list[str]:
             f"{_steps(model, why.loops[0], largest.row)}."
         )
     return told
+
+
+def _still(path: Path, why: Reason, at: str, unit: str) -> list[str]:
+    """A place where the derivative is none: what the growth rate does around it."""
+    course = why.course
+    if course is None:
+        return [f"At {at} {path.over} does not move the growth rate of the {why.mode}."]
+    told = (
+        f"The {why.mode} comes closest to the axis at {at}, with a growth rate of "
+        f"{course.growth:.3g} 1/s; over the range it lies between {course.least:.3g} and "
+        f"{course.most:.3g} 1/s."
+    )
+    if np.isfinite(course.below) and np.isfinite(course.above):
+        told += (
+            f" To first order {path.over} does not move it at that point: the derivative is "
+            f"{course.below:+.3g} 1/s{unit} just below and {course.above:+.3g} just above."
+        )
+    return [told.replace("-", "−")]
 
 
 def loop_words(model: Model, loop: Loop, begin: int) -> str:
@@ -128,7 +193,7 @@ def share_table(path: Path, why: Reason) -> Table:
             "share",
         ),
         rows,
-        f"What moves the {why.mode} at {path.over} = {why.value:.4g}: "
+        f"What moves the {why.mode} at {amount_words(path.model, path.over, why.value, 4)}: "
         f"dλ/d{path.over} = {why.sensitivity.total.real:.4g} "
         f"{'+' if why.sensitivity.total.imag >= 0 else '−'} "
         f"{abs(why.sensitivity.total.imag):.4g}j.",
@@ -136,9 +201,14 @@ def share_table(path: Path, why: Reason) -> Table:
     )
 
 
-def share_chart(name: str, path: Path, sweep: Sweep, track: int, mode: str) -> Chart:
-    """d Re λ/dp of one mode over the range, and the parts of the largest entries."""
+def share_chart(name: str, path: Path, sweep: Sweep, track: int, mode: str) -> Chart | None:
+    """d Re λ/dp of one mode over the range, and the parts of the largest entries.
+
+    None where nothing moves it.
+    """
     found = [sensitivity(path, place, track) for place in sweep.places]
+    if not any(moves(one) for one in found):
+        return None
     sizes: dict[tuple[int, int], float] = {}
     for one in found:
         for share in one.shares:
@@ -150,15 +220,16 @@ def share_chart(name: str, path: Path, sweep: Sweep, track: int, mode: str) -> C
     totals = np.array([one.total.real for one in found])
     # A derivative has no meaning where the mode meets another: it grows beyond bounds there.
     bound = 20.0 * float(np.median(np.abs(totals))) or 1.0
+    broken = _broken(totals)
     for key, colour in zip(largest, _COLOURS, strict=False):
         if sizes[key] <= floor:
             continue
         part = np.array(
             [sum(s.part.real for s in one.shares if (s.row, s.column) == key) for one in found]
         )
-        part = np.where(np.abs(totals) > bound, np.nan, part)
+        part = np.where((np.abs(totals) > bound) | broken, np.nan, part)
         marks.append(Curve(sweep.values, part, entry_words(path.model, *key), colour))
-    shown = np.where(np.abs(totals) > bound, np.nan, totals)
+    shown = np.where((np.abs(totals) > bound) | broken, np.nan, totals)
     marks.append(Curve(sweep.values, shown, "together", "ink", "dashed", 2.0))
     unit = f"1/s per {path.unit}" if path.unit else "1/s per unit"
     panel = Panel(Axis(path.over, path.unit), Axis(f"d Re λ / d {path.over}", unit), marks)
@@ -171,6 +242,18 @@ def share_chart(name: str, path: Path, sweep: Sweep, track: int, mode: str) -> C
         7.0,
         4.2,
     )
+
+
+def _broken(totals: FloatArray) -> npt.NDArray[np.bool_]:
+    """Places on a jump of a derivative, between two of opposite sign: a kink of the growth rate."""
+    broken = np.zeros(len(totals), dtype=bool)
+    if len(totals) > 2:
+        before, here, after = totals[:-2], totals[1:-1], totals[2:]
+        size = np.maximum(np.abs(before), np.abs(after))
+        steps = np.minimum(np.abs(here - before), np.abs(after - here))
+        # Both steps are of the size of the derivative itself: no curve goes so from place to place.
+        broken[1:-1] = (before * after < 0) & (steps > _JUMP * size)
+    return broken
 
 
 def reason_data(path: Path, why: Reason) -> dict[str, Any]:

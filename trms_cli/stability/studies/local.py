@@ -20,6 +20,7 @@ from trms_cli.stability.local.linear import Linear, Side, Switch
 from trms_cli.stability.local.modes import Mode, Modes, modes_of
 from trms_cli.stability.local.sweep import Path, Sweep, swept, usual_line
 from trms_cli.stability.local.told import (
+    amount_words,
     crossing_data,
     eigenvalue_words,
     mode_data,
@@ -245,7 +246,9 @@ def _range_section(
     k = int(np.argmin(np.abs(sweep.values - value)))
     unit = f" {path.unit}" if path.unit else ""
     ends = (f"{sweep.values[0]:.3g}{unit}", f"{sweep.values[-1]:.3g}{unit}")
-    held = ", ".join(f"{name} = {v:g}" for name, v in path.at.items() if name != path.over)
+    held = ", ".join(
+        amount_words(path.model, name, v) for name, v in path.at.items() if name != path.over
+    )
     where = f" ({held})" if held else ""
     charts = (
         plane(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,19 +15,27 @@ from trms_cli.stability.findings import Findings
 from trms_cli.stability.local.asked import line_of
 from trms_cli.stability.local.crossings import Crossing, crossings
 from trms_cli.stability.local.linear import Side
-from trms_cli.stability.local.locus_told import held_words, locus_section, results_of, why_section
+from trms_cli.stability.local.locus_told import (
+    held_words,
+    locus_section,
+    results_of,
+    still_words,
+    why_section,
+)
 from trms_cli.stability.local.map import stability_map
 from trms_cli.stability.local.map_told import boundary_along, map_section
 from trms_cli.stability.local.sweep import Path, Sweep, swept, usual_line
-from trms_cli.stability.local.told import name_of
+from trms_cli.stability.local.told import amount_words, name_of
 from trms_cli.stability.local.tracks import Track, tracks_of
-from trms_cli.stability.local.why import Reason, reason, reason_words
+from trms_cli.stability.local.why import Reason, course_of, moves, reason, reason_words
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
 #: What a model of the TRMS is asked when nothing is said: the thesis's value of k_g is 16 times
 #: the maker's.
 _USUAL_PARAMETER, _USUAL_RANGE, _USUAL_AT = "k_g", (0.0123, 0.2), {"alpha_v": 0.4}
+#: 1/s: a growth rate that changes by less over the whole range does not move.
+_STILL = 1e-6
 #: rad: from below rest to short of the fold.
 _USUAL_AGAINST, _USUAL_AGAINST_RANGE = "alpha_v", (-0.6, 0.9)
 
@@ -157,14 +165,19 @@ def _nearest(path: Path, sweep: Sweep, tracks: tuple[Track, ...]) -> Reason | No
         if track.fast:
             continue
         growth = track.rates.real.max(axis=1)
-        moves = float(np.ptp(track.rates.real)) > 1e-9
+        varies = float(np.ptp(track.rates.real, axis=0).max()) > _STILL
         k = int(np.argmax(growth))
-        if moves and (best is None or growth[k] > best[0]):
+        if varies and (best is None or growth[k] > best[0]):
             member = track.members[
                 int(np.argmax(track.rates[k].real + 1e-12 * track.rates[k].imag))
             ]
             best = (float(growth[k]), k, member, track.name)
-    return None if best is None else reason(path, sweep.places[best[1]], best[2], best[3])
+    if best is None:
+        return None
+    found = reason(path, sweep.places[best[1]], best[2], best[3])
+    if moves(found.sensitivity):
+        return found
+    return replace(found, course=course_of(path, sweep, best[1], best[2]))
 
 
 def _lead(
@@ -179,39 +192,49 @@ def _lead(
 ) -> list[str]:
     unit = f" {path.unit}" if path.unit else ""
     span = f"{path.over} from {sweep.values[0]:.4g} to {sweep.values[-1]:.4g}{unit}"
+    words = held_words(path)
+    held = words[0].upper() + words[1:]
     told = []
     for c in found:
         name = name_of(tracks, c.track)
         jump = " by a jump, at a switch" if c.jumps else ""
         pace = f", {c.frequency:.3g} rad/s ({c.frequency / (2 * math.pi):.3g} Hz)"
         told.append(
-            f"{held_words(path).capitalize()} the {name} crosses the imaginary axis{jump} at "
+            f"{held} the {name} crosses the imaginary axis{jump} at "
             f"{path.over} = {c.value:.5g}{unit}{pace if c.frequency else ', at zero frequency'}: "
             f"unstable {'above' if c.unstable_above else 'below'}."
         )
     if not found:
-        told.append(f"{held_words(path).capitalize()}, {span}: no mode crosses the imaginary axis.")
+        told.append(f"{held}, {span}: no mode crosses the imaginary axis.")
     for side, values in sides.items():
         if values:
             listed = ", ".join(f"{v:.4g}" for v in values)
             told.append(f"With the slopes of the {side} side of the switch: {listed}{unit}.")
     if reasons:
         told += reason_words(path, reasons[0])
+    else:
+        told.append(still_words(path))
     for end in at_ends:
+        over = amount_words(path.model, path.over, end["over"], 4)
         if not end["crossings"]:
             low, high = end["against_range"]
             told.append(
-                f"With {path.over} = {end['over']:.4g} no mode crosses for {against} from "
-                f"{low:g} to {high:g}."
+                f"With {over} no mode crosses for {against} from {low:g} to "
+                f"{_bare(path.model, str(against), high)}."
             )
         parts = [
             f"the {c['mode']} is unstable {'above' if c['unstable_above'] else 'below'} "
-            f"{against} = {c['value']:.4g}"
+            f"{amount_words(path.model, str(against), c['value'], 4)}"
             for c in end["crossings"]
         ]
         if parts:
-            told.append(f"With {path.over} = {end['over']:.4g} {'; '.join(parts)}.")
+            told.append(f"With {over} {'; '.join(parts)}.")
     return told
+
+
+def _bare(model: Model, name: str, value: float) -> str:
+    """``0.9 rad``."""
+    return amount_words(model, name, value).removeprefix(f"{name} = ")
 
 
 def _warnings(path: Path, sweep: Sweep, sides: Mapping[str, list[float]]) -> list[str]:
