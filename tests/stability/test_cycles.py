@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import ellipk
 
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.stability.cycles.absence import absence
 from trms_cli.stability.cycles.branch import born_at, equilibria_over, followed, hopf_points
+from trms_cli.stability.cycles.continuum import continuum
 from trms_cli.stability.cycles.search import half_widths, has_impulses, searched, starts_in
 from trms_cli.stability.cycles.shooting import Shooting
 from trms_cli.stability.operating_point import operating_point
@@ -62,6 +64,22 @@ NORMAL_FORM = Shooting(normal_form(), steps=400)
 def circle(r: float) -> np.ndarray:
     turn = 2 * np.pi * np.arange(10) / 10
     return r * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+
+def test_orbits_around_a_centre_are_a_continuum_and_those_at_a_fold_are_not():
+    """A pendulum of energy 1 − cos a has the period 4 K(sin² a/2)."""
+    pendulum = Oscillator(lambda x, y, u: (y, -ca.sin(x)))
+    shooting = Shooting(pendulum, steps=400)
+    starts = np.array([[a, 0.0] for a in (0.5, 1.0, 1.5)])
+    found = searched(pendulum, starts, np.zeros(1), 40.0, shooting)
+    assert len(found.orbits) == 0 and len(found.continuum) == 3
+    for orbit in found.continuum:
+        a = orbit.path[:, 0].max()
+        assert orbit.period == pytest.approx(4 * ellipk(np.sin(a / 2) ** 2), rel=1e-4)
+    u = np.array([-0.25 + 1e-6])
+    pair = [NORMAL_FORM.closed(circle(np.sqrt(0.5 + s * 1e-3)), np.pi, u) for s in (-1, 1)]
+    assert all(abs(orbit.largest - 1) < 0.02 for orbit in pair)
+    assert continuum(pair) == []
 
 
 @pytest.fixture(scope="module")

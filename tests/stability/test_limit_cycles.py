@@ -57,8 +57,24 @@ def test_with_the_cross_moment_of_physics_none_is_found_and_no_hopf_point():
     assert not findings.results["proof"]["no_cycle"]
 
 
+def test_without_losses_orbits_are_no_limit_cycles():
+    """k_ov = 0: a pendulum, around whose rest orbits of all sizes lie."""
+    model = Newtonian(freedom="vertical")
+    model.parameters = model.parameters.replaced({"k_ov": 0.0})
+    findings = asked(model)
+    results = findings.results
+    assert results["cycles"] == [] and len(results["continuum"]) >= 3
+    assert results["over"]["hopf"] == [] and results["over"]["branches"] == []
+    assert findings.lead[0].startswith("No limit cycle was found, but a continuum")
+    assert "unstable" not in " ".join(findings.lead)
+    periods = [orbit["period"] for orbit in results["continuum"]]
+    assert periods == sorted(periods) and periods[-1] < 2 * periods[0]
+    json.dumps(results, allow_nan=False)
+
+
 def test_two_cycles_around_a_stable_hover(strong_cross_moment):
     unstable, stable = strong_cross_moment.results["cycles"]
+    assert strong_cross_moment.results["continuum"] == []
     assert not unstable["stable"] and stable["stable"]
     assert unstable["period"] == pytest.approx(4.302, abs=0.002)
     assert stable["period"] == pytest.approx(4.622, abs=0.002)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -33,6 +34,8 @@ _BORN = 0.02
 _FIRST_STEP, _LEAST_STEP, _MOST_STEP = 0.05, 1e-4, 0.25
 #: The same where the branch turns back in the command.
 _TURNING_STEP = 0.03
+#: Growth below this is rounding, 1/s.
+_NO_GROWTH = 1e-9
 #: V, that counts as much along the branch as a change by the scale of a state.
 _COMMAND_SCALE = 0.1
 #: Beyond this many first periods, or this error of the trivial multiplier, it is not followed.
@@ -205,10 +208,12 @@ def hopf_points(model: Model, curve: Curve, u: FloatArray, channel: int) -> list
     """Where a complex pair crosses along a curve of equilibria, by bisection."""
     field = VectorField(model)
     found = []
-    for i in range(len(curve.commands) - 1):
-        if (curve.growth[i] < 0) == (curve.growth[i + 1] < 0):
+    # Growth that is rounding has no sign: a pair that stays on the axis crosses it nowhere.
+    clear = np.flatnonzero(np.abs(curve.growth) > _NO_GROWTH)
+    for i, j in pairwise(clear):
+        if (curve.growth[i] < 0) == (curve.growth[j] < 0):
             continue
-        low, high = curve.commands[i], curve.commands[i + 1]
+        low, high = curve.commands[i], curve.commands[j]
         x, sign = curve.x[i], curve.growth[i] < 0
         for _ in range(40):
             middle = 0.5 * (low + high)

@@ -54,7 +54,7 @@ class Found:
     def state(self) -> int:
         """The controlled state that moves most."""
         rows = [self.model.state_index(name) for name in self.model.controlled]
-        orbits = self.search.orbits or [
+        orbits = [*self.search.orbits, *self.search.continuum] or [
             orbit
             for branch in (self.over.branches if self.over else ())
             for orbit in branch.orbits[-1:]
@@ -93,6 +93,7 @@ def results_of(found: Found) -> dict[str, Any]:
         },
         "motions": {fate.replace(" ", "_"): found.search.count(fate) for fate in FATES},
         "cycles": [orbit_data(model, orbit) for orbit in found.search.orbits],
+        "continuum": [orbit_data(model, orbit) for orbit in found.search.continuum],
     }
     if found.over is not None:
         results["over"] = {

@@ -28,6 +28,8 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Motions drawn beside the orbits, and how long, s.
 _DRAWN, _SHOWN = 5, 40.0
+#: Orbits drawn of a continuum, spread over their sizes.
+_OF_MANY = 7
 
 
 def symbol(name: str) -> str:
@@ -43,23 +45,29 @@ def plane(
     label = symbol(signal.name)
     marks: list[Mark] = []
     shown = round(_SHOWN / search.step)
-    grey: Colour = "pale" if search.orbits else "grey"
+    drawn = [*search.orbits, *search.continuum]
+    grey: Colour = "pale" if drawn else "grey"
     moving = [motion for motion in search.motions if motion.fate != "leaves"]
     for i, motion in enumerate(moving[:_DRAWN]):
         path = motion.path[:shown, state]
         rate = np.gradient(path, search.step)
         marks.append(Curve(path, rate, "motions" if i == 0 else "", grey, width=0.6))
     over_time: list[Mark] = []
-    for orbit in search.orbits:
-        colour, style, words_of = _look(orbit)
+    many = sorted(search.continuum, key=lambda orbit: float(orbit.swing[state]))
+    chosen = np.linspace(0, len(many) - 1, min(len(many), _OF_MANY)).round().astype(int)
+    several: list[tuple[Orbit, tuple[Colour, Style, str]]] = [
+        (many[i], ("purple", "solid", "orbits of a continuum")) for i in chosen
+    ]
+    for orbit, look in [*((one, _look(one)) for one in search.orbits), *several]:
+        colour, style, words_of = look
         path = orbit.path[:, state]
         rate = np.gradient(path, orbit.period / (len(path) - 1))
         marks.append(Curve(path, rate, words_of, colour, style, width=2.0, arrow=True))
         over_time.append(Curve(orbit.time, path, words_of, colour, style, width=1.8))
     marks.append(Points([x[state]], [0.0], "equilibrium", "dot", "ink"))
     stop = model.stops.get(signal.name)
-    if stop is not None and search.orbits:
-        low, high = _span(search.orbits, state)
+    if stop is not None and drawn:
+        low, high = _span(drawn, state)
         for at in (-stop, stop):
             if low < at < high:
                 marks.append(Line(x=at, label="mechanical stop", colour="alarm"))

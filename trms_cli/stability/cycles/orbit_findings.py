@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from trms_cli.core.chart import Chart
@@ -40,6 +38,8 @@ def _answer(found: Found) -> list[str]:
             f"{_fates(found.search)}.",
         ]
     orbits = found.search.orbits
+    if found.search.continuum:
+        return [*_continuum_words(found), *(_orbit_words(found, orbit) for orbit in orbits)]
     if not orbits:
         proved = (
             "In the box of starts none exists: proved by Bendixson's criterion. "
@@ -60,6 +60,27 @@ def _answer(found: Found) -> list[str]:
         f"{len(orbits)} limit cycle{'s' * (len(orbits) > 1)} at {words}: "
         f"{count[True]} stable, {count[False]} unstable.",
         *(_orbit_words(found, orbit) for orbit in orbits),
+    ]
+
+
+def _continuum_words(found: Found) -> list[str]:
+    """Periodic orbits that are no limit cycles."""
+    signal, orbits = found.model.states[found.state], found.search.continuum
+    swings = sorted(float(orbit.swing[found.state]) for orbit in orbits)
+    periods = sorted(orbit.period for orbit in orbits)
+    isolated = found.search.orbits
+    count = (
+        f"{len(isolated)} isolated limit cycle{'s' * (len(isolated) > 1)} beside a continuum"
+        if isolated
+        else "No limit cycle was found, but a continuum"
+    )
+    return [
+        f"{count} of periodic orbits at {found.point.words(found.model)}: {len(orbits)} of "
+        f"different size were closed, swings of {symbol(signal.name)} from {swings[0]:.3g} to "
+        f"{swings[-1]:.3g} {signal.unit}, periods from {periods[0]:.4g} to {periods[-1]:.4g} s.",
+        "They are not isolated: besides the multiplier along the orbit a second one is 1 within "
+        "what the computation resolves. None of them attracts or repels its neighbours, the start "
+        "decides which one is gone round: a centre, as of a model that loses no energy there.",
     ]
 
 
@@ -155,7 +176,7 @@ def _fates(search: Search) -> str:
     words: dict[Fate, str] = {
         "rest": "at rest",
         "settling": "settling",
-        "cycle": "on a cycle",
+        "cycle": "repeating themselves" if search.continuum else "on a cycle",
         "moves on": "moving on without repeating",
         "leaves": "over the top or beyond all bounds",
     }
@@ -211,10 +232,12 @@ def _search_section(found: Found) -> Section:
             "were looked at."
         )
     blocks: list[Table | Chart] = []
-    if search.orbits:
-        blocks.append(_orbit_table(found, search.orbits))
+    if search.orbits or search.continuum:
+        blocks.append(_orbit_table(found))
     words = f"Motions with the commands held ({found.point.words(model)})" + (
-        " and the periodic orbits found." if search.orbits else ": none repeats itself."
+        " and the periodic orbits found."
+        if search.orbits or search.continuum
+        else ": none repeats itself."
     )
     blocks.append(plane(model, search, found.point.x, found.state, words))
     if search.orbits:
@@ -222,7 +245,7 @@ def _search_section(found: Found) -> Section:
     return Section("The search", text, blocks)
 
 
-def _orbit_table(found: Found, orbits: Sequence[Orbit]) -> Table:
+def _orbit_table(found: Found) -> Table:
     angles = [found.model.state_index(name) for name in found.model.controlled]
     columns = [
         "cycle",
@@ -231,15 +254,20 @@ def _orbit_table(found: Found, orbits: Sequence[Orbit]) -> Table:
         "largest multiplier",
         "error of the trivial one",
     ]
+    isolated = [
+        (orbit, Judged("stable", "good") if orbit.stable else Judged("unstable", "bad"))
+        for orbit in found.search.orbits
+    ]
+    others = [(orbit, Judged("of a continuum", "")) for orbit in found.search.continuum]
     rows: list[list[Value | Judged]] = [
         [
-            Judged("stable", "good") if orbit.stable else Judged("unstable", "bad"),
+            kind,
             f"{orbit.period:.4f}",
             *(f"{orbit.path[:, i].min():.3f} … {orbit.path[:, i].max():.3f}" for i in angles),
             _written(orbit.largest),
             f"{orbit.trivial_error:.1e}",
         ]
-        for orbit in orbits
+        for orbit, kind in [*isolated, *others]
     ]
     return Table(columns, rows, "Periodic orbits at the operating point's commands.")
 

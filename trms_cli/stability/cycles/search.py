@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.stability.cycles.continuum import continuum, gone_round_once
 from trms_cli.stability.cycles.shooting import Orbit, Shooting
 from trms_cli.stability.vector_field import VectorField
 
@@ -69,11 +70,14 @@ class Search:
         Different ones, by rising period.
     step : float
         s between the states of a motion's path.
+    continuum : sequence of Orbit
+        Orbits that are not isolated, by rising period: no limit cycles, and none of ``orbits``.
     """
 
     motions: Sequence[Motion]
     orbits: Sequence[Orbit]
     step: float
+    continuum: Sequence[Orbit] = ()
 
     def count(self, fate: Fate) -> int:
         return sum(motion.fate == fate for motion in self.motions)
@@ -154,7 +158,12 @@ def searched(
         if fate == "moves on" and _repeats(path, row, step):
             fate = "cycle"
         motions.append(Motion(path, fate, swing))
-    return Search(motions, different(orbits), step)
+    found = different(orbits)
+    family = continuum(found)
+    isolated = [orbit for orbit in found if not any(orbit is one for one in family)]
+    if shooting is not None:
+        family = different([gone_round_once(shooting, orbit) for orbit in family])
+    return Search(motions, isolated, step, family)
 
 
 def _fate(angles: FloatArray) -> tuple[Fate, float]:
