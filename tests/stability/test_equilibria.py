@@ -30,7 +30,9 @@ from trms_cli.stability.equilibria.survey import (
     setting_of,
     survey,
 )
+from trms_cli.stability.studies.local import Local
 from trms_cli.stability.study import silent
+from trms_cli.stability.subject import Subject
 from trms_cli.stability.vector_field import VectorField
 
 #: Table of the design: u_v [V] → ω_v [rad/s], α_v [rad].
@@ -218,10 +220,20 @@ def test_each_change_of_stability_along_a_curve_is_told() -> None:
         assert abs(rightmost.real) < 1e-6
 
 
-def test_pitch_of_the_thesis_set_begins_to_swing_above_a_third_of_a_radian() -> None:
-    found = surveyed(Newtonian(parameter_set="rahideh"), "u_v")
+def test_changes_of_stability_on_the_switch_are_those_of_the_local_study() -> None:
+    model = Newtonian(parameter_set="rahideh")
+    found = surveyed(model, "u_v")
+    kinds = [one.kind for one in found.landmarks]
     angles = [one.at.x[5] for one in found.landmarks if one.kind == "oscillation"]
-    assert min(abs(angle - 0.34) for angle in angles) < 2e-3
+    local = Local(over="alpha_v").run(Subject(model, "rahideh"), silent).results["crossings"]
+    pairs = [one for one in local if one["frequency_rad_s"] > 1e-6]
+    assert len(pairs) == 2  # 0.3468 rad, and 0.9522 rad just beyond the fold
+    for one in pairs:
+        assert min(abs(angle - one["value"]) for angle in angles) < 1e-6
+    assert kinds[-2:] == ["fold", "oscillation"]
+    counts = [0, 2, 3, 1]
+    growing = [p.unstable for p in found.curves[0].points if p.u[0] > 1.0 or p.x[5] > 0.5]
+    assert set(growing) <= set(counts) and {0, 2, 1} <= set(growing)
 
 
 def test_all_unknowns_of_the_rigs_are_solved_one_by_one() -> None:

@@ -9,9 +9,16 @@ import pytest
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.chart import as_data
 from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
+from trms_cli.effects.dead_zone import DeadZone
+from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.models.driven import DrivenModel
+from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.models.tras import Tras
+from trms_cli.stability.equilibria.friction_band import Band
+from trms_cli.stability.equilibria.telling import band_words
 from trms_cli.stability.findings import Findings
 from trms_cli.stability.studies.equilibria import Equilibria
 from trms_cli.stability.study import Study, silent
@@ -33,7 +40,35 @@ def test_the_answer_comes_first(found: Findings) -> None:
     told = " ".join(found.lead)
     for words in ("Rest: ", "Hover: ", "u_v = 1.413 V", "196.3 rad/s", "2.2272", "Proved"):
         assert words in told
-    assert not found.warnings
+    (warning,) = set(found.warnings)
+    assert "mean of both" in warning and "α_h = 0" in warning
+
+
+def test_what_nothing_returns_is_marginal() -> None:
+    found = asked(Tras(), over=("u_v",))
+    assert "(marginal)" in found.lead[0] and "(stable)" not in " ".join(found.lead)
+    assert {point["verdict"] for point in found.results["named"]} == {"marginal"}
+
+
+def test_rest_and_hover_outside_the_box_are_left_out() -> None:
+    found = asked(Newtonian(), box={"alpha_v": (2.0, 3.0)})
+    assert not found.results["named"]
+    told = " ".join(found.warnings)
+    assert "rest lies outside the box" in told and "hover lies outside the box" in told
+    assert "held at α_v = 0 rad, outside the box" in told
+
+
+def test_a_dead_zone_leaves_no_rounding_in_hover() -> None:
+    model = ExtendedModel(Newtonian(), "dead", DeadZone(rotor="main", width=0.1))
+    hover = asked(model, over=("u_v",)).results["named"][1]
+    assert hover["inputs"]["u_h"] == 0.0
+    assert abs(hover["quantities"]["current_tail"]) < 1e-12
+
+
+def test_a_band_of_commands_has_its_unit() -> None:
+    model = FeedbackManual()
+    band = Band("yaw", "alpha_h", 0.01, None, None, ("u_h", -0.1356, 0.1356))
+    assert band_words(model, band).endswith("for u_h from -0.1356 to 0.1356 V")
 
 
 def test_figures_are_made(found: Findings) -> None:
@@ -90,6 +125,7 @@ def test_a_beam_driven_by_its_rotors_speeds() -> None:
         ({"range": {"uv": (0.0, 1.0)}}, "study.range"),
         ({"at": {"alpha_h": 0.0}}, "study.at"),
         ({"box": {"alpha_h": (-1.0, 1.0)}}, "study.box.alpha_h"),
+        ({"at": {"alpha_v": 5.0}}, "study.at.alpha_v"),
         ({"box": {"alpha_v": (1.0, -1.0)}}, "study.box.alpha_v"),
         ({"special": {"far": {"alpha_v": 2.0}}}, "study.special.far"),
     ],
@@ -104,6 +140,9 @@ def test_what_makes_no_sense_is_refused(keys: dict[str, object], where: str) -> 
 def test_an_upright_beam_in_the_box_is_told() -> None:
     with pytest.raises(ModelError, match="may be singular"):
         asked(Lagrangian(), box={"alpha_v": (-1.6, 1e9)}, over=("u_v",))
+    with pytest.raises(ModelError, match="beam upright") as refused:
+        asked(QuanserAero(), box={"alpha_v": (-3.0, 3.0)})
+    assert refused.value.where == "study.box.alpha_v"
 
 
 def test_a_loop_and_a_model_that_only_steps_are_refused() -> None:

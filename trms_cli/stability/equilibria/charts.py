@@ -117,9 +117,11 @@ def _marks(
     over = survey.setting.over
     for one in survey.curves:
         u, y = values_of(model, one, over), values_of(model, one, name)
-        growing = np.array([point.unstable > 0 for point in one.points])
+        growing = np.array([point.verdict == "unstable" for point in one.points])
+        # What neither grows nor dies out (a free yaw) is the same all along a curve.
+        idle = all(point.verdict == "marginal" for point in one.points if point.unstable == 0)
         for mask, label, colour, style in (
-            (~growing, "stable", "blue", "solid"),
+            (~growing, "marginal" if idle else "stable", "blue", "solid"),
             (growing, "unstable", "vermilion", "dashed"),
         ):
             # One point beyond, so that the parts touch.

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from trms_cli.stability.equilibria.rest_system import RestSystem
 from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.local.modes import Verdict
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,12 +35,15 @@ class EquilibriumPoint:
         Of ∂f/∂x there, rightmost first.
     unstable : int
         How many of them grow.
+    verdict : Verdict
+        ``marginal`` where none grows and one neither grows nor dies out.
     """
 
     x: FloatArray
     u: FloatArray
     eigenvalues: npt.NDArray[np.complex128]
     unstable: int
+    verdict: Verdict
 
 
 class CurveEquations:

@@ -36,6 +36,7 @@ def survey_data(model: Model, survey: Survey) -> dict[str, Any]:
                 "states": _columns(model.state_names, [p.x for p in one.points]),
                 "inputs": _columns(names(model.inputs), [p.u for p in one.points]),
                 "growing": [p.unstable for p in one.points],
+                "verdict": [p.verdict for p in one.points],
                 "rightmost": [finite(p.eigenvalues[0].real) for p in one.points],
                 "ends": list(one.curve.ends),
             }
@@ -86,6 +87,7 @@ def named_data(model: Model, point: NamedPoint) -> dict[str, Any]:
         "inputs": dict(zip(names(model.inputs), point.u.tolist(), strict=True)),
         "eigenvalues": [[finite(v.real), finite(v.imag)] for v in point.eigenvalues],
         "growing": point.unstable,
+        "verdict": point.verdict,
         "quantities": {name: finite(value) for name, value in point.quantities.items()},
         "friction": [
             {

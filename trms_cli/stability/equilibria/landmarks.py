@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -15,12 +15,14 @@ from trms_cli.models.model import names
 from trms_cli.stability.equilibria.continuation import Curve, crossings_of
 from trms_cli.stability.equilibria.curve_equations import CurveEquations, EquilibriumPoint
 from trms_cli.stability.equilibria.stability_of_points import judged
-from trms_cli.stability.vector_field import VectorField
+from trms_cli.stability.local.linear import Linear
 
 FloatArray = npt.NDArray[np.float64]
 Kind = Literal["fold", "kink", "oscillation", "exchange", "crossing", "level", "zero"]
 
 _BISECTIONS = 40
+#: Scaled distance from a fold of the two nodes between which its own eigenvalue crosses.
+_BESIDE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -52,35 +54,38 @@ class Landmark:
 
 
 def landmarks(
-    field: VectorField,
+    linear: Linear,
     equations: CurveEquations,
     curve: Curve,
     points: Sequence[EquilibriumPoint],
 ) -> list[Landmark]:
     """The special points of a curve, in order along it."""
-    found: list[tuple[int, Landmark]] = []
-    folds = _folds(field, equations, curve)
+    found: list[tuple[float, Landmark]] = []
+    folds = _folds(linear, equations, curve)
     found += folds
-    for k, after in enumerate(points[1:]):
-        more = after.unstable - points[k].unstable
-        # At a fold one real eigenvalue crosses; a pair that does so near it is another matter.
-        folding = more % 2 == 1 and any(abs(place - k) <= 2 for place, _ in folds)
-        if more == 0 or folding:
+    kinks = [place for place, one in folds if one.kind == "kink"]
+    for before, after in pairwise(_with_folds(linear, equations, curve, points, folds)):
+        more = after.at.unstable - before.at.unstable
+        # At a fold one real eigenvalue crosses, between the two nodes beside it. Where a kink is
+        # is not known as well.
+        folding = abs(more) == 1 and before.beside and after.beside
+        kinked = more % 2 == 1 and any(abs(place - before.place) <= 2 for place in kinks)
+        if more == 0 or folding or kinked:
             continue
-        found.append((k, _change(field, equations, curve.y[k], curve.y[k + 1], points[k])))
+        found.append((before.place, _change(linear, equations, before.y, after.y, before.at)))
     for k in curve.crossings:
         if not any(abs(place - k) <= 2 for place, _ in found):
             y = curve.y[k]
-            found.append((k, Landmark("crossing", "", y, judged(field, equations, y))))
+            found.append((k, Landmark("crossing", "", y, judged(linear, equations, y))))
     for index, signal in enumerate(equations.system.unknowns):
         if signal.name in equations.system.model.controlled and _varies(curve.y[:, index]):
             for y in crossings_of(equations, curve, index, 0.0):
                 if _stays(equations, curve, y, index):
                     continue
-                point = Landmark("level", signal.name, y, judged(field, equations, y))
+                point = Landmark("level", signal.name, y, judged(linear, equations, y))
                 found.append((_place(equations, curve, y), point))
     for y in crossings_of(equations, curve, equations.n, 0.0):
-        point = Landmark("zero", "", y, judged(field, equations, y))
+        point = Landmark("zero", "", y, judged(linear, equations, y))
         found.append((_place(equations, curve, y), point))
     return [landmark for _, landmark in sorted(found, key=lambda item: item[0])]
 
@@ -100,11 +105,9 @@ def _place(equations: CurveEquations, curve: Curve, y: FloatArray) -> int:
     return int(np.argmin(np.linalg.norm((curve.y - y) / equations.scale, axis=1)))
 
 
-def _folds(
-    field: VectorField, equations: CurveEquations, curve: Curve
-) -> list[tuple[int, Landmark]]:
+def _folds(linear: Linear, equations: CurveEquations, curve: Curve) -> list[tuple[float, Landmark]]:
     steps = np.diff(curve.y[:, -1])
-    found: list[tuple[int, Landmark]] = []
+    found: list[tuple[float, Landmark]] = []
     # The end of a curve may lie on its last point: a step of nothing turns nowhere.
     moving = np.flatnonzero(np.abs(steps) > 1e-12 * equations.scale[-1])
     for i, j in pairwise(moving):
@@ -115,12 +118,70 @@ def _folds(
         smooth = y is not None and equations.inside(y)
         point = y if smooth and y is not None else near
         kind: Kind = "fold" if smooth else "kink"
-        found.append((int(i), Landmark(kind, "", point, judged(field, equations, point))))
+        place = _between(equations, curve, point, range(int(i), int(j) + 1)) if smooth else float(i)
+        found.append((place, Landmark(kind, "", point, judged(linear, equations, point))))
     return found
 
 
+def _between(equations: CurveEquations, curve: Curve, y: FloatArray, parts: Iterable[int]) -> float:
+    """Where a point lies on some parts of a curve, as a position among its points."""
+    places: list[tuple[float, float]] = []
+    for k in parts:
+        chord = (curve.y[k + 1] - curve.y[k]) / equations.scale
+        away = (y - curve.y[k]) / equations.scale
+        share = float(np.clip(away @ chord / max(float(chord @ chord), 1e-300), 0.0, 1.0))
+        places.append((float(np.linalg.norm(away - share * chord)), k + share))
+    return min(places)[1]
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A point of a curve, its position among the others, and whether it is one beside a fold."""
+
+    place: float
+    y: FloatArray
+    at: EquilibriumPoint
+    beside: bool = False
+
+
+def _with_folds(
+    linear: Linear,
+    equations: CurveEquations,
+    curve: Curve,
+    points: Sequence[EquilibriumPoint],
+    folds: Sequence[tuple[float, Landmark]],
+) -> list[_Node]:
+    """The points of a curve, with more of them towards each fold on both sides.
+
+    Where a real eigenvalue is near zero a pair often is, too: both may cross in one step.
+    """
+    nodes = [_Node(float(k), y, at) for k, (y, at) in enumerate(zip(curve.y, points, strict=True))]
+    for place, fold in folds:
+        if fold.kind != "fold":
+            continue
+        k = min(math.floor(place), len(curve.y) - 2)
+        chord = (curve.y[k + 1] - curve.y[k]) / equations.scale
+        along = equations.tangent(fold.y, chord)
+
+        def offset(y: FloatArray, fold: Landmark = fold, along: FloatArray = along) -> float:
+            return float((y - fold.y) / equations.scale @ along)
+
+        nodes = [n for n in nodes if abs(n.place - place) > 2 or abs(offset(n.y)) > _BESIDE]
+        for side, end in ((-1.0, curve.y[k]), (1.0, curve.y[k + 1])):
+            size = _BESIDE
+            while size == _BESIDE or size < side * offset(end):
+                guess = fold.y + side * size * along * equations.scale
+                y = equations.corrected(guess, along)
+                if y is not None and equations.inside(y):
+                    at = judged(linear, equations, y)
+                    where = _between(equations, curve, y, (k,))
+                    nodes.append(_Node(where, y, at, beside=size == _BESIDE))
+                size *= 2.0
+    return sorted(nodes, key=lambda node: node.place)
+
+
 def _change(
-    field: VectorField,
+    linear: Linear,
     equations: CurveEquations,
     before: FloatArray,
     after: FloatArray,
@@ -136,7 +197,7 @@ def _change(
         here = equations.corrected(before + middle * (after - before), along)
         if here is None:
             break
-        y, at = here, judged(field, equations, here)
+        y, at = here, judged(linear, equations, here)
         if at.unstable == first.unstable:
             low = middle
         else:

@@ -14,7 +14,7 @@ from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.search_box import bounds_of
 from trms_cli.stability.equilibria.stability_of_points import judged
 from trms_cli.stability.equilibria.survey import Survey
-from trms_cli.stability.vector_field import VectorField
+from trms_cli.stability.local.linear import Linear
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -57,12 +57,12 @@ def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap 
     others = np.linspace(-limit, limit, _POINTS)
     rows = [model.state_index(name) for name in model.controlled]
     angles = np.full((len(rows), _POINTS, _POINTS), np.nan)
-    field = VectorField(model)
+    linear = Linear(model)
     names = [signal.name for signal in system.unknowns]
     box, scale = bounds_of(system, {})
     for column, value in enumerate(first):
         known = [y for one in along.curves for y in at_input(along.equations, one.curve, value)]
-        stable = [p for p in (judged(field, along.equations, y) for y in known) if not p.unstable]
+        stable = [p for p in (judged(linear, along.equations, y) for y in known) if not p.unstable]
         if not stable:
             continue
         v = np.zeros(len(system.given))
@@ -77,7 +77,7 @@ def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap 
                 y = equations.pinned(y, equations.n, float(at)) if y is not None else None
                 if y is None or not equations.inside(y):
                     break
-                here = judged(field, equations, y)
+                here = judged(linear, equations, y)
                 if not here.unstable:
                     row = int(np.argmin(np.abs(others - at)))
                     angles[:, row, column] = here.x[rows]

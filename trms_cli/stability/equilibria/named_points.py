@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -13,11 +13,16 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.models.model import Model
 from trms_cli.models.rest import arriving
 from trms_cli.stability.equilibria.friction_band import Band, bands
-from trms_cli.stability.equilibria.stability_of_points import GROWTH
-from trms_cli.stability.operating_point import OperatingPoint, operating_point
+from trms_cli.stability.equilibria.stability_of_points import GROWTH, eigenvalues_at
+from trms_cli.stability.local.linear import Linear
+from trms_cli.stability.local.modes import Verdict
+from trms_cli.stability.operating_point import OperatingPoint, operating_point, refined
 from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
+
+_NEAR_ZERO = 1e-3  # V
+_SAME_ANGLE = 1e-6  # rad
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,7 @@ class NamedPoint:
     x, u : (n_x,), (n_u,) arrays
     eigenvalues : (n_x,) complex array
         Rightmost first.
+    verdict : Verdict
     quantities : dict of str to float
         What the model names: thrusts (N), currents (A), torques (N m), inertias (kg m²)…
     bands : tuple of Band
@@ -40,6 +46,7 @@ class NamedPoint:
     x: FloatArray
     u: FloatArray
     eigenvalues: npt.NDArray[np.complex128]
+    verdict: Verdict
     quantities: Mapping[str, float]
     bands: tuple[Band, ...]
 
@@ -88,12 +95,37 @@ def _is_level(model: Model, rest: NamedPoint) -> bool:
     return all(abs(rest.x[model.state_index(name)]) < 1e-9 for name in model.controlled)
 
 
+def _without_rounding(
+    model: Model,
+    point: OperatingPoint,
+    field: VectorField,
+    arrives: Callable[[FloatArray], FloatArray],
+) -> OperatingPoint:
+    """The point with commands of exactly zero where that changes no angle.
+
+    As of :func:`operating_point`, for commands that pass a dead zone on their way too.
+    """
+    u = np.where(np.abs(point.u) < _NEAR_ZERO, 0.0, point.u)
+    if np.array_equal(u, point.u):
+        return point
+    x = refined(field, point.x, arrives(u))
+    rows = [model.state_index(name) for name in model.controlled]
+    if x is None or np.abs(x - point.x)[rows].max() > _SAME_ANGLE:
+        return point
+    return OperatingPoint(x, u)
+
+
 def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
     u, p = ca.SX.sym("u", model.n_u), ca.SX.sym("p", len(model.parameters))
     path = ca.Function("path", [u, p], [arriving(model, u, p)])
     field = VectorField(model)
-    reached = np.array(path(point.u, field.parameters))[:, 0]
-    values = np.linalg.eigvals(field.linearised(point.x, reached)[0]).astype(complex)
+
+    def arrives(commands: FloatArray) -> FloatArray:
+        return np.array(path(commands, field.parameters))[:, 0]
+
+    point = _without_rounding(model, point, field, arrives)
+    reached = arrives(point.u)
+    values, verdict = eigenvalues_at(Linear(model), point.x, reached)
     x, u, p, _ = model.symbols()
     expressions = model.quantities(x, u, p)
     evaluate = ca.Function("quantities", [x, u, p], [ca.vertcat(*expressions.values())])
@@ -102,7 +134,8 @@ def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
         name,
         point.x,
         point.u,
-        values[np.argsort(-values.real, kind="stable")],
+        values,
+        verdict,
         dict(zip(expressions, numbers, strict=False)),
         tuple(bands(model, point.x, point.u, reached)),
     )

@@ -23,8 +23,8 @@ from trms_cli.stability.equilibria.rest_system import RestSystem, rest_system
 from trms_cli.stability.equilibria.search_box import bounds_of
 from trms_cli.stability.equilibria.stability_of_points import judged
 from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.study import Tell
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -161,7 +161,7 @@ def survey(
         v[system.given_index(name)] = value
     index = system.given_index(setting.over)
     equations = CurveEquations(system, index, v, bounds, scale, setting.bounds)
-    field = VectorField(model)
+    linear = Linear(model)
 
     tell(f"curves over {setting.over}")
     seeds = starts(equations, np.linspace(*setting.bounds, _INPUTS), _STARTS)
@@ -174,7 +174,7 @@ def survey(
     proofs = prover.at(given)
     curves, late = completed(equations, curves, proofs)
     checks = tuple(
-        _check(field, equations, curves, float(value), proof)
+        _check(linear, equations, curves, float(value), proof)
         for value, proof in zip(proof_inputs, proofs, strict=True)
     )
     pieces: tuple[Piece, ...] = ()
@@ -187,7 +187,7 @@ def survey(
         system=system,
         equations=equations,
         box=bounds,
-        curves=tuple(_judged_curve(field, equations, curve) for curve in curves),
+        curves=tuple(_judged_curve(linear, equations, curve) for curve in curves),
         checks=checks,
         pieces=pieces,
         late=late,
@@ -218,7 +218,7 @@ def _within(equations: CurveEquations, y: FloatArray, z: Interval) -> bool:
 
 
 def _check(
-    field: VectorField,
+    linear: Linear,
     equations: CurveEquations,
     curves: Sequence[Curve],
     value: float,
@@ -232,13 +232,13 @@ def _check(
         agree &= len(inside) == 1 if one.unique else True
         ordered += inside
     agree &= all(any(_within(equations, y, one.z) for one in proof.found) for y in known)
-    points = tuple(judged(field, equations, y) for y in (ordered if agree else known))
+    points = tuple(judged(linear, equations, y) for y in (ordered if agree else known))
     return Checked(value, proof, points, agree)
 
 
-def _judged_curve(field: VectorField, equations: CurveEquations, curve: Curve) -> JudgedCurve:
-    points = tuple(judged(field, equations, y) for y in curve.y)
-    return JudgedCurve(curve, points, tuple(landmarks(field, equations, curve, points)))
+def _judged_curve(linear: Linear, equations: CurveEquations, curve: Curve) -> JudgedCurve:
+    points = tuple(judged(linear, equations, y) for y in curve.y)
+    return JudgedCurve(curve, points, tuple(landmarks(linear, equations, curve, points)))
 
 
 def setting_of(

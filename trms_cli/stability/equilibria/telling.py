@@ -15,8 +15,11 @@ from trms_cli.stability.equilibria.landmarks import Landmark, state_of
 from trms_cli.stability.equilibria.named_points import NamedPoint
 from trms_cli.stability.equilibria.survey import Survey
 from trms_cli.stability.findings import Judged, Table, Value
+from trms_cli.stability.local.linear import Linear
 
 _MOST_PIECES = 7
+#: Every so many points of a curve are asked whether they lie on a switch.
+_SWITCH_STRIDE = 5
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -148,11 +151,10 @@ def named_words(model: Model, point: NamedPoint) -> str:
         f"{symbol(name)} = {with_unit(value, unit_of(model, name))}"
         for name, value in values.items()
     )
-    verdict = "stable" if not point.unstable else f"{point.unstable} growing"
-    return f"{point.name.capitalize()}: {commands}: {states} ({verdict})"
+    return f"{point.name.capitalize()}: {commands}: {states} ({_stability(point).value})"
 
 
-def band_words(band: Band) -> str:
+def band_words(model: Model, band: Band) -> str:
     """What friction holds."""
     held = f"dry friction of {number(band.torque)} N m"
     if band.lower is not None and band.upper is not None:
@@ -164,7 +166,7 @@ def band_words(band: Band) -> str:
         name, low, high = band.command
         return (
             f"{held} holds {symbol(band.angle)} anywhere, for {symbol(name)} from {number(low)} to "
-            f"{number(high)}"
+            f"{with_unit(high, unit_of(model, name))}"
         )
     return f"{held} holds {symbol(band.angle)} anywhere"
 
@@ -185,7 +187,7 @@ def point_table(model: Model, survey: Survey, shown: Sequence[Signal]) -> Table:
             rows.append([_round(check.input), *blank, "none in the box", None, verdict])
         for point in check.points:
             values = [_round(_value(model, point, s.name)) for s in shown]
-            stable = Judged("stable", "good") if not point.unstable else _growing(point.unstable)
+            stable = _stability(point)
             rightmost = _round(float(point.eigenvalues[0].real))
             rows.append([_round(check.input), *values, stable, rightmost, verdict])
     return Table(
@@ -197,8 +199,35 @@ def point_table(model: Model, survey: Survey, shown: Sequence[Signal]) -> Table:
     )
 
 
-def _growing(count: int) -> Judged:
-    return Judged(f"{count} growing", "bad")
+def _stability(point: EquilibriumPoint | NamedPoint) -> Judged:
+    """In a word or two."""
+    if point.unstable:
+        return Judged(f"{point.unstable} growing", "bad")
+    if point.verdict == "unstable":
+        return Judged("grows with t", "bad")
+    return Judged(point.verdict, "good" if point.verdict == "stable" else "doubtful")
+
+
+def switch_words(survey: Survey, linear: Linear) -> str | None:
+    """That a curve lies on a switch, and which slopes then count; None where none does."""
+    model = survey.system.model
+    for one in survey.curves:
+        for point, y in zip(
+            one.points[::_SWITCH_STRIDE], one.curve.y[::_SWITCH_STRIDE], strict=True
+        ):
+            found = linear.switches(point.x, survey.equations.point(y)[2])
+            if not found:
+                continue
+            places = ", ".join(
+                f"{symbol(model.state_names[s.state])} = {number(float(point.x[s.state]))}"
+                for s in found
+            )
+            return (
+                f"over {symbol(survey.setting.over)} equilibria lie on a switch ({places}), on "
+                "whose sides the slopes differ: stability is told for the mean of both, which "
+                "small swings across it see; either side: study=local"
+            )
+    return None
 
 
 def _value(model: Model, point: EquilibriumPoint, name: str) -> float:
@@ -223,7 +252,7 @@ def named_table(model: Model, points: Sequence[NamedPoint]) -> Table:
     for point in points:
         values = {**dict(zip(model.state_names, point.x.tolist(), strict=True))}
         values |= dict(zip(names(model.inputs), point.u.tolist(), strict=True))
-        stable = Judged("stable", "good") if not point.unstable else _growing(point.unstable)
+        stable = _stability(point)
         rows.append([point.name, *(_round(values[name]) for name in shown), stable])
     return Table(
         ["", *(_head(name, unit_of(model, name)) for name in shown), "stability"],

@@ -19,6 +19,7 @@ from trms_cli.stability.equilibria.data import named_data, survey_data
 from trms_cli.stability.equilibria.map import equilibrium_map
 from trms_cli.stability.equilibria.named_points import NamedPoint, named_points
 from trms_cli.stability.equilibria.rest_system import rest_system
+from trms_cli.stability.equilibria.search_box import usual_bounds
 from trms_cli.stability.equilibria.survey import Setting, Survey, setting_of, survey
 from trms_cli.stability.equilibria.telling import (
     band_words,
@@ -29,9 +30,11 @@ from trms_cli.stability.equilibria.telling import (
     point_table,
     proof_words,
     quantity_table,
+    switch_words,
     undecided_words,
 )
 from trms_cli.stability.findings import Findings, Section, Table
+from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -88,6 +91,7 @@ class Equilibria:
         model = subject.require_equations(
             "study=equilibria",
             "where a network settles under a held command is seen by `trms run` with a step",
+            command_path=True,
         )
         settings = [self._setting(model, name) for name in self._inputs(model)]
         surveys = [
@@ -102,7 +106,7 @@ class Equilibria:
             for setting in settings
         ]
         tell("rest and hover")
-        named, missing = named_points(model, self.special)
+        named, missing = self._named(model)
         return Findings(
             title="Equilibria",
             lead=_lead(model, surveys, named),
@@ -115,8 +119,37 @@ class Equilibria:
                 "surveys": [survey_data(model, one) for one in surveys],
                 "named": [named_data(model, point) for point in named],
             },
-            warnings=_warnings(subject, surveys, missing),
+            warnings=[*_warnings(subject, surveys, missing), *self._held_outside(surveys)],
         )
+
+    def _held_outside(self, surveys: list[Survey]) -> list[str]:
+        """Surveys that hold an angle outside the box, where nothing else was asked for."""
+        return [
+            f"over {symbol(one.setting.over)} the beam is held at {symbol(name)} = {value:g} rad, "
+            f"outside the box: another angle by study.at.{name}=…"
+            for one in surveys
+            for name, value in one.setting.held.items()
+            if name in self.box and not self.box[name][0] <= value <= self.box[name][1]
+        ]
+
+    def _named(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
+        """The named points; rest and hover only within the box, and why one is missing."""
+        found, missing = named_points(model, self.special)
+        kept = []
+        for point in found:
+            out = [
+                name
+                for name, (low, high) in self.box.items()
+                if not low <= point.x[model.state_index(name)] <= high
+            ]
+            if not out or point.name in self.special:
+                kept.append(point)
+                continue
+            where = ", ".join(
+                f"{symbol(name)} = {point.x[model.state_index(name)]:.4g}" for name in out
+            )
+            missing.append(f"{point.name} lies outside the box ({where}) and is left out")
+        return kept, missing
 
     def _inputs(self, model: Model) -> tuple[str, ...]:
         known = names(model.inputs)
@@ -165,7 +198,23 @@ class Equilibria:
                 where=f"study.range.{over}",
                 remedy="give the lower value first",
             )
+        self._require_reached(model)
         return setting_of(model, over, (float(low), float(high)), self.at)
+
+    def _require_reached(self, model: Model) -> None:
+        """Angles that are held lie in the box and within the stops."""
+        for name, value in self.at.items():
+            if name not in model.controlled:
+                continue
+            low, high = self.box.get(name) or usual_bounds(model, name)
+            stop = model.stops.get(name, math.inf)
+            low, high = max(low, -stop), min(high, stop)
+            if not low <= value <= high:
+                raise ConfigurationError(
+                    f"{name} = {value:g} rad lies outside the box or beyond a stop",
+                    where=f"study.at.{name}",
+                    remedy=f"hold it between {low:.4g} and {high:.4g} rad",
+                )
 
     def _map(self, model: Model, surveys: list[Survey], tell: Tell) -> list[Section]:
         if not self.map or model.n_u != 2 or len(surveys) != 2:
@@ -187,7 +236,7 @@ def _lead(model: Model, surveys: list[Survey], named: list[NamedPoint]) -> list[
         told = [landmark_words(one, mark) for mark in one.landmarks if mark.kind in _TOLD]
         lead += [_sentence(words) for words in dict.fromkeys(told)]
         lead.append(proof_words(one))
-    bands = [f"{point.name}: {band_words(band)}" for point in named for band in point.bands]
+    bands = [f"{point.name}: {band_words(model, band)}" for point in named for band in point.bands]
     return [*lead, *(_sentence(words) for words in bands)]
 
 
@@ -266,6 +315,9 @@ def _warnings(subject: Subject, surveys: list[Survey], missing: list[str]) -> li
             )
         if any(check.proof.open_ended for check in one.checks):
             words.append(f"over {over} equilibria with a state beyond 1e6 are not excluded")
+        on_switch = switch_words(one, Linear(one.system.model))
+        if on_switch:
+            words.append(on_switch)
         words += undecided_words(one)
         ends = [end for curve in one.curves for end in curve.curve.ends if end.startswith("where")]
         words += [f"a curve over {over} ends {end}" for end in ends]
