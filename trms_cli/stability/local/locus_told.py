@@ -17,8 +17,9 @@ from trms_cli.stability.local.sweep import Path, Sweep
 from trms_cli.stability.local.told import (
     amount_words,
     crossing_data,
+    crossing_name,
+    exchange_words,
     finite,
-    name_of,
     range_table,
     sweep_data,
 )
@@ -57,6 +58,7 @@ def locus_section(
         "Brent's method on the real part of the tracked eigenvalue."
     ]
     text += [f"The range ends early: {why}." for why in (sweep.low, sweep.high) if why]
+    text += exchange_words(path, sweep, tracks)
     if len(sweep.places) < 2:
         return Section(f"Eigenvalues over {path.over}", text)
     unit = f" {path.unit}" if path.unit else ""
@@ -64,7 +66,7 @@ def locus_section(
     k = int(np.argmin(np.abs(sweep.values - path.began)))
     rows = [
         (
-            name_of(tracks, c.track),
+            crossing_name(path.model, tracks, c),
             float(f"{c.value:.6g}"),
             float(f"{c.frequency:.4g}"),
             float(f"{c.frequency / (2 * math.pi):.4g}"),
@@ -150,7 +152,7 @@ def results_of(
     results: dict[str, Any] = {
         "held": {name: float(v) for name, v in path.at.items() if name != path.over},
         "locus": sweep_data(path, sweep, tracks),
-        "crossings": [crossing_data(c, name_of(tracks, c.track)) for c in found],
+        "crossings": [crossing_data(c, crossing_name(path.model, tracks, c)) for c in found],
         "crossings_by_side": {side: [float(v) for v in values] for side, values in sides.items()},
         "why": [reason_data(path, why) for why in reasons],
     }

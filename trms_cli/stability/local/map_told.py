@@ -13,7 +13,7 @@ from trms_cli.stability.findings import Section, Table
 from trms_cli.stability.local.crossings import crossings
 from trms_cli.stability.local.map import StabilityMap
 from trms_cli.stability.local.sweep import Path, swept
-from trms_cli.stability.local.told import amount_words, crossing_data, name_of
+from trms_cli.stability.local.told import amount_words, crossing_data, crossing_name
 from trms_cli.stability.local.tracks import tracks_of
 
 Tell = Callable[[str], None]
@@ -47,7 +47,8 @@ def boundary_along(
                 "over": float(value),
                 "against_range": [float(run.values[0]), float(run.values[-1])],
                 "crossings": [
-                    crossing_data(c, name_of(tracks, c.track)) for c in crossings(line, run)
+                    crossing_data(c, crossing_name(line.model, tracks, c))
+                    for c in crossings(line, run)
                 ],
             }
         )
@@ -98,7 +99,12 @@ def map_section(
                 mapped.boundary[:, 0], mapped.boundary[:, 1], "located", "dot", "alarm", size=3.0
             )
         )
-    marks.append(Line(x=path.began, label=f"the model's {path.over}", colour="ink"))
+    inside = float(mapped.over[0]), float(mapped.over[-1])
+    rim = 0.01 * (inside[1] - inside[0])
+    if inside[0] + rim < path.began < inside[1] - rim:  # on the frame it could not be told from it
+        marks.append(
+            Line(x=path.began, label=f"the model's {path.over}", colour="ink", style="dashed")
+        )
     held = {name: v for name, v in path.at.items() if name not in (path.over, against)}
     where = "".join(f", {amount_words(path.model, name, v)}" for name, v in held.items() if v)
     x = Axis(path.over, path.unit, (float(mapped.over[0]), float(mapped.over[-1])))

@@ -13,7 +13,7 @@ from trms_cli.stability.findings import Judged, Judgement, Table, Value
 from trms_cli.stability.local.crossings import Crossing
 from trms_cli.stability.local.linear import Switch
 from trms_cli.stability.local.modes import Mode, Modes
-from trms_cli.stability.local.parts import STILL
+from trms_cli.stability.local.parts import STILL, mode_name, parts_of, shares_of_parts
 from trms_cli.stability.local.sweep import Path, Sweep
 from trms_cli.stability.local.tracks import Track, cell
 
@@ -204,9 +204,49 @@ def amount_words(model: Model, name: str, value: float, digits: int = 6) -> str:
     return f"{name} = {value:.{digits}g} {'' if unit == '1' else unit}".rstrip()
 
 
-def name_of(tracks: Sequence[Track], member: int) -> str:
-    """The mode that a column of the sweep belongs to."""
-    return next(track.name for track in tracks if member in track.members)
+def crossing_name(model: Model, tracks: Sequence[Track], crossing: Crossing) -> str:
+    """The mode that crosses, by what it is of there.
+
+    That is the name of its track, unless the mode has become another along the range: its largest
+    share is of another part, or it swings there and does not elsewhere.
+    """
+    track = next(track for track in tracks if crossing.track in track.members)
+    shares = crossing.place.spectrum.participation(crossing.track)
+    parts = parts_of(model)
+    part = next(iter(shares_of_parts(parts, shares)))
+    swings = crossing.frequency > 0.0
+    if part == track.part and swings == ("swing" in track.name):
+        return track.name
+    # A real one grows on one side of the crossing: that is what it is called after.
+    rate = complex(0.0, crossing.frequency) if swings else complex(1.0)
+    return mode_name(parts, shares, rate)
+
+
+def exchange_words(path: Path, sweep: Sweep, tracks: Sequence[Track]) -> list[str]:
+    """Where a curve ceases to be of the part that it is named after, towards an end of the range.
+
+    Eigenvalues are followed without a break, and what they are of changes along them: two modes
+    that come close exchange their parts.
+    """
+    parts = parts_of(path.model)
+    told = []
+    for track in (track for track in tracks if not track.fast and track.part in path.model.axes):
+        own = []
+        for place in sweep.places:
+            shares = [place.spectrum.participation(i) for i in track.members]
+            own.append(next(iter(shares_of_parts(parts, np.mean(shares, axis=0)))))
+        for end, step, side in ((0, 1, "below"), (-1, -1, "above")):
+            other = own[end]
+            if other == track.part or track.part not in own:
+                continue
+            run = next(k for k, part in enumerate(own[::step]) if part != other)
+            value = sweep.values[::step][run - 1]
+            told.append(
+                f"{side.capitalize()} {amount_words(path.model, path.over, value, 4)} the curve "
+                f"named “{track.name}” is mostly of the {other}: modes that come close exchange "
+                "what they are of, and a curve is named after its average."
+            )
+    return told
 
 
 def finite(value: float | None) -> float | None:

@@ -22,10 +22,11 @@ from trms_cli.stability.local.sweep import Path, Sweep, swept, usual_line
 from trms_cli.stability.local.told import (
     amount_words,
     crossing_data,
+    crossing_name,
     eigenvalue_words,
+    exchange_words,
     mode_data,
     mode_table,
-    name_of,
     participation_table,
     range_table,
     sweep_data,
@@ -162,7 +163,7 @@ def _lead_range(
             f"Over {span}, {always}{'; one is unstable throughout' if unstable > 1e-6 else ''}."
         ]
     told = [
-        f"{path.over} = {c.value:.4g} {path.unit} ({name_of(tracks, c.track)}, "
+        f"{path.over} = {c.value:.4g} {path.unit} ({crossing_name(path.model, tracks, c)}, "
         + (f"{c.frequency:.3g} rad/s, " if c.frequency else "")
         + f"unstable {'above' if c.unstable_above else 'below'})"
         for c in found
@@ -240,6 +241,7 @@ def _range_section(
         "one to the next by their eigenvectors."
     ]
     text += [f"The range ends early: {why}." for why in (sweep.low, sweep.high) if why]
+    text += exchange_words(path, sweep, tracks)
     if len(sweep.places) < 2:
         return Section(f"Over {path.over}", text)
     value = _value_of(path, point)
@@ -321,7 +323,7 @@ def _results(
             if switches
         },
         "range": sweep_data(path, sweep, tracks),
-        "crossings": [crossing_data(c, name_of(tracks, c.track)) for c in found],
+        "crossings": [crossing_data(c, crossing_name(path.model, tracks, c)) for c in found],
     }
 
 

@@ -25,7 +25,7 @@ from trms_cli.stability.local.locus_told import (
 from trms_cli.stability.local.map import stability_map
 from trms_cli.stability.local.map_told import boundary_along, map_section
 from trms_cli.stability.local.sweep import Path, Sweep, swept, usual_line
-from trms_cli.stability.local.told import amount_words, name_of
+from trms_cli.stability.local.told import amount_words, crossing_name
 from trms_cli.stability.local.tracks import Track, tracks_of
 from trms_cli.stability.local.why import Reason, course_of, moves, reason, reason_words
 from trms_cli.stability.study import Tell
@@ -94,7 +94,7 @@ class RootLocus:
         found = crossings(path, sweep)
         sides = _sides(path, sweep, (low, high), self.points, tell)
         tell("why")
-        reasons = [reason(path, c.place, c.track, name_of(tracks, c.track)) for c in found]
+        reasons = [reason(path, c.place, c.track, crossing_name(model, tracks, c)) for c in found]
         nearest = None if found else _nearest(path, sweep, tracks)
         if nearest is not None:
             reasons = [nearest]
@@ -196,7 +196,7 @@ def _lead(
     held = words[0].upper() + words[1:]
     told = []
     for c in found:
-        name = name_of(tracks, c.track)
+        name = crossing_name(path.model, tracks, c)
         jump = " by a jump, at a switch" if c.jumps else ""
         pace = f", {c.frequency:.3g} rad/s ({c.frequency / (2 * math.pi):.3g} Hz)"
         told.append(
