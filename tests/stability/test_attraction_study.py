@@ -203,3 +203,13 @@ def test_intervals_have_enough_digits(hits):
 
 def test_all_of_a_box_is_told_with_its_lower_end():
     assert percent(share_of(2000, 2000)) == "100 % (99.8–100 %)"
+
+
+def test_a_cut_duration_is_told_and_widens_the_share():
+    found = answered("model=rahideh", "study.at={alpha_v: 0.343}", "study.methods=[lyapunov]", *FEW)
+    assert found.results["duration"] == 120.0
+    assert any("what had not arrived is undecided" in sentence for sentence in found.warnings)
+    share, undecided = found.results["true_share_of_box"], found.results["undecided"]
+    assert undecided > 0 and share["upper"] >= share["value"] + undecided / 100.0
+    assert all(e["failed"] == 0 for e in found.results["estimates"])
+    assert not any("contradict" in sentence for sentence in found.lead)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from trms_cli.stability.attraction.estimates import (
 from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
 from trms_cli.stability.attraction.system import Around
 from trms_cli.stability.attraction.truth import (
+    LEFT,
     SETTLED,
     UNDECIDED,
     OtherRest,
@@ -36,12 +37,16 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Time constants of the slowest mode after which a motion is undecided.
 _TIME_CONSTANTS = 10.0
+#: s, at which that is cut off: of up to three states, and of more, whose motions arrive late.
+_LONGEST, _LONGEST_OF_MANY = 240.0, 120.0
 #: Sides of the default box beyond those of the largest estimate.
 _ROOM = 1.6
 #: The default box goes to the nearest saddle and beyond by this factor.
 _BEYOND = 1.2
 #: Starts in each estimate, to test it by simulation.
 _TESTED = 80
+#: States up to which all is sampled densely.
+_FEW = 3
 #: Points from which the share of the box that an estimate fills is counted.
 _COUNTED = 60_000
 #: Motions that are drawn, and for how long, s.
@@ -108,8 +113,8 @@ class Options:
 
     def for_states(self, n: int) -> tuple[int, int]:
         """Samples and grid: fewer where motions of many states take long to arrive."""
-        samples = (2000 if n <= 3 else 800) if self.samples is None else self.samples
-        return samples, (61 if n <= 3 else 41) if self.grid is None else self.grid
+        samples = (2000 if n <= _FEW else 500) if self.samples is None else self.samples
+        return samples, (61 if n <= _FEW else 31) if self.grid is None else self.grid
 
 
 @dataclass(frozen=True)
@@ -166,11 +171,14 @@ class Region:
         Half-widths of the box in d.
     verdicts : tuple of Verdict
     truth : Share
-        Of the box that comes to rest.
+        Of the box that comes to rest. Where time was cut off, what is undecided widens its upper
+        end.
     samples, undecided : int
         Random starts in the box, and those undecided when time was over.
     duration : float
         s, until a motion is undecided.
+    wanted : float
+        s, that the slowest mode would need; above ``duration`` where that was cut off.
     plane : Plane
     rests : tuple of OtherRest
     nothing : tuple of str
@@ -185,9 +193,15 @@ class Region:
     samples: int
     undecided: int
     duration: float
+    wanted: float
     plane: Plane
     rests: tuple[OtherRest, ...]
     nothing: tuple[str, ...]
+
+    @property
+    def cut(self) -> bool:
+        """Whether motions were followed for less than the slowest mode needs."""
+        return self.duration < self.wanted
 
 
 def inquire(
@@ -233,7 +247,9 @@ def inquire(
     box = np.array([options.box.get(n, float(r)) for n, r in zip(starts.names, box, strict=True)])
     samples, grid = options.for_states(system.n)
     slowest = float(-system.eigenvalues.real.max())
-    duration = options.duration or _TIME_CONSTANTS / slowest
+    wanted = options.duration or _TIME_CONSTANTS / slowest
+    longest = _LONGEST if system.n <= _FEW else _LONGEST_OF_MANY
+    duration = options.duration or min(wanted, longest)
     far = 4.0 * np.maximum(limits, np.abs(starts.matrix) @ box)
     tell(f"{samples} motions from random starts")
     random = np.random.default_rng(0)
@@ -245,8 +261,11 @@ def inquire(
         far,
     )
     truth = share_of(int(np.sum(fate == SETTLED)), samples)
+    if duration < wanted:
+        # Some of those that time did not suffice for may arrive.
+        truth = replace(truth, upper=share_of(int(np.sum(fate != LEFT)), samples).upper)
     tell("motions from starts in the estimates")
-    tests = failures(system, found, _TESTED, duration, 1)
+    tests = failures(system, found, _TESTED, duration, 1, duration < wanted)
     verdicts = tuple(
         Verdict(e, _covered(e, starts, box, truth), *test)
         for e, test in zip(found, tests, strict=True)
@@ -263,6 +282,7 @@ def inquire(
         samples,
         undecided,
         duration,
+        wanted,
         plane,
         tuple(rests),
         tuple(LABELS[m] for m in tried if m not in {e.method for e in found}),

@@ -73,8 +73,8 @@ def lead(found: Region) -> list[str]:
         )
         said.append(
             f"All motions that begin in a set around {place} are proved to come to rest there "
-            f"({best.estimate.label}). Evaluated on the set, it goes from the equilibrium by {reach}; "
-            "it lies within these bounds and does not fill them: it is no box."
+            f"({best.estimate.label}). Evaluated on the set, it goes from the equilibrium by "
+            f"{reach}; it lies within these bounds and does not fill them: it is no box."
         )
         if best.share is not None:
             said.append(
@@ -235,6 +235,12 @@ def warnings(found: Region) -> list[str]:
             f"{found.undecided} of {found.samples} motions were neither here nor gone for good "
             f"after {found.duration:.0f} s (at rest elsewhere, or still moving), and count as not "
             "attracted."
+        )
+    if found.cut:
+        said.append(
+            f"The slowest mode would need {found.wanted:.0f} s to die away; motions were followed "
+            f"for {found.duration:.0f} s to bound the work, and what had not arrived is undecided: "
+            "it widens the upper end of the share. study.duration sets another time."
         )
     if found.nothing:
         said.append(

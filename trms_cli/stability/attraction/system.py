@@ -29,6 +29,7 @@ from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
@@ -102,7 +103,10 @@ class Around:
 
     @cached_property
     def eigenvalues(self) -> npt.NDArray[np.complex128]:
-        return np.asarray(np.linalg.eigvals(self.A), dtype=np.complex128)
+        """Of the linearisation; where a coefficient switches of the mean of both sides."""
+        A = Linear(self.model).a(self.point.x, self.point.u)
+        kept = list(self.kept)
+        return np.asarray(np.linalg.eigvals(A[np.ix_(kept, kept)]), dtype=np.complex128)
 
     @cached_property
     def curved(self) -> tuple[int, ...]:

@@ -49,12 +49,12 @@ class RegionOfAttraction:
         Boxes that one proof may take.
     samples : int or None
         Random starts, from which the share of the true region is counted. None: 2000, of more than
-        three states 800.
+        three states 500.
     grid : int or None
-        Starts along each side of the figure. None: 61, of more than three states 41.
+        Starts along each side of the figure. None: 61, of more than three states 31.
     duration : float or None
-        s, after which a motion is undecided. None: ten time constants of the slowest mode; 20 s
-        in a loop.
+        s, after which a motion is undecided. None: ten time constants of the slowest mode, at
+        most 240 s, of more than three states 120 s; 20 s in a loop.
     loop_starts : int
         Starts from which the loop itself is run, with controller and observer.
     tolerance : float
