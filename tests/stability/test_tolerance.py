@@ -18,6 +18,8 @@ from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.stability.closed_loop import LoopRun, run_loop
 from trms_cli.stability.loops.impairments import Delay, Delayed, Friction, Gain, impairments_of
+from trms_cli.stability.loops.tolerance import Limits
+from trms_cli.stability.loops.tolerance_findings import _sentence
 from trms_cli.stability.loops.tolerance_search import Tried, searched
 from trms_cli.stability.loops.verdict import Bounds, Verdict
 from trms_cli.stability.studies.margins import Margins
@@ -46,7 +48,19 @@ class TestVerdicts:
         assert kind(0.03 + 0.1 * np.exp(-TIME)) == "rests beside"
         assert kind(0.01 + 0.1 * np.exp(-TIME)) == "settles"
         assert kind(0.3 * np.exp(-0.08 * TIME)) == "dies out"
-        assert kind(0.3 * np.exp(-0.03 * TIME)) == "rests beside"
+
+    def test_an_error_that_shrinks_too_slowly_is_no_rest(self):
+        assert kind(0.3 * np.exp(-0.03 * TIME)) == "still creeping"
+        assert kind(0.05 + 0.3 * np.exp(-0.1 * TIME)) == "still creeping"
+        assert kind(0.05 + 0.3 * np.exp(-0.5 * TIME)) == "rests beside"
+        assert kind(-0.3 * np.exp(0.01 * TIME)) == "rests beside"
+        swinging = 0.4 + 0.15 * np.exp(-0.02 * TIME) * np.cos(0.23 * TIME)
+        assert kind(swinging) == "rests beside"
+        assert kind(0.3 * np.exp(-0.03 * TIME), np.ones_like(STILL)) == "rests beside"
+        both = np.column_stack([0.3 * np.exp(-0.03 * TIME), 0.05 * np.ones_like(TIME)])
+        found = BOUNDS.verdict(both, STILL, False)
+        assert found.kind == "rests beside" and found.axis == 1
+        assert found.calm and not found.back
 
     def test_a_slip_is_no_swing(self):
         assert kind(np.where(TIME < 33, 0.015, -0.005)) == "dies out"
@@ -208,6 +222,18 @@ class TestTheStudy:
         ours, theirs = Tolerance(), Margins()
         assert ours.at == theirs.at
         assert math.isclose(theirs.lowest, 0.1) and theirs.periods == 6
+
+
+def test_a_gain_too_small_is_stood_down_to_a_factor():
+    impairment = Gain(0, "u_v", up=False)
+    found = search((2.0, 4.0), lambda size: size < 1.8, nothing=1.0)
+    told = _sentence(Limits(impairment, found, found, None, True))
+    assert "stood down to ×0." in told and "up to" not in told
+    found = search((2.0, 4.0), lambda size: True, nothing=1.0)
+    told = _sentence(Limits(impairment, found, found, None, True))
+    assert "stood down to ×0.25, the most tried" in told
+    told = _sentence(Limits(Gain(0, "u_v", up=True), found, found, None, True))
+    assert "stood up to ×4" in told
 
 
 class TestBadRequests:

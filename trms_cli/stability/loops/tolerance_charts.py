@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel, Points
+from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points
 from trms_cli.stability.loops.impairments import Class
 from trms_cli.stability.loops.tolerance import Limits, Trial
 from trms_cli.stability.loops.tolerance_search import Tried
+from trms_cli.stability.loops.verdict import Kind
 
 _COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange", "sky")
 _AXES: dict[Class, Axis] = {
@@ -56,7 +57,7 @@ def overview(limits: Sequence[Limits], trial: Trial, condition: str) -> Chart:
     """What is left of the swing and of the error at the end, over each size that was tried."""
     panels = []
     for kind, axis in _AXES.items():
-        marks: list[Mark] = [Line(y=trial.bounds.rest)]
+        marks: list[Mark] = [Line(y=trial.bounds.rest + trial.bounds.swing)]
         chosen = [found for found in limits if found.impairment.kind == kind]
         for i, found in enumerate(chosen):
             marks += _row(found, trial, _COLOURS[i % len(_COLOURS)])
@@ -64,7 +65,7 @@ def overview(limits: Sequence[Limits], trial: Trial, condition: str) -> Chart:
             panels.append(
                 Panel(
                     axis,
-                    Axis("largest error at the end", "rad", log=True),
+                    Axis("error and swing at the end", "rad", log=True),
                     marks,
                     {"delay": "Delay", "gain": "Gain", "friction": "Friction"}[kind],
                 )
@@ -72,8 +73,8 @@ def overview(limits: Sequence[Limits], trial: Trial, condition: str) -> Chart:
     return Chart(
         "tolerance_overview",
         panels,
-        f"Largest error in the last third of each run over what was made worse (stars: where the "
-        f"linear loop becomes unstable; dotted: the bound): {condition}.",
+        f"Mean error plus swing in the last third of each run over what was made worse (stars, on "
+        f"the dotted line of both bounds: where the linear loop becomes unstable): {condition}.",
         columns=len(panels),
         width=4.2,
     )
@@ -86,32 +87,29 @@ def _row(found: Limits, trial: Trial, colour: Colour) -> list[Mark]:
     sizes = np.array([impairment.shown(t.size) for t in tried])
     left = np.array([_left(t, trial) for t in tried])
     marks: list[Mark] = [Curve(sizes, left, impairment.words, colour, width=1.0)]
-    looks = (
-        ("stable", "settles", "dies out"),
-        ("square", "rests beside"),
-        ("cross", "chatters", "swings", "is lost"),
+    looks: tuple[tuple[Marker, str, tuple[Kind, ...]], ...] = (
+        ("stable", "comes back", ("settles",)),
+        ("triangle", "on its way back", ("dies out",)),
+        ("square", "still creeping, or rests beside", ("still creeping", "rests beside")),
+        ("cross", "swings on, or is lost", ("chatters", "swings", "is lost")),
     )
-    for marker, *kinds in looks:
+    for marker, label, kinds in looks:
         chosen = np.array([t.verdict.kind in kinds for t in tried], dtype=bool)
         if chosen.any():
-            label = {
-                "stable": "comes back",
-                "square": "rests beside",
-                "cross": "swings on, or is lost",
-            }
-            marks.append(
-                Points(sizes[chosen], left[chosen], label[marker], marker, colour, size=5)  # type: ignore[arg-type]
-            )
+            marks.append(Points(sizes[chosen], left[chosen], label, marker, colour, size=5))
     if found.predicted is not None and len(sizes):
-        at = impairment.shown(found.predicted)
+        at, bound = impairment.shown(found.predicted), trial.bounds.rest + trial.bounds.swing
         if min(sizes) / 2 < at < 2 * max(sizes):
-            marks.append(Points([at], [trial.bounds.rest], "linear limit", "star", colour))
+            marks.append(Points([at], [bound], "linear limit", "star", colour))
     return marks
 
 
 def _left(tried: Tried, trial: Trial) -> float:
-    """Largest error in the last third, rad; that at which a run is ended for one that was."""
+    """Mean error plus swing of the last third, rad, of the worse angle: what is judged.
+
+    That at which a run is ended for one that was.
+    """
     if tried.run.ended:
         return trial.lost
-    errors = np.abs(trial.errors(tried.run.x))
-    return max(_LEAST, float(errors[-(len(errors) // 3) :].max()))
+    verdict = tried.verdict
+    return max(_LEAST, float((np.abs(verdict.rest) + verdict.swing).max()))

@@ -40,9 +40,11 @@ def findings_of(limits: Sequence[Limits], trial: Trial, margins: Margins) -> Fin
                     f"A loop comes back if, in the last third of {trial.duration:g} s, it rests "
                     f"within {bounds.rest:g} rad of the point and swings by at most "
                     f"{bounds.swing:g} rad (its commands by {100 * bounds.chatter:g} % of half "
-                    "their range), or both still shrink. It stays calm if nothing swings on, "
-                    "wherever it rests. Each limit lies between a size that is stood "
-                    "and one that is not.",
+                    "their range), or the swing shrinks to 80 % of the third before and the error "
+                    "to half. It is still creeping if the error shrinks too slowly for that, and "
+                    "rests beside the point if it does not shrink, or a command stays at its "
+                    "limit. It stays calm if nothing swings on, wherever it rests. Each limit lies "
+                    "between a size that is stood and one that is not.",
                 ],
                 [_table(limits)],
             ),
@@ -74,22 +76,29 @@ def _told(impairment: Impairment, size: float) -> str:
 def _sentence(found: Limits) -> str:
     impairment, above = found.impairment, found.back.above
     name = f"{impairment.words[0].upper()}{impairment.words[1:]}"
+    to = "down to" if impairment.shown(2.0) < impairment.shown(1.0) else "up to"
     if above is None:
-        return f"{name}: stood up to {_told(impairment, found.back.below.size)}, the most tried."
+        return f"{name}: stood {to} {_told(impairment, found.back.below.size)}, the most tried."
     stood = found.back.below.size
     words = (
-        f"stood up to {_told(impairment, stood)}"
+        f"stood {to} {_told(impairment, stood)}"
         if stood != impairment.none
         else "none of the sizes tried is stood"
     )
     verdict = above.verdict.kind
-    said = f"{name}: {words}; at {_told(impairment, above.size)} the loop {verdict}"
-    if verdict == "rests beside":
+    does = "is still creeping" if verdict == "still creeping" else verdict
+    said = f"{name}: {words}; at {_told(impairment, above.size)} the loop {does}"
+    if above.verdict.calm:
         calm = found.calm
         said += (
-            f" the point, and swings from {_told(impairment, calm.above.size)} on"
+            " the point"
+            if verdict == "rests beside"
+            else f" towards the point after {above.run.time[-1]:.0f} s"
+        )
+        said += (
+            f", and swings from {_told(impairment, calm.above.size)} on"
             if calm.above is not None
-            else " the point, but does not swing at any size tried"
+            else ", but does not swing at any size tried"
         )
     if found.back.again:
         again = ", ".join(_told(impairment, size) for size in found.back.again)

@@ -14,13 +14,19 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-Kind = Literal["settles", "dies out", "rests beside", "chatters", "swings", "is lost"]
+Kind = Literal[
+    "settles", "dies out", "still creeping", "rests beside", "chatters", "swings", "is lost"
+]
 #: Crossings of its mean in the last two thirds that a swing has at the least: a start from where
 #: friction held an axis has fewer.
 _CROSSINGS = 4
 #: Of one third to the next: a swing that keeps more than this part does not die out, and an error
 #: that does is not on its way back; it may come to rest anywhere.
 _SHRINKS, _RETURNS = 0.8, 0.5
+#: Of one sixth of the run to the next: a mean error that keeps more does not creep on.
+_STILL = 0.98
+#: Share of half its range from which a command is at its limit.
+_LIMIT = 1 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -30,9 +36,10 @@ class Verdict:
     Attributes
     ----------
     kind : str
-        ``settles``: within the bounds; ``dies out``: not yet, but getting there; ``rests beside``
-        the point; ``chatters``: commands swing on, too fast to be seen in the angles; ``swings``
-        on; ``is lost``: it went too far from the point.
+        ``settles``: within the bounds; ``dies out``: not yet, but getting there; ``still
+        creeping``: beyond the bounds, but closer and closer, too slowly for the run to show where
+        to; ``rests beside`` the point; ``chatters``: commands swing on, too fast to be seen in
+        the angles; ``swings`` on; ``is lost``: it went too far from the point.
     rest : (n_r,) array
         Mean error in the last third, rad.
     swing : (n_r,) array
@@ -106,11 +113,20 @@ class Bounds:
         away = np.abs(rest)
         beside = (away > self.rest) & (away > _RETURNS * np.abs(rest_before))
         if beside.any():
-            return Verdict(
-                "rests beside", rest, swing, int(np.argmax(np.where(beside, away, -1.0)))
-            )
+            # with a command at its limit for good, nothing pushes on towards the point
+            spent = bool(np.all(np.abs(commands[-third:]) >= _LIMIT, axis=0).any())
+            resting = beside & (spent | ~_creeps(errors[-2 * third :]))
+            kind: Kind = "rests beside" if resting.any() else "still creeping"
+            shown = resting if resting.any() else beside
+            return Verdict(kind, rest, swing, int(np.argmax(np.where(shown, away, -1.0))))
         settled = bool(np.all((away <= self.rest) & (swing <= self.swing)))
         return Verdict("settles" if settled else "dies out", rest, swing, worst)
+
+
+def _creeps(errors: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which of (n, m) mean errors shrink from each quarter to the next, (m,)."""
+    means = np.array([np.abs(part.mean(axis=0)) for part in np.array_split(errors, 4)])
+    return np.asarray(np.all(means[1:] < _STILL * means[:-1], axis=0))
 
 
 def _swings_on(values: FloatArray, bound: float) -> npt.NDArray[np.bool_]:

@@ -134,8 +134,10 @@ class Tolerance:
 
     def _require_back(self, nothing: Tried, where: str) -> None:
         if not nothing.verdict.back:
+            does = nothing.verdict.kind
+            does = "is still creeping" if does == "still creeping" else f"{does} already"
             raise ConfigurationError(
-                f"with nothing wrong, the loop {nothing.verdict.kind} already ({where})",
+                f"with nothing wrong, the loop {does} ({where})",
                 where="offset",
                 remedy="start closer to the point (study.offset.alpha_v=-0.05), run longer "
                 "(study.duration), allow more (study.rest, study.swing), or let the observer "
