@@ -17,6 +17,7 @@ from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
+from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
@@ -104,6 +105,42 @@ def test_an_unstable_equilibrium_is_told_by_how_fast_it_grows(hover):
     assert saddle == f"doubles in {np.log(2) / growth:.3g} s"
 
 
+def test_names_near_the_right_edge_are_short(hover):
+    window = {"alpha_v": (-1.0, 2.0)}
+    inside, edge = (
+        {mark.label: mark.names for mark in marks(findings, Points)}["saddle"]
+        for findings in (hover, found(at={"alpha_v": 0.0}, starts=1, duration=1.0, window=window))
+    )
+    assert inside == ("1.9",) and edge == ()
+
+
+def test_no_trajectory_has_the_colour_of_a_nullcline():
+    findings = found(at={"alpha_v": 0.0}, starts=12, duration=5.0)
+    moving = {c.colour for c in marks(findings, Curve) if c.label == "still moving at the end"}
+    others = {c.colour for c in marks(findings, Curve) if c.label != "still moving at the end"}
+    assert len(moving) == 1
+    assert not moving & ({mark.colour for mark in marks(findings, Contour)} | others)
+
+
+def test_a_sticking_set_under_its_marker_is_told_in_the_caption():
+    rubbing = extended(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.0005)})
+    findings = found(rubbing, starts=2)
+    assert findings.results["sticking"]
+    assert not any("dry friction holds" in curve.label for curve in marks(findings, Curve))
+    assert "Too short to be seen" in findings.charts[0].caption
+
+
+def test_commands_are_those_that_reach_the_motor():
+    # The drive loses a tenth of its gain under load: the equations know nothing of it.
+    derated = extended(
+        VERTICAL, {"weak": SupplyDerating(rotor="main", depth=0.1, time_constant=0.0)}
+    )
+    findings = found(derated, at={"alpha_v": 0.0}, starts=({"alpha_v": 0.3},), duration=150.0)
+    assert "u_v = 1.413 V: a stable focus at α_v = 0 rad" in findings.lead[0]
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "rest" and end["at"]["alpha_v"] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_projection_is_told():
     findings = found(Newtonian(), states=("alpha_v", "alpha_h"), at={"alpha_v": 0.0}, starts=3)
     assert "A projection" in findings.charts[0].caption
@@ -150,7 +187,7 @@ def test_a_line_of_rest_points_is_one_end():
 
 
 def test_dry_friction_takes_the_separatrices_away():
-    rubbing = extended(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.005)})
+    rubbing = extended(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.02)})
     findings = found(rubbing, at={"alpha_v": 0.0}, starts=4)
     assert findings.results["separatrices"] == 0 and findings.results["sticking"]
     assert any("dry friction holds α_v" in curve.label for curve in marks(findings, Curve))

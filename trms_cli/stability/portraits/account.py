@@ -57,7 +57,7 @@ def label(section: Section, end: End) -> str:
         return f"comes to rest at {place(section, end.rest)}"
     if end.what == "held":
         assert end.held is not None
-        return f"comes to rest where dry friction holds {_held(section, end.held)}"
+        return f"comes to rest where dry friction holds {held_words(section, end.held)}"
     return {
         "line": "comes to rest on the line of rest points",
         "rest outside": "comes to rest outside the window",
@@ -68,7 +68,7 @@ def label(section: Section, end: End) -> str:
     }[end.what]
 
 
-def _held(section: Section, held: StickingSet) -> str:
+def held_words(section: Section, held: StickingSet) -> str:
     """``α_v, α_v from −0.648 to −0.591 rad``."""
     item = section.coordinates.items[held.along]
     low, high = (short(value) for value in held.reach)
@@ -143,13 +143,13 @@ def lead_of_model(told: Told) -> list[str]:
     lead += _beyond_stops(section, saddles)
     lines = [held for held in picture.sticking if _rests_along(section, held)]
     if lines:
-        sets = " and ".join(_held(section, held) for held in lines)
+        sets = " and ".join(held_words(section, held) for held in lines)
         lead.append(
             f"Dry friction holds {sets}: trajectories end anywhere on such a line, not at a point."
         )
     lead += [
-        f"Dry friction holds {_held(section, held)}: a trajectory that gets there goes on along "
-        "that line, if at all."
+        f"Dry friction holds {held_words(section, held)}: a trajectory that gets there goes on "
+        "along that line, if at all."
         for held in picture.sticking
         if held not in lines
     ]

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from trms_cli.stability.portraits.account import Told, commands, short
+from trms_cli.stability.portraits.account import Told, commands, held_words, short
 from trms_cli.stability.portraits.coordinates import symbol
-from trms_cli.stability.portraits.drawing import has_field
+from trms_cli.stability.portraits.drawing import has_field, is_hidden
 
 
 def caption(told: Told) -> str:
     """A sentence or two under the figure."""
+    picture = told.picture
+    hidden = [held for held in picture.sticking if is_hidden(picture, held)]
+    sets = " and ".join(held_words(picture.section, held) for held in hidden)
+    end = f" Too short to be seen at its marker: dry friction holds {sets}." if hidden else ""
+    return f"{_of_the_plane(told)}{end}"
+
+
+def _of_the_plane(told: Told) -> str:
+    """What the axes are, and how exact."""
     section = told.picture.section
     coordinates = section.coordinates
     plane = ", ".join(item.label for item in coordinates.items)

@@ -39,16 +39,24 @@ _TO_THE_END = 4
 #: Rest points beyond which their places are not written beside them.
 _MOST_NAMES = 6
 _FLOW_GRID, _NULLCLINE_GRID = 41, 101
-_AT_REST: tuple[Colour, ...] = ("blue", "green", "sky", "purple")
-_ELSEWHERE: dict[str, Colour] = {
+#: Of the two nullclines; where these are drawn no trajectory has one of their colours.
+_NULLCLINES: tuple[Colour, Colour] = ("green", "purple")
+#: What trajectories take where the usual colour of their end is taken.
+_OTHERWISE: tuple[Colour, ...] = ("sky", "yellow", "green", "purple", "orange", "vermilion", "blue")
+_USUAL: dict[str, Colour] = {
+    "rest": "blue",
     "held": "blue",
     "line": "blue",
     "rest outside": "orange",
     "turning": "vermilion",
     "gone": "vermilion",
-    "moving": "purple",
-    "stuck": "sky",
+    "moving": "sky",
+    "stuck": "yellow",
 }
+#: Share of a window's width that the marker of a rest point covers.
+_MARKER = 0.015
+#: Shares of a window's width to its right edge in which a name has no room, and only its value.
+_NO_ROOM, _LITTLE_ROOM = 0.06, 0.15
 
 
 @dataclass(frozen=True)
@@ -105,11 +113,22 @@ def portrait(picture: Picture, name: str, caption: str) -> Chart:
     marks += _trajectories(picture)
     marks += _manifolds(picture)
     marks += [
-        _curve(s.c, f"dry friction holds {s.what}", "alarm", width=4.5) for s in picture.sticking
+        _curve(s.c, f"dry friction holds {s.what}", "alarm", width=4.5)
+        for s in picture.sticking
+        if not is_hidden(picture, s)
     ]
     marks += _rest_points(picture)
     panel = Panel(axes[0], axes[1], marks, z=axes[2] if in_space else None)
     return Chart(name, [panel], caption, columns=1, width=5.6 if in_space else 6.6, height=4.8)
+
+
+def is_hidden(picture: Picture, held: StickingSet) -> bool:
+    """Whether a sticking set is shorter than the marker of a rest point that lies on it."""
+    width = np.ptp(picture.window, axis=1)
+    low, high = held.reach
+    return (high - low) / width[held.along] < _MARKER and any(
+        held.holds(rest.c, 0.5 * _MARKER * width) for rest in picture.rests
+    )
 
 
 def has_field(section: Section, window: FloatArray) -> bool:
@@ -130,12 +149,11 @@ def _field(picture: Picture) -> list[Mark]:
     x, y, rates = _on_grid(section, window, _FLOW_GRID)
     marks: list[Mark] = [Flow(x, y, rates[..., 0], rates[..., 1], "grey", 0.9)]
     x, y, rates = _on_grid(section, window, _NULLCLINE_GRID)
-    colours: tuple[Colour, Colour] = ("green", "purple")
     for place, item in enumerate(section.coordinates.items):
         values = rates[..., place]
         if np.nanmin(values) < 0 < np.nanmax(values):
             label = f"{item.rate_label} = 0"
-            marks.append(Contour(x, y, values, [0.0], label, colours[place], "dashed", 1.2))
+            marks.append(Contour(x, y, values, [0.0], label, _NULLCLINES[place], "dashed", 1.2))
     return marks
 
 
@@ -161,13 +179,12 @@ def _stops(picture: Picture) -> list[Mark]:
 
 
 def _trajectories(picture: Picture) -> list[Mark]:
-    colours = iter(_AT_REST)
+    colours = _colours(picture)
     in_space = len(picture.section.coordinates) == 3
     usual = np.inf if picture.loop else _LONGEST_IN_SPACE if in_space else _LONGEST
     marks: list[Mark] = []
     starts: list[FloatArray] = []
-    for end, label in zip(picture.ends, picture.labels, strict=True):
-        colour: Colour = next(colours, "blue") if end.what == "rest" else _ELSEWHERE[end.what]
+    for end, label, colour in zip(picture.ends, picture.labels, colours, strict=True):
         for place, number in enumerate(end.members):
             # Where friction holds them is what matters: some are drawn to their end.
             longest = np.inf if end.what == "held" and place < _TO_THE_END else usual
@@ -181,6 +198,24 @@ def _trajectories(picture: Picture) -> list[Mark]:
     c = np.array(starts)
     marks.append(_points(c, "start", "dot", "grey", 3.0))
     return marks
+
+
+def _colours(picture: Picture) -> list[Colour]:
+    """One for the trajectories of each end, none of them that of something else in the figure."""
+    taken: set[Colour] = set()
+    if picture.loop:
+        taken.add("orange")  # a command at its bound
+    elif len(picture.section.coordinates) == 2:
+        taken.update(_NULLCLINES)
+    if any(path.surface for path in picture.separatrices):
+        taken.add("orange")
+    found: list[Colour] = []
+    for end in picture.ends:
+        usual = _USUAL[end.what]
+        free = [colour for colour in (usual, *_OTHERWISE) if colour not in taken]
+        found.append(free[0] if free else usual)
+        taken.add(found[-1])
+    return found
 
 
 def _manifolds(picture: Picture) -> list[Mark]:
@@ -222,18 +257,22 @@ def _rest_points(picture: Picture) -> list[Mark]:
         label = rest.kind if rest.in_section else f"{rest.kind}, beside the section"
         shown = _points(rest.c[None], label, marker, "ink" if rest.in_section else "grey", 7.0)
         if len(picture.rests) <= _MOST_NAMES:
-            shown = replace(shown, names=(_name(section, rest),))
+            room = (picture.window[0, 1] - rest.c[0]) / np.ptp(picture.window[0])
+            name = _name(section, rest, short=room < _LITTLE_ROOM)
+            if room >= _NO_ROOM or rest.c.size == 3:
+                shown = replace(shown, names=(name,))
         marks.append(shown)
     return marks
 
 
-def _name(section: Section, rest: RestPoint) -> str:
-    """``α_v = 1.9``: by an angle where there is one."""
+def _name(section: Section, rest: RestPoint, *, short: bool) -> str:
+    """``α_v = 1.9``, or ``1.9``: by an angle where there is one."""
     items = section.coordinates.items
     places = [place for place, item in enumerate(items) if not item.is_rate]
     place = min(places, key=lambda place: items[place].unit != "rad")
     value = float(rest.c[place])
-    return f"{items[place].label} = {'0' if abs(value) < 5e-4 else f'{value:.3g}'}"
+    words = "0" if abs(value) < 5e-4 else f"{value:.3g}"
+    return words if short and len(items) == 2 else f"{items[place].label} = {words}"
 
 
 def _clipped(c: FloatArray, window: FloatArray) -> FloatArray:
