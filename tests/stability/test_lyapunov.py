@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,7 +19,9 @@ from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
 from trms_cli.stability.findings import Findings
+from trms_cli.stability.lyapunov import told
 from trms_cli.stability.lyapunov.certificate import Certificate, certified
+from trms_cli.stability.lyapunov.claims import Claim, identity_residual
 from trms_cli.stability.lyapunov.seen import motions, on_level, random_directions
 from trms_cli.stability.lyapunov.subject import rig_of
 from trms_cli.stability.operating_point import operating_point
@@ -219,3 +222,50 @@ def test_a_command_beyond_the_fold_is_told() -> None:
 def test_a_saddle_is_told() -> None:
     with pytest.raises(ModelError, match="crest"):
         run(Newtonian(freedom="vertical"), at={"alpha_v": 1.0})
+
+
+@pytest.mark.parametrize("pitch", [0.93, 0.95])
+def test_beside_the_fold_the_saddle_ends_the_sets_and_not_a_stop_beyond_it(pitch: float) -> None:
+    found = certificate_of("vertical", (("alpha_v", pitch),))
+    assert found.holds and found.bounded_by == "the saddle"
+    assert 0.0 < found.inner < found.outer
+    # G [cos β − cos(β + d) − sin β d] at the crest, β = ᾱ + δ, d = π − 2β.
+    gravity = found.found.candidate.energy.gravity
+    beta = pitch + math.atan2(-gravity[0], -gravity[1])
+    d = math.pi - 2 * beta
+    barrier = math.hypot(*gravity) * (2 * math.cos(beta) - math.sin(beta) * d)
+    assert found.outer <= barrier
+    # The well is taken to end 1e-4 rad before the crest.
+    assert found.outer == pytest.approx(barrier, rel=0.02)
+
+
+def test_the_derivation_is_checked_at_rest_and_a_wrong_one_fails() -> None:
+    found = certificate_of("vertical", ())
+    assert found.holds
+    candidate = found.found.candidate
+    assert identity_residual(candidate, 0) < 1e-10
+    other = candidate.weighted(candidate.weights)
+    wrong = replace(candidate.weights, rotor_v=candidate.weights.rotor_v * (1 + 1e-6))
+    other.derivative = candidate.weighted(wrong).derivative  # type: ignore[method-assign]
+    assert identity_residual(other, 0) > 1e-8
+
+
+def test_the_lead_says_first_what_does_not_hold_and_claims_nothing_on_it() -> None:
+    sound = certificate_of("vertical", ())
+    rig = rig_of(Subject(MODELS["vertical"](), "vertical"))
+    point = operating_point(rig.model, {})
+    assert "is a Lyapunov function on N" in told.lead(sound, rig, point, -1.0)[0]
+    failed = Claim("seen", "V falls", "failed", "")
+    said = told.lead(sound, rig, point, -1.0, (failed,))
+    assert "not shown" in said[0] and "“V falls” (failed)" in said[0]
+    assert not any("no motion leaves" in line for line in said)
+
+
+def test_without_an_inner_set_there_is_none_in_words_and_data() -> None:
+    sound = certificate_of("vertical", ())
+    none = replace(sound, inner=0.0, bounded_by="the stop alpha_v = 1.05 rad")
+    rig = rig_of(Subject(MODELS["vertical"](), "vertical"))
+    point = operating_point(rig.model, {})
+    assert any("There is no N′" in line for line in told.lead(none, rig, point, -1.0))
+    data = told.data(none, point, np.array([-1.0 + 0j]), ())
+    assert data["N_prime"]["level"] is None and data["N_prime"]["extent"] is None

@@ -34,7 +34,7 @@ class Certificate:
     outer : float
         N is the part of {V < outer} about the equilibrium, J; 0: none is proved.
     inner : float
-        N′ is the part of {V <= inner} about it, J.
+        N′ is the part of {V <= inner} about it, J; 0: there is none.
     bounded_by : str
         What ends N′: ``the saddle``, ``the stop alpha_v = 1.05 rad``, ``the decay of V``.
     rising : Rising or None
@@ -118,7 +118,7 @@ def certified(
     ]
     proved = min(outer, found.level)
     made.append(claims.of_falling(found, proved, rising))
-    if proved > 0.0:
+    if proved > 0.0 and inner > 0.0:
         made.append(claims.of_invariance(found, inner, bounded_by))
         made.append(claims.of_attraction(found, rig.dry))
     return Certificate(found, whole, outer, inner, bounded_by, rising, tuple(made))
@@ -126,8 +126,10 @@ def certified(
 
 def _inner(found: Found, outer: float) -> tuple[float, str]:
     """The level of N′, and what ends it."""
-    stop, name = stop_level(found.candidate)
+    stop, name = stop_level(found.candidate, found.wells.ends)
     proved = min(outer, found.level)
+    if stop <= 0.0 or proved <= 0.0:
+        return 0.0, f"the stop {name}" if stop <= 0.0 else "the decay of V"
     if stop <= proved * (1.0 + 1e-9):
         return _INSIDE * stop, f"the stop {name}"
     if proved >= found.wells.depth * (1.0 - 1e-9):

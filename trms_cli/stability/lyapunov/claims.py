@@ -183,6 +183,13 @@ def of_falling(found: Found, level: float, rising: Rising | None) -> Claim:
             "failed",
             f"V̇ = {rising.derivative:.3g} W at a state with V = {rising.value:.3g} J",
         )
+    if found.wells.depth <= 0.0:
+        return Claim(
+            "falls",
+            "V̇ < 0 on a level set in the well",
+            "open",
+            "the barrier is lower than its bounds are wide: no level below it is known",
+        )
     return Claim("falls", "V̇ <= 0 about the equilibrium", "open", "Q is not definite at rest")
 
 

@@ -19,6 +19,9 @@ from trms_cli.stability.lyapunov.energy import Energy
 
 FloatArray = npt.NDArray[np.float64]
 
+#: Newton steps from the guess, and how far they may lead away from it, as a share of 1 + |value|.
+#: What a solver leaves of a moment at the equilibrium would be a term of V̇ that is not in −zᵀQz.
+_STEPS, _AWAY = 5, 1e-6
 #: Half widths that are tried, as shares of 1 + |value|.
 _WIDTHS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 
@@ -71,6 +74,7 @@ def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> I
     exact = _at(function, Interval.point(0.0), *given)
     if abs(guess) < 1e-9 and abs(exact.lower) < 1e-300 and abs(exact.upper) < 1e-300:
         return Interval.point(0.0)  # nothing drives it: exactly zero
+    guess = _polished(function, guess, *(v.middle for v in given))
     for width in _WIDTHS:
         reach = width * (1.0 + abs(guess))
         low, high = (_at(function, Interval.point(guess + d), *given) for d in (-reach, reach))
@@ -88,3 +92,21 @@ def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> I
         where="study.at",
         remedy="choose one away from the fold, where the restoring moment still rises",
     )
+
+
+def _polished(function: ca.Function, guess: float, *given: FloatArray) -> float:
+    """The zero near a guess to the last digits; the guess where Newton's steps lead away."""
+    symbols = [ca.SX.sym(f"a{i}") for i in range(function.n_in())]
+    value = function(*symbols)
+    slope = ca.Function("slope", symbols, [value, ca.jacobian(value, symbols[0])])
+    at, best, least = guess, guess, float("inf")
+    for _ in range(_STEPS):
+        left, rate = (float(part) for part in slope(at, *(float(g) for g in given)))
+        if abs(left) < least:
+            best, least = at, abs(left)
+        if left == 0.0 or rate == 0.0:
+            break
+        at -= left / rate
+        if abs(at - guess) > _AWAY * (1.0 + abs(guess)):
+            break
+    return best

@@ -195,9 +195,15 @@ class Energy:
         """U of an axis, zero at the equilibrium, J.
 
         The thrust's moment is what the restoring moment is at the equilibrium, so that U' vanishes
-        there by its form.
+        there by its form. Pitch is written by the deviation, α̃: ``U'' (1 − cos α̃) − U' (α̃ − sin
+        α̃)`` with both at the equilibrium, without the thrust; near the fold, where the barrier is
+        lower than what rounding leaves of a difference of potentials, nothing else has bounds.
         """
         at, rest = self.part("alpha", axis), self.part("alpha", axis, self.rest)
+        if axis == "v":
+            away = at - rest
+            curved = 2.0 * self.stiffness(axis, rest) * ca.sin(0.5 * away) ** 2
+            return curved - self.restoring(axis, rest) * (away - ca.sin(away))
         return (
             self.potential(axis, at)
             - self.potential(axis, rest)

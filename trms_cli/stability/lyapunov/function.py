@@ -37,6 +37,7 @@ class Candidate:
         self.slopes = Slopes(energy, self.rest)
         self._moving = Enclosure(energy.moving)
         self._well = {a: Enclosure(energy.alone(energy.well(a), "alpha", a)) for a in energy.axes}
+        self._well_by_rest = {a: _turned(self._well[a].function) for a in energy.axes if a == "v"}
         self._store = {
             a: Enclosure(energy.alone(energy.stored(a), "omega", a)) for a in energy.axes
         }
@@ -202,8 +203,10 @@ class Candidate:
         farthest = abs(end - rest)
         distance = _smallest(lambda d: value(d) >= level, farthest)
         # Numbers propose, bounds decide.
+        further = 1e-6
         while distance < farthest and self._row(row, rest + side * distance) < level:
-            distance = min(distance * (1.0 + 1e-6), farthest)
+            distance = min(distance * (1.0 + further), farthest)
+            further *= 2.0  # at very low levels the bounds of the equilibrium are what is left
         return rest + side * distance
 
     def well_at(self, axis: str, angle: float) -> float:
@@ -224,8 +227,20 @@ class Candidate:
         j = self.energy.index("alpha" if row < 2 + self.energy.k else "omega", a)
         function, weight = self._term(row)
         rest = Interval(self.rest.lower[j : j + 1], self.rest.upper[j : j + 1])
-        found = function(Interval.point(np.array([[state]])), rest)
-        return float(found[0].lower[0, 0]) * weight * (1.0 - 1e-12)
+        at = Interval.point(np.array([[state]]))
+        lower = float(function(at, rest)[0].lower[0, 0])
+        if row < 2 + self.energy.k and a == "v":
+            # Near the fold a well is shallower than the bounds of the equilibrium are wide, if
+            # these are not followed through the differences: by the mean value form they are.
+            among = Interval(rest.lower[None], rest.upper[None])
+            lower = max(lower, float(self._well_by_rest[a].mean_value(among, at).lower[0, 0]))
+        return lower * weight * (1.0 - 1e-12 * np.sign(lower))
+
+
+def _turned(function: ca.Function) -> Enclosure:
+    """A well as a function of the place at rest first."""
+    state, at_rest = ca.SX.sym("state"), ca.SX.sym("at_rest")
+    return Enclosure(ca.Function("by_rest", [at_rest, state], [function(state, at_rest)]))
 
 
 def _smallest(passed: Callable[[float], bool], farthest: float) -> float:

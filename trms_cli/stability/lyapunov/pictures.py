@@ -219,14 +219,18 @@ def _rates(certificate: Certificate, axis: str, display: float) -> Panel:
     rate = candidate.derivative(candidate.states(flat)).reshape(_GRID, _GRID)
     value = candidate.value(flat).reshape(_GRID, _GRID)
     marks = _sets(certificate, x, y, value, np.ones(_GRID, dtype=bool))
-    scale = float(-rate.min())
+    # The decay −V̇: the minus sign of a negative level is lost in the line that it stands on.
+    fastest = float(-rate.min())
+    factor, unit = next(
+        (f, u) for f, u in ((1.0, "W"), (1e3, "mW"), (1e6, "µW")) if f * fastest >= 1.0 or f == 1e6
+    )
     marks.append(
         Contour(
             x,
             y,
-            1e3 * rate,
-            [float(f"{-1e3 * scale * s:.2g}") for s in (0.6, 0.3, 0.1, 0.03, 0.01)],
-            "V̇ [mW]",
+            -factor * rate,
+            [float(f"{factor * fastest * s:.2g}") for s in (0.6, 0.3, 0.1, 0.03, 0.01)],
+            f"decay −V̇ [{unit}]",
             "purple",
             width=1.0,
             numbers=True,
@@ -239,7 +243,7 @@ def _rates(certificate: Certificate, axis: str, display: float) -> Panel:
         Axis(_name(first), _UNIT[first[0]], (float(x[0]), float(x[-1]))),
         Axis(_name(second), _UNIT[second[0]], (float(y[0]), float(y[-1]))),
         marks,
-        "V̇ over rotor speed and rate",
+        "Decay −V̇ over rotor speed and rate",
     )
 
 

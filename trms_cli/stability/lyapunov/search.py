@@ -75,9 +75,11 @@ def searched(energy: Energy, x: FloatArray, strict: bool, budget: int) -> Found:
     first = Candidate(energy, x, rotor_weights(energy, 1.05))
     wells = wells_of(first)
     ceiling = wells.depth
+    if ceiling <= 0.0:  # the barrier is not bounded away from zero: nothing can be proved
+        return Found(first, wells, Falling(0.0, math.inf, None, 0), 0.0)
     if not math.isfinite(ceiling):
         stop, _ = stop_level(first)
-        ceiling = stop if math.isfinite(stop) else _DEEPEST
+        ceiling = stop if math.isfinite(stop) and stop > 0.0 else _DEEPEST
     best, best_volume, best_level = first, -math.inf, 0.0
     for choices in (_choices(energy, strict), _choices(energy, strict, _HEAVY)):
         for weights in choices:

@@ -78,14 +78,24 @@ def _at_rest(candidate: Candidate) -> Interval:
 
 
 def lead(
-    certificate: Certificate, rig: Rig, point: OperatingPoint, growth: float
+    certificate: Certificate,
+    rig: Rig,
+    point: OperatingPoint,
+    growth: float,
+    further: tuple[Claim, ...] = (),
 ) -> tuple[str, ...]:
-    """The answer."""
+    """The answer; what is not shown comes first, and nothing is said that rests on it."""
     found, words = certificate.found, point.words(rig.model)
     kind = "strict function" if found.candidate.weights.strict else "energy"
     if certificate.outer <= 0.0:
-        said = [f"At {words} the {kind} is no Lyapunov function: about the equilibrium V rises."]
-        if certificate.rising is not None:
+        if certificate.rising is None:
+            said = [
+                f"At {words} it is not proved that the {kind} is a Lyapunov function on any set."
+            ]
+        else:
+            said = [
+                f"At {words} the {kind} is no Lyapunov function: about the equilibrium V rises."
+            ]
             said.append(
                 f"At a state with V = {certificate.rising.value:.3g} J, V̇ = "
                 f"{certificate.rising.derivative:.3g} W."
@@ -102,6 +112,14 @@ def lead(
             )
         return tuple(said)
     said = []
+    unshown = [claim for claim in (*certificate.claims, *further) if not claim.holds]
+    if unshown:
+        which = "; ".join(f"“{claim.statement}” ({claim.how})" for claim in unshown)
+        return (
+            f"At {words} it is not shown that the {kind} is a Lyapunov function on the sets below. "
+            f"What does not hold, or is left open: {which}.",
+            f"The levels that were found, {_level(certificate)}, count only if that is settled.",
+        )
     if certificate.everywhere:
         said.append(
             f"At {words} the equilibrium is globally asymptotically stable: the {kind} falls at "
@@ -113,6 +131,12 @@ def lead(
             f"{certificate.outer:.4g} J}} about the equilibrium; what ends N is "
             f"{_end_of_outer(certificate)}."
         )
+    if certificate.inner <= 0.0:
+        said.append(
+            f"There is no N′: the equilibrium is at {certificate.bounded_by} or beyond it, so that "
+            "no set about it keeps clear of the stop."
+        )
+        return tuple(said)
     ends = f"below {certificate.bounded_by}" if certificate.bounded_by[:3] == "the" else ""
     goal = "comes to rest where friction holds it" if rig.dry else "goes to the equilibrium"
     said.append(
@@ -125,6 +149,12 @@ def lead(
             "function can prove nothing."
         )
     return tuple(said)
+
+
+def _level(certificate: Certificate) -> str:
+    outer = f"V < {certificate.outer:.4g} J" if math.isfinite(certificate.outer) else "all states"
+    inner = f"V <= {certificate.inner:.4g} J" if certificate.inner > 0.0 else "none"
+    return f"N: {outer}, N′: {inner}"
 
 
 def _end_of_outer(certificate: Certificate) -> str:
@@ -211,14 +241,14 @@ def data(
         "formula": formula(found.candidate),
         "N": {"everywhere": certificate.everywhere, "level": finite},
         "N_prime": {
-            "level": certificate.inner,
-            "bounded_by": certificate.bounded_by,
+            "level": certificate.inner if certificate.inner > 0.0 else None,
+            "bounded_by": certificate.bounded_by if certificate.outer > 0.0 else None,
             "extent": {k: list(v) for k, v in extent(certificate).items()}
             if certificate.inner > 0.0
             else None,
         },
         "well": {
-            "depth": found.wells.depth if math.isfinite(found.wells.depth) else None,
+            "depth": found.wells.depth if 0.0 < found.wells.depth < math.inf else None,
             "saddles": list(found.wells.saddles) if found.wells.saddles else None,
         },
         "boxes": found.falling.examined,

@@ -94,16 +94,28 @@ def _rises(candidate: Candidate, axis: str, rest: float, lower: float, upper: fl
     return found
 
 
-def stop_level(candidate: Candidate) -> tuple[float, str]:
+def stop_level(candidate: Candidate, ends: Interval | None = None) -> tuple[float, str]:
     """The lowest level of V at which an angle may reach a mechanical stop, J, and that stop.
 
-    Infinite for a model without stops. The wells must rise up to there.
+    Infinite for a model without stops; zero or less where the equilibrium is at a stop or beyond
+    it. The wells must rise up to there.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    ends : Interval, optional
+        (k,), where the wells end: a stop beyond a crest is not in the well, and bounds nothing.
     """
     lowest, name = math.inf, ""
-    for a in candidate.energy.axes:
+    for i, a in enumerate(candidate.energy.axes):
         stop = candidate.energy.model.stops[f"alpha_{a}"]
+        rest = float(candidate.centre[candidate.energy.index("alpha", a)])
         for end in (-stop, stop):
-            level = candidate.well_at(a, end) if math.isfinite(end) else math.inf
+            if not math.isfinite(end):
+                continue
+            if ends is not None and not float(ends.lower[i]) <= end <= float(ends.upper[i]):
+                continue
+            level = candidate.well_at(a, end) if abs(rest) < stop else 0.0
             if level < lowest:
                 lowest, name = level, f"alpha_{a} = {end:.4g} rad"
     return lowest, name

@@ -86,7 +86,7 @@ class Lyapunov:
         certificate = certified(rig, point, self.function, self.budget, self.seed, tell)
         found = certificate.found
         candidate, wells = found.candidate, found.wells
-        shown = certificate.inner or _SHOWN * min(wells.depth, 1.0)
+        shown = certificate.inner or _SHOWN * (min(wells.depth, 1.0) if wells.depth > 0.0 else 1e-9)
         tell("motions")
         starts = on_level(
             candidate, wells, shown, random_directions(candidate, self.starts, self.seed)
@@ -101,7 +101,7 @@ class Lyapunov:
         poles = _eigenvalues(rig, point)
         return Findings(
             "Lyapunov function",
-            told.lead(certificate, rig, point, float(poles.real.max())),
+            told.lead(certificate, rig, point, float(poles.real.max()), further),
             _sections(certificate, further, seen, paths, shown),
             told.data(certificate, point, poles, further),
             _warnings(certificate, rig),
@@ -136,7 +136,7 @@ def _sections(
         sets.append(told.extent_table(certificate))
     sets += [
         pictures.plane_chart(certificate, paths, display),
-        pictures.decay_chart(seen, certificate.inner > 0.0),
+        pictures.decay_chart(seen, bool(further) and all(claim.holds for claim in further)),
     ]
     return [
         Section(
@@ -164,6 +164,11 @@ def _sections(
 def _about_sets(certificate: Certificate) -> tuple[str, ...]:
     if certificate.outer <= 0.0:
         return ("There are none: the figures show the level set of a function that fails.",)
+    if certificate.inner <= 0.0:
+        return (
+            "N: V is positive but at the equilibrium and falls. There is no N′: no closed level "
+            "set keeps clear of the mechanical stops.",
+        )
     return (
         "N: V is positive but at the equilibrium and falls. N′: the closed level set within N that "
         "no motion leaves, and that keeps clear of the mechanical stops where N does not.",
