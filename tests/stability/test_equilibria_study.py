@@ -7,7 +7,7 @@ import json
 import pytest
 
 from trms_cli.controllers.lqr import Lqr
-from trms_cli.core.chart import as_data
+from trms_cli.core.chart import Note, as_data
 from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
 from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import ExtendedModel
@@ -78,6 +78,8 @@ def test_figures_are_made(found: Findings) -> None:
     assert [panel["y"]["label"] for panel in drawn["panels"]] == ["α_v", "ω_v"]
     labels = {mark.get("label") for mark in drawn["panels"][0]["marks"]}
     assert {"stable", "unstable", "proved", "fold", "stop"} <= labels
+    notes = {m.text: m for m in charts["equilibria_u_v"].panels[0].marks if isinstance(m, Note)}
+    assert notes["hover"].x > 1.413 and notes["hover"].y < -0.1  # beneath a curve that rises
 
 
 def test_results_are_json_with_all_that_was_found(found: Findings) -> None:

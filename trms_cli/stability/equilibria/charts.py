@@ -26,6 +26,8 @@ _MARKS: dict[Kind, tuple[str, draw.Marker, draw.Colour]] = {
     "crossing": ("curves cross", "cross", "ink"),
 }
 _VARIES = 1e-6
+#: Where a name stands beside its point, as shares of the panel: to the right, beneath, above.
+_ASIDE, _BELOW, _ABOVE = 0.025, 0.065, 0.03
 
 
 def symbol(name: str) -> str:
@@ -101,9 +103,9 @@ def _marks(
     unit: str,
     named: Sequence[NamedPoint],
     legend: bool,
-) -> list[draw.Points | draw.Curve | draw.Line]:
+) -> list[draw.Points | draw.Curve | draw.Line | draw.Note]:
     name = signal.name
-    marks: list[draw.Points | draw.Curve | draw.Line] = []
+    marks: list[draw.Points | draw.Curve | draw.Line | draw.Note] = []
     reached = np.concatenate(
         [values_of(model, one, name) for one in survey.curves] or [np.zeros(1)]
     )
@@ -157,10 +159,32 @@ def _marks(
     if here:
         at = [_of(model, point.x, point.u, over) for point in here]
         where = [_of(model, point.x, point.u, name) for point in here]
-        marks.append(
-            draw.Points(at, where, "", "square", "green", [point.name for point in here], size=6.0)
-        )
+        marks.append(draw.Points(at, where, "", "square", "green", size=6.0))
+        low, high = survey.setting.bounds
+        aside, tall = _ASIDE * (high - low), float(np.ptp(reached)) or 1.0
+        for point, u, y in zip(here, at, where, strict=True):
+            # On the side that the curve does not turn to.
+            away = -_BELOW if _rises(model, survey, name, u, y, tall) else _ABOVE
+            marks.append(draw.Note(u + aside, y + away * tall, point.name))
     return marks
+
+
+def _rises(model: Model, survey: Survey, name: str, u: float, y: float, tall: float) -> bool:
+    """Whether the curve next to a place rises with the input."""
+    over = survey.setting.over
+    low, high = survey.setting.bounds
+    best, rising = math.inf, True
+    for one in survey.curves:
+        if len(one.points) < 2:
+            continue
+        inputs, values = values_of(model, one, over), values_of(model, one, name)
+        away = np.hypot((inputs - u) / (high - low), (values - y) / tall)
+        k = int(np.argmin(away))
+        before, after = max(k - 1, 0), min(k + 1, len(values) - 1)
+        if away[k] < best:
+            turn = (inputs[after] - inputs[before]) * (values[after] - values[before])
+            best, rising = float(away[k]), bool(turn >= 0.0)
+    return rising
 
 
 def _of(model: Model, x: FloatArray, u: FloatArray, name: str) -> float:
