@@ -33,6 +33,7 @@ from trms_cli.stability.subject import Subject
 
 OMEGA = np.geomspace(0.01, 100, 4000)
 S = 1j * OMEGA
+MARKERS = ("triangle", "square")
 
 
 class TestOneLoop:
@@ -286,3 +287,20 @@ def test_from_the_command_line(tmp_path, capsys):
     assert document["study"] == "margins" and document["loop"]["controller"] == "lqr"
     assert document["results"]["loops"]["u_v"]["gain_up"] > 2
     assert "gain may grow" in capsys.readouterr().out
+
+
+def test_the_nyquist_window_holds_the_circle_and_breaks_the_curve_outside(findings):
+    chart = next(chart for chart in findings.charts if chart.name == "margins_nyquist")
+    for panel in chart.panels:
+        assert panel.equal
+        (left, right), (low, high) = panel.x.limits, panel.y.limits
+        assert left <= -2.2 and right > 1 and right - left == pytest.approx(high - low)
+        curve = next(m for m in panel.marks if getattr(m, "label", "").startswith("loop of"))
+        x, y = np.asarray(curve.x), np.asarray(curve.y)
+        shown = np.isfinite(x)
+        assert np.all(shown == np.isfinite(y))
+        assert np.all((x[shown] >= left) & (x[shown] <= right) & (np.abs(y[shown]) <= high))
+        marked = {m.label: m for m in panel.marks if getattr(m, "marker", "") in MARKERS}
+        (re,), (im,) = marked["limit of the phase"].x, marked["limit of the phase"].y
+        assert math.hypot(re, im) == pytest.approx(1, abs=0.01)
+        assert marked["limit of the gain"].y[0] == pytest.approx(0, abs=0.01)

@@ -7,16 +7,30 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel, Points, Region
+from trms_cli.core.chart import (
+    Axis,
+    Chart,
+    Colour,
+    Curve,
+    Line,
+    Mark,
+    Marker,
+    Panel,
+    Points,
+    Region,
+)
+from trms_cli.stability.loops.crossings import Limit
 from trms_cli.stability.loops.disk_margin import diagonal_mu, largest_singular_value
 from trms_cli.stability.loops.margins import LoopMargins, Margins
 
 FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
 
 COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple")
 _OMEGA = Axis("ω", "rad/s", log=True)
-#: What the Nyquist figure shows of the plane.
-_REAL, _IMAGINARY = (-3.6, 2.4), (-1.9, 1.9)
+#: Side of what the Nyquist figure shows of the plane around the unit circle, and its least and
+#: largest reach to the left: as far as the crossing of the real axis asks for.
+_REACH, _LEAST_LEFT, _MOST_LEFT = 1.35, -2.2, -4.0
 #: What the Bode figure shows of the phase, and the sensitivity's of sizes.
 _DEGREES, _SIZES = (-390.0, 90.0), (0.01, 5.0)
 #: Points along each side of a shaded disk's grid.
@@ -66,20 +80,32 @@ def nyquist(margins: Margins, condition: str) -> Chart:
     panels = []
     for i, (loop, colour) in enumerate(zip(margins.loops, COLOURS, strict=False)):
         curve = margins.single[:, i]
-        inside = (curve.real > _REAL[0]) & (curve.real < _REAL[1])
-        inside &= np.abs(curve.imag) < _IMAGINARY[1]
-        shown = np.where(inside, curve, np.nan)
+        real, imaginary = window(loop)
+        shown = within(curve, real, imaginary)
         turn = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
         marks: list[Mark] = [
-            Curve(turn.real, turn.imag, "|L| = 1", "grey", "dotted", 1.0),
-            _disk(loop),
+            Line(x=0.0),
+            Line(y=0.0),
+            Curve(turn.real, turn.imag, "|L| = 1", "grey", "dashed", 0.8),
+            _disk(loop, real, imaginary),
             Curve(shown.real, shown.imag, f"loop of {loop.name}", colour, arrow=True),
-            Points([-1.0], [0.0], "−1", "cross", "alarm"),
         ]
+        limits: tuple[tuple[Limit | None, str, Marker], ...] = (
+            (loop.crossings.up, "limit of the gain", "triangle"),
+            (loop.crossings.down, "limit of the gain", "triangle"),
+            (loop.crossings.phase, "limit of the phase", "square"),
+        )
+        for limit, label, marker in limits:
+            if limit is None:
+                continue
+            at = at_frequency(margins.omega, curve, limit.omega)
+            if real[0] <= at.real <= real[1] and abs(at.imag) <= imaginary[1]:
+                marks.append(Points([at.real], [at.imag], label, marker, "ink", size=5))
+        marks.append(Points([-1.0], [0.0], "−1", "cross", "alarm", size=9))
         panels.append(
             Panel(
-                Axis("Re L"),
-                Axis("Im L"),
+                Axis("Re L", limits=real),
+                Axis("Im L", limits=imaginary),
                 marks,
                 f"Loop of {loop.name}",
                 equal=True,
@@ -88,15 +114,40 @@ def nyquist(margins: Margins, condition: str) -> Chart:
     return Chart(
         "margins_nyquist",
         panels,
-        f"Nyquist curves for ω > 0: {condition}. No gain and phase within the disk leads to −1.",
+        f"Nyquist curves for ω > 0, around the unit circle: {condition}. No gain and phase within "
+        "the disk leads to −1.",
         columns=2,
-        height=3.4,
+        width=4.6,
+        height=4.2,
     )
 
 
-def _disk(loop: LoopMargins) -> Region:
+def window(loop: LoopMargins) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Limits of the real and the imaginary axis: the unit circle, and what the disk reaches."""
+    disk = loop.disk
+    left = -disk.gain_up if disk.alpha < 2 else _MOST_LEFT
+    real = (max(_MOST_LEFT, min(_LEAST_LEFT, 1.1 * left)), _REACH)
+    half = (real[1] - real[0]) / 2
+    return real, (-half, half)
+
+
+def within(
+    curve: ComplexArray, real: tuple[float, float], imaginary: tuple[float, float]
+) -> ComplexArray:
+    """The curve inside a window, broken (NaN) where it is outside."""
+    inside = (curve.real >= real[0]) & (curve.real <= real[1])
+    inside &= (curve.imag >= imaginary[0]) & (curve.imag <= imaginary[1])
+    return np.asarray(np.where(inside, curve, complex(np.nan, np.nan)))
+
+
+def at_frequency(omega: FloatArray, curve: ComplexArray, wanted: float) -> complex:
+    """A curve's value at a frequency between two of its own."""
+    return complex(np.interp(wanted, omega, curve.real), np.interp(wanted, omega, curve.imag))
+
+
+def _disk(loop: LoopMargins, real: tuple[float, float], imaginary: tuple[float, float]) -> Region:
     """Values of L from which a change within the disk margin leads to −1: −1/f, f in D(α)."""
-    x, y = np.linspace(*_REAL, _GRID), np.linspace(*_IMAGINARY, _GRID)
+    x, y = np.linspace(*real, _GRID), np.linspace(*imaginary, _GRID)
     z = x[None, :] + 1j * y[:, None]
     # f = (1 + δ/2)/(1 − δ/2) = −1/L solved for δ; at L = 1 it has no solution
     inside = 2 * np.abs(1 + z) < loop.disk.alpha * np.abs(1 - z)

@@ -65,7 +65,7 @@ def overview(limits: Sequence[Limits], trial: Trial, condition: str) -> Chart:
             panels.append(
                 Panel(
                     axis,
-                    Axis("error and swing at the end", "rad", log=True),
+                    Axis("error + swing", "rad", log=True),
                     marks,
                     {"delay": "Delay", "gain": "Gain", "friction": "Friction"}[kind],
                 )
@@ -77,6 +77,7 @@ def overview(limits: Sequence[Limits], trial: Trial, condition: str) -> Chart:
         f"the dotted line of both bounds: where the linear loop becomes unstable): {condition}.",
         columns=len(panels),
         width=4.2,
+        height=4.2,
     )
 
 
