@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from trms_cli.core.chart import Line, Points
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.stability.local.charts import colours_of, points_alone, styles_of
+from trms_cli.stability.local.map import StabilityMap
+from trms_cli.stability.local.map_told import map_section
+from trms_cli.stability.local.modes import Mode, Modes
+from trms_cli.stability.local.sweep import Path
+from trms_cli.stability.local.tracks import Track
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
@@ -27,3 +35,32 @@ def test_beyond_the_fold_it_is_the_pitch_that_diverges():
         m["name"]: m for m in beyond.run(Subject(model, "rahideh"), silent).results["at"]["modes"]
     }
     assert modes["pitch divergence"]["real"] > 0 > modes["yaw swing"]["real"]
+
+
+def test_no_two_modes_look_alike_in_a_figure():
+    def mode(name: str, value: complex) -> Mode:
+        return Mode(name, value, np.ones(1), np.ones(1, complex), np.ones(1, complex))
+
+    names = ["yaw swing", "yaw and main rotor together", *(f"thing {k}" for k in range(8))]
+    modes = Modes(tuple(mode(name, complex(-1.0 - k)) for k, name in enumerate(names)))
+    points = [m for m in points_alone("modes", modes).panels[0].marks if isinstance(m, Points)]
+    assert len({(m.colour, m.marker) for m in points}) == len(names)
+    tracks = [Track(n, n, (k,), np.zeros((2, 1), complex), False) for k, n in enumerate(names)]
+    colours = colours_of(tracks)
+    styles = styles_of(colours)
+    assert len({(colours[name], styles[name]) for name in names}) == len(names)
+
+
+def test_the_models_own_value_is_not_drawn_on_the_frame_of_a_map():
+    def lines(span: tuple[float, float]) -> list[Line]:
+        path = Path(Newtonian(), {"alpha_v": 0.4}, "k_g")
+        over, against = np.linspace(*span, 3), np.array([0.3, 0.5])
+        growth = np.array([[-0.1, 0.0, 0.1], [-0.1, 0.0, 0.2]])
+        mapped = StabilityMap(over, against, growth, np.empty((0, 2)))
+        (chart,) = map_section(path, "alpha_v", mapped, []).blocks
+        return [mark for mark in chart.panels[0].marks if isinstance(mark, Line)]
+
+    own = Newtonian().parameters["k_g"].value
+    assert not lines((0.5 * own, own))
+    (line,) = lines((0.5 * own, 2 * own))
+    assert line.x == own and line.style == "dashed"

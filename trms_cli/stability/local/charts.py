@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel, Points, Region
+from trms_cli.core.chart import (
+    Axis,
+    Chart,
+    Colour,
+    Curve,
+    Line,
+    Mark,
+    Marker,
+    Panel,
+    Points,
+    Region,
+    Style,
+)
 from trms_cli.stability.local.crossings import Crossing
 from trms_cli.stability.local.modes import Modes
 from trms_cli.stability.local.parts import STILL
@@ -23,6 +35,8 @@ _OF_PART: dict[str, Colour] = {
     "tail rotor": "purple",
 }
 _OTHERS: tuple[Colour, ...] = ("orange", "sky", "ink", "yellow", "grey")
+_STYLES: tuple[Style, ...] = ("solid", "dashed", "dotted")
+_MARKERS: tuple[Marker, ...] = ("dot", "square", "triangle", "star")
 #: Damping ratios whose lines are drawn in the plane.
 _DAMPING = (0.1, 0.3, 0.6)
 
@@ -36,6 +50,16 @@ def colours_of(tracks: Sequence[Track]) -> dict[str, Colour]:
         wanted = _OF_PART.get(track.part)
         found[track.name] = wanted if wanted is not None and wanted not in used else next(free)
         used.add(found[track.name])
+    return found
+
+
+def styles_of(colours: Mapping[str, Colour]) -> dict[str, Style]:
+    """A style for each mode, so that two of one colour differ."""
+    met: dict[Colour, int] = {}
+    found: dict[str, Style] = {}
+    for name, colour in colours.items():
+        found[name] = _STYLES[met.get(colour, 0) % len(_STYLES)]
+        met[colour] = met.get(colour, 0) + 1
     return found
 
 
@@ -61,6 +85,7 @@ def plane(
     """
     slow = [track for track in tracks if not track.fast]
     colours = colours_of(slow)
+    styles = styles_of(colours)
     marks: list[Mark] = []
     everything = np.concatenate([track.rates.ravel() for track in slow])
     left, right = float(everything.real.min()), float(everything.real.max())
@@ -85,7 +110,14 @@ def plane(
     for track in slow:
         for column in track.rates.T:
             marks.append(
-                Curve(column.real, column.imag, track.name, colours[track.name], width=2.0)
+                Curve(
+                    column.real,
+                    column.imag,
+                    track.name,
+                    colours[track.name],
+                    styles[track.name],
+                    width=2.0,
+                )
             )
     for track in slow:
         here = track.rates[at]
@@ -147,27 +179,28 @@ def over_range(
     """Growth rate, damping ratio, frequency and pace of each mode over what is varied."""
     slow = [track for track in tracks if not track.fast]
     colours = colours_of(tracks)
+    styles = styles_of(colours)
     growth: list[Mark] = [Line(y=0.0, colour="ink", style="solid"), Line(x=at)]
     damping: list[Mark] = [Line(y=0.0, colour="ink", style="solid"), Line(x=at)]
     frequency: list[Mark] = [Line(x=at)]
     pace: list[Mark] = [Line(x=at)]
     for track in tracks:
-        colour = colours[track.name]
+        colour, style = colours[track.name], styles[track.name]
         for k, column in enumerate(track.rates.T):
             size = np.abs(column)
             shown = np.where((size > STILL) & np.isfinite(size), size, np.nan)
             if k == 0 or np.any(np.abs(size - np.abs(track.rates[:, 0])) > 1e-9):
-                pace.append(Curve(values, shown, track.name, colour))
+                pace.append(Curve(values, shown, track.name, colour, style))
             if track.fast:
                 continue
             swings = np.abs(column.imag) > STILL
             if k == 0 or np.any(np.abs(column.real - track.rates[:, 0].real) > 1e-9):
-                growth.append(Curve(values, column.real, track.name, colour))
+                growth.append(Curve(values, column.real, track.name, colour, style))
             if k == 0 and swings.any():
                 ratio = np.where(swings, -column.real / np.maximum(size, STILL), np.nan)
                 hertz = np.where(swings, np.abs(column.imag) / (2 * math.pi), np.nan)
-                damping.append(Curve(values, ratio, track.name, colour))
-                frequency.append(Curve(values, hertz, track.name, colour))
+                damping.append(Curve(values, ratio, track.name, colour, style))
+                frequency.append(Curve(values, hertz, track.name, colour, style))
     panels = [Panel(axis, Axis("Re λ", "1/s"), growth, "growth rate")]
     if len(frequency) > 1:
         panels.append(Panel(axis, Axis("damping ratio ζ"), damping, "damping of what swings"))
@@ -185,18 +218,24 @@ def points_alone(name: str, modes: Modes, caption: str = "") -> Chart:
         m for m in slowest if m.natural_frequency <= 8.0 * max(slowest[0].natural_frequency, 5.0)
     ]
     marks: list[Mark] = [Line(x=0.0, colour="ink", style="solid")]
-    palette: list[Colour] = [*_OF_PART.values(), *_OTHERS]
-    for k, mode in enumerate(shown):
+    used: dict[Colour, int] = {}
+    for mode in shown:
         value = mode.eigenvalue
         both = [value, value.conjugate()] if mode.oscillates else [value]
-        colour = next((c for part, c in _OF_PART.items() if mode.name.startswith(part)), None)
+        own = next((c for part, c in _OF_PART.items() if mode.name.startswith(part)), None)
+        if own is None or own in used:
+            own = min(_OTHERS, key=lambda other: used.get(other, 0))
+        used[own] = used.get(own, 0) + 1
+        # A disc or a ring where the colour is its own; another shape where it comes again.
+        disc: Marker = "stable" if mode.verdict == "stable" else "unstable"
+        marker = disc if used[own] == 1 else _MARKERS[(used[own] - 1) % len(_MARKERS)]
         marks.append(
             Points(
                 [v.real for v in both],
                 [v.imag for v in both],
                 mode.name,
-                "stable" if mode.verdict == "stable" else "unstable",
-                colour or palette[(4 + k) % len(palette)],
+                marker,
+                own,
                 size=9.0,
             )
         )
