@@ -105,6 +105,17 @@ def test_a_wrong_estimate_is_caught_by_simulation(van_der_pol, found):
     assert tested[1][1] > 10
 
 
+def test_a_short_time_is_no_failure_of_a_right_estimate(van_der_pol, found):
+    import dataclasses
+
+    right = next(e for e in found if e.method == "level_set")
+    wrong = dataclasses.replace(right, level=3.0 * right.level, frame=2.0 * right.frame)
+    assert failures(van_der_pol, [right], 100, 4.0, 0)[0][1] > 0
+    cut = failures(van_der_pol, [right, wrong], 100, 4.0, 0, cut=True)
+    assert cut[0][1] == 0 and cut[0][0] < 100  # those that are still on their way do not count
+    assert cut[1][1] > 5
+
+
 def test_no_level_above_the_sampled_one_is_proved(van_der_pol):
     import dataclasses
 
