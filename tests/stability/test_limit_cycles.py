@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from trms_cli.controllers.lqr import Lqr
+from trms_cli.core.chart import Curve
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
@@ -15,6 +16,7 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.full_state import FullState
 from trms_cli.stability.cycles.search import searched
 from trms_cli.stability.cycles.shooting import Shooting
+from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.studies.limit_cycles import LimitCycles
 from trms_cli.stability.study import Study, silent
@@ -112,6 +114,38 @@ def test_the_hopf_point_is_subcritical_and_the_branch_folds(strong_cross_moment)
     fold = branch["changes"][0]
     assert fold["kind"] == "fold" and fold["u"] == pytest.approx(1.645, abs=0.002)
     assert any("subcritical" in sentence for sentence in strong_cross_moment.lead)
+
+
+def test_on_the_cable_s_switch_the_hopf_point_is_that_of_the_mean():
+    model = Newtonian(parameter_set="rahideh")
+    findings = asked(model, at={"alpha_v": 0.17}, starts=1, orbits=12)
+    (hopf,) = findings.results["over"]["hopf"]
+    x, u = np.array(hopf["x"]), np.array([hopf["u"], findings.results["at"]["u"]["u_h"]])
+    assert Linear(model).switches(x, u)
+    growth = np.linalg.eigvals(Linear(model).a(x, u, "mean")).real
+    assert np.abs(growth).min() < 1e-6
+    for side in ("upper", "lower"):
+        assert np.abs(np.linalg.eigvals(Linear(model).a(x, u, side)).real).min() > 1e-4
+    assert any("mean of both sides" in words for words in findings.lead)
+    # The multipliers of the smallest cycles are 1 within their accuracy: no fold.
+    assert findings.results["over"]["branches"][0]["changes"] == []
+
+
+def test_the_curves_of_stable_and_unstable_cycles_meet_at_the_fold(strong_cross_moment):
+    chart = strong_cross_moment.charts[-1]
+    fold = strong_cross_moment.results["over"]["branches"][0]["changes"][0]
+    for panel in chart.panels:
+        curves = [mark for mark in panel.marks if isinstance(mark, Curve)]
+        blue = [mark for mark in curves if mark.colour == "blue"]
+        red = [mark for mark in curves if mark.colour == "vermilion"]
+        assert blue and red
+        for one, other in zip(blue, red, strict=True):
+            drawn, beside = (np.isfinite(np.asarray(mark.y)) for mark in (one, other))
+            # They share the changes alone.
+            shared = np.asarray(one.x)[drawn & beside]
+            changes = strong_cross_moment.results["over"]["branches"][0]["changes"]
+            assert np.all(np.isin(shared, [change["u"] for change in changes]))
+            assert fold["u"] in shared
 
 
 def test_its_figures(strong_cross_moment):

@@ -13,16 +13,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.stability.cycles.hopf import Hopf
 from trms_cli.stability.cycles.shooting import MARGIN, Orbit, Row, Shooting, packed
-from trms_cli.stability.operating_point import refined
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 Kind = Literal["fold", "period doubling", "torus"]
@@ -34,52 +32,14 @@ _BORN = 0.02
 _FIRST_STEP, _LEAST_STEP, _MOST_STEP = 0.05, 1e-4, 0.25
 #: The same where the branch turns back in the command.
 _TURNING_STEP = 0.03
-#: Growth below this is rounding, 1/s.
-_NO_GROWTH = 1e-9
+#: Errors of the trivial multiplier by which another one differs from 1, to be told from it.
+_RESOLVED = 3.0
 #: V, that counts as much along the branch as a change by the scale of a state.
 _COMMAND_SCALE = 0.1
 #: Beyond this many first periods, or this error of the trivial multiplier, it is not followed.
 _LONGEST, _WORST_TRIVIAL = 3.0, 1e-2
 #: A branch is followed to this many swings of a state beyond its stops.
 _BEYOND_STOPS = 1.5
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Equilibria over one command, the others held.
-
-    Attributes
-    ----------
-    commands : (n,) array
-        V, rising.
-    x : (n, n_x) array
-    growth : (n,) array
-        Largest real part of the eigenvalues, 1/s; directions that nothing pulls back left out.
-    """
-
-    commands: FloatArray
-    x: FloatArray
-    growth: FloatArray
-
-
-@dataclass(frozen=True)
-class Hopf:
-    """Where a pair of eigenvalues crosses the imaginary axis.
-
-    Attributes
-    ----------
-    x, u : arrays
-        The equilibrium.
-    omega : float
-        rad/s.
-    mode : (n_x,) complex array
-        The eigenvector, its largest entry of size 1.
-    """
-
-    x: FloatArray
-    u: FloatArray
-    omega: float
-    mode: npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -95,6 +55,8 @@ class Change:
         By interpolation. V, s, rad.
     lowest, highest : float
         Of the state, likewise.
+    after : int
+        Position of the orbit before it.
     """
 
     kind: Kind
@@ -103,6 +65,7 @@ class Change:
     swing: float
     lowest: float
     highest: float
+    after: int = 0
 
 
 @dataclass(frozen=True)
@@ -128,7 +91,9 @@ class Branch:
         found = []
         for i in range(len(self.orbits) - 1):
             one, other = self.orbits[i : i + 2]
-            if _outside(one) == _outside(other):
+            if _outside(one) == _outside(other) or (
+                _unresolved(one) and _unresolved(other) and not self._turns(i, channel)
+            ):
                 continue
             before, after = abs(one.largest), abs(other.largest)
             share = (1.0 - before) / (after - before) if after != before else 0.5
@@ -138,8 +103,22 @@ class Branch:
             values = rows[i] + share * (rows[i + 1] - rows[i])
             if kind == "fold" and 0 < i < len(rows) - 2:
                 values = _turn(rows[i - 1 : i + 3])
-            found.append(Change(kind, *values.tolist()))
+            found.append(Change(kind, *values.tolist(), after=i))
         return found
+
+    def stable(self) -> npt.NDArray[np.bool_]:
+        """Of each orbit; one whose multiplier is not resolved from 1 is as the nearest that is."""
+        told = np.array([orbit.stable for orbit in self.orbits], dtype=bool)
+        clear = np.flatnonzero([not _unresolved(orbit) for orbit in self.orbits])
+        if not clear.size:
+            return told
+        nearest = np.abs(np.arange(len(told))[:, None] - clear[None, :]).argmin(axis=1)
+        return np.asarray(told[clear[nearest]])
+
+    def _turns(self, i: int, channel: int) -> bool:
+        """Whether the command turns back about the step after an orbit."""
+        steps = np.diff(self.commands(channel)[max(i - 1, 0) : i + 3])
+        return bool(steps.min() < 0.0 < steps.max())
 
 
 def _row(orbit: Orbit, channel: int, state: int) -> list[float]:
@@ -157,6 +136,11 @@ def _turn(rows: FloatArray) -> FloatArray:
     return np.array([np.polyval(np.polyfit(swing, column, 2), at) for column in rows.T])
 
 
+def _unresolved(orbit: Orbit) -> bool:
+    """Whether the largest multiplier is as near to 1 as the one along the orbit is known."""
+    return bool(abs(abs(orbit.largest) - 1.0) < _RESOLVED * orbit.trivial_error)
+
+
 def _outside(orbit: Orbit) -> int:
     return int(np.sum(np.abs(orbit.multipliers[1:]) > 1.0 + MARGIN))
 
@@ -165,92 +149,6 @@ def _kind(multiplier: complex) -> Kind:
     if abs(multiplier.imag) > 1e-3 * abs(multiplier):
         return "torus"
     return "fold" if multiplier.real > 0 else "period doubling"
-
-
-def equilibria_over(
-    model: Model, x: FloatArray, u: FloatArray, channel: int, step: float = 0.02
-) -> Curve:
-    """The equilibria that one is part of, over a command, as far as they go within its limits."""
-    field = VectorField(model)
-    low, high = (float(bound[channel]) for bound in model.input_bounds())
-    commands, states = [float(u[channel])], [x]
-    for direction, limit in ((1.0, high), (-1.0, low)):
-        here, at = x, u.copy()
-        ahead = step
-        slope = np.zeros_like(x)
-        while ahead > 1e-4:
-            goal = float(np.clip(at[channel] + direction * ahead, low, high))
-            trial = at.copy()
-            trial[channel] = goal
-            moved = abs(goal - at[channel])
-            following = refined(field, here + slope * moved, trial)
-            bound = 0.2 + 20.0 * moved * (1.0 + float(np.abs(here).max()))
-            if following is None or np.abs(following - here).max() > bound:
-                ahead /= 2.0
-                continue
-            slope = (following - here) / moved if moved else slope
-            here, at = following, trial
-            ahead = min(2.0 * ahead, step)
-            commands.append(goal)
-            states.append(here)
-            if goal == limit:
-                break
-    order = np.argsort(commands)
-    along = np.array(commands)[order]
-    found = np.array(states)[order]
-    growth = np.array(
-        [_growth(field, row, _with(u, channel, v)) for row, v in zip(found, along, strict=True)]
-    )
-    return Curve(along, found, growth)
-
-
-def hopf_points(model: Model, curve: Curve, u: FloatArray, channel: int) -> list[Hopf]:
-    """Where a complex pair crosses along a curve of equilibria, by bisection."""
-    field = VectorField(model)
-    found = []
-    # Growth that is rounding has no sign: a pair that stays on the axis crosses it nowhere.
-    clear = np.flatnonzero(np.abs(curve.growth) > _NO_GROWTH)
-    for i, j in pairwise(clear):
-        if (curve.growth[i] < 0) == (curve.growth[j] < 0):
-            continue
-        low, high = curve.commands[i], curve.commands[j]
-        x, sign = curve.x[i], curve.growth[i] < 0
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            trial = refined(field, x, _with(u, channel, middle))
-            if trial is None:
-                break
-            if (_growth(field, trial, _with(u, channel, middle)) < 0) == sign:
-                low, x = middle, trial
-            else:
-                high = middle
-        at = _with(u, channel, low)
-        found_pair = np.linalg.eig(field.linearised(x, at)[0])
-        values, vectors = (part.astype(complex) for part in found_pair)
-        k = int(np.argmax(np.where(_pulled(values), values.real, -np.inf)))
-        if abs(values[k].imag) < 1e-6:
-            continue  # a real eigenvalue: a fold of equilibria
-        mode = vectors[:, k] if values[k].imag > 0 else vectors[:, k].conj()
-        mode = mode / mode[int(np.argmax(np.abs(mode)))]
-        found.append(Hopf(x, at, float(abs(values[k].imag)), mode))
-    return found
-
-
-def _with(u: FloatArray, channel: int, value: float) -> FloatArray:
-    changed = u.copy()
-    changed[channel] = value
-    return changed
-
-
-def _pulled(values: npt.NDArray[np.complex128]) -> npt.NDArray[np.bool_]:
-    """Eigenvalues but those of a direction in which nothing changes."""
-    return np.asarray(np.abs(values) > 1e-9)
-
-
-def _growth(field: VectorField, x: FloatArray, u: FloatArray) -> float:
-    values = np.linalg.eigvals(field.linearised(x, u)[0]).astype(complex)
-    kept = values[_pulled(values)]
-    return float(kept.real.max()) if kept.size else 0.0
 
 
 def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch:

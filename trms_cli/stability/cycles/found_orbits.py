@@ -112,7 +112,7 @@ def results_of(found: Found) -> dict[str, Any]:
                     "u": branch.commands(found.channel).tolist(),
                     "period": [orbit.period for orbit in branch.orbits],
                     "swing": [float(orbit.swing[found.state]) for orbit in branch.orbits],
-                    "stable": [orbit.stable for orbit in branch.orbits],
+                    "stable": branch.stable().tolist(),
                     "changes": [
                         {"kind": c.kind, "u": c.command, "period": c.period, "swing": c.swing}
                         for c in branch.changes(found.channel, found.state)

@@ -20,7 +20,9 @@ from trms_cli.core.chart import (
     Style,
 )
 from trms_cli.models.model import Model
-from trms_cli.stability.cycles import branch as branches
+from trms_cli.stability.cycles.branch import Branch
+from trms_cli.stability.cycles.hopf import Curve as Equilibria
+from trms_cli.stability.cycles.hopf import Hopf
 from trms_cli.stability.cycles.search import Search
 from trms_cli.stability.cycles.shooting import Orbit
 
@@ -123,9 +125,9 @@ def multipliers(orbits: Sequence[Orbit]) -> Chart:
 
 def diagram(
     model: Model,
-    curve: branches.Curve,
-    hopfs: Sequence[branches.Hopf],
-    followed: Sequence[branches.Branch],
+    curve: Equilibria,
+    hopfs: Sequence[Hopf],
+    followed: Sequence[Branch],
     channel: int,
     state: int,
     at: float,
@@ -152,11 +154,21 @@ def diagram(
         if not branch.orbits:
             continue
         commands = branch.commands(channel)
-        stable = _joined(np.array([orbit.stable for orbit in branch.orbits]))
-        unstable = ~np.array([orbit.stable for orbit in branch.orbits])
         high = np.array([orbit.path[:, state].max() for orbit in branch.orbits])
         low = np.array([orbit.path[:, state].min() for orbit in branch.orbits])
         lengths = np.array([orbit.period for orbit in branch.orbits])
+        changes = branch.changes(channel, state)
+        stable, unstable = branch.stable(), ~branch.stable()
+        # Both curves go to the change between two orbits, and neither beyond it.
+        for change in reversed(changes):
+            k = change.after + 1
+            commands = np.insert(commands, k, change.command)
+            high, low = np.insert(high, k, change.highest), np.insert(low, k, change.lowest)
+            lengths = np.insert(lengths, k, change.period)
+            ends = [side[k - 1] or side[k] for side in (stable, unstable)]
+            stable, unstable = (
+                np.insert(side, k, end) for side, end in zip((stable, unstable), ends, strict=True)
+            )
         for chosen, words, colour, style in (
             (stable, "stable cycle", "blue", "solid"),
             (unstable, "unstable cycle", "vermilion", "dashed"),
@@ -166,7 +178,7 @@ def diagram(
             for edge in (high, low):
                 marks.append(_part(commands, edge, chosen, words, colour, style))
             periods.append(_part(commands, lengths, chosen, "", colour, style))
-        for change in branch.changes(channel, state):
+        for change in changes:
             shape = _MARKERS[change.kind]
             edges = [change.lowest, change.highest]
             marks.append(Points([change.command] * 2, edges, change.kind, shape, "purple"))
@@ -210,14 +222,6 @@ def diagram(
 
 
 _MARKERS: dict[str, Marker] = {"fold": "square", "period doubling": "triangle", "torus": "cross"}
-
-
-def _joined(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """With the neighbours on both sides, so that the curves of two kinds meet."""
-    wider = chosen.copy()
-    wider[:-1] |= chosen[1:]
-    wider[1:] |= chosen[:-1]
-    return wider
 
 
 def _part(

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from trms_cli.core.chart import Chart
-from trms_cli.stability.cycles.branch import Branch, Hopf
+from trms_cli.stability.cycles.branch import Branch
 from trms_cli.stability.cycles.found_orbits import Found, results_of
+from trms_cli.stability.cycles.hopf import Hopf
 from trms_cli.stability.cycles.orbit_charts import diagram, multipliers, plane, symbol
 from trms_cli.stability.cycles.over_command import OverCommand
 from trms_cli.stability.cycles.search import Fate, Search
 from trms_cli.stability.cycles.shooting import Orbit
 from trms_cli.stability.findings import Findings, Judged, Section, Table, Value
+from trms_cli.stability.local.linear import Linear
 
 #: Orbits with a multiplier along themselves that is further from 1 are told with a warning.
 _DOUBTFUL = 1e-3
@@ -139,6 +141,10 @@ def _hopf_words(found: Found) -> list[str]:
             f"at {symbol(command.name)} = {hopf.u[found.channel]:.3f} {command.unit} "
             f"({symbol(signal.name)} = {hopf.x[found.state]:.3f} {signal.unit})"
         )
+        switches = Linear(found.model).switches(hopf.x, hopf.u)
+        if switches:
+            on = ", ".join(symbol(found.model.state_names[switch.state]) for switch in switches)
+            place += f" (on a switch of {on}: by the mean of both sides' slopes)"
         if not branch.orbits:
             words.append(f"Hopf point {place}; {branch.ended}.")
             continue
