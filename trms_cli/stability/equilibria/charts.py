@@ -162,10 +162,10 @@ def _marks(
         marks.append(draw.Points(at, where, "", "square", "green", size=6.0))
         low, high = survey.setting.bounds
         aside, tall = _ASIDE * (high - low), float(np.ptp(reached)) or 1.0
-        for point, u, y in zip(here, at, where, strict=True):
+        for point, place, height in zip(here, at, where, strict=True):
             # On the side that the curve does not turn to.
-            away = -_BELOW if _rises(model, survey, name, u, y, tall) else _ABOVE
-            marks.append(draw.Note(u + aside, y + away * tall, point.name))
+            away = -_BELOW if _rises(model, survey, name, place, height, tall) else _ABOVE
+            marks.append(draw.Note(place + aside, height + away * tall, point.name))
     return marks
 
 
