@@ -223,19 +223,22 @@ def points_alone(name: str, modes: Modes, caption: str = "") -> Chart:
         value = mode.eigenvalue
         both = [value, value.conjugate()] if mode.oscillates else [value]
         own = next((c for part, c in _OF_PART.items() if mode.name.startswith(part)), None)
-        if own is None or own in used:
-            own = min(_OTHERS, key=lambda other: used.get(other, 0))
-        used[own] = used.get(own, 0) + 1
+        colour: Colour = (
+            own
+            if own is not None and own not in used
+            else min(_OTHERS, key=lambda other: used.get(other, 0))
+        )
+        used[colour] = used.get(colour, 0) + 1
         # A disc or a ring where the colour is its own; another shape where it comes again.
         disc: Marker = "stable" if mode.verdict == "stable" else "unstable"
-        marker = disc if used[own] == 1 else _MARKERS[(used[own] - 1) % len(_MARKERS)]
+        marker = disc if used[colour] == 1 else _MARKERS[(used[colour] - 1) % len(_MARKERS)]
         marks.append(
             Points(
                 [v.real for v in both],
                 [v.imag for v in both],
                 mode.name,
                 marker,
-                own,
+                colour,
                 size=9.0,
             )
         )

@@ -43,6 +43,8 @@ class Reason:
     sensitivity : Sensitivity
     loops : tuple of Loop
         Through the entry with the largest share, the strongest first.
+    course : Course or None
+        What the growth rate does around the place, where the derivative is none.
     """
 
     mode: str
