@@ -82,13 +82,21 @@ def nyquist(margins: Margins, condition: str) -> Chart:
         curve = margins.single[:, i]
         real, imaginary = window(loop)
         shown = within(curve, real, imaginary)
+        gaps = np.flatnonzero(np.isnan(shown.real))
+        cut = int(gaps[-1]) + 1 if gaps.size else 0
+        low, high = shown[:cut], shown[cut:]
         turn = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
         marks: list[Mark] = [
             Line(x=0.0),
             Line(y=0.0),
             Curve(turn.real, turn.imag, "|L| = 1", "grey", "dashed", 0.8),
             _disk(loop, real, imaginary),
-            Curve(shown.real, shown.imag, f"loop of {loop.name}", colour, arrow=True),
+            # low frequencies that come by on their own, without the arrow that a gap would mislead
+            *(
+                Curve(part.real, part.imag, f"loop of {loop.name}", colour, arrow=part is high)
+                for part in (low, high)
+                if np.isfinite(part.real).sum() > 1
+            ),
         ]
         limits: tuple[tuple[Limit | None, str, Marker], ...] = (
             (loop.crossings.up, "limit of the gain", "triangle"),

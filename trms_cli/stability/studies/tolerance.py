@@ -134,7 +134,7 @@ class Tolerance:
 
     def _require_back(self, nothing: Tried, where: str) -> None:
         if not nothing.verdict.back:
-            does = nothing.verdict.kind
+            does: str = nothing.verdict.kind
             does = "is still creeping" if does == "still creeping" else f"{does} already"
             raise ConfigurationError(
                 f"with nothing wrong, the loop {does} ({where})",
