@@ -14,7 +14,7 @@ from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.stability.attraction.linear_law import LinearLawLoop, linear_law
 from trms_cli.stability.attraction.report import percent
-from trms_cli.stability.attraction.truth import share_of
+from trms_cli.stability.attraction.truth import Share, share_of
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.study import silent
@@ -226,3 +226,8 @@ def test_proofs_and_simulations_are_of_the_same_rig():
     )
     assert [e["failed"] for e in found.results["estimates"]] == [0]
     assert any("main_dead_zone" in sentence for sentence in found.warnings)
+
+
+def test_a_small_share_that_is_hardly_known_has_its_interval():
+    assert percent(Share(5e-9, 1e-10, 2e-8)) == "5e-07 % (1e-08–2e-06 %)"
+    assert percent(Share(5e-9, 4e-9, 6e-9)) == "5e-07 %"

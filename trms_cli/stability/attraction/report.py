@@ -33,7 +33,8 @@ def percent(share: Share) -> str:
     """``72 % (67–78 %)``."""
     value, low, high = (100.0 * v for v in (share.value, share.lower, share.upper))
     if value < 0.1:
-        return f"{value:.1g} %"
+        wide = low < 0.5 * value or high > 2.0 * value
+        return f"{value:.1g} %" + (f" ({low:.1g}–{min(high, 100.0):.1g} %)" if wide else "")
     digits = 0 if value >= 10.0 else max(1, -math.floor(math.log10(max(value, 1e-12))))
     digits, high = min(digits, 6), min(high, 100.0)
     # Ends that look the same, or an end that looks like a certainty, say nothing.
