@@ -16,6 +16,7 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.full_state import FullState
 from trms_cli.stability.cycles.search import searched
 from trms_cli.stability.cycles.shooting import Shooting
+from trms_cli.stability.cycles.usual_point import not_level
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.studies.limit_cycles import LimitCycles
@@ -161,6 +162,16 @@ def test_with_dry_friction_motions_alone_are_looked_at():
     assert not findings.results["proof"]["no_cycle"] and "over" not in findings.results
     assert findings.results["motions"]["rest"] == 6
     assert any("no slopes" in words for words in findings.warnings)
+    assert "Without the dry friction none exists, whatever the start: proved" in findings.lead[0]
+
+
+def test_another_point_than_the_usual_one_is_told():
+    model = Newtonian(freedom="vertical")
+    rest = operating_point(model, {})
+    level = operating_point(model, {"alpha_v": 0.0})
+    assert not_level(model, {}, level) == () and not_level(model, {"u_v": 0.0}, rest) == ()
+    (words,) = not_level(model, {}, rest)
+    assert "no equilibrium at alpha_v = 0 rad" in words and "rest without command" in words
 
 
 def test_what_makes_no_sense_is_told():

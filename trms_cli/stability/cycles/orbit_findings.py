@@ -52,7 +52,7 @@ def _answer(found: Found) -> list[str]:
         return [
             f"{proved}No limit cycle was found at {words}, by {len(found.search.motions)} motions "
             f"of {found.duration:g} s from the box of starts{means} ({_fates(found.search)})."
-            + ("" if proved else " That is a search, not a proof."),
+            + ("" if proved else _how_sure(found)),
             *_share_words(found),
         ]
     count = {True: 0, False: 0}
@@ -63,6 +63,17 @@ def _answer(found: Found) -> list[str]:
         f"{count[True]} stable, {count[False]} unstable.",
         *(_orbit_words(found, orbit) for orbit in orbits),
     ]
+
+
+def _how_sure(found: Found) -> str:
+    """What a search that found nothing is worth."""
+    if not found.proof.proved:
+        return " That is a search, not a proof."
+    where = "whatever the start" if found.proof.everywhere else "in the box of starts"
+    return (
+        f" Without the dry friction none exists, {where}: proved by Bendixson's criterion. With it "
+        "that is a search, not a proof."
+    )
 
 
 def _continuum_words(found: Found) -> list[str]:

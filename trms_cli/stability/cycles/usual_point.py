@@ -10,6 +10,8 @@ from trms_cli.stability.operating_point import OperatingPoint, operating_point
 
 #: rad. Yaw is off the place where the cable's stiffness jumps: a cycle that small has no slopes.
 _LEVEL = {"alpha_v": 0.0, "alpha_h": 0.3}
+#: rad
+_AS_ASKED = 1e-3
 
 
 def usual_point(model: Model, at: Mapping[str, float]) -> OperatingPoint:
@@ -28,3 +30,16 @@ def usual_point(model: Model, at: Mapping[str, float]) -> OperatingPoint:
         return operating_point(model, level)
     except ConfigurationError:
         return operating_point(model, {})
+
+
+def not_level(model: Model, at: Mapping[str, float], point: OperatingPoint) -> tuple[str, ...]:
+    """A sentence for a point that :func:`usual_point` took instead of a level one."""
+    level = {name: _LEVEL[name] for name in model.controlled if name in _LEVEL}
+    reached = {name: float(point.x[model.state_index(name)]) for name in level}
+    if at or all(abs(reached[name] - level[name]) < _AS_ASKED for name in level):
+        return ()
+    asked = ", ".join(f"{name} = {value:g}" for name, value in level.items())
+    return (
+        f"the model has no equilibrium at {asked} rad, where the study begins when nothing is "
+        "asked for: this is the rest without command instead (choose another by study.at)",
+    )

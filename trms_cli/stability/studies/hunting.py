@@ -22,7 +22,7 @@ from trms_cli.stability.cycles.hunting_prediction import harmonics, predicted, s
 from trms_cli.stability.cycles.hunting_runs import Watched, answers, watched, with_sizes
 from trms_cli.stability.cycles.pid_loop import friction_loop
 from trms_cli.stability.cycles.stick_slip import StickSlip
-from trms_cli.stability.cycles.usual_point import usual_point
+from trms_cli.stability.cycles.usual_point import not_level, usual_point
 from trms_cli.stability.findings import Findings
 from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
@@ -99,7 +99,7 @@ class Hunting:
             )
         case = _Case(model, loop, point, friction, self.push)
         prediction = one = events = None
-        warnings: list[str] = []
+        warnings = list(not_level(model, self.at, point))
         if pid is not None:
             tell("the event map of the linear loop")
             linear = friction_loop(model, loop, pid, point, friction.axis)

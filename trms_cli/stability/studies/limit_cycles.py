@@ -22,7 +22,7 @@ from trms_cli.stability.cycles.search import (
     starts_in,
 )
 from trms_cli.stability.cycles.shooting import Shooting
-from trms_cli.stability.cycles.usual_point import usual_point
+from trms_cli.stability.cycles.usual_point import not_level, usual_point
 from trms_cli.stability.findings import Findings
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
@@ -108,6 +108,8 @@ class LimitCycles:
             if shooting is not None:
                 more = at_the_point(shooting, over_command.branches, channel, point.u)
                 search = replace(search, orbits=different([*search.orbits, *more]))
-        return findings_of(
+        findings = findings_of(
             Found(model, point, widths, self.duration, smooth, proof, search, channel, over_command)
         )
+        elsewhere = not_level(model, self.at, point)
+        return replace(findings, warnings=[*elsewhere, *findings.warnings])
