@@ -103,7 +103,8 @@ class Branch:
             values = rows[i] + share * (rows[i + 1] - rows[i])
             if kind == "fold" and 0 < i < len(rows) - 2:
                 values = _turn(rows[i - 1 : i + 3])
-            found.append(Change(kind, *values.tolist(), after=i))
+            command, period, swing, lowest, highest = values.tolist()
+            found.append(Change(kind, command, period, swing, lowest, highest, after=i))
         return found
 
     def stable(self) -> npt.NDArray[np.bool_]:
