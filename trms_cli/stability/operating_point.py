@@ -20,7 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 #: Rates below this, in the states' units per s, count as none.
 TOLERANCE = 1e-9
 _ITERATIONS = 50
-_NEAR_ZERO = 1e-3  # V
+_NEAR_ZERO = 5e-4  # of the command's range
 _SAME_ANGLE = 1e-6  # rad
 #: Steps in which the commands go from zero to where they are asked for: the branch that begins at
 #: the rest without command is followed, not one that lies across.
@@ -168,7 +168,7 @@ def _without_rounding(model: Model, point: OperatingPoint) -> OperatingPoint:
     A target that needs no thrust is a double root of ω|ω|, which the solver comes as near to as
     the square root of its tolerance.
     """
-    u = np.where(np.abs(point.u) < _NEAR_ZERO, 0.0, point.u)
+    u = np.where(np.abs(point.u) < _NEAR_ZERO * model.input_bounds()[1], 0.0, point.u)
     x = refined(VectorField(model), point.x, u)
     if x is None or np.abs(x - point.x)[[model.state_index(n) for n in model.controlled]].max() > (
         _SAME_ANGLE
@@ -242,4 +242,4 @@ def refined(field: VectorField, x: FloatArray, u: FloatArray) -> FloatArray | No
 
 def _short(value: float) -> str:
     """Four digits; what is rounding is zero."""
-    return f"{0.0 if abs(value) < 5e-10 else value:.4g}"
+    return f"{0.0 if abs(value) < 5e-8 else value:.4g}"
