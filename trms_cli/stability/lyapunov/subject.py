@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.effect import Effect
 from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.lagrangian import Lagrangian
@@ -19,8 +18,6 @@ from trms_cli.stability.subject import Subject, effects_of
 #: Effects that only take energy from an axis: power −F_c|Ω| and the like.
 _RESISTING = (CoulombFriction, StribeckFriction, QuadraticDamping)
 _DRY = (CoulombFriction, StribeckFriction)
-#: Parts of an effect that change what moves; an effect with none of them is about sensors.
-_MOVING = ("states", "memory", "derivative", "disturbance", "impulse", "input_path", "noise_sd")
 _INSTEAD = "study=region_of_attraction finds functions by computation for any model with equations"
 
 
@@ -32,15 +29,13 @@ class Rig:
     ----------
     model : TwinRotor
         Without effects.
-    resisting, dry, sensing : tuple of str
-        Names of the effects that resist motion, of those among them that hold it at rest, and of
-        those that only change what is measured.
+    resisting, dry : tuple of str
+        Names of the effects that resist motion, and of those among them that hold it at rest.
     """
 
     model: TwinRotor
     resisting: tuple[str, ...]
     dry: tuple[str, ...]
-    sensing: tuple[str, ...]
 
 
 def rig_of(subject: Subject) -> Rig:
@@ -52,20 +47,18 @@ def rig_of(subject: Subject) -> Rig:
         For a model whose energy is not stated here, and for an effect that changes it.
     """
     model: Model = subject.require_equations("a Lyapunov function")
-    resisting, dry, sensing = [], [], []
+    resisting: list[str] = []
+    dry: list[str] = []
     for name, effect in effects_of(model):
         if isinstance(effect, _RESISTING):
             resisting.append(name)
             if isinstance(effect, _DRY):
                 dry.append(name)
-        elif all(getattr(type(effect), part) is getattr(Effect, part) for part in _MOVING):
-            sensing.append(name)
         else:
             raise ModelError(
                 f"effect {name!r} changes the motion in a way that the energy does not follow",
                 where=f"effect.{name}",
-                remedy="leave it out; friction and damping of an axis and sensors may stay. "
-                + _INSTEAD,
+                remedy="leave it out; friction and damping of an axis may stay. " + _INSTEAD,
             )
     model = without_effects(model)
     if not isinstance(model, Newtonian | Lagrangian):
@@ -84,7 +77,7 @@ def rig_of(subject: Subject) -> Rig:
             remedy="model.currents=quasi_static (it differs by less than 1e-4 rad)",
         )
     _require_friction_and_cable(model)
-    return Rig(model, tuple(resisting), tuple(dry), tuple(sensing))
+    return Rig(model, tuple(resisting), tuple(dry))
 
 
 def _require_friction_and_cable(model: TwinRotor) -> None:
