@@ -182,8 +182,6 @@ def _warnings(certificate: Certificate, rig: Rig) -> tuple[str, ...]:
             f"{', '.join(rig.resisting)}: the power of friction, −F|Ω|, only adds to the decay; "
             "the proofs are of the equations without it."
         )
-    if rig.sensing:
-        said.append(f"{', '.join(rig.sensing)}: about sensors; without a loop nothing changes.")
     found = certificate.found
     if 0.0 < certificate.outer < 0.999 * found.wells.depth and not certificate.everywhere:
         said.append(
