@@ -251,7 +251,9 @@ def _limited(seconds: float) -> Iterator[None]:
         raise TrmsError(f"the run took longer than {seconds:g} s of wall time")
 
     before = signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    # Again each second after that: an exception out of an alarm is lost where code that is called
+    # back from C cannot pass it on.
+    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
     try:
         yield
     finally:
