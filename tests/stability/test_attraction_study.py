@@ -188,7 +188,7 @@ def test_labels_of_a_panel_are_drawn_in_it(pitch):
 
 
 def test_open_loop_is_no_loop():
-    with pytest.raises(ConfigurationError, match="closes no loop"):
+    with pytest.raises(ConfigurationError, match="there is no loop"):
         answered("model=newtonian_vertical", "controller=open_loop", "study.loop_starts=3")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.dead_zone import DeadZone
@@ -74,3 +75,10 @@ def test_a_model_that_only_steps():
         Subject(model, "net").require_equations("a study", "ask another")
     assert caught.value.remedy.startswith("ask another; or ")
     assert np.isfinite(model.sample_time)
+
+
+def test_a_controller_that_plays_commands_closes_no_loop():
+    loop = LoopParts(Newtonian(), OpenLoop(), None, 0.02, {"controller": "played"})  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match=r"controller=played .* there is no loop") as error:
+        Subject(MODEL, "newtonian", loop)
+    assert error.value.where == "controller"

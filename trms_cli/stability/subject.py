@@ -47,11 +47,27 @@ class Subject:
         What the model is called on the command line.
     loop : LoopParts or None
         None: the model alone.
+
+    Raises
+    ------
+    ConfigurationError
+        For a controller that plays commands, whatever the rig does: it closes no loop.
     """
 
     model: Model
     name: str
     loop: LoopParts | None = None
+
+    def __post_init__(self) -> None:
+        if self.loop is None or getattr(self.loop.controller, "follows_reference", True):
+            return
+        raise ConfigurationError(
+            f"controller={self.loop.names['controller']} plays commands, whatever the rig does: "
+            "there is no loop",
+            where="controller",
+            remedy="leave it out to study the model alone, or choose one that feeds back, as "
+            "controller=lqr",
+        )
 
     def require_equations(
         self, study: str, instead: str = "", *, command_path: bool = False

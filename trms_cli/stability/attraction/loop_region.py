@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
-from trms_cli.core.errors import ConfigurationError
 from trms_cli.stability.attraction import report
 from trms_cli.stability.attraction.inquiry import (
     Options,
@@ -27,7 +26,7 @@ from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.findings import Findings, Judged, Section, Table
 from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
-from trms_cli.stability.subject import LoopParts, Subject
+from trms_cli.stability.subject import Subject
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -76,7 +75,6 @@ def loop_findings(
         If the loop is unstable around the point, or a name is no state.
     """
     model, loop = subject.model, subject.require_loop("study=region_of_attraction")
-    require_feedback(loop)
     known = chosen or _deviating(subject)
     require_states(
         [n for n in known if n not in model.state_names], model.state_names, "study.states"
@@ -102,22 +100,6 @@ def loop_findings(
     return _told(
         subject, point, known, box, options, runs, inside, found, duration, tolerance, title
     )
-
-
-def require_feedback(loop: LoopParts) -> None:
-    """Refuse a controller that plays commands, whatever the rig does.
-
-    Raises
-    ------
-    ConfigurationError
-    """
-    if loop.names.get("controller") == "open_loop":
-        raise ConfigurationError(
-            "controller=open_loop plays commands and closes no loop that could bring a start back",
-            where="controller",
-            remedy="leave it out to study the model alone, or choose another (`trms list "
-            "controller`)",
-        )
 
 
 def _by_law(

@@ -33,8 +33,6 @@ _SHORTEST = 1e-5
 _KEEPS = 0.8
 #: rad: an axis that never sticks and swings less than this rests all the same.
 _CALM = 1e-4
-#: rad beside the point, and samples within which a controller that closes a loop answers to it.
-_AWAY, _SOON = 0.1, 50
 
 
 @dataclass(frozen=True)
@@ -76,20 +74,6 @@ class Watched:
     @property
     def hunts(self) -> bool:
         return self.verdict == "hunting"
-
-
-def answers(model: Model, loop: LoopParts, point: OperatingPoint, axis: str) -> bool:
-    """Whether the controller's commands depend on where the axis is: else there is no loop.
-
-    Another start, and not a step of the command, asks: friction would hold the axis against a
-    small step, and the controller saw nothing of it.
-    """
-    duration = _SOON * loop.sample_time
-    plain, pushed = (
-        run_loop(model, loop, point, duration, offset={model.axes[axis].angle: push})
-        for push in (0.0, _AWAY)
-    )
-    return not np.array_equal(plain.u, pushed.u)
 
 
 def watched(

@@ -19,7 +19,7 @@ from trms_cli.stability.cycles.friction_law import Friction, FrictionLaw, fricti
 from trms_cli.stability.cycles.hunting_charts import Level
 from trms_cli.stability.cycles.hunting_findings import Studied, Sweep, findings_of
 from trms_cli.stability.cycles.hunting_prediction import harmonics, predicted, swings
-from trms_cli.stability.cycles.hunting_runs import Watched, answers, watched, with_sizes
+from trms_cli.stability.cycles.hunting_runs import Watched, watched, with_sizes
 from trms_cli.stability.cycles.pid_loop import friction_loop
 from trms_cli.stability.cycles.stick_slip import StickSlip
 from trms_cli.stability.cycles.usual_point import not_level, usual_point
@@ -88,15 +88,6 @@ class Hunting:
             )
         point = usual_point(model, self.at)
         channel = names(model.inputs).index(model.rotors[ROTOR_OF_AXIS[friction.axis]])
-        tell("whether the controller answers")
-        if not answers(model, loop, point, friction.axis):
-            raise ConfigurationError(
-                f"the commands of controller={loop.names['controller']} do not depend on what it "
-                "sees: there is no loop that could hunt",
-                where="controller",
-                remedy="choose one that feeds back, as controller=pid; without a controller, "
-                "study=limit_cycles looks at the motions of the model alone",
-            )
         case = _Case(model, loop, point, friction, self.push)
         prediction = one = events = None
         warnings = list(not_level(model, self.at, point))
