@@ -24,7 +24,7 @@ LEVELS = [
     {"models"},
     {"controllers", "observers", "references", "effects"},
     {"simulation", "plants"},
-    {"gap", "identification", "stability", "reporting", "scoring", "runs"},
+    {"gap", "identification", "stability", "reporting", "scoring", "runs", "sweeps"},
     {"commands"},
     {"cli", "__main__"},
 ]
