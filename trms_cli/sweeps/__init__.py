@@ -1,1 +1,1 @@
-"""Sweeps: which runs are to be made (samplers), where (launchers), and that none is lost (driver)."""
+"""Sweeps: which runs are to be made (samplers), where (launchers), and none is lost (driver)."""
