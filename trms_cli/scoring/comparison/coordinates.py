@@ -15,7 +15,7 @@ from typing import Any
 from trms_cli.scoring.comparison.compared_run import ComparedRun
 
 #: Where a run's files go, and what is drawn and logged: no part of what was run.
-_NO_COORDINATES = frozenset({"out", "picture", "sim.prediction_every"})
+_NO_COORDINATES = frozenset({"out", "picture", "sim.prediction_every", "sim.scene_every"})
 #: Resolved copies of what other groups say.
 _COPIES = ("plant.effects", "plant.model", "plant.faults")
 _GROUPS = ("model", "plant", "effect", "fault", "observer", "controller", "ref", "supervisor")
