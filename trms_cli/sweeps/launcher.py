@@ -14,17 +14,35 @@ from typing import Protocol
 
 from trms_cli.sweeps.point import Point, Result
 
-#: A picklable function that makes one run and never raises for a run that fails.
-Work = Callable[[Point], Result]
-
 
 @dataclass(frozen=True)
-class Ended:
-    """A point whose worker has come back, or has died.
+class Attempt:
+    """A point as it is handed to a worker.
 
     Attributes
     ----------
     point : Point
+    number : int
+        1 for the first time that it is tried. Whoever is handed the same attempt after another
+        worker has begun it, does not run it.
+    """
+
+    point: Point
+    number: int = 1
+
+
+#: A picklable function that makes one run and never raises for a run that fails; None where
+#: another worker has begun this attempt.
+Work = Callable[[Attempt], Result | None]
+
+
+@dataclass(frozen=True)
+class Ended:
+    """An attempt whose worker has come back, or has died.
+
+    Attributes
+    ----------
+    attempt : Attempt
     result : Result or None
         None: the worker died with it, or its result was lost; whether the run was made stands in
         its folder.
@@ -32,7 +50,7 @@ class Ended:
         Why there is no result, as the engine tells it.
     """
 
-    point: Point
+    attempt: Attempt
     result: Result | None
     reason: str = ""
 
@@ -45,14 +63,14 @@ class Crew(Protocol):
         """How many runs are made at once."""
         ...
 
-    def submit(self, points: Sequence[Point]) -> None:
-        """Have points computed; returns at once."""
+    def submit(self, attempts: Sequence[Attempt]) -> None:
+        """Have runs made; returns at once."""
         ...
 
     def ended(self, timeout_s: float) -> list[Ended]:
         """Those that have ended since the last call; waits up to `timeout_s` for the first.
 
-        When a worker dies its points are among them, and the crew goes on with new workers (or
+        When a worker dies its attempts are among them, and the crew goes on with new workers (or
         raises TrmsError when there are none to be had).
         """
         ...

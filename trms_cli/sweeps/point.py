@@ -50,6 +50,8 @@ class Result:
         What the command itself calls its figure of merit (smaller is better), if it has one.
     problem : str
         Why it failed.
+    notes : tuple of str
+        Lines that the run would have told on standard error.
     """
 
     number: int
@@ -57,3 +59,4 @@ class Result:
     figures: Mapping[str, float] = field(default_factory=dict)
     objective: float | None = None
     problem: str = ""
+    notes: tuple[str, ...] = ()
