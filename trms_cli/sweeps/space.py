@@ -32,7 +32,8 @@ class Range:
     logarithmic : bool
         Equal ratios count alike: ``tag(log,interval(0.1,10))``.
     whole : bool
-        Whole numbers only: both bounds were typed without a point.
+        Whole numbers only: both bounds were typed without a point, and the key does not hold a
+        fraction by default.
     """
 
     key: str
