@@ -72,6 +72,7 @@ class Outcome:
 
     exit_code: int = EXIT_OK
     objective: float | None = None  #: smaller is better; None where a sweeper does not search
+    folder: Path | None = None  #: what it wrote into
 
 
 Task = Callable[[Composition], "int | Outcome"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,6 +10,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from trms_cli.commands.composition import Composition, Outcome, execute
+from trms_cli.commands.invocation import command_line
 from trms_cli.core.errors import EXIT_OK, EXIT_TERMINATED, Terminated
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
         resume=again,
         quiet=composition.job is not None,
     )
-    progress.note(shlex.join(["trms", *sys.argv[1:]]))
+    progress.note(command_line())
     for line in screen.beginning():
         progress.note(line)
     try:
@@ -106,7 +106,7 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     page = _write_page(diagnosis, asked, folder) if asked.options.page else None
     progress.finish(f"verdict {diagnosis.verdict}: {diagnosis.sentence}")
     screen.say_finished(diagnosis, corrected, page, perf_counter() - begin)
-    return Outcome(EXIT_OK)
+    return Outcome(EXIT_OK, folder=folder)
 
 
 def completed(diagnosis: Diagnosis, asked: Asked) -> Diagnosis:

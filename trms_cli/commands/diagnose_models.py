@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from trms_cli.commands.catalogue import config_folder
 from trms_cli.commands.composition import Composition
 from trms_cli.commands.diagnose_request import Asked
 from trms_cli.commands.identify_files import effect_arguments, origin_of
+from trms_cli.commands.invocation import command_line
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.extended_model import extended
 from trms_cli.gap.diagnosis import NO_EFFECT, Cause, Diagnosis
@@ -129,7 +128,7 @@ def _write(
         source="diagnosed on "
         + ", ".join(f"{Path(f).name} (sha256 {digest[:16]})" for f, digest in files.items()),
     )
-    write_model(document, path, f"{shlex.join(['trms', *sys.argv[1:]])}\n{words}")
+    write_model(document, path, f"{command_line()}\n{words}")
 
 
 def _known(model: Model, values: Mapping[str, float]) -> tuple[FreeParameter, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from trms_cli.commands.composition import Composition, execute
+from trms_cli.commands.composition import Composition, Outcome, execute
 from trms_cli.commands.invocation import program
 from trms_cli.commands.run_assembly import number, whole_number
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
@@ -52,7 +52,7 @@ def main(argv: Sequence[str]) -> int:
     return execute(argv, COMPOSES, perform)
 
 
-def perform(composition: Composition) -> int:
+def perform(composition: Composition) -> Outcome:
     """Design one composed excitation; write, print and draw it."""
     from trms_cli.commands.run_folder import write_document, write_whole
     from trms_cli.core.plugins import build
@@ -88,10 +88,10 @@ def perform(composition: Composition) -> int:
     if composition.job is not None:
         amplitudes = ", ".join(f"{n} {i['amplitude']:.3g}" for n, i in document["inputs"].items())
         print(f"{composition.job:>4}  {' '.join(composition.overrides)}  {amplitudes}")
-        return EXIT_OK
+        return Outcome(EXIT_OK, folder=folder)
     for line in _lines(document, folder, composition, perf_counter() - begin):
         print(line)
-    return EXIT_OK
+    return Outcome(EXIT_OK, folder=folder)
 
 
 def _check_files(config: Mapping[str, Any]) -> None:

@@ -98,7 +98,8 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     screen.say_finished(document, model, page, perf_counter() - begin)
     if progress.exit_code is not None and composition.job is not None:
         raise KeyboardInterrupt  # the sweep ends too
-    return Outcome(EXIT_OK if progress.exit_code is None else progress.exit_code, result.cost)
+    code = EXIT_OK if progress.exit_code is None else progress.exit_code
+    return Outcome(code, result.cost, folder)
 
 
 def _require_simulated(result: FitResult) -> None:

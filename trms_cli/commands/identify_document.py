@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,6 +11,7 @@ import numpy as np
 from trms_cli.commands.composition import Composition
 from trms_cli.commands.identify_assessment import Assessment, at_bounds
 from trms_cli.commands.identify_request import Identification
+from trms_cli.commands.invocation import command_line
 from trms_cli.commands.run_assembly import versions
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.judgement import Judged, figures
@@ -34,7 +33,7 @@ def document_of(
     result, problem = fitted.result, asked.problem
     content = {
         "schema": SCHEMA,
-        "command": shlex.join(["trms", *sys.argv[1:]]),
+        "command": command_line(),
         "versions": versions(),
         "model": composition.choices.get("model"),
         "effects": list(composition.config.get("effect") or {}),

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from typing import Any
 from trms_cli.commands.catalogue import config_folder, read_yaml
 from trms_cli.commands.composition import Composition
 from trms_cli.commands.identify_request import Identification
+from trms_cli.commands.invocation import command_line
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import TARGET
 from trms_cli.core.whole_file import replace_whole
@@ -91,7 +90,7 @@ def write_fitted_model(
             source=source,
         )
     heading = (
-        f"{shlex.join(['trms', *sys.argv[1:]])}\n"
+        f"{command_line()}\n"
         f"{result.outcome.value}; sd: standard deviation of a fitted value, "
         "prior_sd: of what was known before, relative"
     )

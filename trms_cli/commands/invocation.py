@@ -5,9 +5,14 @@ from __future__ import annotations
 import shlex
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 _NAME = "trms"
+#: What stands for the command line where a command was called from Python.
+_called: ContextVar[str | None] = ContextVar("called", default=None)
 
 
 def program() -> str:
@@ -29,3 +34,25 @@ def _relative(executable: str) -> str:
     """A path under the working folder without it, else as it is."""
     path, here = Path(executable), Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else executable
+
+
+def command_line() -> str:
+    """What was typed, for the records of what is written; from Python, what would be typed."""
+    called = _called.get()
+    return shlex.join([_NAME, *sys.argv[1:]]) if called is None else called
+
+
+@contextmanager
+def called_as(words: str) -> Iterator[None]:
+    """Inside, a command is called from Python, and `words` are what :func:`command_line` says."""
+    before = _called.set(words)
+    try:
+        yield
+    finally:
+        _called.reset(before)
+
+
+def whole_trace() -> str:
+    """Where the trace of an exception is that a message tells of."""
+    typed = _called.get() is None
+    return "the whole trace: add --debug" if typed else "the whole trace: the error's __cause__"

@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Mapping
 from typing import Any
 
+from trms_cli.commands.invocation import whole_trace
 from trms_cli.core.errors import ConfigurationError, SimulationError, TrmsError
 
 #: First words of a key that names its place in the whole configuration.
@@ -54,5 +55,5 @@ def _words(error: Exception, key: str, part: Any, time: float) -> SimulationErro
         f"the {key} {kind.__module__}.{kind.__qualname__} failed {moment}: "
         f"{type(error).__name__}: {error}",
         where=f"{last.filename}, line {last.lineno}, in {last.name}",
-        remedy="the whole trace: add --debug",
+        remedy=whole_trace(),
     )

@@ -134,7 +134,7 @@ def perform(composition: Composition) -> Outcome:
             screen.say_interrupted(loop.done * experiment.sample_time)
             if composition.job is not None:
                 raise  # the sweep ends too
-            return Outcome(interrupted_code(error))
+            return Outcome(interrupted_code(error), folder=log.path.parent)
         except BaseException as error:
             log.close("failed")
             if isinstance(error, Exception):
@@ -151,7 +151,7 @@ def perform(composition: Composition) -> Outcome:
                 sys.stderr.write(f"no picture: {error.strerror or error}\n")
                 picture = None
     screen.say_finished(score, picture, perf_counter() - begin)
-    return Outcome(EXIT_OK, _objective(score))
+    return Outcome(EXIT_OK, _objective(score), log.path.parent)
 
 
 @contextmanager

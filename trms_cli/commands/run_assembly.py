@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import platform
-import shlex
-import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -15,6 +13,7 @@ import yaml
 
 from trms_cli import __version__
 from trms_cli.commands.composition import Composition
+from trms_cli.commands.invocation import command_line
 from trms_cli.commands.plugin_contract import check_contract
 from trms_cli.core.plugins import build
 from trms_cli.models.model import Model, Signal
@@ -190,7 +189,7 @@ def run_metadata(
     }
     limits |= {name: [-stop, stop] for name, stop in model.stops.items() if stop < float("inf")}
     return {
-        "command": shlex.join(["trms", *sys.argv[1:]]),
+        "command": command_line(),
         "seed": str(composition.config["seed"]),
         "git": revision,
         VERSIONS_KEY: json.dumps(versions()),

@@ -84,7 +84,7 @@ def perform_replay(composition: Composition) -> Outcome:
     except KeyboardInterrupt as error:
         log.close("interrupted", _score(replay, log.path, complete=False))
         screen.say_interrupted(replay.done * rig.sample_time)
-        return Outcome(interrupted_code(error))
+        return Outcome(interrupted_code(error), folder=log.path.parent)
     except BaseException as error:
         log.close("failed")
         reached = replay.done * rig.sample_time
@@ -106,7 +106,7 @@ def perform_replay(composition: Composition) -> Outcome:
         picture = log.path.with_name(PICTURE_NAME)
         draw_replay(replay.history, table, picture, title=screen.what)
     screen.say_finished(score, table, picture, spent)
-    return Outcome(EXIT_OK, _objective(table))
+    return Outcome(EXIT_OK, _objective(table), log.path.parent)
 
 
 def _topics(model: Model, rig: RecordedRun) -> list[Topic]:

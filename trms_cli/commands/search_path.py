@@ -11,6 +11,7 @@ from hydra.core.config_search_path import ConfigSearchPath, SearchPathQuery
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.version import VersionBase
 
 HYDRA_VERSION_BASE = "1.3"  #: whose behaviour the configuration is written for
 
@@ -32,7 +33,10 @@ class UserFolders(SearchPathPlugin):
 
 @contextmanager
 def user_folders(folders: Sequence[Path]) -> Iterator[None]:
-    """Hydra is started inside; it is left as it was found, ready to be started again."""
+    """Hydra is started inside; it is left as it was found, also where a notebook has started it."""
+    state, version = GlobalHydra.instance(), VersionBase.instance()
+    hydra, base = state.hydra, version.getbase()
+    state.clear()
     if UserFolders not in Plugins.instance().discover(SearchPathPlugin):
         Plugins.instance().register(UserFolders)
     before = UserFolders.folders
@@ -41,4 +45,5 @@ def user_folders(folders: Sequence[Path]) -> Iterator[None]:
         yield
     finally:
         UserFolders.folders = before
-        GlobalHydra.instance().clear()
+        GlobalHydra.instance().hydra = hydra
+        version.version_base = base

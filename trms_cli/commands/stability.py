@@ -80,4 +80,4 @@ def perform(composition: Composition) -> Outcome:
             page = write_page(document, findings, folder, PAGE_NAME)
     spent = perf_counter() - begin
     say_finished(composition, document, findings, folder / DOCUMENT_NAME, page, spent)
-    return Outcome(EXIT_OK)
+    return Outcome(EXIT_OK, folder=folder)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
 from trms_cli.commands.composition import Composition
+from trms_cli.commands.invocation import command_line
 from trms_cli.commands.plugin_contract import check_contract
 from trms_cli.commands.recording_request import model_of
 from trms_cli.commands.run_assembly import check_out, number, versions
@@ -114,7 +113,7 @@ def document_of(composition: Composition, asked: Asked, findings: Findings) -> d
         "tables": [_table(table) for table in findings.tables],
         "charts": [as_data(chart) for chart in findings.charts],
         "settings": composition.config["study"],
-        "command": shlex.join(["trms", *sys.argv[1:]]),
+        "command": command_line(),
         "versions": versions(),
     }
 

@@ -104,4 +104,4 @@ def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Ou
                 sys.stderr.write(f"no page: {error.strerror or error}\n")
                 page = None
     screen.say_finished(document, folder / DOCUMENT_NAME, page, perf_counter() - begin)
-    return Outcome(EXIT_OK, request.objective(document))
+    return Outcome(EXIT_OK, request.objective(document), folder)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from trms_cli.commands.invocation import command_line
 from trms_cli.commands.validate_pictures import (
     correlation_rows,
     error_growths,
@@ -75,7 +74,7 @@ def _facts(document: Mapping[str, Any]) -> dict[str, str]:
     for i, warning in enumerate(document["warnings"]):
         key = f"warning {i + 1}" if len(document["warnings"]) > 1 else "warning"
         facts[key] = str(Issue(**warning))
-    facts["command"] = f"`{shlex.join(['trms', *sys.argv[1:]])}`"
+    facts["command"] = f"`{command_line()}`"
     facts["versions"] = ", ".join(f"{name} {v}" for name, v in document["versions"].items())
     return facts
 
