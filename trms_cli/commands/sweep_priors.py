@@ -168,7 +168,7 @@ def _parameters(config: Mapping[str, Any], key: str, owner: str) -> dict[str, Pa
 
 
 def _with_prior(table: Mapping[str, Parameter]) -> list[str]:
-    return [n for n, each in table.items() if each.prior_sd and each.value or each.typical]
+    return [n for n, each in table.items() if (each.prior_sd and each.value) or each.typical]
 
 
 def _prior(key: str, parameter: Parameter, scale: float, known: Sequence[str]) -> Range | Prior:

@@ -147,7 +147,7 @@ def _read(text: str, declared: Primary, groups: Groups) -> _Typed:
         raise ConfigurationError(
             f"{text!r}: sweeps have samplers and launchers of their own",
             where=override.key,
-            remedy="choose with sampler=… and launcher=…; `trms list sampler`, `trms list launcher`",
+            remedy="choose with sampler=… and launcher=… (`trms list sampler`)",
         )
     value = (override.value or "").strip()
     if override.prefix == "~" or not value:
