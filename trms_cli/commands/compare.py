@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,23 +61,56 @@ def main(argv: list[str]) -> int:
     options.add_argument("--sort", choices=_SORTS, default="rank")
     options.add_argument("--json", action="store_true")
     given = options.parse_args(argv)
-    where = _where(given.where, options)
+    gathered = gathered_from(given.paths, _where(given.where, options))
+    if len(gathered.runs) == 2 and not given.by:
+        return _pair(gathered, as_json=given.json)
+    return _ranking(gathered, given)
 
+
+def gathered_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> Gathered:
+    """The runs in files and folders, those alone that have certain values of their keys.
+
+    Raises
+    ------
+    RecordingError
+        If there is nothing to compare.
+    """
     from trms_cli.scoring.comparison.gathering import Gathered, gather
     from trms_cli.scoring.comparison.grouping import matching
 
-    gathered = gather(given.paths)
+    gathered = gather(paths)
     if where:
         gathered = Gathered(tuple(matching(gathered.runs, where)), gathered.left_out)
     if len(gathered.runs) == 1 and gathered.runs[0].state.ranked:
         raise RecordingError(
             "there is one run only, and nothing to compare it with",
-            where=", ".join(map(str, given.paths)),
+            where=", ".join(map(str, paths)),
             remedy=f"add another; its own figures: trms score {gathered.runs[0].path}",
         )
-    if len(gathered.runs) == 2 and not given.by:
-        return _pair(gathered, as_json=given.json)
-    return _ranking(gathered, given)
+    return gathered
+
+
+def ranking_of(
+    gathered: Gathered, by: Sequence[str], metric: str, paths: Sequence[Path]
+) -> Ranking:
+    """Everybody held against the best on the same reference, rig and seed.
+
+    Raises
+    ------
+    RecordingError
+        If nobody has a tracking error.
+    """
+    from trms_cli.scoring.comparison.grouping import group
+    from trms_cli.scoring.comparison.ranking import rank
+
+    ranking = rank(group(gathered.runs, by), metric)
+    if not ranking.best:
+        raise RecordingError(
+            _why_nothing(gathered),
+            where=", ".join(map(str, paths)),
+            remedy="look at them one by one: trms score LOG",
+        )
+    return ranking
 
 
 def ordered(ranking: Ranking, sort: str) -> list[Standing]:
@@ -104,18 +137,10 @@ def ordered(ranking: Ranking, sort: str) -> list[Standing]:
 
 def _ranking(gathered: Gathered, given: Any) -> int:
     from trms_cli.scoring.comparison.document import document
-    from trms_cli.scoring.comparison.grouping import group
-    from trms_cli.scoring.comparison.ranking import rank
 
     by = [key for key in given.by.split(",") if key]
-    ranking = rank(group(gathered.runs, by), given.metric)
+    ranking = ranking_of(gathered, by, given.metric, given.paths)
     shown = ordered(ranking, given.sort)
-    if not ranking.best:
-        raise RecordingError(
-            _why_nothing(gathered),
-            where=", ".join(map(str, given.paths)),
-            remedy="look at them one by one: trms score LOG",
-        )
     if given.json:
         _print_json(document(ranking, gathered, shown))
         return EXIT_OK

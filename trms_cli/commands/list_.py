@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from trms_cli.commands.catalogue import (
     Groups,
@@ -57,18 +58,18 @@ def main(argv: Sequence[str]) -> int:
     _refuse_options(words)
     groups = read_groups(config_dirs)
     if len(words) >= 2:
-        option = _find_option(groups, *words[:2])
+        option = find_option(groups, *words[:2])
         if as_json:
-            _print_json({option.group: {option.name: option}}, _about(config_dirs))
+            _print_json({option.group: {option.name: option}}, about(config_dirs))
         else:
             sys.stdout.write(f"# {option.file}\n{option.file.read_text(encoding='utf-8')}")
         return EXIT_OK
     if words:
-        groups = {words[0]: _find_group(groups, words[0])}
+        groups = {words[0]: find_group(groups, words[0])}
     if as_json:
-        _print_json(groups, _about(config_dirs))
+        _print_json(groups, about(config_dirs))
     else:
-        sys.stdout.write(_table(groups, _about(config_dirs), config_dirs))
+        sys.stdout.write(_table(groups, about(config_dirs), config_dirs))
     return EXIT_OK
 
 
@@ -82,7 +83,14 @@ def _refuse_options(words: Sequence[str]) -> None:
         )
 
 
-def _find_group(groups: Groups, name: str) -> dict[str, Option]:
+def find_group(groups: Groups, name: str) -> dict[str, Option]:
+    """The options of a group.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such group; it names the nearest.
+    """
     from trms_cli.core.plugins import nearest
 
     if name not in groups:
@@ -92,10 +100,17 @@ def _find_group(groups: Groups, name: str) -> dict[str, Option]:
     return groups[name]
 
 
-def _find_option(groups: Groups, group: str, name: str) -> Option:
+def find_option(groups: Groups, group: str, name: str) -> Option:
+    """An option of a group.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is none; it names the nearest.
+    """
     from trms_cli.core.plugins import nearest
 
-    options = _find_group(groups, group)
+    options = find_group(groups, group)
     if name not in options:
         raise ConfigurationError(
             f"group {group} has no option {name!r}",
@@ -105,7 +120,7 @@ def _find_option(groups: Groups, group: str, name: str) -> Option:
     return options[name]
 
 
-def _about(config_dirs: Sequence[Path]) -> dict[str, str]:
+def about(config_dirs: Sequence[Path]) -> dict[str, str]:
     """What each group is for, as the primary configurations' defaults tell it."""
     about = dict(_INSIDE_OTHERS)
     for primary in reversed(_PRIMARIES):
@@ -127,10 +142,9 @@ def _table(groups: Groups, about: dict[str, str], config_dirs: Sequence[Path]) -
     return "\n".join(blocks)
 
 
-def _print_json(groups: Groups, about: dict[str, str]) -> None:
-    import json
-
-    document = {
+def document_of(groups: Groups, about: dict[str, str]) -> dict[str, Any]:
+    """``trms.list/1``: groups with their options."""
+    return {
         "schema": "trms.list/1",
         "groups": {
             group: {
@@ -143,4 +157,10 @@ def _print_json(groups: Groups, about: dict[str, str]) -> None:
             for group, options in groups.items()
         },
     }
+
+
+def _print_json(groups: Groups, about: dict[str, str]) -> None:
+    import json
+
+    document = document_of(groups, about)
     sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")

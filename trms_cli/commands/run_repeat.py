@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.composition import Composition, Outcome, Task, compose, execute
+from trms_cli.commands.given_object import refuse_given
 from trms_cli.commands.invocation import program
 from trms_cli.commands.run_folder import log_of
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
@@ -62,6 +63,7 @@ def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
     then = tuple(json.loads(run.run.get("overrides", "[]")))
     folders = [Path(folder) for folder in json.loads(run.run.get("config_dirs", "[]"))]
     logged = _config(run)
+    refuse_given(logged, "", str(log))
     typed = [word for word in then if not _is_own(word)]
     places = [word for folder in folders for word in ("--config-dir", str(folder))]
     _tell_what_differs(run)

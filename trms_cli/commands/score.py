@@ -128,6 +128,14 @@ def main(argv: list[str]) -> int:
 def _print_json(
     scored: list[tuple[dict[str, Any], list[Row] | None]], baseline: Path | None
 ) -> None:
+    whole = document_of(scored, baseline)
+    json.dump(whole, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def document_of(
+    scored: list[tuple[dict[str, Any], list[Row] | None]], baseline: Path | None
+) -> dict[str, Any]:
     """One document: the score, or ``trms.scores/1`` with several of them."""
     from dataclasses import asdict
 
@@ -143,11 +151,7 @@ def _print_json(
                 "figures": [asdict(row) for row in rows],
             }
         documents.append(document)
-    whole = (
-        documents[0] if len(documents) == 1 else {"schema": "trms.scores/1", "scores": documents}
-    )
-    json.dump(whole, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
-    sys.stdout.write("\n")
+    return documents[0] if len(documents) == 1 else {"schema": "trms.scores/1", "scores": documents}
 
 
 def _write_baseline(path: Path, score: dict[str, Any], reason: str, *, force: bool) -> None:

@@ -50,6 +50,20 @@ class TrmsError(Exception):
             parts.append(f"({self.remedy})")
         return " ".join(parts)
 
+    def _render_traceback_(self) -> list[str]:
+        """What a notebook shows instead of a traceback: as a terminal does, in three lines.
+
+        A plugin that failed is shown with its own trace: there the mistake is.
+        """
+        import traceback
+
+        cause = self.__cause__
+        trace = [] if cause is None else traceback.format_exception(cause)
+        lines = [f"{type(self).__name__}: {self.problem}"]
+        lines += [f"   in  {self.where}"] if self.where else []
+        lines += ["   do  " + self.remedy.replace("\n", "\n       ")] if self.remedy else []
+        return [line.rstrip("\n") for line in trace] + lines
+
 
 class ConfigurationError(TrmsError, ValueError):
     """A key of the configuration is misspelt, of the wrong type, out of range or missing."""

@@ -1,0 +1,101 @@
+"""Objects that a caller in Python gives where a configuration has a plugin.
+
+In the configuration such an object is a plugin too: its arguments say what it was, and building it
+takes the object itself from those of the call. So a log tells the class and how it was made; to
+build it once the call is over is refused, since a log holds no objects.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import TARGET
+
+_TARGET = f"{__name__}.taken"
+#: Letters of an object's own words that a log keeps.
+_LONGEST = 400
+_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
+_given: ContextVar[Sequence[Any]] = ContextVar("given", default=())
+
+
+@contextmanager
+def given(objects: Sequence[Any]) -> Iterator[None]:
+    """Inside, :func:`node_of` their places in `objects` builds to them."""
+    before = _given.set(tuple(objects))
+    try:
+        yield
+    finally:
+        _given.reset(before)
+
+
+def node_of(number: int, plugin: Any) -> dict[str, Any]:
+    """The configuration that stands for an object, by its place among those of the call."""
+    return {TARGET: _TARGET, "number": number, "kind": kind_of(plugin), "words": words_of(plugin)}
+
+
+def taken(*, number: int, kind: str, words: str) -> Any:
+    """The object that a node stands for.
+
+    Raises
+    ------
+    ConfigurationError
+        Once the call that it was given to is over.
+    """
+    objects = _given.get()
+    if number < len(objects) and kind_of(objects[number]) == kind:
+        return objects[number]
+    raise ConfigurationError(
+        f"{words} was an object in a Python session, which no file holds",
+        remedy=_REMEDY,
+    )
+
+
+_REMEDY = (
+    "call it from Python again with such an object; or give the class a YAML with its _target_ "
+    "(docs/writing-a-plugin.md), which can be repeated by anyone"
+)
+
+
+def refuse_given(config: Any, where: str, source: str) -> None:
+    """Refuse a configuration in which an object stood.
+
+    Parameters
+    ----------
+    where : str
+        The place of `config` in the whole; empty for the whole.
+    source : str
+        What the configuration is of, for the message.
+
+    Raises
+    ------
+    ConfigurationError
+        It names the place and what stood there.
+    """
+    if not isinstance(config, Mapping):
+        return
+    if config.get(TARGET) == _TARGET:
+        raise ConfigurationError(
+            f"its {where} was {config.get('words')}, an object in a Python session, which a log "
+            "cannot hold: the run cannot be repeated from it",
+            where=source,
+            remedy=_REMEDY,
+        )
+    for key, value in config.items():
+        refuse_given(value, f"{where}.{key}" if where else str(key), source)
+
+
+def kind_of(plugin: Any) -> str:
+    """The dotted name of an object's class."""
+    kind = type(plugin)
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def words_of(plugin: Any) -> str:
+    """What an object says of itself, on one line, without its place in memory."""
+    words = _ADDRESS.sub("", " ".join(repr(plugin).split()))
+    return words if len(words) <= _LONGEST else f"{words[:_LONGEST]}…"
