@@ -83,6 +83,7 @@ def perform(composition: Composition) -> Outcome:
         return run_replay.perform_replay(composition)
     from trms_cli.commands import run_assembly as assembly
     from trms_cli.commands.git_revision import GitRevision
+    from trms_cli.commands.run_scene import RunScene
     from trms_cli.commands.run_screen import RunScreen
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
@@ -100,16 +101,17 @@ def perform(composition: Composition) -> Outcome:
         from trms_cli.runs.place import tell_of_run
 
         topics = assembly.topics_of(experiment, plant)
+        scene = RunScene(composition.config, topics, experiment.model, plant)
         log = RunLog(
             composition.folder("run") / LOG_NAME,
-            topics,
+            [*topics, *scene.topics()],
             assembly.run_metadata(composition, experiment.model, plant, revision.answer())
             | {"loop": "closed" if _follows(experiment.controller) else "open"},
             assembly.attachments(composition, experiment.model, getattr(plant, "parameters", None)),
         )
         logs.append(log)
         tell_of_run(log.path)
-        return History({topic.name: units_of(topic) for topic in topics}, log)
+        return History({topic.name: units_of(topic) for topic in topics}, scene.sink(log))
 
     # What is not finite is looked for and told in words: NumPy's warnings would only repeat it.
     with (

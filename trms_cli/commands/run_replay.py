@@ -17,6 +17,7 @@ from trms_cli.commands.invocation import program
 from trms_cli.commands.plugin_contract import check_contract
 from trms_cli.commands.plugin_failure import plugin_failure
 from trms_cli.commands.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
+from trms_cli.commands.run_scene import RunScene
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError, interrupted_code
 from trms_cli.core.plugins import TARGET, build, locate
 from trms_cli.models.model import Model, Signal
@@ -65,16 +66,18 @@ def perform_replay(composition: Composition) -> Outcome:
 
     def make_history(rig: RecordedRun) -> History:
         metadata = assembly.run_metadata(composition, model, rig, revision.answer())
+        scene = RunScene(config, topics, model, rig)
         log = RunLog(
             composition.folder("run") / LOG_NAME,
-            topics,
+            [*topics, *scene.topics()],
             metadata | _about(rig),
             assembly.attachments(composition, model, None),
             publish_time="log",
         )
         logs.append(log)
         tell_of_run(log.path)
-        return History({t.name: {f.name: f.unit for f in t.fields} for t in topics}, log)
+        units = {t.name: {f.name: f.unit for f in t.fields} for t in topics}
+        return History(units, scene.sink(log))
 
     replay = Replay.start(model, rig, observer, make_history)
     log = logs[0]

@@ -86,16 +86,24 @@ class ChunkWriter:
     def add_channel(self, topic: str, schema_name: str, json_schema: bytes) -> int:
         """Add a channel of JSON messages with its schema; return the channel's id."""
         number = len(self._channels) + 1
-        schema = Schema(id=number, name=schema_name, encoding="jsonschema", data=json_schema)
+        schema_id = self._schema_id(schema_name, json_schema)
         channel = Channel(
-            id=number, topic=topic, message_encoding="json", metadata={}, schema_id=number
+            id=number, topic=topic, message_encoding="json", metadata={}, schema_id=schema_id
         )
-        self._schemas.append(schema)
         self._channels.append(channel)
         self._counts[number] = 0
-        self._put(schema)
         self._put(channel)
         return number
+
+    def _schema_id(self, name: str, data: bytes) -> int:
+        """The id of a schema; topics of one schema share its record."""
+        for schema in self._schemas:
+            if isinstance(schema, Schema) and (schema.name, schema.data) == (name, data):
+                return schema.id
+        schema = Schema(id=len(self._schemas) + 1, name=name, encoding="jsonschema", data=data)
+        self._schemas.append(schema)
+        self._put(schema)
+        return schema.id
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a metadata record."""

@@ -25,6 +25,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, SCORE_METADATA
+from trms_cli.recordings.topics import VIEWER_SCHEMAS
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -257,13 +258,15 @@ def _take(opcode: int, body: memoryview, content: _Content) -> None:
             content.times[channel_id].append(log_time)
             content.messages[channel_id].append(bytes(body[_MESSAGE.size :]))
     elif opcode == Opcode.SCHEMA:
-        schema = Schema.read(ReadDataStream(BytesIO(body)))
-        content.schemas[schema.id] = schema
+        read = Schema.read(ReadDataStream(BytesIO(body)))
+        content.schemas[read.id] = read
     elif opcode == Opcode.CHANNEL:
         channel = Channel.read(ReadDataStream(BytesIO(body)))
         content.channels[channel.id] = channel
         wanted = content.topics is None or channel.topic in content.topics
-        if wanted and channel.message_encoding == "json":
+        schema = content.schemas.get(channel.schema_id)
+        for_viewers = schema is not None and schema.name.startswith(VIEWER_SCHEMAS)
+        if wanted and not for_viewers and channel.message_encoding == "json":
             content.times.setdefault(channel.id, [])
             content.messages.setdefault(channel.id, [])
 

@@ -29,6 +29,7 @@ from mcap.writer import MCAP0_MAGIC
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import Table
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA
+from trms_cli.recordings.topics import VIEWER_SCHEMAS
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -249,7 +250,10 @@ class LogTail:
     def _add_channel(self, channel: Channel) -> None:
         if channel.message_encoding != "json" or channel.id in self._kinds:
             return
-        properties = orjson.loads(self._schemas[channel.schema_id].data)["properties"]
+        schema = self._schemas[channel.schema_id]
+        if schema.name.startswith(VIEWER_SCHEMAS):
+            return  # it is there for viewers, and holds no samples
+        properties = orjson.loads(schema.data)["properties"]
         wanted = {n: p for n, p in properties.items() if self._wanted(channel.topic, n)}
         if wanted:
             self.units[channel.topic] = {n: p.get("unit", "") for n, p in wanted.items()}

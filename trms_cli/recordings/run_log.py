@@ -28,7 +28,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.append_stream import AppendStream
 from trms_cli.recordings.chunk_writer import ChunkWriter
 from trms_cli.recordings.output_file import NO_ROOM, explain_os_error
-from trms_cli.recordings.topics import EVENT_TOPIC, Topic
+from trms_cli.recordings.topics import EVENT_TOPIC, EncodedTopic, Topic
 
 Outcome = Literal["completed", "interrupted", "failed"]
 
@@ -50,8 +50,9 @@ class RunLog:
     ----------
     path : Path
         File to create, with its folders. Never an existing one.
-    topics : sequence of Topic
-        What will be written; /event is added when it is missing.
+    topics : sequence of Topic or EncodedTopic
+        What will be written; /event is added when it is missing. A message of an encoded topic
+        is one value: its JSON as bytes.
     run_metadata : mapping of str to str
         Goes into the ``trms.run`` record: command, seed, versions, git revision, …
     attachments : mapping of str to (str, bytes)
@@ -70,7 +71,7 @@ class RunLog:
     def __init__(
         self,
         path: Path | str,
-        topics: Sequence[Topic],
+        topics: Sequence[Topic | EncodedTopic],
         run_metadata: Mapping[str, str],
         attachments: Mapping[str, tuple[str, bytes]] | None = None,
         *,
@@ -79,7 +80,7 @@ class RunLog:
         self.path = Path(path)
         self.safe_until_s: float | None = None  # run time up to which the file holds all
         self._wall_clock = publish_time == "wall"
-        self._rows: list[tuple[_Channel, int, int, tuple[Any, ...]]] = []
+        self._rows: list[tuple[_AnyChannel, int, int, tuple[Any, ...]]] = []
         self._last_time_ns = 0
         self._run = {
             "schema": RUN_SCHEMA,
@@ -120,7 +121,9 @@ class RunLog:
         """Return :meth:`write` for one topic: what a loop calls several times a step."""
         return partial(self._append, self._channel(topic))
 
-    def _append(self, channel: _Channel, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
+    def _append(
+        self, channel: _AnyChannel, time_ns: int, values: Sequence[Any] | np.ndarray
+    ) -> None:
         if channel.has_arrays:
             values = [v.tolist() if isinstance(v, np.ndarray) else v for v in values]
         elif type(values) is np.ndarray:
@@ -131,7 +134,7 @@ class RunLog:
         if len(rows) >= _MAX_BUFFERED_ROWS:
             self.flush()
 
-    def _channel(self, topic: str) -> _Channel:
+    def _channel(self, topic: str) -> _AnyChannel:
         try:
             return self._channels[topic]
         except KeyError:
@@ -223,7 +226,10 @@ class RunLog:
             remedy = "" if error.errno in NO_ROOM else "give a folder of your own: out=FOLDER"
             raise explain_os_error(error, self.path, remedy) from error
 
-    def _register(self, topic: Topic) -> _Channel:
+    def _register(self, topic: Topic | EncodedTopic) -> _AnyChannel:
+        if isinstance(topic, EncodedTopic):
+            number = self._writer.add_channel(topic.name, topic.schema_name, topic.schema)
+            return _EncodedChannel(number)
         schema = json.dumps(topic.json_schema(), ensure_ascii=False).encode()
         return _Channel(topic, self._writer.add_channel(topic.name, topic.schema_name, schema))
 
@@ -269,6 +275,24 @@ class _Channel:
                 f"{self._topic.name} takes {len(names)} values ({', '.join(names)}), "
                 f"got {len(values)}: {values!r}"
             ) from None
+
+
+class _EncodedChannel:
+    """A topic's MCAP channel whose messages are JSON already."""
+
+    __slots__ = ("id",)
+    has_arrays = False
+
+    def __init__(self, channel_id: int) -> None:
+        self.id = channel_id
+
+    def encode(self, values: tuple[Any, ...]) -> bytes:
+        """Return the message."""
+        message: bytes = values[0]
+        return message
+
+
+_AnyChannel = _Channel | _EncodedChannel
 
 
 def _plain(value: Any) -> Any:

@@ -13,6 +13,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+#: How the names of a viewer's schemas begin; their messages hold no samples, and readers pass them.
+VIEWER_SCHEMAS = "foxglove."
+
 Kind = Literal["number", "integer", "text", "boolean", "array"]
 
 _JSON_TYPES = {
@@ -106,6 +109,25 @@ class Topic:
             "required": list(self.field_names),
             "additionalProperties": False,
         }
+
+
+@dataclass(frozen=True)
+class EncodedTopic:
+    """A stream of messages that come as JSON already, with somebody else's schema.
+
+    Attributes
+    ----------
+    name : str
+        With its slash: "/tf".
+    schema_name : str
+        As its publisher calls it: "foxglove.FrameTransforms".
+    schema : bytes
+        The JSON schema as published.
+    """
+
+    name: str
+    schema_name: str
+    schema: bytes
 
 
 EVENT_TOPIC = Topic(

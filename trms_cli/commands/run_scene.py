@@ -1,0 +1,91 @@
+"""The 3D view of a run: from a configuration or a log's own words to what goes into a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from trms_cli.core.scene import Scene
+from trms_cli.models.model import Model
+from trms_cli.models.rig_shape import rig_shape
+from trms_cli.recordings.foxglove.messages import SceneEncoder
+from trms_cli.recordings.foxglove.scene_log import SceneLog, Sources, find_sources
+from trms_cli.recordings.foxglove.topics import encoded_topics
+from trms_cli.recordings.topics import EncodedTopic, Topic
+
+if TYPE_CHECKING:
+    from trms_cli.plants.plant import PlantRun
+    from trms_cli.plants.replay import RecordedRun
+    from trms_cli.recordings.run_log import RunLog
+
+#: What is said of a log that has no angle.
+NO_ATTITUDE = "neither pitch nor yaw is in the log: a motor or a propeller alone has no attitude"
+
+
+class RunScene:
+    """The 3D view of one run.
+
+    Parameters
+    ----------
+    config : mapping
+        The composed configuration; ``sim.scene_every`` decides how often, or whether at all.
+    topics : sequence of Topic
+        Of the run's log.
+    model : Model
+    plant : PlantRun or RecordedRun
+        Its parameters, where it has some, tell the body's lengths; the model's otherwise.
+
+    Raises
+    ------
+    ConfigurationError
+        When ``sim.scene_every`` is no whole number.
+    """
+
+    def __init__(
+        self,
+        config: Mapping[str, Any],
+        topics: Sequence[Topic],
+        model: Model,
+        plant: PlantRun | RecordedRun,
+    ) -> None:
+        self._every = scene_every(config)
+        self._sources: Sources | None = None
+        if self._every:
+            limits = {
+                signal.name: float(high)
+                for signal, high in zip(plant.inputs, plant.input_limits[1], strict=True)
+                if 0 < high < float("inf")
+            }
+            fields = {topic.name: topic.field_names for topic in topics}
+            self._sources = find_sources(fields, limits)
+        parameters = getattr(plant, "parameters", None) or model.parameters
+        self._lengths = {p.name: float(p.value) for p in parameters}
+
+    def topics(self) -> list[EncodedTopic]:
+        """What the log gains; nothing where there is no attitude, or no view is wanted."""
+        return encoded_topics() if self._sources is not None else []
+
+    def sink(self, log: RunLog) -> RunLog | SceneLog:
+        """What a run's history writes to: the log, or the log with the view."""
+        if self._sources is None:
+            return log
+        encoder = encoder_of(rig_shape(self._lengths), self._sources)
+        return SceneLog(log, encoder, self._sources, self._every)
+
+
+def scene_every(config: Mapping[str, Any]) -> int:
+    """Samples between two poses.
+
+    Raises
+    ------
+    ConfigurationError
+        When ``sim.scene_every`` is no whole number.
+    """
+    from trms_cli.commands.run_assembly import whole_number
+
+    return whole_number(config["sim"]["scene_every"], "sim.scene_every")
+
+
+def encoder_of(scene: Scene, sources: Sources) -> SceneEncoder:
+    """The encoder of a rig's scene, with the ghosts that a log tells of."""
+    return SceneEncoder(scene, sources.ghosts, scene.assumed)

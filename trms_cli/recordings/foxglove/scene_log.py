@@ -1,0 +1,193 @@
+"""Adds the 3D view to a log while it is written: a pose every few samples.
+
+Stands between a run's history and its log. The loop knows nothing of it: what it logs of the
+angles and commands is remembered, and at the last topic of a sample a pose is made of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from trms_cli.core.scene import GHOSTS
+from trms_cli.recordings.foxglove.messages import Attitudes, SceneEncoder, log_line
+from trms_cli.recordings.foxglove.topics import ARROWS, BODIES, LOG_LINES, TRANSFORMS
+from trms_cli.recordings.run_log import RunLog
+
+#: Where an attitude is read, best first: a simulated rig knows it, another has measured it.
+_RIG = ("/plant/state", "/measurement", "/estimate")
+_GHOSTS = {"reference": "/reference", "estimate": "/estimate"}
+_COMMANDS = "/command"
+_YAW, _PITCH = "alpha_h", "alpha_v"
+
+Row = Sequence[Any]
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where in a log the attitudes and commands of a scene stand.
+
+    Attributes
+    ----------
+    attitudes : dict of str to (str, int or None, int or None)
+        By prefix of the frames (``""``, ``reference_``, ``estimate_``): the topic, and the places
+        of yaw and pitch in its rows; None for an axis that it does not have.
+    commands : tuple of (int or None, float)
+        For each arrow its command's place in a row of /command, and the command's limit.
+    """
+
+    attitudes: Mapping[str, tuple[str, int | None, int | None]]
+    commands: tuple[tuple[int | None, float], ...]
+
+    @property
+    def ghosts(self) -> tuple[str, ...]:
+        """Whose attitudes there are beside the rig's."""
+        return tuple(ghost for ghost in GHOSTS if f"{ghost}_" in self.attitudes)
+
+
+def find_sources(
+    fields: Mapping[str, Sequence[str]],
+    limits: Mapping[str, float],
+    arrows: Sequence[str] = ("u_v", "u_h"),
+) -> Sources | None:
+    """Where the attitudes stand in a log; None if it has none: of a motor alone, say.
+
+    Parameters
+    ----------
+    fields : dict of str to sequence of str
+        Names of each topic's fields, in the order of its rows.
+    limits : dict of str to float
+        Largest command by name; 1 where there is none.
+    arrows : sequence of str
+        Names of the commands that are shown.
+    """
+
+    def place(topic: str, name: str) -> int | None:
+        names = list(fields.get(topic, ()))
+        return names.index(name) if name in names else None
+
+    def attitude(topic: str) -> tuple[str, int | None, int | None] | None:
+        yaw, pitch = place(topic, _YAW), place(topic, _PITCH)
+        return None if yaw is None and pitch is None else (topic, yaw, pitch)
+
+    rig = next((found for found in map(attitude, _RIG) if found is not None), None)
+    if rig is None:
+        return None
+    attitudes = {"": rig}
+    for ghost, topic in _GHOSTS.items():
+        found = attitude(topic)
+        if found is not None and topic != rig[0]:
+            attitudes[f"{ghost}_"] = found
+    commands = tuple((place(_COMMANDS, name), limits.get(name) or 1.0) for name in arrows)
+    return Sources(attitudes, commands)
+
+
+class PoseMemory:
+    """Attitudes as last known: a lost sample leaves the picture where it was."""
+
+    def __init__(self, sources: Sources) -> None:
+        self._sources = sources
+        self._known: dict[str, tuple[float, float]] = {}
+
+    def take(self, rows: Mapping[str, Row]) -> tuple[Attitudes, list[float]]:
+        """Attitudes by prefix, and each command over its limit, from the topics' present rows."""
+        known = self._known
+        for prefix, (topic, yaw, pitch) in self._sources.attitudes.items():
+            row = rows.get(topic)
+            if row is None:
+                continue
+            before = known.get(prefix)
+            turned = 0.0 if yaw is None else row[yaw]
+            raised = 0.0 if pitch is None else row[pitch]
+            if not (turned - turned == 0.0 and raised - raised == 0.0):  # not finite
+                if before is None:
+                    before = (0.0, 0.0)
+                turned = turned if math.isfinite(turned) else before[0]
+                raised = raised if math.isfinite(raised) else before[1]
+            known[prefix] = (turned, raised)
+        row = rows.get(_COMMANDS)
+        shares = [
+            math.nan if row is None or place is None else row[place] / limit
+            for place, limit in self._sources.commands
+        ]
+        return known, shares
+
+
+class SceneLog:
+    """A log that gains poses; takes a log's place as the sink of a run's history.
+
+    Parameters
+    ----------
+    log : RunLog
+        Open, with the topics of :func:`~trms_cli.recordings.foxglove.topics.encoded_topics`.
+    encoder : SceneEncoder
+    sources : Sources
+    every : int
+        Samples from one pose to the next.
+    last_topic : str
+        The topic that ends a sample.
+    """
+
+    def __init__(
+        self,
+        log: RunLog,
+        encoder: SceneEncoder,
+        sources: Sources,
+        every: int,
+        last_topic: str = "/estimate",
+    ) -> None:
+        self._log = log
+        self._encoder = encoder
+        self._every, self._left = every, 0
+        self._last_topic = last_topic
+        self._watched = {topic for topic, *_ in sources.attitudes.values()} | {_COMMANDS}
+        self._memory = PoseMemory(sources)
+        self._rows: dict[str, Row] = {}
+        self._transforms, self._bodies = log.writer(TRANSFORMS), log.writer(BODIES)
+        self._arrows, self._lines = log.writer(ARROWS), log.writer(LOG_LINES)
+        self._empty = True
+
+    def writer(self, topic: str) -> Callable[[int, Row], None]:
+        """What takes the rows of a topic."""
+        write, rows = self._log.writer(topic), self._rows
+        if topic == self._last_topic:
+
+            def ended(time_ns: int, values: Row) -> None:
+                write(time_ns, values)
+                if self._left:
+                    self._left -= 1
+                    return
+                rows[topic] = values
+                self._left = self._every - 1
+                self._pose(time_ns)
+
+            return ended
+        if topic not in self._watched:
+            return write
+
+        def remembered(time_ns: int, values: Row) -> None:
+            write(time_ns, values)
+            rows[topic] = values
+
+        return remembered
+
+    def event(
+        self, time_ns: int, kind: str, source: str, message: str, value: float = math.nan
+    ) -> None:
+        """Log an event, and its line."""
+        self._log.event(time_ns, kind, source, message, value)
+        self._lines(time_ns, (log_line(time_ns, kind, source, message),))
+
+    def flush(self) -> None:
+        """Make everything so far safe."""
+        self._log.flush()
+
+    def _pose(self, time_ns: int) -> None:
+        if self._empty:
+            self._empty = False
+            self._bodies(time_ns, (self._encoder.bodies(time_ns),))
+        attitudes, shares = self._memory.take(self._rows)
+        self._transforms(time_ns, (self._encoder.transforms(time_ns, attitudes),))
+        self._arrows(time_ns, (self._encoder.commands(time_ns, shares),))
