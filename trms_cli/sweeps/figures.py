@@ -1,0 +1,78 @@
+"""Figures of a run by the names that ``trms runs`` has for them, as samplers are told of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.runs.columns import ALIASES, COLUMNS, FIGURE_STEMS
+from trms_cli.sweeps.point import Result
+
+#: What a command itself calls its figure of merit: the cost of ``trms identify``, …
+MERIT = "merit"
+_MERIT_ABOUT = "the command's own figure of merit"
+
+
+def canonical(name: str, where: str) -> str:
+    """The name that a score has for a figure: ``rmse_alpha_h`` for ``rmse_yaw``.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no figure of that name.
+    """
+    found = ALIASES.get(name, name)
+    column = COLUMNS.get(found)
+    if found == MERIT or (column is not None and column.is_number):
+        return found
+    if column is None and any(found.startswith(f"{stem}_") for stem in FIGURE_STEMS):
+        return found  # of a channel that the twin rotor does not have
+    numbers = [n for n, each in COLUMNS.items() if each.is_number]
+    said = [n for n, meant in ALIASES.items() if meant in numbers]
+    raise ConfigurationError(
+        f"runs have no figure {name!r}", where=where, remedy=nearest(name, [*numbers, *said, MERIT])
+    )
+
+
+def canonical_all(names: Iterable[str], where: str) -> tuple[str, ...]:
+    """The names of several figures, each once; see :func:`canonical`."""
+    return tuple(dict.fromkeys(canonical(name, where) for name in names))
+
+
+def canonical_limits(limits: Mapping[str, float], where: str) -> dict[str, float]:
+    """Limits by the names that scores have; see :func:`canonical`."""
+    return {canonical(name, f"{where}.{name}"): float(bound) for name, bound in limits.items()}
+
+
+def figure_of(result: Result, name: str) -> float | None:
+    """A figure of a run that is done, None where it has none or is not done.
+
+    Parameters
+    ----------
+    name : str
+        As :func:`canonical` gives it.
+    """
+    if result.state != "done":
+        return None
+    if name == MERIT:
+        return result.objective
+    found = result.figures.get(name)
+    if found is None:
+        said = next((n for n, meant in ALIASES.items() if meant == name), name)
+        found = result.figures.get(said)
+    return found
+
+
+def unit_of(name: str) -> str:
+    """Unit of a figure; "" for counts and for what is not known."""
+    column = COLUMNS.get(name)
+    return column.unit if column is not None else ""
+
+
+def about(name: str) -> str:
+    """What a figure is, in a few words; "" for what is not known."""
+    if name == MERIT:
+        return _MERIT_ABOUT
+    column = COLUMNS.get(name)
+    return column.about if column is not None else ""

@@ -1,0 +1,143 @@
+"""From the unit cube to the values of a space, and from values to what is typed for a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.sweeps.space import Choice, Prior, Range, Space
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Significant digits of a drawn number: what is typed for a run is what was simulated.
+DIGITS = 6
+
+
+def quantiles(varied: Range | Prior, shares: FloatArray) -> FloatArray:
+    """Values of a range or prior at these shares of its distribution.
+
+    Parameters
+    ----------
+    varied : Range or Prior
+        A range is uniform, in its logarithm if it is logarithmic. A prior is normal with its tails
+        moved to the bounds, as a parameter table is drawn by ``plant.prior_seed``.
+    shares : (n,) array
+        Within [0, 1].
+
+    Returns
+    -------
+    (n,) array
+        In the unit of the key, rounded to :data:`DIGITS` digits but within the bounds.
+    """
+    from scipy import stats
+
+    if isinstance(varied, Prior):
+        # Shares of 0 and 1 are infinitely far out; the bounds bring them back.
+        values = stats.norm.ppf(shares, varied.mean, varied.sd)
+    elif varied.whole:
+        low, high = varied.low - 0.5, varied.high + 0.5
+        values = np.round(_uniform(varied, low, high, shares))
+    else:
+        values = _uniform(varied, varied.low, varied.high, shares)
+    return np.array([rounded(varied, float(value)) for value in values])
+
+
+def _uniform(varied: Range, low: float, high: float, shares: FloatArray) -> FloatArray:
+    from scipy import stats
+
+    if varied.logarithmic:
+        return np.asarray(stats.loguniform.ppf(shares, low, high))
+    return np.asarray(stats.uniform.ppf(shares, low, high - low))
+
+
+def rounded(varied: Range | Prior, value: float) -> float:
+    """A value with few digits, within the bounds."""
+    short = value if isinstance(varied, Range) and varied.whole else float(f"{value:.{DIGITS}g}")
+    return min(max(short, varied.low), varied.high)
+
+
+def as_data(varied: Range | Prior, value: float) -> float | int:
+    """A value as it stands in a point: a whole number as such."""
+    return int(value) if isinstance(varied, Range) and varied.whole else value
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a point: some keys with their values.
+
+    Attributes
+    ----------
+    overrides : tuple of str
+        As they would be typed.
+    values : dict
+        The same as data.
+    """
+
+    overrides: tuple[str, ...] = ()
+    values: Mapping[str, Any] | None = None
+
+    def __add__(self, other: Part) -> Part:
+        values = {**(self.values or {}), **(other.values or {})}
+        return Part(self.overrides + other.overrides, values)
+
+
+def drawn_part(continuous: Sequence[Range | Prior], row: Sequence[float]) -> Part:
+    """The part of a point that gives each range and prior one value."""
+    values = {
+        varied.key: as_data(varied, value) for varied, value in zip(continuous, row, strict=True)
+    }
+    return Part(tuple(f"{key}={value!r}" for key, value in values.items()), values)
+
+
+def chosen_part(choices: Sequence[Choice], number: int) -> Part:
+    """The part of a point that makes each choice: combination `number`, the last varying fastest.
+
+    Raises
+    ------
+    IndexError
+        If there are not so many combinations.
+    """
+    picked: list[tuple[str, str]] = []
+    for choice in reversed(choices):
+        number, index = divmod(number, len(choice.values))
+        picked.append((choice.key, choice.values[index]))
+    if number:
+        raise IndexError(number)
+    picked.reverse()
+    return Part(tuple(f"{key}={value}" for key, value in picked), dict(picked))
+
+
+def combinations(choices: Sequence[Choice]) -> int:
+    """How many combinations of choices there are; 1 without any."""
+    return int(np.prod([len(choice.values) for choice in choices], dtype=np.int64))
+
+
+def all_chosen(choices: Sequence[Choice]) -> Iterator[Part]:
+    """Every combination, the last choice varying fastest."""
+    return (chosen_part(choices, number) for number in range(combinations(choices)))
+
+
+def require_drawn(space: Space, sampler: str) -> None:
+    """Refuse a space in which there is nothing to draw.
+
+    Raises
+    ------
+    ConfigurationError
+        It names what to write.
+    """
+    if not space.continuous:
+        raise ConfigurationError(
+            f"nothing is drawn: no range and no prior among {_keys(space.choices)}",
+            where="sampler",
+            remedy=f"give {sampler} something: plant.parameters=prior or KEY=interval(LOW,HIGH); "
+            "choices alone are tried one by one by sampler=grid",
+        )
+
+
+def _keys(choices: Sequence[Choice]) -> str:
+    return ", ".join(choice.key for choice in choices) or "what was typed"

@@ -1,0 +1,32 @@
+"""Every combination of the choices, each once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.sweeps.point import Point
+from trms_cli.sweeps.samplers.planned import Planned, planned
+from trms_cli.sweeps.space import Prior, Space
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Nested loops over the choices, the last typed running fastest."""
+
+    def start(self, space: Space, known: Sequence[Point] = ()) -> Planned:
+        """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
+        if space.continuous:
+            first = space.continuous[0]
+            what = "a prior" if isinstance(first, Prior) else "a range of numbers"
+            listed = f"{first.key}=A,B,…"
+            raise ConfigurationError(
+                f"{what} has no list of values to try one by one",
+                where=first.key,
+                remedy="draw from it: add sampler=latin_hypercube sampler.samples=100; search in "
+                f"it: sampler=optimise; or list values: {listed}",
+            )
+        return planned(space, np.zeros((1, 0)), known)

@@ -1,0 +1,86 @@
+"""A Latin hypercube: each parameter's distribution is cut into n equal shares, each drawn once.
+
+The mean of n such runs scatters less than that of n independent draws, the more so the more
+nearly a figure is a sum of effects of single parameters (McKay, Beckman and Conover 1979,
+Technometrics 21(2)). The rank correlations that chance leaves between the columns are taken out
+by the reordering of Iman and Conover (1982, Communications in Statistics B 11(3)), which keeps
+every column's values and thus its strata.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.sweeps.point import Point
+from trms_cli.sweeps.robustness import Robustness
+from trms_cli.sweeps.samplers.drawing import FloatArray, require_drawn
+from trms_cli.sweeps.samplers.planned import Planned, planned
+from trms_cli.sweeps.space import Space
+
+
+@dataclass(frozen=True, kw_only=True)
+class LatinHypercube:
+    """Stratified draws.
+
+    Attributes
+    ----------
+    samples : int
+        Draws, and shares into which each distribution is cut; each is run with every combination
+        of the choices.
+    seed : int
+        Of the draws; the runs' own ``seed`` is another.
+    decorrelated : bool
+        Take chance correlations between the columns out, where there are more samples than
+        columns.
+    figures : tuple of str
+        Figures that are told of at the end, by the names of ``trms runs``.
+    limits : dict of str to float
+        Largest allowed value of some figures: a run beyond one counts as a failure.
+    """
+
+    samples: Annotated[int, Meta(ge=1)] = 100
+    seed: Annotated[int, Meta(ge=0)] = 0
+    decorrelated: bool = True
+    figures: tuple[str, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+    def start(self, space: Space, known: Sequence[Point] = ()) -> Planned:
+        """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
+        require_drawn(space, "latin_hypercube")
+        told = Robustness(self.figures, self.limits).checked()
+        shares = hypercube(self.samples, len(space.continuous), self.seed, self.decorrelated)
+        return planned(space, shares, known, told)
+
+
+def hypercube(samples: int, columns: int, seed: int, decorrelated: bool = True) -> FloatArray:
+    """A Latin hypercube in the unit cube, (samples, columns).
+
+    Parameters
+    ----------
+    decorrelated : bool
+        See :class:`LatinHypercube`.
+    """
+    from scipy.stats import qmc
+
+    drawn = qmc.LatinHypercube(columns, seed=np.random.default_rng(seed)).random(samples)
+    if not decorrelated or columns < 2 or samples <= columns + 1:
+        return np.asarray(drawn)
+    return _decorrelated(drawn)
+
+
+def _decorrelated(drawn: FloatArray) -> FloatArray:
+    """The same values in each column, in the order that normal scores without correlation have."""
+    from scipy.linalg import cholesky, solve_triangular
+    from scipy.stats import norm, rankdata
+
+    ranks = np.column_stack([rankdata(column, method="ordinal") for column in drawn.T])
+    scores = norm.ppf(ranks / (len(drawn) + 1))
+    root = cholesky(np.corrcoef(scores.T), lower=True)
+    uncorrelated = solve_triangular(root, scores.T, lower=True).T
+    order = np.column_stack([rankdata(column, method="ordinal") for column in uncorrelated.T])
+    return np.take_along_axis(np.sort(drawn, axis=0), order.astype(int) - 1, axis=0)

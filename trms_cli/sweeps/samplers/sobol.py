@@ -1,0 +1,52 @@
+"""Scrambled Sobol points: they fill the space more evenly than random draws, however many."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from trms_cli.sweeps.point import Point
+from trms_cli.sweeps.robustness import Robustness
+from trms_cli.sweeps.samplers.drawing import require_drawn
+from trms_cli.sweeps.samplers.planned import Planned, planned
+from trms_cli.sweeps.space import Space
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sobol:
+    """A sequence of low discrepancy, scrambled after Owen and Matoušek.
+
+    Attributes
+    ----------
+    samples : int
+        Draws; best a power of two. A sweep that is resumed with more keeps those that it has.
+    seed : int
+        Of the scrambling; the runs' own ``seed`` is another.
+    figures : tuple of str
+        Figures that are told of at the end, by the names of ``trms runs``.
+    limits : dict of str to float
+        Largest allowed value of some figures: a run beyond one counts as a failure.
+    """
+
+    samples: Annotated[int, Meta(ge=1)] = 128
+    seed: Annotated[int, Meta(ge=0)] = 0
+    figures: tuple[str, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+    def start(self, space: Space, known: Sequence[Point] = ()) -> Planned:
+        """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
+        from scipy.stats import qmc
+
+        require_drawn(space, "sobol")
+        told = Robustness(self.figures, self.limits).checked()
+        with warnings.catch_warnings():
+            # Any number of them is well spread; that powers of two are best is documented.
+            warnings.filterwarnings("ignore", message=".*power of 2.*")
+            engine = qmc.Sobol(len(space.continuous), seed=np.random.default_rng(self.seed))
+            shares = np.asarray(engine.random(self.samples))
+        return planned(space, shares, known, told)
