@@ -13,6 +13,7 @@ import random
 import re
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from trms_cli.commands.catalogue import Groups, Primary, make_importable, read_groups, read_primary
@@ -89,7 +90,8 @@ def space_of(request: Request, primary: str) -> Space:
 
     keys = DeclaredKeys(declared, groups, plain)
     ranges = {each.key: _suited(each.interval, keys) for each in typed if each.interval}
-    tables = PriorTables(_composer(request, primary, typed), fixed, choices, groups)
+    composer = _Composer(request, primary, typed)
+    tables = PriorTables(composer, fixed, choices, groups)
     continuous: list[Range | Prior] = []
     named = {each.key for each in typed}
     for each in typed:
@@ -99,7 +101,29 @@ def space_of(request: Request, primary: str) -> Space:
             continuous += tables.of(each.key, named)
     if not any(each.prior for each in typed):
         tables.compose()  # a misspelt key of a range is told now, with those that are near
+    if ranges:
+        present = _without_ranges(composer)
+        continuous = [_with_present(each, present) for each in continuous]
     return Space(fixed, choices, tuple(continuous))
+
+
+def _without_ranges(composer: _Composer) -> Mapping[str, Any]:
+    """The configuration without the sweep; empty where it needs a value that only a range gives."""
+    try:
+        return composer({}, ranges=False).config
+    except ConfigurationError:
+        return {}
+
+
+def _with_present(varied: Range | Prior, config: Mapping[str, Any]) -> Range | Prior:
+    """A range that knows the value its key has without it."""
+    node: Any = config
+    for name in varied.key.split("."):
+        node = node.get(name) if isinstance(node, Mapping) else None
+    number = isinstance(node, (int, float)) and not isinstance(node, bool)
+    if not isinstance(varied, Range) or varied.now is not None or not number:
+        return varied
+    return replace(varied, now=float(node))
 
 
 def first_of(space: Space) -> tuple[str, ...]:
@@ -110,28 +134,33 @@ def first_of(space: Space) -> tuple[str, ...]:
 
 
 def middle_of(varied: Range | Prior) -> str:
-    """A value within a range or prior, as it would be typed."""
+    """A value that a range or prior allows, as it would be typed: today's where there is one."""
     if isinstance(varied, Prior):
         return repr(varied.mean)
-    return str(int(varied.low)) if varied.whole else repr(varied.low)
+    value = varied.low if varied.now is None else min(max(varied.now, varied.low), varied.high)
+    return str(int(value)) if varied.whole else repr(value)
 
 
-def _composer(request: Request, primary: str, typed: Sequence[_Typed]) -> Any:
-    """A function that composes a run of the sweep without priors, some choices made otherwise."""
-    folders = [word for place in request.config_dirs for word in ("--config-dir", str(place))]
+@dataclass(frozen=True)
+class _Composer:
+    """Composes a run of the sweep without priors."""
 
-    def composed(otherwise: Mapping[str, str]) -> Composition:
+    request: Request
+    primary: str
+    typed: Sequence[_Typed]
+
+    def __call__(self, otherwise: Mapping[str, str], ranges: bool = True) -> Composition:
+        """The first of each choice, but as `otherwise` says; the least of each range, or none."""
+        folders = [word for place in self.request.config_dirs for word in ("--config-dir", place)]
         words = []
-        for each in typed:
-            if each.prior:
-                continue
+        for each in self.typed:
             value = otherwise.get(each.key) or (each.values[0] if each.values else None)
+            if each.prior or (each.interval and not ranges):
+                continue
             if each.interval:
                 value = middle_of(each.interval)
             words.append(each.text if value is None else f"{each.key}={value}")
-        return compose([*folders, *words], primary)
-
-    return composed
+        return compose([*map(str, folders), *words], self.primary)
 
 
 def _last_of_each(typed: Sequence[_Typed]) -> list[_Typed]:

@@ -34,6 +34,8 @@ class Range:
     whole : bool
         Whole numbers only: both bounds were typed without a point, and the key does not hold a
         fraction by default.
+    now : float or None
+        The key's value without the sweep; None where it has none.
     """
 
     key: str
@@ -41,6 +43,7 @@ class Range:
     high: float
     logarithmic: bool = False
     whole: bool = False
+    now: float | None = None
 
 
 @dataclass(frozen=True)
