@@ -9,11 +9,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.commands.catalogue import take_allowed
 from trms_cli.commands.composition import Composition, Outcome, Task, compose, execute
 from trms_cli.commands.given_object import refuse_given
 from trms_cli.commands.invocation import program
 from trms_cli.commands.run_folder import log_of
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
+from trms_cli.core.plugins import TARGET
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
@@ -59,6 +61,7 @@ def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
     what it always means. That needs option files that say what they said: where they have
     changed since, the log's own configuration still runs, but nothing can be laid on top.
     """
+    argv = take_allowed(argv)
     run = _read(log)
     then = tuple(json.loads(run.run.get("overrides", "[]")))
     folders = [Path(folder) for folder in json.loads(run.run.get("config_dirs", "[]"))]
@@ -80,7 +83,7 @@ def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
             f"or run anew: {program()} run {shlex.join([*typed, *argv])}",
         )
     sys.stderr.write(f"note   option files have changed since; the log's own count ({changed})\n")
-    composition = _as_logged(run, logged, own, folders)
+    composition = _as_logged(run, _completed(logged, primary), own, folders)
     outcome = task(composition)
     return outcome.exit_code if isinstance(outcome, Outcome) else outcome
 
@@ -142,6 +145,28 @@ def _differences(then: Any, now: Any, where: str) -> list[str]:
             found += _differences(then.get(key, missing), now.get(key, missing), place)
         return found
     return [] if then == now and type(then) is type(now) else [where]
+
+
+def _completed(logged: Mapping[str, Any], primary: str) -> dict[str, Any]:
+    """A log's configuration with the parts that this program has and the log's did not yet have.
+
+    They get the default of today, which is told: a key that is new leaves runs as they were,
+    or its note in the changelog says otherwise.
+    """
+    completed, new = dict(logged), []
+    for key, default in compose((), primary).config.items():
+        if key not in completed:
+            completed[key] = default
+            new.append(key)
+        elif isinstance(default, Mapping) and TARGET not in default:
+            present = completed[key]
+            if isinstance(present, Mapping):
+                missing = {name: value for name, value in default.items() if name not in present}
+                completed[key] = {**present, **missing}
+                new += [f"{key}.{name}" for name in missing]
+    if new:
+        sys.stderr.write(f"note   newer than that run, and at their default: {', '.join(new)}\n")
+    return completed
 
 
 def _as_logged(
