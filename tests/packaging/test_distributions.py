@@ -9,7 +9,7 @@ import zipfile
 
 import pytest
 
-from tests.packaging.conftest import PROJECT, ROOT, lowest, pythons
+from tests.packaging.conftest import PROJECT, lowest, pythons, tracked
 
 pytestmark = pytest.mark.slow
 
@@ -46,12 +46,10 @@ def test_the_wheel_has_all_that_runs_and_nothing_else(distributions):
     tops = {name.split("/")[0] for name in names}
     assert tops == {"trms_cli", next(top for top in tops if top.endswith(".dist-info"))}
     shipped = {name for name in names if name.startswith("trms_cli/")}
-    for place, inside in (("trms_cli", "trms_cli"), ("configs", "trms_cli/configs")):
-        for file in (ROOT / place).rglob("*"):
-            if file.suffix in (".py", ".yaml", ".html", ".js", ".c", ".h", ".json"):
-                name = f"{inside}/{file.relative_to(ROOT / place).as_posix()}"
-                if "__pycache__" not in name:
-                    assert name in shipped, f"{name} is not in the wheel"
+    for name in tracked():
+        if name.startswith(("trms_cli/", "configs/")):
+            inside = f"trms_cli/{name}" if name.startswith("configs/") else name
+            assert inside in shipped, f"{name} is not in the wheel"
 
 
 def test_the_source_distribution_can_be_tested(distributions):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -24,7 +24,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, SCORE_METADATA
+from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, RUN_SCHEMA, SCORE_METADATA
 from trms_cli.recordings.topics import VIEWER_SCHEMAS
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of what follows
@@ -157,6 +157,7 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
     content = _Content(topics)
     _walk(_read_bytes(path), content)
     run = content.metadata.get(RUN_METADATA, {})
+    _refuse_newer(run, path)
     if not run and not content.library.startswith("trms"):
         names = ", ".join(sorted(c.topic for c in content.channels.values())[:6])
         raise RecordingError(
@@ -180,6 +181,18 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
         attachments=content.attachments,
         problems=tuple(content.problems),
     )
+
+
+def _refuse_newer(run: Mapping[str, str], path: Path) -> None:
+    """What a version to come means by its fields is not known here; older forms are all read."""
+    kind, _, number = run.get("schema", "").partition("/")
+    known_kind, _, known = RUN_SCHEMA.partition("/")
+    if kind == known_kind and number.isdecimal() and int(number[:9]) > int(known):
+        raise RecordingError(
+            f"the log is of the form {kind}/{number}, this program reads up to {RUN_SCHEMA}",
+            where=str(path),
+            remedy="update trms: a newer version wrote it",
+        )
 
 
 def _read_bytes(path: Path) -> bytes:
