@@ -1,7 +1,7 @@
 """Composes an experiment: overrides and YAML groups → one plain, resolved, checked mapping.
 
-The fast path uses Hydra's compose API: no folder is made, no logging set up, no directory
-changed. Sweeps (``-m``) go through Hydra's own main, so that its launchers and sweepers work.
+Hydra's compose API is used: no folder is made, no logging set up, no directory changed. Sweeps
+(``-m``) are :mod:`trms_cli.commands.sweep`'s.
 """
 
 from __future__ import annotations
@@ -96,12 +96,13 @@ def execute(argv: Sequence[str], primary: str, task: Task) -> int:
     int
         Exit code; that of a sweep is 1 when any job failed.
     """
-    request = read_request(argv)
+    swept = any(word in ("-m", "--multirun") for word in argv)
+    request = read_request([word for word in argv if not (swept and word == "--json")])
     if request.multirun:
         from trms_cli.commands.sweep import first_job, sweep
 
         if not request.show:
-            return sweep(request, primary, task)
+            return sweep(request, primary, task, as_json="--json" in argv)
         composition = first_job(request, primary)
     else:
         composition = _compose(request, primary)

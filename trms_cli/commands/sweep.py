@@ -1,201 +1,344 @@
-"""``-m``: many runs from one command line, through Hydra's own main, sweepers and launchers.
+"""``trms sweep``: sweeps that were begun, gone on with or told about; and what ``-m`` does.
 
-Each job gets its numbered folder and in it ``status.json`` (schema ``trms.status/1``), written
-when it starts and when it ends: ``state`` is ``running``, ``done``, ``failed`` or
-``interrupted``. A failed job does not stop the others.
+``trms run -m …`` (and every other command that composes) begins a sweep: :func:`sweep`. What a
+sweep varies is read from the overrides, its record is written, and the driver has the runs made.
+From Python, :func:`make_sweep` and :func:`go_on` do the same without printing.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
 import sys
-import traceback
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.catalogue import (
-    Primary,
-    config_folder,
-    make_importable,
-    read_groups,
-    read_primary,
-)
-from trms_cli.commands.composition import Composition, Outcome, Task, checked, compose
-from trms_cli.commands.composition_errors import explained
-from trms_cli.commands.overrides import Request, parse, prepare, quoted
-from trms_cli.commands.run_folder import new_folder
-from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, TrmsError
+from trms_cli.commands.composition import Composition, Task, compose
+from trms_cli.commands.overrides import Request
+from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, TrmsError
 
-STATUS_FILE = "status.json"
+if TYPE_CHECKING:
+    from trms_cli.sweeps.driver import Progress
+    from trms_cli.sweeps.point import Point, Result
+    from trms_cli.sweeps.record import Plan
+
+SUMMARY = "go on with a sweep that was interrupted, or tell how one stands"
+COMPOSES = "sweep"
+
+HELP = """\
+usage: trms run -m KEY=VALUE,VALUE… [sampler=…] [launcher=…] [retries=N] [out=FOLDER] [--json]
+       trms sweep resume FOLDER [launcher=…] [retries=N] [--retry-failed] [--json]
+       trms sweep status FOLDER [--json]
+
+A sweep makes one run for each combination of values, or for values that are drawn or searched,
+each in a numbered folder with its log, score.json and status.json. Whatever dies or is switched
+off meanwhile, `trms sweep resume` goes on where it stopped, and makes no run twice.
+
+examples
+  trms run -m controller=pid,lqr,newton_mpc seed=1,2,3         nine runs, on all cores
+  trms run -m controller=pid plant.parameters=prior sampler=latin_hypercube sampler.samples=200
+  trms run -m controller=pid 'seed=range(1000)' launcher.workers=8 out=many
+  trms run -m controller=pid 'seed=range(1000)' launcher=dask launcher.address=tcp://head:8786
+  trms run -m controller=pid 'seed=range(1000)' launcher=slurm launcher.workers=32
+  trms sweep status many                       counts, failures by their reason, the best
+  trms sweep resume many                       goes on after Ctrl-C, a crash, a full disk
+  trms sweep resume many --retry-failed        also those that failed or were lost
+  trms sweep resume many launcher=slurm        the rest elsewhere
+  trms watch many                              as it goes on
+
+options
+  --retry-failed   make again what failed or was lost
+  --json           print the outcome as one JSON document (trms.sweep-status/1)
+"""
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What Hydra calls for each job, in this process or a launcher's."""
+class Swept:
+    """A sweep that has been driven to its end.
 
-    request: Request
-    declared: Primary
-    task: Task
+    Attributes
+    ----------
+    folder : Path
+    points : tuple of Point
+        That were proposed.
+    results : dict of int to Result
+        By the number of the point.
+    counts : dict of str to int
+        Runs ``done``, ``failed``, ``lost``, ``interrupted``.
+    summary : dict
+        What the sampler has to say.
+    """
 
-    def __call__(self, composed: Any) -> float | None:
-        """Run one job and return the figure that the sweeper minimises; nan for a failed one."""
-        from hydra.core.hydra_config import HydraConfig
-        from omegaconf import OmegaConf
+    folder: Path
+    points: tuple[Point, ...]
+    results: dict[int, Result]
+    counts: dict[str, int]
+    summary: dict[str, Any] = field(default_factory=dict)
 
-        make_importable(self.request.config_dirs)
-        hydra = HydraConfig.get()
-        folder = Path(hydra.runtime.output_dir)
-        request = self.request._replace(overrides=tuple(hydra.overrides.task))
-        status: dict[str, Any] = {
-            "schema": "trms.status/1",
-            "job": int(hydra.job.num),
-            "overrides": list(request.overrides),
-        }
-        _write(folder, status | {"state": "running", "pid": os.getpid()})
-        try:
-            choices = OmegaConf.to_container(hydra.runtime.choices)
-            assert isinstance(choices, dict)
-            status["choices"] = {k: v for k, v in choices.items() if not str(k).startswith("hydra")}
-            composition = checked(composed, self.declared, choices, request, int(hydra.job.num))
-            composition.config["out"] = str(folder)
-            status["choices"] = composition.choices
-            outcome = self.task(composition)
-        except KeyboardInterrupt:
-            _write(folder, status | {"state": "interrupted"})
-            raise
-        except Exception as error:
-            _write(folder, status | {"state": "failed", "error": _described(error)})
-            return float("nan")
-        if not isinstance(outcome, Outcome):
-            outcome = Outcome(outcome)
-        state = "done" if outcome.exit_code == EXIT_OK else "failed"
-        ending = {"state": state, "exit_code": outcome.exit_code, "objective": outcome.objective}
-        _write(folder, status | ending)
-        return outcome.objective
+    @property
+    def all_done(self) -> bool:
+        """Whether every run ended well."""
+        return len(self.points) == self.counts.get("done", 0)
 
 
-def sweep(request: Request, primary: str, task: Task) -> int:
-    """Run every combination that the overrides ask for, and tell which jobs failed.
+#: Called with the progress and, after each run, with its result.
+Tell = Callable[["Progress", "Result | None"], None]
+
+
+def _silent(progress: Progress, result: Result | None) -> None:
+    """Tells nobody."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Go on with a sweep, or tell how it stands."""
+    from trms_cli.commands.sweep_resume import resume_command, status_command
+
+    commands = {"resume": resume_command, "status": status_command}
+    word = argv[0] if argv else ""
+    if word not in commands:
+        raise ConfigurationError(
+            f"cannot use {word!r}" if word else "nothing to do",
+            where="trms sweep",
+            remedy="write trms sweep resume FOLDER or trms sweep status FOLDER; "
+            "a sweep is begun by -m: trms run -m controller=pid,lqr",
+        )
+    return commands[word](argv[1:])
+
+
+def sweep(request: Request, primary: str, task: Task, *, as_json: bool = False) -> int:
+    """Begin a sweep and drive it to its end, on the screen.
 
     Returns
     -------
     int
-        0 when every job ended well, 1 otherwise.
+        0 when every run ended well, 1 otherwise.
     """
-    declared = read_primary(primary, request.config_dirs)
-    groups = read_groups(request.config_dirs)
-    asked = [text for text in request.overrides if parse(text, groups).key == "out"]
-    out = parse(asked[-1], groups).value if asked else None
-    rest = tuple(text for text in request.overrides if text not in asked)
-    request = request._replace(overrides=rest)
-    overrides = prepare(request, declared, groups)
-    make_importable(request.config_dirs)
-    _first_job(overrides, request, primary)
+    from trms_cli.commands.sweep_screen import SweepScreen
 
-    folder = new_folder(None if out in (None, "null", "") else out.strip("'\""), f"{primary}-sweep")
-    settings = [
-        f"hydra.sweep.dir={quoted(str(folder.resolve()))}",
-        "hydra.sweep.subdir=${hydra.job.num}",
-        "hydra.output_subdir=null",
-        "hydra/job_logging=none",
-        "hydra/hydra_logging=none",
-    ]
-    try:
-        with explained(overrides, declared, groups, lambda _: {}):
-            _hydra_main([*overrides, *settings], primary, _Job(request, declared, task), request)
-    except TrmsError:
-        if not any(folder.glob(f"*/{STATUS_FILE}")):  # refused before the first job
-            shutil.rmtree(folder)
-        raise
-    except KeyboardInterrupt:
-        _tell(folder)
-        raise
-    return _tell(folder)
+    screen = SweepScreen(as_json=as_json)
+    with screen:
+        swept = make_sweep(
+            request.overrides,
+            primary,
+            task,
+            config_dirs=request.config_dirs,
+            tell=screen.tell,
+            begun=screen.say_begun,
+        )
+    screen.say_ended(swept.folder)
+    return EXIT_OK if swept.all_done else EXIT_WORSE
+
+
+def make_sweep(
+    overrides: Sequence[str],
+    primary: str,
+    task: Task,
+    *,
+    config_dirs: Sequence[Path] = (),
+    tell: Tell = _silent,
+    begun: Callable[[Path], None] = lambda folder: None,
+) -> Swept:
+    """Begin a sweep and drive it to its end.
+
+    Parameters
+    ----------
+    overrides : sequence of str
+        What would be typed after ``-m``, the sweep's own among them.
+    primary : str
+        Primary configuration of the runs, ``run`` for ``configs/run.yaml``.
+    task : callable
+        A module's function: what a run does with its composition.
+    config_dirs : sequence of Path
+        Folders of options, absolute.
+    tell : callable
+        Called after each run, and about twice a second.
+    begun : callable
+        Called with the folder once the record stands.
+
+    Raises
+    ------
+    TrmsError
+        For what cannot be composed, before anything is written; for workers that are not to be
+        had, or a full disk, after that.
+    KeyboardInterrupt
+        When it was interrupted; what ran has ended, and `go_on` goes on.
+    """
+    import shutil
+
+    from trms_cli.commands.run_folder import new_folder
+    from trms_cli.commands.sweep_settings import built, divided, settings_of
+    from trms_cli.sweeps.record import Record, driven
+
+    mine = divided(overrides, primary, config_dirs)
+    settings = settings_of(mine.settings, config_dirs)
+    sampler, launcher = built(settings)
+    space, _ = _checked(mine.runs, primary, tuple(config_dirs))
+    proposals = sampler.start(space)
+    folder = new_folder(mine.out, f"{primary}-sweep").resolve()
+    record = Record(folder)
+    with driven(folder):
+        try:
+            plan = _plan(mine, settings, space, primary, task, config_dirs)
+            record.begin(plan)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)  # nothing has been run
+            raise
+        begun(folder)
+        return _driven(record, plan, proposals, launcher, task, tell, [], retry_failed=False)
+
+
+def go_on(
+    folder: Path,
+    *,
+    task: Task | None = None,
+    settings: Sequence[str] = (),
+    retry_failed: bool = False,
+    tell: Tell = _silent,
+    begun: Callable[[Path], None] = lambda folder: None,
+) -> Swept:
+    """Go on with a sweep where it stopped.
+
+    Parameters
+    ----------
+    folder : Path
+    task : callable or None
+        What a run does; None: what the record names, if it is of this program.
+    settings : sequence of str
+        ``launcher=…``, ``launcher.workers=…``, ``retries=…``, instead of those of the record.
+    retry_failed : bool
+        Whether runs that failed, or were lost, are made again.
+    tell, begun : callable
+        As for `make_sweep`.
+
+    Raises
+    ------
+    TrmsError
+        If there is no sweep, another process drives it, or it cannot go on.
+    """
+    from trms_cli.commands.sweep_resume import place_of, resumed_settings, task_of
+    from trms_cli.commands.sweep_settings import built
+    from trms_cli.sweeps.record import Record, driven
+
+    folder = folder.resolve()
+    record = Record(folder)
+    record.document()
+    with driven(folder):
+        plan = record.plan()
+        known = record.points(mend=True)
+        with place_of(plan):
+            steered = resumed_settings(plan, settings)
+            sampler, launcher = built(steered)
+            proposals = sampler.start(plan.space, known)
+            record.note(state="running", launcher=steered.launcher, retries=steered.retries)
+            begun(folder)
+            return _driven(
+                record,
+                plan,
+                proposals,
+                launcher,
+                task or task_of(plan),
+                tell,
+                known,
+                retry_failed=retry_failed,
+                retries=steered.retries,
+            )
 
 
 def first_job(request: Request, primary: str) -> Composition:
-    """The configuration of a sweep's first job, for ``-m --cfg job``."""
-    declared = read_primary(primary, request.config_dirs)
-    return _first_job(
-        prepare(request, declared, read_groups(request.config_dirs)), request, primary
+    """The configuration of a sweep's first run, for ``-m --cfg job``."""
+    from trms_cli.commands.sweep_settings import divided
+
+    mine = divided(request.overrides, primary, request.config_dirs)
+    return _checked(mine.runs, primary, request.config_dirs)[1]
+
+
+def _checked(
+    overrides: Sequence[str], primary: str, config_dirs: tuple[Path, ...]
+) -> tuple[Any, Composition]:
+    """The space, and its first run composed: what is wrong with the input is told now."""
+    from trms_cli.commands.sweep_space import first_of, space_of
+
+    request = Request(tuple(overrides), config_dirs, show=False, multirun=True)
+    space = space_of(request, primary)
+    folders = [word for place in config_dirs for word in ("--config-dir", str(place))]
+    return space, compose([*folders, *first_of(space)], primary)
+
+
+def _plan(
+    mine: Any, settings: Any, space: Any, primary: str, task: Task, config_dirs: Sequence[Path]
+) -> Plan:
+    import os
+
+    from trms_cli.commands.git_revision import GitRevision
+    from trms_cli.commands.invocation import command_line
+    from trms_cli.commands.run_assembly import versions
+    from trms_cli.sweeps.record import Plan
+
+    revision = GitRevision.ask()
+    return Plan(
+        primary=primary,
+        task=f"{task.__module__}:{getattr(task, '__qualname__', '')}",
+        overrides=mine.runs,
+        settings=mine.settings,
+        space=space,
+        sampler=settings.sampler,
+        launcher=settings.launcher,
+        retries=settings.retries,
+        config_dirs=tuple(str(Path(place).resolve()) for place in config_dirs),
+        directory=os.getcwd(),
+        command=command_line(),
+        versions=versions(),
+        git=revision.answer(),
     )
 
 
-def _first_job(overrides: Sequence[str], request: Request, primary: str) -> Composition:
-    """Compose the first job alone: its errors name the key, those inside a sweep do not."""
-    from hydra.core.override_parser.overrides_parser import OverridesParser
+def _driven(
+    record: Any,
+    plan: Plan,
+    proposals: Any,
+    launcher: Any,
+    task: Task,
+    tell: Tell,
+    known: Sequence[Point],
+    *,
+    retry_failed: bool,
+    retries: int | None = None,
+) -> Swept:
+    """Drive the sweep, and write down at the end, whatever it is, how it stands."""
+    from trms_cli.commands.sweep_work import MakeRun
+    from trms_cli.sweeps.driver import Driver, counts_of
+    from trms_cli.sweeps.status import now
 
-    first = []
-    for override in OverridesParser.create().parse_overrides(list(overrides)):
-        text = str(override.input_line)
-        if override.is_hydra_override():
-            continue
-        if override.is_discrete_sweep():
-            text = f"{text.partition('=')[0]}={next(iter(override.sweep_string_iterator()))}"
-        elif override.is_sweep_override():
-            continue
-        first.append(text)
-    folders = [word for place in request.config_dirs for word in ("--config-dir", str(place))]
-    return compose([*folders, *first], primary)
-
-
-def _hydra_main(overrides: Sequence[str], primary: str, job: _Job, request: Request) -> None:
-    import hydra
-
-    from trms_cli.commands.search_path import HYDRA_VERSION_BASE, user_folders
-
-    # Hydra owns sys.argv, and tells errors by printing unless it is asked for the exception
-    argv, full_error = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
-    sys.argv = [f"trms {primary}", "--multirun", *overrides]
-    os.environ["HYDRA_FULL_ERROR"] = "1"
+    work = MakeRun(
+        str(record.folder), plan.primary, task, plan.config_dirs, plan.directory, plan.git
+    )
+    driver = Driver(
+        record,
+        proposals,
+        work,
+        retries=plan.retries if retries is None else retries,
+        tell=tell,
+        retry_failed=retry_failed,
+    )
+    record.note(total=proposals.total)
+    driver.take_stock(known)
+    state = "interrupted"
+    results = driver.progress.results
     try:
-        with user_folders(request.config_dirs):
-            decorate = hydra.main(
-                config_path=str(config_folder()),
-                config_name=primary,
-                version_base=HYDRA_VERSION_BASE,
-            )
-            decorate(job)()
+        driver.drive(launcher)
+        state = "done"
     finally:
-        sys.argv = argv
-        if full_error is None:
-            del os.environ["HYDRA_FULL_ERROR"]
-        else:
-            os.environ["HYDRA_FULL_ERROR"] = full_error
-
-
-def _write(folder: Path, status: dict[str, Any]) -> None:
-    """Replace the status in one step: a reader never sees half of it."""
-    draft = folder / f".{STATUS_FILE}"
-    draft.write_text(json.dumps(status, ensure_ascii=False, indent=2) + "\n", encoding="utf-8")
-    draft.replace(folder / STATUS_FILE)
-
-
-def _described(error: Exception) -> dict[str, str]:
-    if isinstance(error, TrmsError):
-        return {"problem": error.problem, "where": error.where, "remedy": error.remedy}
-    return {
-        "problem": f"{type(error).__name__}: {error}",
-        "trace": "".join(traceback.format_exception(error)),
-    }
-
-
-def _tell(folder: Path) -> int:
-    files = sorted(folder.glob(f"*/{STATUS_FILE}"), key=lambda file: (len(str(file)), str(file)))
-    failed = 0
-    for file in files:
-        status = json.loads(file.read_text(encoding="utf-8"))
-        if status["state"] != "done":
-            failed += 1
-            error = status.get("error", {})
-            words = [f"job {status['job']} {status['state']}:", " ".join(status["overrides"])]
-            sys.stderr.write(" ".join(words) + "\n")
-            for part in ("problem", "where", "remedy"):
-                if error.get(part):
-                    sys.stderr.write(f"    {error[part]}\n")
-    sys.stdout.write(f"{len(files) - failed} of {len(files)} jobs done: {folder}\n")
-    return EXIT_OK if not failed else EXIT_WORSE
+        counts = counts_of(results)
+        words: dict[str, Any] = {"state": state, "end": now(), "counts": counts}
+        if state == "done":
+            words["summary"] = proposals.summary(results)
+            words["total"] = len(results)
+        try:
+            record.note(**words)
+        except TrmsError as error:
+            sys.stderr.write(f"note   {error.problem}\n")
+            if state == "done":
+                raise
+    return Swept(
+        record.folder, tuple(record.points()), dict(results), counts, words.get("summary", {})
+    )

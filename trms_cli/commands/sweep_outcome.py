@@ -1,0 +1,122 @@
+"""How a sweep stands, from its folder alone: ``trms.sweep-status/1``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from trms_cli.sweeps.record import Record, is_driven
+from trms_cli.sweeps.status import RunFolder, is_alive, result_of
+
+SCHEMA = "trms.sweep-status/1"
+
+
+def outcome_of(folder: Path) -> dict[str, Any]:
+    """Counts, failures by their reason, the rate and the best.
+
+    Returns
+    -------
+    dict
+        ``counts`` by state, among them ``running`` and ``left`` (proposed, and not begun or left
+        by a worker that died); ``failures``: state, problem, where, remedy, count and runs;
+        ``rate`` in runs per second of late; ``best``: the run with the smallest objective.
+
+    Raises
+    ------
+    RecordingError
+        If there is no sweep.
+    """
+    record = Record(folder)
+    document = record.document()
+    points = record.points()
+    counts = dict.fromkeys(("done", "failed", "lost", "interrupted", "running", "left"), 0)
+    failures: dict[tuple[str, ...], list[int]] = {}
+    ends: list[float] = []
+    retried = 0
+    best: tuple[float, int] | None = None
+    shown: Sequence[str] = document["overrides"]
+    for point in points:
+        run = RunFolder(folder, point.number)
+        status = run.status()
+        state = _state(run, status)
+        counts[state] += 1
+        retried += max(0, int(status.get("attempt", 1)) - 1) if status else 0
+        if state in ("failed", "lost"):
+            failures.setdefault(_reason(state, status), []).append(point.number)
+        result = result_of(status, point.number)
+        if state == "done":
+            ends.append(_seconds(status.get("end")))
+            value = result.objective if result is not None else None
+            if value is not None and math.isfinite(value) and (not best or value < best[0]):
+                best = value, point.number
+    total = document.get("total")
+    if isinstance(total, int):
+        counts["left"] += max(0, total - len(points))
+    state = document["state"]
+    driven = is_driven(folder)
+    return {
+        "schema": SCHEMA,
+        "folder": str(folder),
+        "primary": document["primary"],
+        "state": "running" if driven else "interrupted" if state == "running" else state,
+        "driven": driven,
+        "overrides": list(shown),
+        "total": total,
+        "counts": counts,
+        "retried": retried,
+        "rate": _rate(ends),
+        "failures": [
+            dict(zip(("state", "problem", "where", "remedy"), reason, strict=True))
+            | {"count": len(runs), "runs": runs}
+            for reason, runs in sorted(failures.items(), key=lambda item: -len(item[1]))
+        ],
+        "best": None
+        if best is None
+        else {
+            "run": best[1],
+            "objective": best[0],
+            "overrides": [w for w in points[best[1]].overrides if w not in set(shown)],
+        },
+        "summary": document.get("summary") or {},
+    }
+
+
+def _state(run: RunFolder, status: Mapping[str, Any]) -> str:
+    if not status:
+        return "left"
+    if status["state"] == "running":
+        holder = run.holder()
+        return "left" if holder is not None and is_alive(holder) is False else "running"
+    return str(status["state"]) if status["state"] in ("done", "failed", "lost") else "interrupted"
+
+
+def _reason(state: str, status: Mapping[str, Any]) -> tuple[str, ...]:
+    error = status.get("error")
+    if not isinstance(error, Mapping):
+        code = status.get("exit_code")
+        return state, f"it ended with exit code {code}", "", ""
+    first = str(error.get("problem", "")).strip().splitlines()
+    return (
+        state,
+        first[0] if first else "no reason given",
+        str(error.get("where") or ""),
+        str(error.get("remedy") or ""),
+    )
+
+
+def _seconds(moment: Any) -> float:
+    try:
+        return datetime.fromisoformat(moment).timestamp()
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def _rate(ends: Sequence[float]) -> float | None:
+    """Runs per second over the last that ended; None before three have."""
+    times = sorted(each for each in ends if math.isfinite(each))[-200:]
+    if len(times) < 3 or times[-1] <= times[0]:
+        return None
+    return (len(times) - 1) / (times[-1] - times[0])

@@ -1,0 +1,257 @@
+"""What a worker of a sweep does with a point: it makes one run in a folder of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import io
+import json
+import os
+import platform
+import shlex
+import signal
+import threading
+import traceback
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from trms_cli.commands.composition import Composition, Outcome, Task
+from trms_cli.commands.git_revision import known_revision
+from trms_cli.commands.invocation import called_as
+from trms_cli.commands.recomposition import recomposer
+from trms_cli.commands.run_folder import SCORE_NAME
+from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
+from trms_cli.runs.columns import figures_of
+from trms_cli.sweeps.driver import DISK_FULL
+from trms_cli.sweeps.launcher import Attempt
+from trms_cli.sweeps.point import Result, State
+from trms_cli.sweeps.record import STOP_NAME
+from trms_cli.sweeps.status import SCHEMA, SIGN_EVERY, RunFolder, now, result_of
+
+#: Lines of a run's standard error that are kept.
+_MOST_NOTES = 20
+_LOOK = 0.5  # s between two looks whether the sweep is to stop
+
+
+@dataclass(frozen=True)
+class MakeRun:
+    """Makes the run of a point, once, whoever else is handed it.
+
+    Attributes
+    ----------
+    folder : str
+        Of the sweep.
+    primary : str
+        Primary configuration of the runs.
+    task : callable
+        What a run does with its composition.
+    config_dirs : tuple of str
+        The user's folders of options.
+    directory : str
+        Working directory, for paths in overrides.
+    git : str
+        Revision of the checkout, asked once for all runs.
+    """
+
+    folder: str
+    primary: str
+    task: Task
+    config_dirs: tuple[str, ...]
+    directory: str
+    git: str = ""
+
+    def __call__(self, attempt: Attempt) -> Result | None:
+        """Make the run; every failure is told in the result, and in the run's ``status.json``."""
+        point = attempt.point
+        sweep = Path(self.folder)
+        if (sweep / STOP_NAME).exists():
+            return Result(point.number, "interrupted")
+        run = RunFolder(sweep, point.number)
+        try:
+            if not run.claim(attempt.number):
+                return run.result()  # done already, or another worker is at it
+            known = run.result()
+            if known is not None and known.state == "done":
+                return known
+            run.put_aside(attempt.number)
+            status: dict[str, Any] = {
+                "schema": SCHEMA,
+                "job": point.number,
+                "overrides": list(point.overrides),
+                "state": "running",
+                "pid": os.getpid(),
+                "host": platform.node(),
+                "attempt": attempt.number,
+                "begin": now(),
+            }
+            run.write(status)
+            status |= self._made(attempt, run)
+            status["end"] = now()
+            notes = tuple(status.get("notes", ()))
+            if run.last_attempt() == attempt.number:  # else this worker was taken for dead
+                run.write(status)
+        except OSError as error:
+            # The status cannot be written: it stays as it is, and the run is made again.
+            kind = "failed" if not _is_full(error) else "interrupted"
+            problem = f"{DISK_FULL}: {error}" if _is_full(error) else f"{error}"
+            return Result(point.number, kind, problem=problem)  # type: ignore[arg-type]
+        result = result_of(status, point.number)
+        assert result is not None
+        return Result(
+            result.number, result.state, result.figures, result.objective, result.problem, notes
+        )
+
+    def _made(self, attempt: Attempt, run: RunFolder) -> dict[str, Any]:
+        """Keys of the status that the run ends with."""
+        point = attempt.point
+        told: dict[str, Any] = {}
+        errors = io.StringIO()
+        try:
+            with _here(self.directory), _watched(run, attempt.number, Path(self.folder)):
+                folders = tuple(map(Path, self.config_dirs))
+                composition = recomposer(self.primary, folders).compose(
+                    point.overrides, point.number
+                )
+                told["choices"] = composition.choices
+                composition.config["out"] = str(run.path.resolve())
+                with (
+                    contextlib.redirect_stdout(io.StringIO()),
+                    contextlib.redirect_stderr(errors),
+                    known_revision(self.git),
+                    called_as(shlex.join(["trms", self.primary, *point.overrides])),
+                ):
+                    outcome = self._outcome(composition)
+        except KeyboardInterrupt:
+            return told | {"state": "interrupted"}
+        except Exception as error:
+            if _is_full(error):
+                return told | {
+                    "state": "interrupted",
+                    "error": {"problem": f"{DISK_FULL}: {error}", "where": "", "remedy": ""},
+                }
+            return told | {"state": "failed", "error": _described(error)} | _notes(errors)
+        state: State = "done" if outcome.exit_code == EXIT_OK else "failed"
+        told |= {"state": state, "exit_code": outcome.exit_code, "objective": outcome.objective}
+        told["figures"] = _figures(run.path)
+        return told | _notes(errors)
+
+    def _outcome(self, composition: Composition) -> Outcome:
+        outcome = self.task(composition)
+        return outcome if isinstance(outcome, Outcome) else Outcome(outcome)
+
+
+@contextlib.contextmanager
+def _here(directory: str) -> Iterator[None]:
+    """In the folder that relative paths are meant from."""
+    if directory and os.getcwd() != directory:
+        os.chdir(directory)
+    yield
+
+
+@contextlib.contextmanager
+def _watched(run: RunFolder, attempt: int, sweep: Path) -> Iterator[None]:
+    """Give signs of life meanwhile, and end the run when the sweep is to stop.
+
+    `Terminated` is raised in the thread of the run: when the sweep asks for it, when SIGTERM
+    comes, or when the process that drives a local worker has died.
+    """
+    watch = _Watch(run.attempt_file(attempt), sweep / STOP_NAME)
+    with termination():
+        watch.start()
+        try:
+            yield
+        finally:
+            watch.end()
+
+
+class _Watch(threading.Thread):
+    """Looks twice a second whether the run is to end; touches the attempt's file now and then."""
+
+    def __init__(self, sign: Path, stop: Path) -> None:
+        super().__init__(name="watch of a run", daemon=True)
+        self._sign, self._stop_file = sign, stop
+        self._runner = threading.get_ident()
+        self._parent = os.getppid()
+        self._done = threading.Event()
+        self._lock = threading.Lock()
+        self._ended = False
+
+    def run(self) -> None:
+        """Until the run has ended."""
+        last = monotonic()
+        while not self._done.wait(_LOOK):
+            if self._stop_file.exists() or os.getppid() != self._parent:
+                self._interrupt()
+                return
+            if monotonic() - last >= SIGN_EVERY:
+                last = monotonic()
+                with contextlib.suppress(OSError):
+                    os.utime(self._sign)
+
+    def end(self) -> None:
+        """The run has ended: it is not to be interrupted any more."""
+        with self._lock:
+            self._ended = True
+        self._done.set()
+
+    def _interrupt(self) -> None:
+        with self._lock:
+            if not self._ended:
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                    ctypes.c_ulong(self._runner), ctypes.py_object(Terminated)
+                )
+
+
+@contextlib.contextmanager
+def termination() -> Iterator[None]:
+    """SIGTERM ends the run inside as Ctrl-C does, where it runs in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def terminate(*_: Any) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _figures(folder: Path) -> dict[str, float]:
+    """Figures of the run's score that are finite; empty where it has none."""
+    try:
+        score = json.loads((folder / SCORE_NAME).read_bytes())
+    except (OSError, ValueError):
+        return {}
+    if not isinstance(score, Mapping):
+        return {}
+    return {name: float(value) for name, value in figures_of(score).items() if value is not None}
+
+
+def _notes(errors: io.StringIO) -> dict[str, list[str]]:
+    lines = [line.rstrip() for line in errors.getvalue().splitlines() if line.strip()]
+    return {"notes": lines[:_MOST_NOTES]} if lines else {}
+
+
+def _described(error: Exception) -> dict[str, str]:
+    if isinstance(error, TrmsError):
+        return {"problem": error.problem, "where": error.where, "remedy": error.remedy}
+    return {
+        "problem": f"{type(error).__name__}: {error}",
+        "trace": "".join(traceback.format_exception(error)),
+    }
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """Whether a full disk, or a quota, is the reason."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False

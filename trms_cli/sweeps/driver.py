@@ -1,0 +1,305 @@
+"""Drives a sweep: asks the sampler for points, has them run, and sees that none is lost.
+
+What counts is what lies in the folders. A worker's word may be lost (it died, the scheduler is
+gone, the message came twice); then the status of the run tells. A run whose worker died is tried
+again up to its number of retries; one that another worker is still at, left by a driver that was
+killed, is waited for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from trms_cli.core.errors import TrmsError
+from trms_cli.sweeps.launcher import Attempt, Crew, Ended, Launcher, Work
+from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.record import Record
+from trms_cli.sweeps.sampler import Proposals
+from trms_cli.sweeps.status import SILENT_AFTER, Claim, RunFolder, is_alive, lost, now
+
+#: Problem of a result that ends the whole sweep: every other run would fail of it too.
+DISK_FULL = "the disk is full"
+#: Runs that wait at each worker, so that it need not wait for this process.
+_AHEAD = 1
+#: s between two looks at runs of workers that do not answer to this process, and at the clock.
+_LOOK = 0.5
+#: s that running ones have to end when the sweep is interrupted.
+_GRACE = 30.0
+_NOBODY = Claim(0, "", 0, "")
+
+
+@dataclass
+class Progress:
+    """How far a sweep is.
+
+    Attributes
+    ----------
+    total : int or None
+        Points that there will be; None where nobody knows.
+    workers : int
+        Runs that are made at once.
+    before : int
+        Runs that had ended before this process began.
+    results : dict of int to Result
+        By the number of the point, of all that have ended.
+    counts : dict of str to int
+        Of results by state.
+    retried : int
+        Attempts that were made again.
+    running : int
+        Points that have been handed out.
+    begin : float
+        Of this process's part, s of the monotonic clock.
+    """
+
+    total: int | None = None
+    workers: int = 0
+    before: int = 0
+    results: dict[int, Result] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    retried: int = 0
+    running: int = 0
+    begin: float = field(default_factory=time.monotonic)
+
+    def take(self, result: Result) -> None:
+        """Count a result; one that is known already is not counted twice."""
+        if result.number not in self.results:
+            self.counts[result.state] = self.counts.get(result.state, 0) + 1
+        self.results[result.number] = result
+
+    @property
+    def ended(self) -> int:
+        """Runs that have ended, however."""
+        return len(self.results)
+
+    @property
+    def rate(self) -> float:
+        """Runs that ended per second since this process began."""
+        spent = time.monotonic() - self.begin
+        return (self.ended - self.before) / spent if spent > 0 else 0.0
+
+
+Tell = Callable[[Progress, Result | None], None]
+
+
+class Driver:
+    """One process's part in a sweep.
+
+    Parameters
+    ----------
+    record : Record
+    proposals : Proposals
+        Started with the points of the record.
+    work : callable
+        Makes one run.
+    retries : int
+        Times that a run is tried again after its worker died.
+    tell : callable
+        Called after each result, and about twice a second with None.
+    retry_failed : bool
+        Whether runs that failed, or were lost, before this process began are made again.
+    """
+
+    def __init__(
+        self,
+        record: Record,
+        proposals: Proposals,
+        work: Work,
+        *,
+        retries: int,
+        tell: Tell = lambda progress, result: None,
+        retry_failed: bool = False,
+    ) -> None:
+        self.progress = Progress(total=proposals.total)
+        self._record, self._proposals, self._work = record, proposals, work
+        self._retries, self._tell = retries, tell
+        self._waiting: deque[Attempt] = deque()
+        self._handed: dict[int, Attempt] = {}
+        self._watched: dict[int, _Watched] = {}
+        self._tries: dict[int, int] = {}
+        self._new: list[Result] = []
+        self._again = ("failed", "lost", "interrupted") if retry_failed else ("interrupted",)
+        self._stopping = False
+
+    def take_stock(self, known: Iterable[Point]) -> None:
+        """Look at what earlier processes left of the points that they proposed."""
+        for point in known:
+            folder = RunFolder(self._record.folder, point.number)
+            result = folder.result()
+            attempt = folder.last_attempt()
+            if result is not None and result.state not in self._again:
+                self._take(result)
+            elif result is None and attempt and is_alive(folder.holder() or _NOBODY) is not False:
+                self._watch(Attempt(point, attempt))
+            else:
+                self._waiting.append(Attempt(point, attempt + 1))
+        self.progress.before = self.progress.ended
+
+    def drive(self, launcher: Launcher) -> None:
+        """Have all points run.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            When it was interrupted; the runs have then ended, and the record tells so.
+        TrmsError
+            If there are no workers to be had, or the disk is full.
+        """
+        with contextlib.suppress(FileNotFoundError):
+            self._record.stop_file.unlink()
+        self._fill(1)
+        if not (self._waiting or self._watched):
+            return
+        with launcher.crew(self._work) as crew:
+            self.progress.workers = crew.workers
+            self.progress.begin = time.monotonic()
+            try:
+                while self._go_on(crew):
+                    pass
+            except (KeyboardInterrupt, TrmsError):
+                self._stop(crew)
+                raise
+
+    def _go_on(self, crew: Crew) -> bool:
+        """Hand out what there is, and take what has come; False when all is done."""
+        room = crew.workers - len(self._handed)
+        self._fill(room - len(self._waiting))
+        ready = []
+        while self._waiting and len(self._handed) < crew.workers * (1 + _AHEAD):
+            attempt = self._waiting.popleft()
+            self._handed[attempt.point.number] = attempt
+            ready.append(attempt)
+        if ready:
+            crew.submit(ready)
+        self.progress.running = len(self._handed)
+        if not self._handed and not self._watched:
+            return bool(self._waiting)
+        if self._handed:
+            for ended in crew.ended(_LOOK):
+                self._settle(ended)
+        else:
+            time.sleep(_LOOK)
+        self._look_at_watched()
+        self._tell(self.progress, None)
+        return True
+
+    def _fill(self, wanted: int) -> None:
+        """Ask the sampler for points, and write them down."""
+        if wanted <= 0 and not self._new:
+            return
+        told, self._new = self._new, []
+        points = self._proposals.more(told, max(0, wanted))
+        if points:
+            self._record.append(points)
+            self._waiting.extend(Attempt(point) for point in points)
+
+    def _settle(self, ended: Ended) -> None:
+        """Take a result, or find out what became of a run without one."""
+        attempt = self._handed.pop(ended.attempt.point.number, None)
+        if attempt is None:
+            return  # told twice
+        result = ended.result
+        if result is not None and result.problem.startswith(DISK_FULL):
+            raise TrmsError(
+                result.problem,
+                where=str(self._record.folder),
+                remedy=f"free space, then go on: trms sweep resume {self._record.folder}",
+            )
+        if result is not None and result.state != "interrupted":
+            self._take(result)
+            return
+        folder = RunFolder(self._record.folder, attempt.point.number)
+        told = folder.result()
+        if told is not None and told.state != "interrupted":
+            self._take(told)
+        elif told is None and folder.last_attempt() < attempt.number:
+            self._waiting.appendleft(attempt)  # it died before it began with this one
+        elif told is None and is_alive(folder.holder() or _NOBODY) is not False:
+            self._watch(attempt)
+        else:
+            self._try_again(attempt, ended.reason or "it was ended from outside")
+
+    def _try_again(self, attempt: Attempt, reason: str) -> None:
+        if self._stopping:
+            return
+        point = attempt.point
+        tries = self._tries[point.number] = self._tries.get(point.number, 0) + 1
+        folder = RunFolder(self._record.folder, point.number)
+        if tries <= self._retries:
+            self.progress.retried += 1
+            self._waiting.append(Attempt(point, max(folder.last_attempt(), attempt.number) + 1))
+            return
+        status = lost(point, tries, reason, folder.status())
+        folder.path.mkdir(exist_ok=True)
+        folder.write(status)
+        self._take(Result(point.number, "lost", problem=status["error"]["problem"]))
+
+    def _take(self, result: Result) -> None:
+        self.progress.take(result)
+        self._new.append(result)
+        self._tell(self.progress, result)
+
+    def _watch(self, attempt: Attempt) -> None:
+        self._watched[attempt.point.number] = _Watched(attempt)
+
+    def _look_at_watched(self) -> None:
+        """Runs of workers that this process does not hear of: have they ended, do they live?"""
+        for number, watched in list(self._watched.items()):
+            folder = RunFolder(self._record.folder, number)
+            result = folder.result()
+            if result is not None and result.state != "interrupted":
+                del self._watched[number]
+                self._take(result)
+            elif result is not None or not watched.lives(folder):
+                del self._watched[number]
+                self._try_again(watched.attempt, "it gives no sign of life")
+
+    def _stop(self, crew: Crew) -> None:
+        """Have the running ones end, and wait for them."""
+        self._stopping = True
+        self._waiting.clear()
+        with contextlib.suppress(OSError):
+            self._record.stop_file.write_text(now(), encoding="utf-8")
+        until = time.monotonic() + _GRACE
+        while self._handed and time.monotonic() < until:
+            try:
+                found = crew.ended(_LOOK)
+            except TrmsError:
+                break  # no workers any more
+            for ended in found:
+                with contextlib.suppress(TrmsError):
+                    self._settle(ended)
+
+
+@dataclass
+class _Watched:
+    """A run that somebody else's worker is at."""
+
+    attempt: Attempt
+    sign: float = -1.0
+    since: float = 0.0
+
+    def lives(self, folder: RunFolder) -> bool:
+        """Whether its worker lives: the process is there, or it has given a sign of late.
+
+        Times of the disk are compared only with each other, since hosts' clocks differ.
+        """
+        alive = is_alive(folder.holder() or _NOBODY)
+        if alive is not None:
+            return alive
+        sign, here = folder.sign_of_life(), time.monotonic()
+        if sign != self.sign:
+            self.sign, self.since = sign, here
+        return here - self.since < SILENT_AFTER
+
+
+def counts_of(results: Mapping[int, Result]) -> dict[str, int]:
+    """Results by state, each state named."""
+    found = dict.fromkeys(("done", "failed", "lost", "interrupted"), 0)
+    for result in results.values():
+        found[result.state] += 1
+    return found
