@@ -13,6 +13,12 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build, nearest
 
 
+@pytest.fixture(autouse=True)
+def _allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The classes of this file are a user's own."""
+    monkeypatch.setenv("TRMS_ALLOW", f"{__name__.partition('.')[0]},no_such_package_here")
+
+
 class Shape(Protocol):
     def area(self) -> float: ...
 

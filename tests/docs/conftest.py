@@ -23,7 +23,8 @@ def trms(tmp_path: Path) -> Program:
         return subprocess.run(
             [str(script), *argv],
             cwd=tmp_path,
-            env=os.environ | {"NO_COLOR": "1"},
+            env=os.environ
+            | {"NO_COLOR": "1", "TRMS_ALLOW": "my_lab", "XDG_CONFIG_HOME": str(tmp_path)},
             capture_output=True,
             text=True,
             encoding="utf-8",

@@ -44,7 +44,9 @@ def typed(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         ["bash", "-c", command],
         cwd=folder,
-        env=os.environ | {"PATH": programs, "NO_COLOR": "1", "COLUMNS": "92"},
+        env=os.environ
+        | {"PATH": programs, "NO_COLOR": "1", "COLUMNS": "92"}
+        | {"XDG_CONFIG_HOME": str(folder / ".settings"), "TRMS_ALLOW": ""},
         capture_output=True,
         text=True,
         encoding="utf-8",

@@ -156,7 +156,7 @@ def test_the_effect_that_the_document_writes_works(rig, tmp_path, monkeypatch):
     (tmp_path / "mine" / "effect").mkdir(parents=True)
     (tmp_path / "my_effects.py").write_text(code, encoding="utf-8")
     (tmp_path / "mine" / "effect" / "yaw_draught.yaml").write_text(option, encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("TRMS_ALLOW", "my_effects")
     folder = str(tmp_path / "mine")
     node = compose(["--config-dir", folder, "effect=yaw_draught"]).config["effect"]["yaw_draught"]
     u = rig.rich_input(100)

@@ -118,7 +118,7 @@ MISTAKES = [
         "effects.yaw_coulomb_friction.torque",
         "",
     ),
-    ({"effects": {"mine": {"_target_": "no.such.Class"}}}, "effects.mine._target_", "install"),
+    ({"effects": {"mine": {"_target_": "no.such.Class"}}}, "effects.mine._target_", "allow no"),
     (
         {"effects": {"mine": {"_target_": "trms_cli.models.newtonian.Newtonian"}}},
         "effects.mine._target_",

@@ -54,6 +54,28 @@ def take_config_dirs(argv: Sequence[str]) -> tuple[tuple[Path, ...], list[str]]:
     return tuple(folders), rest
 
 
+def take_allowed(argv: Sequence[str]) -> list[str]:
+    """Take every ``--allow PACKAGE`` (or ``--allow=PACKAGE``) off `argv`, and allow it for now.
+
+    Raises
+    ------
+    ConfigurationError
+        If it names no package.
+    """
+    from trms_cli.core.allowed import allow_for_now
+
+    rest: list[str] = []
+    words = iter(argv)
+    for word in words:
+        if word != "--allow" and not word.startswith("--allow="):
+            rest.append(word)
+            continue
+        named = word.partition("=")[2] if "=" in word else next(words, "")
+        for package in named.split(",") or [""]:
+            allow_for_now(package.strip())
+    return rest
+
+
 def _checked_folder(text: str) -> Path:
     where = "--config-dir"
     if not text:
@@ -76,14 +98,13 @@ def _checked_folder(text: str) -> Path:
 
 
 def make_importable(folders: Iterable[Path]) -> None:
-    """Let ``_target_`` name a module or package that lies in a configuration folder or beside it.
+    """Let ``_target_`` name an allowed package that lies in a configuration folder or beside it.
 
-    Both places go to the end of the module search path: what is installed wins.
+    What is installed wins. What was not allowed stays data, wherever it lies.
     """
-    for folder in folders:
-        for place in (str(folder), str(folder.parent)):
-            if place not in sys.path:
-                sys.path.append(place)
+    from trms_cli.core.trust import look_in
+
+    look_in(folders)
 
 
 def roots(config_dirs: Sequence[Path] = ()) -> tuple[Path, ...]:
@@ -142,9 +163,11 @@ def read_yaml(file: Path) -> Any:
     """The content of a YAML as plain data; a syntax error names the file and the line."""
     import yaml
 
+    from trms_cli.core.data_file import read_bytes
+    from trms_cli.core.yaml_data import MOST_BYTES, load_yaml
+
     try:
-        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C one where it was built
-        return yaml.load(file.read_bytes(), loader)
+        return load_yaml(read_bytes(file, MOST_BYTES))
     except yaml.YAMLError as error:
         raise yaml_error(error, file) from None
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from trms_cli.commands.catalogue import Groups, Primary, take_config_dirs
+from trms_cli.commands.catalogue import Groups, Primary, take_allowed, take_config_dirs
 from trms_cli.commands.declared_keys import DeclaredKeys, is_path
 from trms_cli.commands.model_files import with_model_files
 from trms_cli.core.errors import ConfigurationError
@@ -30,7 +30,7 @@ PATH_KEYS = ("out", "file", "path", "real", "resume")
 _SAME = {"picture": "page", "page": "picture"}
 
 #: All options of the composing command; ``--from`` is taken off before.
-_OPTIONS = ("--cfg", "--config-dir", "--from", "--multirun", "--help", "--debug")
+_OPTIONS = ("--allow", "--cfg", "--config-dir", "--from", "--multirun", "--help", "--debug")
 _PLAIN_NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*")
 
 
@@ -64,7 +64,7 @@ def read_request(argv: Sequence[str]) -> Request:
     ConfigurationError
         For an unknown option; a command takes its own options off before.
     """
-    config_dirs, rest = take_config_dirs(argv)
+    config_dirs, rest = take_config_dirs(take_allowed(argv))
     overrides: list[str] = []
     show = multirun = False
     words = iter(rest)

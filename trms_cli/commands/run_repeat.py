@@ -113,8 +113,10 @@ def _read(path: Path) -> LoggedRun:
 def _config(run: LoggedRun) -> dict[str, Any]:
     import yaml
 
+    from trms_cli.core.yaml_data import load_yaml
+
     try:
-        config = yaml.load(run.config, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        config = load_yaml(run.config)
     except yaml.YAMLError as error:
         raise RecordingError(
             f"the log's configuration is not valid YAML: {error}", where=str(run.path)

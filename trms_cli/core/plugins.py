@@ -1,16 +1,16 @@
 """Builds a plugin from plain configuration: ``{_target_: dotted.name, key: value, …}``.
 
-A plugin is any importable class (usually a frozen dataclass) or function with annotated
-arguments. Keys, types and ranges are checked against those annotations before anything is
-constructed, so that a mistake is reported by its key and not by a traceback from inside.
-Ranges stand in the annotations: ``Annotated[float, msgspec.Meta(gt=0)]``.
+A plugin is a class (usually a frozen dataclass) or function with annotated arguments, of this
+program or of a package that the user allowed (:mod:`trms_cli.core.trust`). Keys, types and ranges
+are checked against those annotations before anything is constructed, so that a mistake is reported
+by its key and not by a traceback from inside. Ranges stand in the annotations:
+``Annotated[float, msgspec.Meta(gt=0)]``.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-import importlib
 import inspect
 import math
 import typing
@@ -19,6 +19,7 @@ from typing import Any
 
 import msgspec
 
+from trms_cli.core import trust
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.type_words import Refusal, refusal
 
@@ -38,28 +39,28 @@ def nearest(given: str, allowed: Iterable[str]) -> str:
 
 
 def locate(target: str, where: str) -> Any:
-    """Import the object that a dotted name points to.
+    """Import the class or factory that a dotted name points to.
 
     Raises
     ------
     ConfigurationError
-        If no such module or attribute exists, or the module fails on import.
+        If it is not ours and of no package that is allowed; if no such module or attribute exists;
+        if it is not defined in that package.
     """
     module_name, _, attribute = target.rpartition(".")
     key = f"{where}.{TARGET}" if where else TARGET
-    if not module_name:
+    if not all(part.isidentifier() for part in target.split(".")) or not module_name:
         raise ConfigurationError(
             f"{target!r} is not a dotted name",
             where=key,
             remedy="write it as package.module.Class",
         )
+    trust.check_allowed(target, key)
     try:
-        module = importlib.import_module(module_name)
+        module = trust.imported(module_name)
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"cannot import {module_name!r}: {error}",
-            where=key,
-            remedy="install the package, or name its folder by --config-dir or PYTHONPATH",
+            f"cannot import {module_name!r}: {error}", where=key, remedy=_how_to_find(error)
         ) from error
     if not hasattr(module, attribute):
         public = [name for name in vars(module) if not name.startswith("_")]
@@ -68,7 +69,17 @@ def locate(target: str, where: str) -> Any:
             where=key,
             remedy=nearest(attribute, [n for n in public if inspect.isclass(vars(module)[n])]),
         )
-    return getattr(module, attribute)
+    found = getattr(module, attribute)
+    trust.check_own(found, target, key)
+    return found
+
+
+def _how_to_find(error: ModuleNotFoundError) -> str:
+    missing = (error.name or "").partition(".")[0]
+    return (
+        "install the package, or name its folder by --config-dir or PYTHONPATH; a module that it "
+        f"imports from the same folder is allowed as well: --allow {missing}"
+    )
 
 
 def is_plugin(value: object) -> bool:
@@ -97,7 +108,7 @@ def build(node: Any, where: str = "") -> Any:
             where=where,
             remedy=f"choose one by name, or give a mapping with {TARGET}",
         )
-    target = locate(node[TARGET], where)
+    target = locate(str(node[TARGET]), where)
     given = {key: value for key, value in node.items() if key not in _IGNORED_KEYS}
     arguments = _checked_arguments(target, given, where)
     try:

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.resources import config_folder
@@ -201,17 +202,17 @@ def write_narx_file(path: Path, content: NarxFile) -> None:
 def _plain(path: Path, where: str) -> dict[str, Any]:
     import yaml
 
+    from trms_cli.core.yaml_data import MOST_BYTES, load_yaml
+
     try:
-        data = yaml.load(
-            path.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-        )
+        data = load_yaml(read_bytes(path, MOST_BYTES))
     except OSError as error:
         raise ConfigurationError(
             f"cannot read {str(path)!r}: {error.strerror}",
             where=where,
             remedy="give the path of a network file",
         ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except yaml.YAMLError as error:
         raise ModelError(
             f"not valid YAML: {str(error).splitlines()[0]}",
             where=str(path),

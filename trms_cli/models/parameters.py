@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.resources import config_folder
@@ -203,6 +204,8 @@ def parameter_file(name_or_path: str, where: str = "model.parameter_set") -> Par
     ConfigurationError
         If there is no such set, or the file's content is not of the documented form.
     """
+    from trms_cli.core.yaml_data import MOST_BYTES
+
     folder = config_folder() / "parameters"
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
@@ -215,7 +218,7 @@ def parameter_file(name_or_path: str, where: str = "model.parameter_set") -> Par
                 + ", or the path of a YAML file",
             )
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bytes(path, MOST_BYTES)
     except OSError as error:
         raise ConfigurationError(
             f"cannot read {str(path)!r}: {error.strerror}",
@@ -225,7 +228,7 @@ def parameter_file(name_or_path: str, where: str = "model.parameter_set") -> Par
     return parse_parameter_file(text, str(path))
 
 
-def parse_parameter_file(text: str, source: str) -> ParameterFile:
+def parse_parameter_file(text: str | bytes, source: str) -> ParameterFile:
     """Check the text of a parameter file.
 
     Raises
@@ -235,9 +238,10 @@ def parse_parameter_file(text: str, source: str) -> ParameterFile:
     """
     import yaml
 
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    from trms_cli.core.yaml_data import load_yaml
+
     try:
-        content = yaml.load(text, loader)
+        content = load_yaml(text)
         if isinstance(content, dict):
             # A rig may be called 7, or 1e5.
             content = {k: str(v) if k in _TEXTS else _numbers(v) for k, v in content.items()}

@@ -8,7 +8,6 @@ library's work; only messages, of which there are tens of thousands, are cut out
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -20,15 +19,32 @@ import orjson
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
+from trms_cli.core.data_file import (
+    MEBIBYTE,
+    how_to_raise,
+    largest,
+    not_as_written,
+    read_bytes,
+)
 from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.chunk_content import (
+    TooMuch,
+    content_of,
+    is_damaged,
+    most_cells,
+    most_unpacked,
+)
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, RUN_SCHEMA, SCORE_METADATA
 from trms_cli.recordings.topics import VIEWER_SCHEMAS
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+#: Of a file, compressed: what is longer unpacks to more than is read.
+_USUAL_MOST = 256 * MEBIBYTE
+#: Bytes that a message takes unpacked, at least; most have a hundred.
+_LEAST_MESSAGE = 64
 _EMPTY_RUN = "it holds no sample: the run ended before its first flush"
 
 
@@ -94,7 +110,7 @@ class LoggedRun:
     @property
     def config(self) -> str:
         """The resolved config as YAML; empty when the log has none."""
-        return self.attachments.get(CONFIG_ATTACHMENT, b"").decode()
+        return self.attachments.get(CONFIG_ATTACHMENT, b"").decode(errors="replace")
 
     @property
     def duration_s(self) -> float:
@@ -127,6 +143,9 @@ class _Content:
     """What has been gathered from the records so far."""
 
     topics: Collection[str] | None
+    where: str = ""
+    room: int = field(default_factory=most_unpacked)  # bytes that chunks may still unpack to
+    message_room: int = field(default_factory=lambda: most_unpacked() // _LEAST_MESSAGE)
     library: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -154,7 +173,7 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
         When the file cannot be read, is no MCAP file, is of another program or is empty.
     """
     path = Path(path)
-    content = _Content(topics)
+    content = _Content(topics, str(path))
     _walk(_read_bytes(path), content)
     run = content.metadata.get(RUN_METADATA, {})
     _refuse_newer(run, path)
@@ -171,11 +190,13 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
     if not content.channels:
         content.problems.append(_EMPTY_RUN)
     score = content.metadata.get(SCORE_METADATA, {})
+    with not_as_written(str(path)):
+        tables = _tables(content, path)
     return LoggedRun(
         path=path,
         complete=not content.problems,
         outcome=run.get("outcome", "died"),
-        tables=_tables(content, path),
+        tables=tables,
         run=run,
         score={key: _json_value(text) for key, text in score.items()},
         attachments=content.attachments,
@@ -197,7 +218,7 @@ def _refuse_newer(run: Mapping[str, str], path: Path) -> None:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, largest(_USUAL_MOST))
     except FileNotFoundError as error:
         raise RecordingError("there is no such file", where=str(path)) from error
     except OSError as error:
@@ -237,6 +258,12 @@ def _walk(data: bytes, content: _Content) -> None:
                 return
             else:
                 _take(opcode, body, content)
+        except TooMuch as error:
+            raise RecordingError(
+                f"{error}, and {most_unpacked() / MEBIBYTE:,.0f} MiB are read",
+                where=content.where,
+                remedy=how_to_raise(2 * most_unpacked()),
+            ) from error
         except Exception as error:  # damage shows as any error of the decoders
             content.problems.append(f"a damaged record was left out ({error})")
 
@@ -254,9 +281,9 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _open_chunk(chunk: Chunk, content: _Content) -> None:
-    stream, length = get_chunk_data_stream(chunk, validate_crc=False)
-    data = stream.read(length)
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+    data = content_of(chunk, content.room)
+    content.room -= len(data)
+    if is_damaged(chunk, data):
         start, end = chunk.message_start_time * 1e-9, chunk.message_end_time * 1e-9
         content.problems.append(f"samples from {start:.3f} to {end:.3f} s are damaged (checksum)")
         return
@@ -268,6 +295,9 @@ def _take(opcode: int, body: memoryview, content: _Content) -> None:
     if opcode == Opcode.MESSAGE:
         channel_id, _, log_time, _ = _MESSAGE.unpack_from(body)
         if channel_id in content.times:
+            content.message_room -= 1
+            if content.message_room < 0:
+                raise TooMuch("more messages than there is room for")
             content.times[channel_id].append(log_time)
             content.messages[channel_id].append(bytes(body[_MESSAGE.size :]))
     elif opcode == Opcode.SCHEMA:
@@ -285,14 +315,18 @@ def _take(opcode: int, body: memoryview, content: _Content) -> None:
 
 
 def _tables(content: _Content, path: Path) -> dict[str, Table]:
-    tables = {}
+    tables: dict[str, Table] = {}
+    room = most_cells()
     for channel_id, times in content.times.items():
         channel = content.channels[channel_id]
         try:
             schema = orjson.loads(content.schemas[channel.schema_id].data)
+            room -= len(times) * len(schema["properties"])
+            if room < 0:
+                raise ValueError(f"more than {most_cells()} numbers in one log")
             rows = orjson.loads(b"[" + b",".join(content.messages[channel_id]) + b"]")
             tables[channel.topic] = _table(np.array(times, dtype=np.int64), rows, schema)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise RecordingError(
                 f"the messages of {channel.topic} are not as trms writes them ({error})",
                 where=str(path),
@@ -301,6 +335,8 @@ def _tables(content: _Content, path: Path) -> dict[str, Table]:
 
 
 def _table(time_ns: np.ndarray, rows: list[dict[str, Any]], schema: dict[str, Any]) -> Table:
+    if len(rows) != len(time_ns):
+        raise ValueError(f"{len(time_ns)} messages hold {len(rows)} values")
     order = None
     if len(time_ns) > 1 and bool(np.any(np.diff(time_ns) < 0)):
         order = np.argsort(time_ns, kind="stable")
@@ -316,7 +352,10 @@ def _table(time_ns: np.ndarray, rows: list[dict[str, Any]], schema: dict[str, An
 
 def _column(values: list[Any], json_type: str) -> np.ndarray:
     if json_type in ("number", "integer", "boolean"):
-        return np.array(values, dtype=float)  # None becomes NaN
+        numbers = np.array(values, dtype=float)  # None becomes NaN
+        if numbers.ndim != 1:
+            raise ValueError("a list stands where a number belongs")
+        return numbers
     column = np.empty(len(values), dtype=object)
     if json_type == "array":
         values = [np.array(() if value is None else value, dtype=float) for value in values]

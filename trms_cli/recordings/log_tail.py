@@ -10,7 +10,6 @@ from __future__ import annotations
 import errno
 import os
 import struct
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -23,10 +22,10 @@ import orjson
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.chunk_content import content_of, is_damaged, most_cells
 from trms_cli.recordings.log_reader import Table
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA
 from trms_cli.recordings.topics import VIEWER_SCHEMAS
@@ -36,7 +35,7 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 #: Read in one look: some 30 s of a run at 50 Hz, decoded in a few milliseconds.
 _AT_ONCE = 2**20  # bytes
 #: A record that claims to be longer was not written by a run; nobody waits for its end.
-_LONGEST = 2**30  # bytes
+_LONGEST = 2**28  # bytes
 
 #: Given a topic and a column of it: whether the column is wanted.
 Wanted = Callable[[str, str], bool]
@@ -234,11 +233,8 @@ class LogTail:
             self.problems.append(f"a damaged record was left out ({error})")
 
     def _open_chunk(self, chunk: Chunk) -> None:
-        if chunk.uncompressed_size > _LONGEST:
-            raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
-        stream, length = get_chunk_data_stream(chunk, validate_crc=False)
-        data = stream.read(length)
-        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        data = content_of(chunk, _LONGEST)
+        if is_damaged(chunk, data):
             start, end = chunk.message_start_time * 1e-9, chunk.message_end_time * 1e-9
             words = f"samples from {start:.3f} to {end:.3f} s are damaged (checksum)"
             self.problems.append(words)
@@ -275,11 +271,15 @@ class LogTail:
             if not rows.times:
                 continue
             topic, kinds = self._kinds[channel_id]
-            time_ns = np.array(rows.times, dtype=np.int64)
             try:
+                time_ns = np.array(rows.times, dtype=np.int64)
+                if len(time_ns) * len(kinds) > most_cells():
+                    raise ValueError(f"more than {most_cells()} numbers at once")
                 messages = orjson.loads(b"[" + b",".join(rows.messages) + b"]")
+                if len(messages) != len(time_ns):
+                    raise ValueError(f"{len(time_ns)} messages hold {len(messages)} values")
                 columns = {n: _column([m.get(n) for m in messages], k) for n, k in kinds.items()}
-            except (AttributeError, TypeError, ValueError) as error:
+            except (AttributeError, TypeError, ValueError, OverflowError) as error:
                 raise RecordingError(
                     f"the messages of {topic} are not as trms writes them ({error})",
                     where=str(self.path),
@@ -308,7 +308,10 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview, int]]:
 
 def _column(values: list[Any], json_type: str) -> np.ndarray:
     if json_type in ("number", "integer", "boolean"):
-        return np.array(values, dtype=float)  # None becomes NaN
+        numbers = np.array(values, dtype=float)  # None becomes NaN
+        if numbers.ndim != 1:
+            raise ValueError("a list stands where a number belongs")
+        return numbers
     column = np.empty(len(values), dtype=object)
     if json_type == "array":
         values = [np.array(() if value is None else value, dtype=float) for value in values]

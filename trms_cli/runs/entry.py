@@ -124,11 +124,10 @@ def _choices(head: LogHead, overrides: list[str]) -> dict[str, Any]:
     choices = _json(head.run, "choices")
     if isinstance(choices, Mapping) and choices:
         return dict(choices)
-    import yaml
-
+    from trms_cli.core.yaml_data import load_yaml
     from trms_cli.scoring.comparison.coordinates import choices_of
 
-    config = yaml.load(head.config, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    config = load_yaml(head.config)
     return choices_of(config if isinstance(config, Mapping) else {}, overrides)
 
 
@@ -147,6 +146,8 @@ def _sample_time(config: str) -> float | None:
     """``sim.sample_time``: the block is cut out, since YAML takes 100 times as long as the rest."""
     import yaml
 
+    from trms_cli.core.yaml_data import load_yaml
+
     lines = config.splitlines()
     begin = next((i for i, line in enumerate(lines) if line.rstrip() == "sim:"), None)
     if begin is None:
@@ -156,7 +157,7 @@ def _sample_time(config: str) -> float | None:
     )
     block = lines[begin : None if length is None else begin + 1 + length]
     try:
-        document = yaml.load("\n".join(block[:50]), Loader=yaml.SafeLoader)
+        document = load_yaml("\n".join(block[:50]))
     except yaml.YAMLError:
         return None
     value = document["sim"].get("sample_time") if isinstance(document.get("sim"), dict) else None

@@ -207,9 +207,18 @@ class RunIndex:
         return [name for (name,) in rows]
 
     def count(self, condition: Sql) -> int:
-        """The number of runs for which a condition holds."""
+        """The number of runs for which a condition holds.
+
+        Raises
+        ------
+        RecordingError
+            If the database refuses: a filter that is too large for it.
+        """
         statement = f"SELECT count(*) FROM runs WHERE {condition.text}"
-        return int(self._connection.execute(statement, condition.values).fetchone()[0])
+        try:
+            return int(self._connection.execute(statement, condition.values).fetchone()[0])
+        except sqlite3.OperationalError as error:
+            raise _refused(error) from error
 
     def select(
         self,
@@ -248,9 +257,7 @@ class RunIndex:
                 for row in rows
             ]
         except sqlite3.OperationalError as error:
-            raise RecordingError(
-                f"the index does not answer ({error})", where="trms runs", remedy="ask for less"
-            ) from error
+            raise _refused(error) from error
 
     def unreadable(self, roots: Sequence[str] | None) -> list[tuple[str, str]]:
         """Logs under folders that cannot be read, with the reason."""
@@ -261,6 +268,12 @@ class RunIndex:
             scope.values,
         )
         return [(log, problem) for log, problem in rows]
+
+
+def _refused(error: sqlite3.Error) -> RecordingError:
+    return RecordingError(
+        f"the index does not answer ({error})", where="trms runs", remedy="ask for less"
+    )
 
 
 def is_damage(error: sqlite3.Error) -> bool:

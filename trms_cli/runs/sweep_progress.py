@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from trms_cli.core.data_file import read_bytes
+from trms_cli.core.errors import RecordingError
 from trms_cli.runs.status import STATUS_NAME
 
 _SCHEMA = "trms.status/1"
@@ -222,20 +224,21 @@ def _rate(jobs: tuple[Job, ...]) -> float:
 
 def _plan(folder: Path) -> tuple[tuple[str, ...], int | None]:
     """What was typed for a sweep, and how many jobs that makes, from the file that Hydra leaves."""
-    try:
-        text = (folder / "multirun.yaml").read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return (), None
     import yaml
 
+    from trms_cli.core.yaml_data import MOST_BYTES, load_yaml
+
+    try:
+        text = read_bytes(folder / "multirun.yaml", MOST_BYTES).decode()
+    except (OSError, RecordingError, UnicodeDecodeError):
+        return (), None
     # The sweep's own settings stand at the top; the experiment below is not looked at.
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     block = re.match(r"hydra:\n(?:[ \n].*\n?|\n)*", text)
     try:
-        hydra = yaml.load(block[0] if block else "", Loader=loader)["hydra"]
+        hydra = load_yaml(block[0] if block else "")["hydra"]
         overrides = tuple(str(word) for word in hydra["overrides"]["task"])
         sweeper = str(hydra["sweeper"]["_target_"])
-    except (yaml.YAMLError, TypeError, KeyError, RecursionError):
+    except (yaml.YAMLError, TypeError, KeyError):
         return (), None
     if not sweeper.endswith("BasicSweeper") or hydra["sweeper"].get("params"):
         return overrides, None
@@ -279,7 +282,8 @@ def _range(arguments: str) -> int | None:
         numbers = [float(part.rpartition("=")[2]) for part in arguments.split(",")]
     except ValueError:
         return None
-    if "=" in arguments or not 1 <= len(numbers) <= 3:
+    if "=" in arguments or not 1 <= len(numbers) <= 3 or not all(map(math.isfinite, numbers)):
         return None
     start, stop, step = (0.0, numbers[0], 1.0) if len(numbers) == 1 else (*numbers, 1.0)[:3]
-    return max(0, math.ceil((stop - start) / step - 1e-9)) if step else None
+    count = (stop - start) / step - 1e-9 if step else math.nan
+    return max(0, math.ceil(count)) if math.isfinite(count) else None

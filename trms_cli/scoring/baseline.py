@@ -9,13 +9,13 @@ are left out, because they belong to the machine.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from trms_cli.core.data_file import read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.scoring import score as scoring
 
@@ -208,7 +208,7 @@ def read_baseline(path: Path) -> Baseline:
         If the file cannot be read or is neither.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = read_json(path)
     except (OSError, ValueError) as error:
         raise RecordingError(
             f"the baseline cannot be read: {error}",

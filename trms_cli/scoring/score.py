@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from trms_cli.core.data_file import not_as_written
 from trms_cli.scoring import metrics, step_response
 from trms_cli.scoring.degraded import degraded_figures
 from trms_cli.scoring.estimate import estimate_figures
@@ -47,13 +48,14 @@ def score_log(log: LoggedRun, *, limits: Limits | None = None) -> dict[str, Any]
     limits : mapping, optional
         Lower and upper limit by input or channel; by default those written in the log.
     """
-    return score_tables(
-        log.tables,
-        limits=limits_of(log) if limits is None else limits,
-        duration_s=log.duration_s,
-        log=str(log.path),
-        complete=log.complete,
-    )
+    with not_as_written(str(log.path)):
+        return score_tables(
+            log.tables,
+            limits=limits_of(log) if limits is None else limits,
+            duration_s=log.duration_s,
+            log=str(log.path),
+            complete=log.complete,
+        )
 
 
 def limits_of(log: LoggedRun) -> dict[str, tuple[float, float]]:

@@ -138,10 +138,12 @@ def _as_flat(typed: Mapping[str, str]) -> dict[str, str]:
     """Dotted keys as typed, their values as those of a configuration."""
     import yaml
 
+    from trms_cli.core.yaml_data import load_yaml
+
     found: dict[str, str] = {}
     for key, text in typed.items():
         try:
-            value = yaml.safe_load(text)
+            value = load_yaml(text)
         except yaml.YAMLError:
             value = text
         found |= flat(value, f"{key}.") if isinstance(value, Mapping) else flat({key: value})

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.scoring.comparison.compared_run import ComparedRun, State
 from trms_cli.scoring.comparison.coordinates import (
@@ -63,7 +64,8 @@ def gather(paths: Sequence[Path]) -> Gathered:
     for path in paths:
         if not path.exists():
             raise RecordingError("there is no such file or folder", where=str(path))
-        found = [_of_file(path)] if path.is_file() else _of_folder(path, left_out)
+        with not_as_written(str(path)):
+            found = [_of_file(path)] if path.is_file() else _of_folder(path, left_out)
         for run in found:
             place = Path(run.path).resolve()
             if place not in seen:
@@ -85,7 +87,8 @@ def _of_folder(root: Path, left_out: list[tuple[str, str]]) -> list[ComparedRun]
     for folder, folders, files in os.walk(root):
         folders.sort()
         try:
-            run = _of_run_folder(Path(folder), set(files))
+            with not_as_written(folder):
+                run = _of_run_folder(Path(folder), set(files))
         except RecordingError as error:
             left_out.append((error.where or folder, error.problem))
             continue
@@ -94,7 +97,8 @@ def _of_folder(root: Path, left_out: list[tuple[str, str]]) -> list[ComparedRun]
         for name in sorted(files):  # logs by other names, as a user files them
             if name.endswith(".mcap") and name != LOG:
                 try:
-                    found.append(_of_log(Path(folder, name)))
+                    with not_as_written(str(Path(folder, name))):
+                        found.append(_of_log(Path(folder, name)))
                 except RecordingError as error:
                     left_out.append((str(Path(folder, name)), error.problem))
     return found
@@ -144,9 +148,9 @@ def _of_log(path: Path) -> ComparedRun:
         raise RecordingError(
             "this log is no run of the loop", where=str(path), remedy="compare logs of `trms run`"
         )
-    import yaml
+    from trms_cli.core.yaml_data import load_yaml
 
-    config = yaml.load(log.config, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)) or {}
+    config = load_yaml(log.config) or {}
     overrides = json.loads(log.run.get(OVERRIDES_KEY, "[]"))
     choices = json.loads(log.run.get(CHOICES_KEY, "{}")) or choices_of(config, overrides)
     state = State.DONE if log.complete else State.INCOMPLETE
@@ -226,7 +230,7 @@ def _faults(log: Any) -> int:
 
 def _document(path: Path) -> dict[str, Any]:
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = read_json(path)
     except (OSError, ValueError) as error:
         raise RecordingError(f"it cannot be read ({error})", where=str(path)) from error
     if not isinstance(document, dict):

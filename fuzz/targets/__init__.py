@@ -1,0 +1,1 @@
+"""One module a reader: ``seeds(folder)`` and ``read(data, folder)``."""

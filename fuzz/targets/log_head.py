@@ -1,0 +1,27 @@
+"""Logs, their words alone: the row of the index of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from fuzz.targets.log import seeds as _logs
+
+
+def seeds(folder: Path) -> Iterator[bytes]:
+    """As for whole logs."""
+    yield from _logs(folder)
+
+
+def read(data: bytes, folder: Path) -> None:
+    """The row that the index keeps, written to a database and read from it."""
+    from trms_cli.runs.entry import read_entry
+    from trms_cli.runs.index import Looked, RunIndex, Seen
+
+    path = folder / "head.mcap"
+    path.write_bytes(data)
+    entry = read_entry(path)
+    if entry is not None:
+        with RunIndex(None) as index:
+            index.put([Looked(str(path), Seen(0, len(data)), entry)])
+            index.more_names()

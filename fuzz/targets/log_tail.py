@@ -1,0 +1,28 @@
+"""Logs that grow: each look takes what is new."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from fuzz.targets.log import seeds as _logs
+
+
+def seeds(folder: Path) -> Iterator[bytes]:
+    """As for whole logs."""
+    yield from _logs(folder)
+
+
+def read(data: bytes, folder: Path) -> None:
+    """The file in two halves, looked at until nothing comes."""
+    from trms_cli.recordings.log_tail import LogTail
+
+    path = folder / "tail.mcap"
+    path.write_bytes(data[: len(data) // 2])
+    with LogTail(path) as tail:
+        while tail.read(1000) is not None:
+            pass
+        path.write_bytes(data)
+        while tail.read(1000) is not None:
+            pass
+        tail.config  # noqa: B018

@@ -1,0 +1,138 @@
+"""``trms allow``: which packages' classes a configuration may name, for good."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from trms_cli.commands.catalogue import take_config_dirs
+from trms_cli.commands.invocation import program
+from trms_cli.core.allowed import (
+    ENVIRONMENT,
+    SCHEMA,
+    allowed_file,
+    allowed_for_good,
+    allowed_for_now,
+    check_name,
+    write_allowed,
+)
+from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
+from trms_cli.core.trust import place_of
+
+SUMMARY = "let the classes of a package of yours, or of somebody else's, run"
+
+HELP = """\
+usage: trms allow [PACKAGE [--config-dir DIR]…] [--remove PACKAGE] [--json]
+
+  A configuration names classes (`_target_`), and may come from anyone. Those of trms can always
+  be named; those of another package only after you have allowed it, because they are programs
+  that run with your rights. Without a PACKAGE: what is allowed.
+
+  PACKAGE            an installed one, as Python imports it: my_lab
+  --config-dir DIR   or one that lies in a folder of configuration, or beside it; then it is
+                     allowed in that place alone, and a namesake elsewhere is not
+  --remove PACKAGE   allow it no longer
+  --json             what is allowed as JSON (schema trms.allowed/1)
+
+  For one call: trms run --allow PACKAGE …, or the environment variable TRMS_ALLOW=a,b.
+
+examples
+  trms allow my_lab                               it is installed
+  trms allow my_lab --config-dir my_lab/configs   it lies beside its configuration
+  trms allow                                      what is allowed
+"""
+
+_REMOVE = "--remove"
+
+
+def main(argv: Sequence[str]) -> int:
+    """Allow a package, remove one, or tell what is allowed."""
+    folders, rest = take_config_dirs(argv)
+    as_json = "--json" in rest
+    words = [word for word in rest if word not in ("--json", "--list")]
+    removing = _REMOVE in words or any(word.startswith(f"{_REMOVE}=") for word in words)
+    names = [word.removeprefix(f"{_REMOVE}=") for word in words if word != _REMOVE]
+    unknown = next((name for name in names if name.startswith("-")), None)
+    if unknown is not None:
+        raise ConfigurationError(
+            f"unknown option {unknown!r}",
+            where="trms allow",
+            remedy=f"options are --config-dir, {_REMOVE}, --json",
+        )
+    if removing and not names:
+        raise ConfigurationError(
+            "no package named", where=_REMOVE, remedy=f"{program()} allow {_REMOVE} PACKAGE"
+        )
+    packages = allowed_for_good()
+    for name in names:
+        if removing:
+            _remove(name, packages)
+        else:
+            packages[name] = _found(name, folders)
+    if names:
+        _keep(packages)
+    _tell(packages, as_json=as_json)
+    return EXIT_OK
+
+
+def _found(name: str, folders: Sequence[Path]) -> Path | None:
+    """Where a package lies; None for an installed one."""
+    check_name(name)
+    place = place_of(name, folders)
+    if place is not None:
+        return place
+    if folders:
+        raise ConfigurationError(
+            f"there is no package {name!r} in {', '.join(map(str, folders))}, nor beside it",
+            where="--config-dir",
+            remedy=f"a package is a folder {name}/ with an __init__.py, or a file {name}.py",
+        )
+    if importlib.util.find_spec(name) is None:
+        raise ConfigurationError(
+            f"no package {name!r} is installed",
+            where="trms allow",
+            remedy="install it (pip install -e FOLDER), or name the folder of configuration that "
+            f"it lies in or beside: {program()} allow {name} --config-dir FOLDER",
+        )
+    return None
+
+
+def _remove(name: str, packages: dict[str, Path | None]) -> None:
+    if name not in packages:
+        raise ConfigurationError(
+            f"{name!r} is not allowed",
+            where=_REMOVE,
+            remedy=f"allowed: {', '.join(packages) or 'nothing'}",
+        )
+    del packages[name]
+
+
+def _keep(packages: dict[str, Path | None]) -> None:
+    try:
+        write_allowed(packages)
+    except OSError as error:
+        raise TrmsError(
+            f"the list cannot be written: {error.strerror or error}",
+            where=str(allowed_file()),
+            remedy=f"allow it for one call: --allow PACKAGE, or {ENVIRONMENT}=PACKAGE",
+        ) from error
+
+
+def _tell(packages: dict[str, Path | None], *, as_json: bool) -> None:
+    now = sorted(allowed_for_now())
+    if as_json:
+        places = {name: None if at is None else str(at) for name, at in sorted(packages.items())}
+        document = {"schema": SCHEMA, "packages": places, "for_this_call": now}
+        sys.stdout.write(json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+        return
+    if not packages and not now:
+        sys.stdout.write("no package but trms itself is allowed\n")
+        return
+    width = max(map(len, [*packages, *now])) + 2
+    for name, place in sorted(packages.items()):
+        sys.stdout.write(f"{name:{width}}{'installed' if place is None else f'in {place}'}\n")
+    for name in now:
+        sys.stdout.write(f"{name:{width}}by {ENVIRONMENT}, wherever it lies\n")

@@ -1,0 +1,121 @@
+"""Files of data, read only up to a size: a file that is larger is told, not waited for."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
+
+#: Raises (or lowers) what is read of recordings and logs, in MiB.
+ENVIRONMENT = "TRMS_LARGEST_FILE"
+MEBIBYTE = 2**20
+#: JSON of ours: a report's largest document has some 10 MiB.
+LARGEST_DOCUMENT = 64 * MEBIBYTE
+
+
+def largest(usual: int) -> int:
+    """The most bytes that are read of a file: `usual`, unless the environment says otherwise.
+
+    Raises
+    ------
+    ConfigurationError
+        If the environment holds no number.
+    """
+    text = os.environ.get(ENVIRONMENT, "").strip()
+    if not text:
+        return usual
+    try:
+        given = float(text)
+        if not 0 < given < 2**24:
+            raise ValueError(text)
+    except ValueError:
+        raise ConfigurationError(
+            f"{text!r} given", where=ENVIRONMENT, remedy="give a number of MiB, as 512"
+        ) from None
+    return round(given * MEBIBYTE)
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The content of a file.
+
+    Parameters
+    ----------
+    path : Path
+    most : int
+        Bytes; :func:`largest` for what a user may raise.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    RecordingError
+        If it is larger.
+    """
+    with path.open("rb") as file:
+        about = os.fstat(file.fileno())
+        # What is no plain file (a pipe, a device) does not tell its size.
+        room = min(about.st_size, most) if stat.S_ISREG(about.st_mode) else most
+        data = file.read(room + 1)
+    if len(data) > most:
+        size = max(path.stat().st_size, len(data))
+        raise RecordingError(too_large(size, most), where=str(path), remedy=how_to_raise(size))
+    return data
+
+
+def too_large(size: int, most: int) -> str:
+    """The words for a size beyond the limit."""
+    return f"it holds {size / MEBIBYTE:,.1f} MiB, and {most / MEBIBYTE:,.0f} MiB are read"
+
+
+def how_to_raise(size: int) -> str:
+    """What to type if so much is meant."""
+    needed = max(1, -(-size * 5 // 4 // MEBIBYTE))
+    return (
+        "if the file is yours and the memory is there, raise the limit for this call (MiB): "
+        f"{ENVIRONMENT}={needed} trms …"
+    )
+
+
+def read_json(path: Path, most: int = LARGEST_DOCUMENT) -> Any:
+    """A document of JSON.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    ValueError
+        If it is no JSON, too large, or nested too deeply.
+    """
+    try:
+        data = read_bytes(path, most)
+        return json.loads(data.decode("utf-8-sig"))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+@contextmanager
+def not_as_written(where: str, what: str = "its content") -> Iterator[None]:
+    """Turn any failure inside into words on a file that somebody else may have written.
+
+    Raises
+    ------
+    RecordingError
+        For whatever is raised inside and is no complaint of ours.
+    """
+    try:
+        yield
+    except TrmsError:
+        raise
+    except MemoryError as error:
+        raise RecordingError(f"{what} does not fit into the memory", where=where) from error
+    except Exception as error:
+        raise RecordingError(
+            f"{what} is not as trms writes it ({type(error).__name__}: {str(error)[:200]})",
+            where=where,
+        ) from error
