@@ -8,6 +8,7 @@ The frames hang on each other as the rig's axes do::
     base ──turns about z by yaw──▶ yaw ──turns about −y by pitch──▶ beam
 
 so that a positive yaw turns x towards y, and a positive pitch lifts what lies at positive x.
+A ghost (the reference, the estimate) has the frame of its beam alone, which hangs on ``base``.
 """
 
 from __future__ import annotations
@@ -152,6 +153,13 @@ def yaw_rotation(yaw: float) -> Quaternion:
 def pitch_rotation(pitch: float) -> Quaternion:
     """Of the frame ``beam`` in ``yaw``; a positive pitch lifts the side of positive x."""
     return (0.0, -math.sin(0.5 * pitch), 0.0, math.cos(0.5 * pitch))
+
+
+def attitude(yaw: float, pitch: float) -> Quaternion:
+    """Of the frame ``beam`` in ``base``: the product of the two."""
+    _, _, sine, cosine = yaw_rotation(yaw)
+    _, up, _, level = pitch_rotation(pitch)
+    return (-sine * up, cosine * up, sine * level, cosine * level)
 
 
 def rotation_onto(axis: Vector) -> Quaternion:

@@ -1,4 +1,9 @@
-"""One look for every figure of the program: colours, type, grid, size on disk.
+"""One look for every figure of the program: colours, line styles, type, grid, size on disk.
+
+It has three variants: ``screen`` for pages and pictures beside a run, ``paper`` for a printed
+column (7 to 8 points at the width at which it is printed), ``slides`` for a projector. Nothing but
+this module changes matplotlib's settings, and nothing but this module names a colour; a test over
+all that draws holds both.
 
 Figures are made with matplotlib's objects and the Agg canvas. ``pyplot`` is never imported: it
 costs 0.4 s, keeps figures alive and asks for a display.
@@ -9,9 +14,10 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib import rc_context
@@ -35,7 +41,21 @@ PALETTE = MappingProxyType(
 )
 #: The order in which curves take them.
 COLOURS = tuple(PALETTE[name] for name in ("blue", "vermilion", "green", "purple"))
+#: The same where there are many; yellow is too pale for a line on white.
+MANY_COLOURS = (*COLOURS, PALETTE["orange"], PALETTE["sky"])
 INK, GREY, PALE = "#222222", "#777777", "#dddddd"
+#: Of what was measured, behind what is held against it; of what counts less; of empty ground.
+MEASURED, FAINT, GROUND = "#aaaaaa", "#b8b8b8", "#e4e4e4"
+PAPER = "#ffffff"
+#: A curve's dashes by its place among others: where colours are lost in print, these are left.
+LINE_STYLES: tuple[Any, ...] = (
+    "solid",
+    (0, (5.0, 1.6)),
+    (0, (1.2, 1.3)),
+    (0, (6.0, 1.5, 1.2, 1.5)),
+    (0, (3.0, 1.2, 1.0, 1.2, 1.0, 1.2)),
+    (0, (9.0, 2.5)),
+)
 #: Of limits, faults and missed deadlines.
 ALARM = "#c1272d"
 
@@ -81,14 +101,78 @@ _SETTINGS: Any = {
     "lines.solid_capstyle": "round",
     "legend.frameon": False,
     "legend.fontsize": 8.0,
+    # Letters as letters of an embedded font in PDF, as outlines in SVG; equal figures, equal bytes.
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "trms",
+    "path.simplify": True,
 }
+
+Variant = Literal["screen", "paper", "slides"]
+#: What the variants change; sizes in points.
+_VARIANTS: dict[Variant, Any] = {
+    "screen": {},
+    "paper": {
+        "font.size": 7.5,
+        "axes.titlesize": 7.5,
+        "axes.labelsize": 7.5,
+        "legend.fontsize": 7.0,
+        "xtick.labelsize": 7.0,
+        "ytick.labelsize": 7.0,
+        "axes.linewidth": 0.6,
+        "lines.linewidth": 0.9,
+        "grid.linewidth": 0.4,
+        "xtick.major.size": 2.2,
+        "ytick.major.size": 2.2,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "xtick.major.pad": 2.0,
+        "ytick.major.pad": 2.0,
+        "axes.labelpad": 2.0,
+    },
+    "slides": {
+        "font.size": 16.0,
+        "axes.titlesize": 16.0,
+        "legend.fontsize": 15.0,
+        "axes.linewidth": 1.2,
+        "lines.linewidth": 2.4,
+        "grid.linewidth": 0.8,
+        "xtick.major.size": 5.0,
+        "ytick.major.size": 5.0,
+    },
+}
+VARIANTS: tuple[Variant, ...] = tuple(_VARIANTS)
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
-    """The look of the house, for all that is drawn and saved inside."""
-    with rc_context(_SETTINGS):
+def house_style(variant: Variant = "screen", *, svg_text: bool = False) -> Iterator[None]:
+    """The look of the house, for all that is drawn and saved inside.
+
+    Parameters
+    ----------
+    variant : {"screen", "paper", "slides"}
+    svg_text : bool
+        Letters of an SVG as text, which can be edited where the font is installed; as outlines
+        otherwise, which look alike everywhere.
+    """
+    fonts: Any = {"svg.fonttype": "none"} if svg_text else {}
+    with rc_context({**_SETTINGS, **_VARIANTS[variant], **fonts}):
         yield
+
+
+def letter_size(variant: Variant) -> float:
+    """Size of the letters of a variant, points."""
+    size: float = _VARIANTS[variant].get("font.size", _SETTINGS["font.size"])
+    return size
+
+
+def curve_look(place: int) -> dict[str, Any]:
+    """Colour and dashes of one of several curves: told apart in colour, and without."""
+    return {
+        "color": MANY_COLOURS[place % len(MANY_COLOURS)],
+        "linestyle": LINE_STYLES[place % len(LINE_STYLES)],
+    }
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -102,6 +186,33 @@ def thinned(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
     """Every k-th sample, so that no more than :data:`MOST_POINTS` (twice) are drawn."""
     step = max(1, len(time) // MOST_POINTS)
     return np.asarray(time, dtype=float)[::step], np.asarray(values, dtype=float)[::step]
+
+
+def thinned_to_extremes(
+    time: Any, values: Any, columns: int = 1200
+) -> tuple[np.ndarray, np.ndarray]:
+    """First, least, greatest and last sample of each of `columns` stretches of a long curve.
+
+    Drawn at no more columns of dots than that, the curve looks as with all its samples (Jugel et
+    al. 2014, *M4*); a gap (NaN) stays one.
+    """
+    time, values = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
+    n = len(time)
+    if n <= 4 * columns:
+        return time, values
+    edges = np.linspace(0, n, columns + 1).astype(int)
+    kept = {0, n - 1}
+    for begin, end in pairwise(edges.tolist()):
+        piece = values[begin:end]
+        kept.update((begin, end - 1))
+        known = np.isfinite(piece)
+        if not known.all():
+            kept.add(begin + int(np.argmin(known)))
+        if known.any():
+            kept.add(begin + int(np.nanargmin(np.where(known, piece, np.nan))))
+            kept.add(begin + int(np.nanargmax(np.where(known, piece, np.nan))))
+    chosen = np.array(sorted(kept))
+    return time[chosen], values[chosen]
 
 
 def legend_above(panel: Axes, columns: int = 6) -> None:
@@ -130,3 +241,24 @@ def save_png(figure: Figure, path: Path, colours: int = _COLOURS_OF_A_PNG) -> No
     content = io.BytesIO()
     picture.save(content, format="png", optimize=True)
     replace_whole(path, content.getvalue())
+
+
+FigureFormat = Literal["png", "svg", "pdf"]
+FORMATS: tuple[FigureFormat, ...] = ("png", "svg", "pdf")
+
+
+def figure_bytes(figure: Figure, format: FigureFormat, dpi: float = 300.0) -> bytes:
+    """A figure as a file's content; equal figures give equal bytes.
+
+    Call it under the :func:`house_style` that the figure was drawn with: the fonts of PDF and SVG
+    are settings of saving.
+    """
+    # What names a moment or a build of a library is left out.
+    metadata: dict[str, dict[str, Any]] = {
+        "png": {"Software": None},
+        "svg": {"Date": None, "Creator": None},
+        "pdf": {"CreationDate": None, "ModDate": None, "Creator": None, "Producer": None},
+    }
+    content = io.BytesIO()
+    figure.savefig(content, format=format, dpi=dpi, metadata=metadata[format])
+    return content.getvalue()

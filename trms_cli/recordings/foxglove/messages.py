@@ -24,6 +24,7 @@ from trms_cli.core.scene import (
     Ring,
     Scene,
     Vector,
+    attitude,
     pitch_rotation,
     rotation_onto,
     yaw_rotation,
@@ -72,11 +73,14 @@ class SceneEncoder:
         self.scene = scene
         self.ghosts = tuple(ghosts)
         self._about = about
-        self._pairs = {
-            prefix: _transform(BASE, prefix + YAW, (0.0, 0.0, scene.height))
+        self._rig = (
+            _transform(BASE, YAW, f'"x":0,"y":0,"z":{scene.height!r}')
             + ","
-            + _transform(prefix + YAW, prefix + BEAM, (0.0, scene.offset, 0.0))
-            for prefix in ("", *(f"{ghost}_" for ghost in self.ghosts))
+            + _transform(YAW, BEAM, f'"x":0,"y":{scene.offset!r},"z":0')
+        )
+        where = f'"x":%.7g,"y":%.7g,"z":{scene.height!r}'
+        self._ghosts = {
+            f"{ghost}_": _transform(BASE, f"{ghost}_{BEAM}", where) for ghost in self.ghosts
         }
         self._arrows = [
             (_arrow_text(arrow, 1.0), _arrow_text(arrow, -1.0), arrow.reach)
@@ -106,11 +110,15 @@ class SceneEncoder:
             Yaw and pitch (rad) of the rig ("") and of ghosts, by prefix (``reference_``); what is
             absent stays where it was.
         """
-        stamp = _stamp_text(time_ns)
-        texts = [
-            self._pairs[prefix] % (stamp, *yaw_rotation(yaw), stamp, *pitch_rotation(pitch))
-            for prefix, (yaw, pitch) in attitudes.items()
-        ]
+        stamp, offset = _stamp_text(time_ns), self.scene.offset
+        texts = []
+        for prefix, (yaw, pitch) in attitudes.items():
+            if prefix:
+                where = (-offset * math.sin(yaw), offset * math.cos(yaw)) if offset else (0.0, 0.0)
+                texts.append(self._ghosts[prefix] % (stamp, *where, *attitude(yaw, pitch)))
+            else:
+                turned, raised = yaw_rotation(yaw), pitch_rotation(pitch)
+                texts.append(self._rig % (stamp, *turned, stamp, *raised))
         return ('{"transforms":[' + ",".join(texts) + "]}").encode()
 
     def commands(self, time_ns: int, shares: Sequence[float]) -> bytes:
@@ -150,13 +158,11 @@ def log_line(time_ns: int, kind: str, source: str, message: str) -> bytes:
     )
 
 
-def _transform(parent: str, child: str, at: Vector) -> str:
+def _transform(parent: str, child: str, where: str) -> str:
     """Text of a transform with places for its time and for the four numbers of its rotation."""
-    x, y, z = at
     return (
         f'{{"timestamp":%s,"parent_frame_id":"{parent}","child_frame_id":"{child}",'
-        f'"translation":{{"x":{x!r},"y":{y!r},"z":{z!r}}},'
-        '"rotation":{"x":%.7g,"y":%.7g,"z":%.7g,"w":%.7g}}'
+        f'"translation":{{{where}}},"rotation":{{"x":%.7g,"y":%.7g,"z":%.7g,"w":%.7g}}}}'
     )
 
 

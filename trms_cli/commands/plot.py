@@ -1,0 +1,202 @@
+"""``trms plot``: figures of logs for papers, slides and pages."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trms_cli.commands.plain_options import PlainOptions
+from trms_cli.commands.run_folder import log_of
+from trms_cli.core.errors import EXIT_OK, ConfigurationError
+
+if TYPE_CHECKING:
+    from trms_cli.recordings.log_reader import LoggedRun
+
+SUMMARY = "figures of logs for a paper, slides or a page: PNG, SVG, PDF"
+
+HELP = """\
+usage: trms plot LOG… [--what KIND,KIND…] [--format png|svg|pdf] [--out FILE|FOLDER]
+
+Draws logs: one is drawn with its reference and estimate, several are laid over each other and
+named by what they differ in. Units stand on the axes, letters have the size they are printed
+with, colours can be told apart by everybody and curves also without colour. The same logs give
+the same bytes; nothing is overwritten unless told so.
+
+  LOG              MCAP logs of trms, or folders of runs
+  --what KINDS     tracking    what was asked and what the rig did
+                   errors      reference minus what the rig did
+                   inputs      the commands as applied
+                   rates       how fast the axes and the rotors turn
+                   estimate    estimated minus true, with two standard deviations;
+                               innovations where nobody knows the truth
+                   phase       rate over angle
+                   prediction  what the controller foretold, over what came
+                   solver      time of each step against its deadline, iterations
+                   torques     torques that the observer estimates
+                   comparison  scores beside each other (several logs)
+                   scene       the rig in space (one log; --from: the moment; GIF: the motion)
+                   (default: tracking,inputs)
+  --format NAME    png, svg, pdf (default: what the ending of --out tells, else pdf); gif for
+                   scene alone
+  --out PLACE      a file: all kinds in one figure. A folder: one file a kind. (default: one
+                   file beside LOG; with several logs, in the working directory)
+  --width SIZE     89mm (a column), 183mm (a page; default), 12cm, 120x80mm (with the height)
+  --style NAME     paper (default): 7.5 points; screen: 9; slides: 16
+  --from S --to S  what is drawn of the run, s
+  --title TEXT     over the figure
+  --names A,B,…    names of the logs, in their order
+  --dpi N          dots per inch of a PNG (default: 300; 110 with --style screen)
+  --svg-text       letters of an SVG as text instead of outlines
+  --force          replace files that exist
+  --json           print what was written, and what could not be drawn, as JSON
+
+examples
+  trms plot outputs/…/run.mcap
+  trms plot run.mcap --what tracking,errors,inputs --width 89mm --out figure2.pdf
+  trms plot pid lqr newton_mpc --what tracking,comparison --format svg
+  trms plot run.mcap --what prediction --from 8 --to 16 --style slides --format png
+  trms plot run.mcap --what scene --from 9.5 --out pose.png
+"""
+
+SCENE = "scene"
+
+
+def main(argv: list[str]) -> int:
+    """Run the command; return the exit code."""
+    given = _options(argv)
+    from trms_cli.recordings.log_reader import read_log
+
+    paths = [log_of(path) for path in given.logs]
+    kinds = [word.strip() for word in given.what.split(",") if word.strip()]
+    if SCENE in kinds:
+        from trms_cli.commands.plot_scene import plot_scene
+
+        if kinds != [SCENE] or len(paths) > 1:
+            raise ConfigurationError(
+                "a scene is a figure of its own, of one log",
+                where="--what",
+                remedy="trms plot LOG --what scene",
+            )
+        return plot_scene(read_log(paths[0]), given)
+    files, absent = _plot([read_log(path) for path in paths], kinds, given)
+    if given.json:
+        document = {
+            "schema": "trms.plot/1",
+            "logs": [str(path) for path in paths],
+            "files": [str(path) for path in files],
+            "absent": absent,
+        }
+        json.dump(document, sys.stdout, indent=2, ensure_ascii=False)
+        sys.stdout.write("\n")
+        return EXIT_OK
+    for kind, reason in absent.items():
+        print(f"no {kind}: {reason}")
+    for path in files:
+        print(path)
+    return EXIT_OK
+
+
+def _options(argv: Sequence[str]) -> Any:
+    options = PlainOptions("trms plot", HELP)
+    options.add_argument("logs", type=Path, nargs="+", metavar="LOG")
+    options.add_argument("--what", default="tracking,inputs")
+    options.add_argument("--format", choices=("png", "svg", "pdf", "gif"))
+    options.add_argument("--out", type=Path)
+    options.add_argument("--width")
+    options.add_argument("--style", choices=("paper", "slides", "screen"), default="paper")
+    options.add_argument("--from", dest="start", type=float)
+    options.add_argument("--to", dest="end", type=float)
+    options.add_argument("--title", default="")
+    options.add_argument("--names")
+    options.add_argument("--dpi", type=float)
+    options.add_argument("--svg-text", action="store_true")
+    options.add_argument("--force", action="store_true")
+    options.add_argument("--json", action="store_true")
+    given = options.parse_args(argv)
+    if given.dpi is not None and not 30 <= given.dpi <= 1200:
+        options.error("--dpi takes 30 to 1200")
+    if given.dpi is None:
+        given.dpi = 110 if given.style == "screen" else 300
+    return given
+
+
+def _plot(
+    logs: Sequence[LoggedRun], kinds: Sequence[str], given: Any
+) -> tuple[list[Path], dict[str, str]]:
+    """Draw; the files, and why what of the kinds was left out."""
+    from trms_cli.reporting.plot import absences, plot
+    from trms_cli.reporting.style import FORMATS, figure_bytes, house_style
+
+    names = given.names.split(",") if given.names else None
+    choose: Any = {
+        "width": given.width,
+        "style": given.style,
+        "start": given.start,
+        "end": given.end,
+        "title": given.title,
+        "names": names,
+    }
+    format_ = given.format or ending_of(given.out) or "pdf"
+    if format_ not in FORMATS:
+        raise ConfigurationError(
+            f"a plot over time is no {format_}",
+            where="--format",
+            remedy=f"one of {', '.join(FORMATS)}",
+        )
+    absent = absences(logs, kinds, start=given.start, end=given.end)
+    there = [kind for kind in kinds if kind not in absent]
+    one_file = given.out is None or bool(ending_of(given.out))
+    groups = [there or kinds] if one_file else [[kind] for kind in there or kinds]
+    # All are drawn before the first is written: nothing is left half done by what cannot be drawn.
+    drawn = []
+    for group in groups:
+        figure = plot(logs, group, **choose)
+        with house_style(given.style, svg_text=given.svg_text):
+            content = figure_bytes(figure, format_, given.dpi)
+        drawn.append((_place(logs, group, format_, given.out), content))
+    write_all(drawn, force=given.force)
+    return [path for path, _ in drawn], absent
+
+
+def write_all(drawn: Sequence[tuple[Path, bytes]], *, force: bool) -> None:
+    """Write files, each whole or not at all, and none if one of them exists already."""
+    from trms_cli.recordings.output_file import refuse_overwrite, whole_file
+
+    for path, _ in drawn:
+        if not force:
+            refuse_overwrite(path, "give another name with --out, or --force to replace it")
+    for path, content in drawn:
+        with whole_file(path, force=force) as temporary:
+            temporary.write_bytes(content)
+
+
+def ending_of(out: Path | None) -> str:
+    """The format that a file's name asks for; empty for a folder's.
+
+    Raises
+    ------
+    ConfigurationError
+        For an ending that is no format.
+    """
+    if out is None or out.is_dir() or not out.suffix:
+        return ""
+    ending = out.suffix.lower().lstrip(".")
+    if ending not in ("png", "svg", "pdf", "gif"):
+        raise ConfigurationError(
+            f"a figure is no {out.suffix}", where="--out", remedy="end in .png, .svg or .pdf"
+        )
+    return ending
+
+
+def _place(logs: Sequence[LoggedRun], kinds: Sequence[str], format_: str, out: Path | None) -> Path:
+    if out is not None and ending_of(out):
+        return out
+    name = f"{'-'.join(kinds)}.{format_}"
+    if out is not None:
+        return out / name
+    if len(logs) > 1:
+        return Path(name)
+    return logs[0].path.with_name(f"{logs[0].path.stem}-{name}")

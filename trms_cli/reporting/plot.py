@@ -1,0 +1,317 @@
+"""Figures of logs, of publication quality: what ``trms plot`` and notebooks draw.
+
+::
+
+    from trms_cli.recordings.log_reader import read_log
+    from trms_cli.reporting.plot import plot
+
+    figure = plot([read_log("run.mcap")], ["tracking", "inputs"], width="89mm")
+
+A figure is a stack of panels over one time, or of pairs of panels; its height follows from how
+many there are.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.reporting import plot_panels, plot_views
+from trms_cli.reporting.plot_logs import Log, Plotted, names_of
+from trms_cli.reporting.plot_panels import Absent, Panel
+from trms_cli.reporting.style import VARIANTS, Variant, house_style, letter_size, new_figure
+
+_Panels = Callable[[Sequence[Plotted]], list[Panel]]
+#: The kinds of plots by name; the first line of each one's docstring says what it shows.
+KINDS: Mapping[str, _Panels] = MappingProxyType(
+    {
+        "tracking": plot_panels.tracking,
+        "errors": plot_panels.errors,
+        "inputs": plot_panels.inputs,
+        "rates": plot_panels.rates,
+        "estimate": plot_panels.estimate,
+        "phase": plot_views.phase,
+        "prediction": plot_views.prediction,
+        "solver": plot_panels.solver,
+        "torques": plot_panels.torques,
+        "comparison": plot_views.comparison,
+    }
+)
+DEFAULT_WHAT = ("tracking", "inputs")
+#: More curves than this cannot be told apart in one panel.
+MOST_LOGS = 12
+
+_INCH = 25.4  # mm
+#: Width of a figure that nobody gave a width (mm), and height of an ordinary panel (mm per point).
+_WIDTHS = {"paper": 183.0, "slides": 254.0, "screen": 230.0}
+_PANEL_HEIGHT = {"paper": 27.0, "slides": 52.0, "screen": 38.0}
+_LARGEST, _SMALLEST = 1200.0, 30.0  # mm
+_SIZE = re.compile(
+    r"(\d+(?:\.\d+)?)\s*(mm|cm|in|pt)?(?:\s*[x×]\s*(\d+(?:\.\d+)?)\s*(mm|cm|in|pt)?)?"
+)
+_UNITS = {"mm": 1.0, "cm": 10.0, "in": _INCH, "pt": _INCH / 72}
+#: Mean width of a letter over the font's size.
+_LETTER = 0.56
+
+
+def plot(
+    logs: Log | Sequence[Log],
+    what: str | Sequence[str] = DEFAULT_WHAT,
+    *,
+    width: str | None = None,
+    style: Variant = "paper",
+    start: float | None = None,
+    end: float | None = None,
+    title: str = "",
+    names: Sequence[str] | None = None,
+) -> Figure:
+    """Draw logs into one figure.
+
+    Parameters
+    ----------
+    logs : Log or sequence of Log
+        As :func:`trms_cli.recordings.log_reader.read_log` reads them; several are laid over each
+        other.
+    what : str or sequence of str
+        Of :data:`KINDS`, drawn under each other in this order.
+    width : str, optional
+        ``89mm`` (a column), ``183mm`` (a page), or width and height: ``120x80mm``.
+    style : {"paper", "slides", "screen"}
+        Size of letters and lines.
+    start, end : float, optional
+        What is drawn of the run, s.
+    title : str
+    names : sequence of str, optional
+        Of the logs; what they differ in by default.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Save it inside ``house_style(style)``, or by
+        :func:`trms_cli.reporting.style.figure_bytes` there.
+
+    Raises
+    ------
+    ConfigurationError
+        For an unknown kind, a size that is none, too many logs, or when no log has anything of
+        what was asked; :func:`absences` tells what is missing where something is there.
+    """
+    plotted = _plotted(logs, start, end, names)
+    wanted = _kinds(what)
+    if style not in VARIANTS:
+        raise ConfigurationError(
+            f"{style!r} given", where="style", remedy=f"one of {', '.join(VARIANTS)}"
+        )
+    reasons = _reasons(plotted, wanted)
+    panels = [panel for kind in wanted if kind not in reasons for panel in KINDS[kind](plotted)]
+    if not panels:
+        raise ConfigurationError(
+            "there is nothing to be drawn: " + "; ".join(reasons.values()),
+            where=", ".join(wanted),
+            remedy=f"other plots are {', '.join(kind for kind in KINDS if kind not in wanted)}",
+        )
+    across, high = size_of(width, style)
+    with house_style(style):
+        return _draw(panels, plotted, across, high, style, title)
+
+
+def absences(
+    logs: Log | Sequence[Log],
+    what: str | Sequence[str],
+    *,
+    start: float | None = None,
+    end: float | None = None,
+) -> dict[str, str]:
+    """Why kinds of plots cannot be drawn of logs, by kind; empty if all can."""
+    return _reasons(_plotted(logs, start, end, None), _kinds(what))
+
+
+def size_of(width: str | None, style: Variant) -> tuple[float, float | None]:
+    """Width and height in mm; no height where only a width was given.
+
+    Raises
+    ------
+    ConfigurationError
+        For what is no size.
+    """
+    if width is None:
+        return _WIDTHS[style], None
+    found = _SIZE.fullmatch(width.strip())
+    if found is None:
+        raise ConfigurationError(
+            f"{width!r} is no size", where="width", remedy="89mm, 183mm, 12cm or 120x80mm"
+        )
+    across, unit, down, unit_down = found.groups()
+    size = float(across) * _UNITS[unit or unit_down or "mm"]
+    height = None if down is None else float(down) * _UNITS[unit_down or unit or "mm"]
+    for length in (size, height):
+        if length is not None and not _SMALLEST <= length <= _LARGEST:
+            raise ConfigurationError(
+                f"{width!r} is {length:.4g} mm",
+                where="width",
+                remedy=f"from {_SMALLEST:g} to {_LARGEST:g} mm",
+            )
+    return size, height
+
+
+def _plotted(
+    logs: Log | Sequence[Log], start: float | None, end: float | None, names: Sequence[str] | None
+) -> list[Plotted]:
+    given: list[Any] = list(logs) if isinstance(logs, Sequence) else [logs]
+    if not given:
+        raise ConfigurationError("no log was given", where="logs", remedy="name one or more")
+    if len(given) > MOST_LOGS:
+        raise ConfigurationError(
+            f"{len(given)} logs cannot be told apart in one figure",
+            where="logs",
+            remedy=f"at most {MOST_LOGS}; `trms compare` ranks any number",
+        )
+    low = -math.inf if start is None else start
+    high = math.inf if end is None else end
+    if not low < high:
+        raise ConfigurationError(
+            f"the window from {low:g} to {high:g} s is empty",
+            where="start, end",
+            remedy="the end after the start",
+        )
+    chosen = list(names) if names is not None else names_of(given)
+    if len(chosen) != len(given):
+        raise ConfigurationError(
+            f"{len(chosen)} names for {len(given)} logs", where="names", remedy="one name a log"
+        )
+    return [Plotted(log, name, low, high) for log, name in zip(given, chosen, strict=True)]
+
+
+def _kinds(what: str | Sequence[str]) -> list[str]:
+    words = what.split(",") if isinstance(what, str) else list(what)
+    kinds = [word.strip() for word in words if word.strip()]
+    for kind in kinds or [""]:
+        if kind not in KINDS:
+            raise ConfigurationError(
+                f"there is no plot {kind!r}", where="what", remedy=f"there are {', '.join(KINDS)}"
+            )
+    return list(dict.fromkeys(kinds))
+
+
+def _reasons(logs: Sequence[Plotted], kinds: Sequence[str]) -> dict[str, str]:
+    reasons = {}
+    for kind in kinds:
+        try:
+            KINDS[kind](logs)
+        except Absent as absent:
+            reasons[kind] = str(absent)
+    return reasons
+
+
+def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """Panels in rows: those of half a width by twos."""
+    rows: list[list[Panel]] = []
+    for panel in panels:
+        if panel.half and rows and len(rows[-1]) == 1 and rows[-1][0].half:
+            rows[-1].append(panel)
+        else:
+            rows.append([panel])
+    return rows
+
+
+def _draw(
+    panels: Sequence[Panel],
+    logs: Sequence[Plotted],
+    width: float,
+    height: float | None,
+    style: Variant,
+    title: str,
+) -> Figure:
+    rows = _rows(panels)
+    heights = [max(panel.height for panel in row) for row in rows]
+    unit = _PANEL_HEIGHT[style]
+    words = _wrapped(title, width, style)
+    legend_room = 0.26 * unit * (1 + 0.5 * max(len(logs) - 2, 0) * (width < 120))
+    if height is None:
+        height = unit * sum(heights) + legend_room + 0.3 * unit + 0.15 * unit * len(words)
+    figure = new_figure(width / _INCH, height / _INCH)
+    pads: Any = figure.get_layout_engine()
+    pads.set(w_pad=0.02, h_pad=0.02, hspace=0.01, wspace=0.02)
+    grid = figure.add_gridspec(len(rows), 2, height_ratios=heights)
+    timed: list[Axes] = []
+    for i, row in enumerate(rows):
+        for j, panel in enumerate(row):
+            place = grid[i, j] if panel.half else grid[i, :]
+            shared = timed[0] if panel.over_time and timed else None
+            axes = figure.add_subplot(place, sharex=shared)
+            panel.draw(axes)
+            _settle(axes, panel, width, style)
+            if panel.over_time:
+                timed.append(axes)
+    _share_time(timed, logs)
+    figure.align_ylabels([axes for axes in figure.axes if axes.get_ylabel()])
+    if words:
+        figure.suptitle("\n".join(words), x=0.01, ha="left", fontweight="bold")
+    _legend(figure, width, style)
+    return figure
+
+
+def _settle(axes: Axes, panel: Panel, width: float, style: Variant) -> None:
+    """As many ticks as fit beside each other."""
+    room = width * (0.5 if panel.half else 1.0) / (2.2 if style == "slides" else 1.0)
+    if axes.get_xscale() == "linear":
+        axes.xaxis.set_major_locator(MaxNLocator(max(3, int(room / (18 if panel.half else 13)))))
+    bars = not panel.over_time and panel.half and len(axes.patches) > 0
+    if axes.get_yscale() == "linear" and not bars:
+        count = 4 if panel.height < 1.5 else 6
+        axes.yaxis.set_major_locator(MaxNLocator(count, min_n_ticks=2))
+
+
+def _share_time(timed: Sequence[Axes], logs: Sequence[Plotted]) -> None:
+    """One time below, from the window's or the logs' beginning to the end."""
+    if not timed:
+        return
+    for axes in timed[:-1]:
+        axes.tick_params(labelbottom=False)
+    timed[-1].set_xlabel("time [s]")
+    spans = [
+        (float(table.time[0]), float(table.time[-1]))
+        for log in logs
+        for topic, table in log.log.tables.items()
+        if topic != "/event" and len(table.time)
+    ]
+    begin = max(min(span[0] for span in spans), min(log.start for log in logs))
+    end = min(max(span[1] for span in spans), max(log.end for log in logs))
+    if begin < end:
+        timed[-1].set_xlim(begin, end)
+
+
+def _legend(figure: Figure, width: float, style: Variant) -> None:
+    """One legend for all panels, over them; each curve once."""
+    handles: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if not handles:
+        return
+    size = letter_size(style)
+    line = width / _INCH * 72
+    wrapped = [textwrap.fill(label, max(int(line / (_LETTER * size)) - 6, 12)) for label in handles]
+    widest = max(len(part) for label in wrapped for part in label.split("\n"))
+    columns = max(1, int(line // ((widest * _LETTER + 4.2) * size)))
+    figure.legend(
+        list(handles.values()), wrapped, loc="outside upper left", ncols=min(columns, len(wrapped)),
+        handlelength=2.4, columnspacing=1.2, borderaxespad=0.1, borderpad=0.1, labelspacing=0.25,
+    )  # fmt: skip
+
+
+def _wrapped(title: str, width: float, style: Variant) -> list[str]:
+    """A title in lines that fit the figure's width (mm)."""
+    if not title:
+        return []
+    size = 1.2 * letter_size(style)
+    return textwrap.wrap(title, max(int(width / _INCH * 72 / (0.62 * size)), 12))
