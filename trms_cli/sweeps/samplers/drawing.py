@@ -63,7 +63,7 @@ def rounded(varied: Range | Prior, value: float) -> float:
 
 def as_data(varied: Range | Prior, value: float) -> float | int:
     """A value as it stands in a point: a whole number as such."""
-    return int(value) if isinstance(varied, Range) and varied.whole else value
+    return int(value) if isinstance(varied, Range) and varied.whole else float(value)
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,9 @@ class LatinHypercube:
         return planned(space, shares, known, told)
 
 
-def hypercube(samples: int, columns: int, seed: int, decorrelated: bool = True) -> FloatArray:
+def hypercube(
+    samples: int, columns: int, seed: int | Sequence[int], decorrelated: bool = True
+) -> FloatArray:
     """A Latin hypercube in the unit cube, (samples, columns).
 
     Parameters

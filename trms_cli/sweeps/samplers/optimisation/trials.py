@@ -1,0 +1,214 @@
+"""The trials of a search as points of a sweep: batch after batch, then the confirmation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.samplers.drawing import Part, as_data, drawn_part, quantiles
+from trms_cli.sweeps.samplers.latin_hypercube import hypercube
+from trms_cli.sweeps.samplers.optimisation.aims import Aims, Tried
+from trms_cli.sweeps.samplers.optimisation.conditions import conditions_of, fresh_conditions
+from trms_cli.sweeps.samplers.optimisation.outcome import best_trials, outcome
+from trms_cli.sweeps.space import Range, Space
+
+if TYPE_CHECKING:
+    import optuna
+
+    from trms_cli.sweeps.samplers.optimise import Optimise
+
+#: Another stream of random numbers than those of the search.
+_STARTUP = 0x53544152
+
+
+class Trials:
+    """See :class:`trms_cli.sweeps.sampler.Proposals`.
+
+    Points are numbered trial after trial, each trial's conditions in the same order; behind all
+    trials stand the points of the confirmation.
+
+    Parameters
+    ----------
+    config : Optimise
+    space : Space
+    aims : Aims
+    known : sequence of Point
+        What was proposed before an interruption.
+    """
+
+    def __init__(
+        self, config: Optimise, space: Space, aims: Aims, known: Sequence[Point] = ()
+    ) -> None:
+        from trms_cli.sweeps.samplers.optimisation.search import Search
+
+        self._config, self._space, self.aims = config, space, aims
+        self._ranges = [each for each in space.continuous if isinstance(each, Range)]
+        self.conditions = conditions_of(space, config.draws, config.seed)
+        self._known = list(known)
+        self._given = len(self._known)
+        self._sizes = config.batches()
+        self._search = Search(
+            self._ranges, aims, config.method, config.seed, config.startup_trials, config.population
+        )
+        self._startup = self._latin_hypercube()
+        self.parts: list[Part] = []  #: what each trial sets, of those that are proposed
+        self._asked: list[optuna.Trial | None] = []
+        self._points: list[Point] = []
+        self._results: dict[int, Result] = {}
+        self._told = 0  # batches
+        self._confirming = False
+
+    @property
+    def total(self) -> int | None:
+        """Points in all; None as long as nobody knows how many trials will be confirmed."""
+        if self._config.confirm and not self._confirming:
+            return None
+        if self._confirming:
+            return len(self._points)
+        return self._config.trials * len(self.conditions)
+
+    def more(self, results: Sequence[Result], wanted: int) -> list[Point]:
+        """The next points: the rest of a batch at once, nothing while one is at work."""
+        self._results |= {r.number: r for r in results if r.state != "interrupted"}
+        while not self._confirming and self._all_ended():
+            if self._told < self._batches_proposed():
+                self._tell()
+            if len(self.parts) < self._config.trials:
+                self._propose(self._sizes[self._batches_proposed()])
+            else:
+                self._confirm()
+        fresh = self._points[self._given :]
+        self._given = max(self._given, len(self._points))
+        return fresh
+
+    def summary(self, results: Mapping[int, Result]) -> dict[str, Any]:
+        """What the search found, JSON data; see :func:`outcome`."""
+        tried = self._tried(results)
+        told = outcome(self.aims, self.parts, tried, len(self.conditions), self._space.fixed)
+        told |= {"method": self._config.method, "baseline": 0 if self._config.baseline else None}
+        self._add_confirmed(told, results)
+        return told
+
+    def _all_ended(self) -> bool:
+        return all(point.number in self._results for point in self._points)
+
+    def _batches_proposed(self) -> int:
+        ends = np.cumsum([0, *self._sizes])
+        return int(np.searchsorted(ends, len(self.parts)))
+
+    def _propose(self, count: int) -> None:
+        for number in range(len(self.parts), len(self.parts) + count):
+            part, asked = self._trial(number)
+            self.parts.append(part)
+            self._asked.append(asked)
+            for condition in self.conditions:
+                self._add(Part(self._space.fixed) + condition + part, number)
+
+    def _trial(self, number: int) -> tuple[Part, optuna.Trial | None]:
+        """What a trial sets, and the trial of the study (None: outside of it)."""
+        if number == 0 and self._config.baseline:
+            now = {each.key: each.now for each in self._ranges}
+            values = {k: v for k, v in now.items() if v is not None}
+            inside = all(
+                each.now is not None and each.low <= each.now <= each.high for each in self._ranges
+            )
+            given = {each.key: as_data(each, now[each.key] or 0.0) for each in self._ranges}
+            return Part((), values), self._search.ask(0, given) if inside else None
+        given_values = self._known_values(number) or self._startup.get(number)
+        asked = self._search.ask(number, given_values)
+        row = [asked.params[each.key] for each in self._ranges]
+        return drawn_part(self._ranges, row), asked
+
+    def _known_values(self, number: int) -> dict[str, Any] | None:
+        """Values that a trial had before the interruption."""
+        first = number * len(self.conditions)
+        if first >= len(self._known):
+            return None
+        values = self._known[first].values
+        return {each.key: values[each.key] for each in self._ranges if each.key in values}
+
+    def _latin_hypercube(self) -> dict[int, dict[str, Any]]:
+        """Values of the trials of the first batch, by their numbers; none where all are random."""
+        begin = int(self._config.baseline)
+        count = self._sizes[0] - begin
+        if self._config.method == "random" or count < 1:
+            return {}
+        shares = hypercube(count, len(self._ranges), [self._config.seed, _STARTUP])
+        columns = [quantiles(each, shares[:, i]) for i, each in enumerate(self._ranges)]
+        rows = zip(*columns, strict=True)
+        return {
+            begin + i: dict(drawn_part(self._ranges, row).values or {})
+            for i, row in enumerate(rows)
+        }
+
+    def _add(self, part: Part, trial: int) -> None:
+        number = len(self._points)
+        point = Point(number, part.overrides, part.values or {}, trial)
+        if number < len(self._known) and self._known[number].overrides != point.overrides:
+            raise ConfigurationError(
+                f"point {number} was another when the sweep began: "
+                f"{' '.join(self._known[number].overrides)}",
+                where="sampler",
+                remedy="resume with the keys of the sampler that it began with, "
+                "or begin a new sweep",
+            )
+        self._points.append(point)
+
+    def _tell(self) -> None:
+        self.aims.check_figures(self._results.values())
+        tried = self._tried(self._results)
+        begin = sum(self._sizes[: self._told])
+        batch = range(begin, begin + self._sizes[self._told])
+        pairs = [(self._asked[number], tried[number]) for number in batch]
+        self._search.tell([(asked, each) for asked, each in pairs if asked is not None and each])
+        self._told += 1
+
+    def _tried(self, results: Mapping[int, Result]) -> list[Tried | None]:
+        """What came of each trial, None of those whose runs have not all ended."""
+        width = len(self.conditions)
+        found: list[Tried | None] = []
+        for number in range(len(self.parts)):
+            own = [results.get(number * width + i) for i in range(width)]
+            ended = [r for r in own if r is not None and r.state != "interrupted"]
+            found.append(self.aims.tried(ended) if len(ended) == width else None)
+        return found
+
+    def _candidates(self, results: Mapping[int, Result]) -> list[int]:
+        """Trials that are run again: the best, and the first to compare with."""
+        tried = self._tried(results)
+        best = best_trials(self.aims, tried)
+        first = [0] if self._config.baseline else []
+        return list(dict.fromkeys([*first, *best]))
+
+    def _confirm(self) -> None:
+        self._confirming = True
+        if not self._config.confirm:
+            return
+        fresh = fresh_conditions(self._space, self._config.confirm, self._config.seed)
+        for number in self._candidates(self._results):
+            for condition in fresh:
+                replaced = tuple(f"{key}=" for key in condition.values or {})
+                fixed = tuple(t for t in self._space.fixed if not t.startswith(replaced))
+                self._add(Part(fixed) + condition + self.parts[number], number)
+
+    def _add_confirmed(self, told: dict[str, Any], results: Mapping[int, Result]) -> None:
+        """Figures under fresh conditions, beside those that the trials were chosen by."""
+        begin = self._config.trials * len(self.conditions)
+        runs: dict[int, list[Result]] = {}
+        for point in self._points[begin:]:
+            assert point.trial is not None
+            if point.number in results:
+                runs.setdefault(point.trial, []).append(results[point.number])
+        for record in told["trials"]:
+            own = runs.get(record["trial"])
+            if own:
+                done = [result for result in own if result.state == "done"]
+                record["confirmed"] = {
+                    "runs": len(own),
+                    "failed": len(own) - len(done),
+                    "figures": dict(self.aims.tried(done).figures) if done else {},
+                }
