@@ -47,8 +47,8 @@ Examples:
   trms compare outputs/2025-01-31/12-00-00-run outputs/2025-01-31/12-00-05-run
 """
 
-_METRICS = ("rmse", "iae", "ise", "itae", "max_abs_error")
-_SORTS = ("rank", "tracking", "worst", "effort", "variation", "time", "failures", "name")
+METRICS = ("rmse", "iae", "ise", "itae", "max_abs_error")
+SORTS = ("rank", "tracking", "worst", "effort", "variation", "time", "failures", "name")
 
 
 def main(argv: list[str]) -> int:
@@ -57,8 +57,8 @@ def main(argv: list[str]) -> int:
     options.add_argument("paths", type=Path, nargs="+", metavar="LOG")
     options.add_argument("--by", default="")
     options.add_argument("--where", action="append", default=[])
-    options.add_argument("--metric", choices=_METRICS, default="rmse")
-    options.add_argument("--sort", choices=_SORTS, default="rank")
+    options.add_argument("--metric", choices=METRICS, default="rmse")
+    options.add_argument("--sort", choices=SORTS, default="rank")
     options.add_argument("--json", action="store_true")
     given = options.parse_args(argv)
     gathered = gathered_from(given.paths, _where(given.where, options))

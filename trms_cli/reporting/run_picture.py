@@ -14,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from trms_cli.reporting.notebook_figure import NotebookFigure
 from trms_cli.reporting.style import (
     ALARM,
     COLOURS,
@@ -74,8 +75,8 @@ def draw_run(
     limits : dict of str to (float, float)
         Lower and upper limit by channel and input.
     """
+    figure = figure_of_run(history, score, title=title, limits=limits)
     with house_style():
-        figure = _figure(history, score, title, limits or {})
         content = io.BytesIO()
         figure.savefig(content, dpi=DPI, format="png", pil_kwargs={"compress_level": 3})
     path.write_bytes(content.getvalue())  # whole, or an error of the disk
@@ -87,6 +88,18 @@ def warm_up() -> None:
     FigureCanvasAgg(figure)
     figure.subplots().set_title("α")
     figure.savefig(io.BytesIO(), format="png")
+
+
+def figure_of_run(
+    history: Drawable,
+    score: Mapping[str, Any],
+    *,
+    title: str = "",
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> Figure:
+    """The picture of a run, not yet on any paper; arguments as of :func:`draw_run`."""
+    with house_style():
+        return _figure(history, score, title, limits or {})
 
 
 def _figure(
@@ -128,7 +141,7 @@ def _sheet(heights: Sequence[float], top: float) -> tuple[Figure, list[Axes]]:
     Placed by hand: to have the places found takes as long as all the drawing.
     """
     whole = top + sum(heights) + _GAP * (len(heights) - 1) + _BOTTOM
-    figure = Figure(figsize=(_WIDTH, whole))
+    figure = NotebookFigure(figsize=(_WIDTH, whole))
     FigureCanvasAgg(figure)
     panels: list[Axes] = []
     ceiling = whole - top

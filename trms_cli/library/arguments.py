@@ -1,0 +1,264 @@
+"""From the arguments of a call to what would be typed, and to the objects that cannot be typed.
+
+``run("sim.duration=20", controller="lqr", effect=["main_input_delay"], ref={"alpha_h": signal})``
+becomes the words ``sim.duration=20 controller=lqr effect=[main_input_delay]`` and the object
+``signal`` at ``ref.alpha_h``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from trms_cli.commands.catalogue import Groups, Primary, read_groups, read_primary
+from trms_cli.commands.overrides import parse, quoted
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.library.result import Result
+
+#: Words that need no quotes: they cannot be read as a number, a truth value or Hydra's grammar.
+_PLAIN = re.compile(r"[A-Za-z_][\w/-]*(\.[A-Za-z_][\w/-]*)*")
+_OTHER_MEANING = {"true", "false", "null", "none", "inf", "nan", "yes", "no", "on", "off"}
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What a call asks for.
+
+    Attributes
+    ----------
+    words : tuple of str
+        As they would be typed: ``controller=lqr``.
+    objects : dict of str to object
+        By their place in the configuration: ``controller``, ``ref.alpha_h``,
+        ``effect.draught``.
+    config_dirs : tuple of Path
+        The user's folders of options.
+    """
+
+    words: tuple[str, ...]
+    objects: Mapping[str, Any] = field(default_factory=dict)
+    config_dirs: tuple[Path, ...] = ()
+
+    @property
+    def argv(self) -> list[str]:
+        """The command line without its objects."""
+        folders = [word for folder in self.config_dirs for word in ("--config-dir", str(folder))]
+        return [*folders, *self.words]
+
+    def with_more(self, more: Arguments) -> Arguments:
+        """These, and `more` on top: a later word and a later object count."""
+        objects = {
+            place: value
+            for place, value in self.objects.items()
+            if not any(parse(word, {}).key == place for word in more.words)
+        }
+        words = tuple(w for w in self.words if not _inside(w, more.objects))
+        folders = tuple(dict.fromkeys((*more.config_dirs, *self.config_dirs)))
+        return Arguments((*words, *more.words), {**objects, **more.objects}, folders)
+
+
+def arguments_of(
+    primary: str,
+    typed: Sequence[str],
+    keys: Mapping[str, Any],
+    *,
+    out: str | PathLike[str] | None = None,
+    config_dir: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
+) -> Arguments:
+    """Read the arguments of a call.
+
+    Parameters
+    ----------
+    primary : str
+        The configuration that the command composes from: ``run``.
+    typed : sequence of str
+        ``KEY=VALUE``, as on the command line.
+    keys : mapping
+        By name. None stands for what is not given; to give null, write ``"KEY=null"``.
+    out : path or None
+        The folder to write into; None for a new one.
+    config_dir : path or sequence of paths
+
+    Raises
+    ------
+    ConfigurationError
+        For what cannot be an argument.
+    """
+    folders = (config_dir,) if isinstance(config_dir, (str, PathLike)) else tuple(config_dir)
+    places = tuple(Path(folder).expanduser().resolve() for folder in folders)
+    for word in typed:
+        _require_word(word)
+    layout = _Layout(read_primary(primary, places), read_groups(places))
+    for key, value in keys.items():
+        if value is not None:
+            layout.lay(key, value)
+    if out is not None:
+        layout.lay("out", str(Path(out).expanduser()))
+    words = (*layout.words, *typed)
+    _refuse_keys_of_objects(words, layout.objects)
+    return Arguments(words, layout.objects, places)
+
+
+def _require_word(word: Any) -> None:
+    if not isinstance(word, str) or word.startswith("-"):
+        raise ConfigurationError(
+            f"{word!r} given",
+            where="the arguments",
+            remedy='give overrides as text: "sim.duration=20"; options of the command line are '
+            "arguments here: config_dir=, out=, and sweep(…) for -m",
+        )
+
+
+class _Layout:
+    """Gathers words and objects, key by key."""
+
+    def __init__(self, declared: Primary, groups: Groups) -> None:
+        self._declared, self._groups = declared, groups
+        self.words: list[str] = []
+        self.objects: dict[str, Any] = {}
+
+    def lay(self, key: str, value: Any) -> None:
+        """Take one argument."""
+        if key in self._declared.defaults:
+            several = isinstance(self._declared.defaults[key], list)
+            (self._lay_several if several else self._lay_choice)(key, value)
+        else:
+            self._lay_value(key, value)
+
+    def _lay_choice(self, group: str, value: Any) -> None:
+        if isinstance(value, str | PathLike | Result):
+            self.words.append(f"{group}={_file_of(value, group)}")
+        elif isinstance(value, Mapping):
+            chosen = self._option_with_keys(group, value)
+            if chosen is not None:
+                self.words.append(f"{group}={chosen}")
+                value = value[chosen] or {}
+            self._lay_value(group, value)
+        else:
+            self._lay_value(group, value)
+
+    def _option_with_keys(self, group: str, value: Mapping[Any, Any]) -> str | None:
+        """The option that ``{"square": {…}}`` chooses; None for keys of the one that is chosen."""
+        if len(value) != 1:
+            return None
+        (name, inner), options = next(iter(value.items())), self._groups.get(group, {})
+        return str(name) if name in options and isinstance(inner, Mapping | None) else None
+
+    def _lay_several(self, group: str, value: Any) -> None:
+        named: list[str] = []
+        for name, inner in _items(value):
+            if isinstance(inner, Mapping | None):
+                named.append(name)
+            else:
+                self.objects[f"{group}.{name}"] = _instance(inner, f"{group}.{name}")
+        self.words.append(f"{group}=[{','.join(named)}]")
+        for name, inner in _items(value):
+            if isinstance(inner, Mapping):
+                self._lay_value(f"{group}.{name}", inner)
+
+    def _lay_value(self, key: str, value: Any) -> None:
+        if isinstance(value, Mapping):
+            for name, inner in value.items():
+                self._lay_value(f"{key}.{name}", inner)
+            return
+        try:
+            self.words.append(f"{key}={text_of(value, key)}")
+        except TypeError:
+            if "@" in key:
+                raise ConfigurationError(
+                    f"{value!r} given",
+                    where=key,
+                    remedy=f"an object goes to its place: {key.partition('@')[2]}",
+                ) from None
+            self.objects[key] = _instance(value, key)
+
+
+def _items(value: Any) -> Iterator[tuple[str, Any]]:
+    """Names and what is given with each: an object, keys, or None."""
+    if isinstance(value, Mapping):
+        yield from ((str(name), inner) for name, inner in value.items())
+        return
+    several = value if isinstance(value, list | tuple) else [value]
+    for item in several:
+        if isinstance(item, str):
+            yield from ((name.strip(), None) for name in item.strip("[]").split(",") if name)
+        else:
+            kind = item.__name__ if isinstance(item, type) else type(item).__name__
+            yield re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind).lower(), item
+
+
+def _instance(value: Any, where: str) -> Any:
+    """The object; a function of time as a signal, a class refused."""
+    if isinstance(value, type):
+        raise ConfigurationError(
+            f"the class {value.__name__} given",
+            where=where,
+            remedy=f"give an instance: {value.__name__}(…)",
+        )
+    if inspect.isroutine(value):
+        from trms_cli.library.time_function import TimeFunction
+
+        return TimeFunction(value)
+    return value
+
+
+def text_of(value: Any, key: str = "") -> str:
+    """A value in the grammar of overrides.
+
+    Raises
+    ------
+    TypeError
+        If it is no data.
+    """
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(float(value)) if isinstance(value, float) else str(int(value))
+    if isinstance(value, Result | PathLike):
+        value = _file_of(value, key)
+    if isinstance(value, str):
+        plain = _PLAIN.fullmatch(value) and value.lower() not in _OTHER_MEANING
+        return value if plain else quoted(value)
+    if isinstance(value, Mapping):
+        inner = (f"{text_of(str(k))}: {text_of(v, key)}" for k, v in value.items())
+        return "{" + ", ".join(inner) + "}"
+    if type(value).__module__ == "numpy":
+        return text_of(value.tolist(), key)
+    if isinstance(value, list | tuple | set | frozenset | range):
+        return f"[{','.join(text_of(item, key) for item in value)}]"
+    raise TypeError(f"{type(value).__name__} is no data")
+
+
+def _file_of(value: str | PathLike[str] | Result, key: str) -> str:
+    """A name or a path; of a result the file that a key asks for."""
+    if isinstance(value, str):
+        return value
+    path = value.file_for(key.split(".")[0]) if isinstance(value, Result) else Path(value)
+    text = str(path.expanduser())
+    # a name without a folder would be read as an option's
+    return text if "/" in text or key not in ("model",) else f"./{text}"
+
+
+def _inside(word: str, places: Iterable[str]) -> bool:
+    """Whether an override is of a place, or of something in it."""
+    override = parse(word, {})
+    spots = (override.key, override.package.lstrip("@"))
+    return any(s == place or s.startswith(f"{place}.") for place in places for s in spots if s)
+
+
+def _refuse_keys_of_objects(words: Sequence[str], objects: Mapping[str, Any]) -> None:
+    for word in words:
+        for place in objects:
+            if _inside(word, (place,)):
+                raise ConfigurationError(
+                    f"{word} given, and {place} is an object",
+                    where=place,
+                    remedy="an object is complete: set its values where it is made",
+                )

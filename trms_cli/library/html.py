@@ -1,0 +1,57 @@
+"""Small tables for notebooks; everything in them is escaped."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+_LEFT = "text-align:left"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[Any]], caption: str = "") -> str:
+    """A table; the first column stands left, numbers are rounded to three digits."""
+    top = "".join(f'<th style="{_LEFT if i == 0 else ""}">{_cell(h)}</th>' for i, h in _at(head))
+    body = "".join(
+        "<tr>"
+        + "".join(f'<td style="{_LEFT if i == 0 else ""}">{_cell(c)}</td>' for i, c in _at(row))
+        + "</tr>"
+        for row in rows
+    )
+    title = f'<caption style="{_LEFT}">{escape(caption)}</caption>' if caption else ""
+    return f"<table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def paragraph(text: str, *, bold: bool = False) -> str:
+    """A line of text."""
+    inner = escape(text)
+    return f"<p>{f'<b>{inner}</b>' if bold else inner}</p>"
+
+
+def picture(png: bytes, *, width: int = 720) -> str:
+    """A picture that is part of the page."""
+    data = base64.b64encode(png).decode("ascii")
+    return f'<img src="data:image/png;base64,{data}" style="max-width:{width}px;width:100%">'
+
+
+def files(paths: Mapping[str, Path | None]) -> str:
+    """Where things are."""
+    known = [(name, str(path)) for name, path in paths.items() if path is not None]
+    lines = "<br>".join(f"{escape(n)}: <code>{escape(p)}</code>" for n, p in known)
+    return f"<p>{lines}</p>"
+
+
+def _at(items: Sequence[Any]) -> Iterable[tuple[int, Any]]:
+    return enumerate(items)
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and value != value):
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    return escape(str(value))
