@@ -9,7 +9,9 @@
     page.write(folder / "validation.html")
 
 It reads well on a telephone, in a dark room (the browser's own setting) and on paper. Text is
-escaped; ``**bold**`` and ```code``` are understood in it, and nothing else.
+escaped; ``**bold**`` and ```code``` are understood in it, and nothing else. A page with
+:meth:`Page.plots` or :meth:`Page.rows` carries the scripts that they need
+(:mod:`~trms_cli.reporting.page_scripts`); others carry none.
 """
 
 from __future__ import annotations
@@ -26,6 +28,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from trms_cli.reporting.interactive import Plot, script_json
+from trms_cli.reporting.page_rows import RowCell, RowColumn, rows_html
+from trms_cli.reporting.page_scripts import policy, scripts
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -37,7 +43,7 @@ _PIXELS_PER_INCH = 144
 _SHORT = 24
 
 #: What a cell or a verdict is: coloured, and told by its text too.
-Mark = Literal["good", "bad", "doubtful", ""]
+Mark = Literal["good", "bad", "doubtful", "best", ""]
 Cell = str | float | int | None
 
 
@@ -68,6 +74,11 @@ class _Section:
     text: str
     anchor: str
     blocks: list[_Block] = field(default_factory=list)
+
+    @property
+    def has_plots(self) -> bool:
+        """Whether a reader has something to turn in it."""
+        return any(block.kind == "plots" for block in self.blocks)
 
 
 class Page:
@@ -187,15 +198,62 @@ class Page:
             },
         )
 
+    def plots(self, plots: Sequence[Plot]) -> None:
+        """Interactive plots, below one another; halves side by side where there is room."""
+        from markupsafe import Markup
+
+        if plots:
+            told = [
+                {
+                    "title": plot.title,
+                    "caption": plot.caption,
+                    "half": plot.half,
+                    "data": Markup(script_json(plot.document())),
+                }
+                for plot in plots
+            ]
+            self._add("plots", {"plots": told})
+
+    def rows(
+        self,
+        columns: Sequence[RowColumn],
+        rows: Sequence[Sequence[RowCell]],
+        caption: str = "",
+        *,
+        example: str = "",
+    ) -> None:
+        """A table of many rows, which the reader sorts and filters.
+
+        Parameters
+        ----------
+        example : str
+            A filter by a column, shown where one is typed: ``rmse<0.1``.
+        """
+        from markupsafe import Markup
+
+        content = {"columns": list(columns), "caption": caption, "example": example}
+        self._add("rows", content | {"body": Markup(rows_html(columns, rows))})
+
+    def details(self, summary: str, text: str) -> None:
+        """Text as it stands (a configuration), folded away until it is asked for."""
+        self._add("details", {"summary": summary, "text": text})
+
     def html(self) -> str:
         """The page as text."""
+        from markupsafe import Markup
+
+        kinds = {block.kind for section in self._sections for block in section.blocks}
+        carried = scripts() if kinds & {"plots", "rows"} else ()
         text: str = _template().render(
+            policy=policy(carried),
+            scripts=[Markup(script) for script in carried],
             title=self.title,
             lead=[paragraph for paragraph in self.lead if paragraph],
             facts=self.facts,
             sections=self._sections,
         )
-        return text
+        # A file's name may hold what is no text; the page does.
+        return text.encode("utf-8", "replace").decode("utf-8")
 
     def write(self, path: Path) -> None:
         """Write the page, whole or not at all.

@@ -1,0 +1,127 @@
+"""``trms report``: one self-contained page of a run, of a few runs, or of many."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trms_cli.commands.invocation import program
+from trms_cli.commands.plain_options import PlainOptions
+from trms_cli.core.errors import EXIT_OK
+
+if TYPE_CHECKING:
+    from trms_cli.commands.report_pages import Report
+
+SUMMARY = "one HTML page of a run, a comparison or a sweep: plots and tables, nothing fetched"
+
+HELP = """\
+Usage: trms report LOG…|FOLDER… [--out FILE.html] [--title TEXT] [--force] [--json]
+
+Writes one page that stands alone: it opens from the disk, fetches nothing, and can be sent to
+anybody. One run: its signals with linked time axes, events, predictions, phase plots, the times of
+the solver, its score and configuration. Up to eight runs: over one another, with their scores side
+by side. More, or a sweep with failed jobs: the ranking, how figures spread and on what they
+depend, what failed and why, and a table of all runs to sort and filter.
+Logs of runs that died are drawn as far as they go.
+
+  LOG, FOLDER            MCAP logs of trms, folders of a run, of sweeps, of scores, however deep
+  --out FILE.html        where to write it (report.html in the folder of the run or the sweep, or
+                         beside the log; in the working folder for several)
+  --title TEXT           its heading
+  --force                replace FILE.html if it exists
+  --json                 print trms.report/1: what the page is of, and where it is
+
+Examples:
+  trms run controller=newton_mpc out=first
+  trms report first
+  trms report first/run.mcap second/run.mcap --out rivals.html --title "two rivals"
+  trms run -m controller=pid,lqr plant.prior_seed=range(1,11) out=sweep
+  trms report sweep
+"""
+
+SCHEMA = "trms.report/1"
+
+
+def main(argv: list[str]) -> int:
+    """Run the command; return the exit code."""
+    options = PlainOptions("trms report", HELP)
+    options.add_argument("paths", type=Path, nargs="+", metavar="LOG")
+    options.add_argument("--out", type=Path)
+    options.add_argument("--title", default="")
+    options.add_argument("--force", action="store_true")
+    options.add_argument("--json", action="store_true")
+    given = options.parse_args(argv)
+    if given.out is not None and given.out.suffix.lower() not in (".html", ".htm"):
+        options.error(f"--out {str(given.out)!r} is no page: its name ends in .html")
+
+    report, path = write_report(given.paths, out=given.out, title=given.title, force=given.force)
+    if given.json:
+        json.dump(document(report, path), sys.stdout, indent=2, ensure_ascii=False)
+        sys.stdout.write("\n")
+    else:
+        _say(report, path)
+    return EXIT_OK
+
+
+def write_report(
+    paths: list[Path], *, out: Path | None = None, title: str = "", force: bool = False
+) -> tuple[Report, Path]:
+    """Write the page of logs and folders; the report, and where it is.
+
+    Raises
+    ------
+    RecordingError
+        If there is nothing to report, or the file exists and is not to be replaced.
+    """
+    from trms_cli.commands.report_pages import PAGE_NAME, report_page
+    from trms_cli.recordings.output_file import refuse_overwrite, whole_file
+
+    remedy = "--force replaces it; --out FILE.html names another"
+    if out is not None and not force:
+        refuse_overwrite(out, remedy)
+    report = report_page(paths, title=title, out=out)
+    path = out if out is not None else report.folder / PAGE_NAME
+    if not force:
+        refuse_overwrite(path, remedy)
+    with whole_file(path, force=force) as temporary:
+        temporary.write_text(report.page.html(), encoding="utf-8")
+    return report, path
+
+
+def document(report: Report, path: Path) -> dict[str, Any]:
+    """``trms.report/1``."""
+    return {
+        "schema": SCHEMA,
+        "file": str(path),
+        "bytes": path.stat().st_size,
+        "kind": report.kind,
+        "title": report.page.title,
+        "lead": [paragraph.replace("**", "") for paragraph in report.page.lead],
+        "runs": list(report.runs),
+        "left_out": [{"path": file, "problem": why} for file, why in report.left_out],
+    }
+
+
+def _say(report: Report, path: Path) -> None:
+    """What it is of, in its own sentences, where it is, and what to do next."""
+    print(report.page.title)
+    for paragraph in report.page.lead:
+        print(f"  {paragraph.replace('**', '').replace('`', '')}")
+    print()
+    count = len(report.runs)
+    of = "a run" if report.kind == "run" else f"{count} runs"
+    print(f"report     {path}  ({report.kind}: {of}, {path.stat().st_size / 1e6:.1f} MB)")
+    for file, why in report.left_out[:5]:
+        print(f"left out   {file}: {why}")
+    if len(report.left_out) > 5:
+        print(f"           and {len(report.left_out) - 5} more (--json has all)")
+    print()
+    trms, name = program(), shlex.quote(str(path))
+    print(f"next       open {name} in a browser; it needs no network and can be sent as it is")
+    if report.kind == "run":
+        print(f"           {trms} report {shlex.quote(report.runs[0])} OTHER_LOG   compares")
+    else:
+        print(f"           {trms} report {shlex.quote(report.runs[0])}   one of them alone")

@@ -1,0 +1,163 @@
+"""Reads logs for reports: a run's signals, events, score and words as plain data."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trms_cli.commands.invocation import program
+from trms_cli.commands.run_folder import LOG_NAME
+from trms_cli.core.errors import RecordingError
+
+if TYPE_CHECKING:
+    from trms_cli.recordings.log_reader import LoggedRun
+    from trms_cli.reporting.reported import ReportedRun, RunEvent
+
+#: A log that is larger than this is not drawn: reading it takes some ten times its size in memory.
+LARGEST_LOG = 512 * 2**20  # bytes
+_MOST_TEXT = 2_000  # characters of a fact
+#: Packages whose versions are named on a page.
+_EVENT_FIELDS = ("value", "kind", "source", "message")
+_PACKAGES = ("trms", "python", "numpy", "casadi")
+
+
+def read_run(path: Path, *, name: str = "") -> ReportedRun:
+    """Read a log, complete or not.
+
+    Parameters
+    ----------
+    path : Path
+        The log's file.
+    name : str
+        What the run is called; by default its folder, or the file where that has another name.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, is no log of a run, or is too large to be drawn.
+    """
+    from trms_cli.recordings.log_reader import read_log
+    from trms_cli.reporting.reported import ReportedRun
+
+    _refuse_giant(path)
+    log = read_log(path)
+    texts = {key: str(value) for key, value in log.run.items()}
+    limits = _limits(log)
+    return ReportedRun(
+        name=name or name_of(path),
+        times={topic: table.time for topic, table in log.tables.items()},
+        columns={topic: table.columns for topic, table in log.tables.items()},
+        units={topic: table.units for topic, table in log.tables.items()},
+        events=_events(log),
+        score=_score(log),
+        limits=limits,
+        outcome=log.outcome,
+        duration=log.duration_s,
+        problems=log.problems,
+        choices=_choices(texts),
+        facts=_facts(log, texts, path),
+        command=texts.get("command", "")[:_MOST_TEXT],
+        repeat=f"{program()} run --from {shlex.quote(str(path))}" if log.config else "",
+        config=log.attachments.get("config.yaml", b"").decode(errors="replace"),
+    )
+
+
+def name_of(path: Path) -> str:
+    """``…/first/run.mcap`` as ``first``, ``…/monday.mcap`` as ``monday``."""
+    if path.name == LOG_NAME:
+        return path.resolve().parent.name or path.stem
+    return path.stem
+
+
+def _refuse_giant(path: Path) -> None:
+    try:
+        size = path.stat().st_size
+    except OSError:
+        return  # the reader says why
+    if size > LARGEST_LOG:
+        raise RecordingError(
+            f"the log has {size / 2**20:.0f} MB, and {LARGEST_LOG / 2**20:.0f} MB are drawn",
+            where=str(path),
+            remedy="export a part of it and import that: trms export LOG",
+        )
+
+
+def _limits(log: LoggedRun) -> dict[str, tuple[float, float]]:
+    from trms_cli.scoring.score import limits_of
+
+    try:
+        return limits_of(log)
+    except (ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _score(log: LoggedRun) -> Mapping[str, Any]:
+    """Scored afresh, as ``trms score`` does; what a log says of itself where that fails."""
+    from trms_cli.scoring.score import score_log
+
+    try:
+        return score_log(log)
+    except (RecordingError, ValueError, KeyError, IndexError, TypeError, AttributeError):
+        return log.score
+
+
+def _events(log: LoggedRun) -> list[RunEvent]:
+    from trms_cli.reporting.reported import RunEvent
+
+    table = log.tables.get("/event")
+    if table is None:
+        return []
+    count = len(table)
+
+    def column(name: str) -> list[Any]:
+        return list(table.columns.get(name, [""] * count))
+
+    return [
+        RunEvent(float(time), str(kind or ""), str(source or ""), str(said or ""), _number(value))
+        for time, value, kind, source, said in zip(
+            table.time, *map(column, _EVENT_FIELDS), strict=True
+        )
+    ]
+
+
+def _choices(texts: Mapping[str, str]) -> dict[str, str]:
+    choices = _json(texts, "choices")
+    if not isinstance(choices, Mapping):
+        return {}
+    found = {}
+    for group, option in choices.items():
+        if isinstance(option, list):
+            option = " + ".join(map(str, option))
+        if option not in (None, "", "none"):
+            found[str(group)] = str(option)[:_MOST_TEXT]
+    return found
+
+
+def _facts(log: LoggedRun, texts: Mapping[str, str], path: Path) -> dict[str, str]:
+    facts = {}
+    for key, words in (("seed", "seed"), ("recording.file", "recording"), ("start", "begun")):
+        if texts.get(key):
+            facts[words] = texts[key][:_MOST_TEXT]
+    facts["log"] = str(path)
+    versions = _json(texts, "versions")
+    if isinstance(versions, Mapping):
+        told = [f"{name} {versions[name]}" for name in _PACKAGES if name in versions]
+        if texts.get("git"):
+            told.append(f"git {texts['git']}")
+        facts["versions"] = ", ".join(told)[:_MOST_TEXT]
+    return facts
+
+
+def _json(texts: Mapping[str, str], key: str) -> Any:
+    try:
+        return json.loads(texts.get(key, "null"))
+    except (ValueError, RecursionError):
+        return None
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, (int, float)) else math.nan

@@ -1,0 +1,239 @@
+"""What a report is of, and its page: of a run, of a few runs over one another, of many.
+
+::
+
+    from trms_cli.commands.report_pages import report_page
+    report = report_page(["first", "second/run.mcap"])
+    report.page.write(Path("report.html"))
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from trms_cli.commands.report_logs import name_of, read_run
+from trms_cli.commands.report_ranking import compared, ranking_of
+from trms_cli.commands.report_sweeps import (
+    PAGE_NAME,
+    SWEEP_NAME,
+    from_scores,
+    read_sweep,
+    rows_of,
+    sweep_document,
+)
+from trms_cli.commands.run_folder import LOG_NAME
+from trms_cli.core.errors import RecordingError
+
+if TYPE_CHECKING:
+    from trms_cli.reporting.page import Page
+    from trms_cli.reporting.reported import ReportedRun
+    from trms_cli.runs.finding import Found
+
+#: More runs than this are told as a sweep: curves over one another could not be told apart.
+MOST_OVERLAID = 8
+_MOST_DIFFERENCES = 60
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page, and what it is of.
+
+    Attributes
+    ----------
+    page : Page
+        Ready to be written.
+    kind : str
+        ``run``, ``comparison`` or ``sweep``.
+    runs : tuple of str
+        Logs or folders of the runs in it.
+    folder : Path
+        Where it is written if nobody says otherwise.
+    left_out : tuple of (str, str)
+        Files that could not be read, with the reason.
+    """
+
+    page: Page
+    kind: Literal["run", "comparison", "sweep"]
+    runs: tuple[str, ...]
+    folder: Path
+    left_out: tuple[tuple[str, str], ...] = ()
+
+
+def report_page(
+    paths: Sequence[str | os.PathLike[str]], *, title: str = "", out: Path | None = None
+) -> Report:
+    """The report of logs and folders.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        Logs, folders of a run, or folders of many, however deep.
+    title : str
+        By default what ran.
+    out : Path or None
+        File that the page will be written to, for links in it; None: ``report.html`` in the run's
+        folder, in that of the sweep, or in the working folder for several paths.
+
+    Raises
+    ------
+    RecordingError
+        If a path does not exist, or there is nothing to report.
+    """
+    given = [Path(path).expanduser() for path in paths]
+    for path in given:
+        if not path.exists():
+            raise RecordingError("there is no such file or folder", where=str(path))
+    folder = _folder(given)
+    logs = [log for path in given if (log := _own_log(path)) is not None]
+    if len(logs) == len(given) and len(_distinct(logs)) <= MOST_OVERLAID:
+        return _of_logs(_distinct(logs), folder, title, [])
+    found = rows_of(
+        [
+            path if path.is_dir() else path.parent if path.name == LOG_NAME else path
+            for path in given
+        ]
+    )
+    if not found.runs:
+        return _of_scores(given, found, folder, title)
+    rows = [str(row["log"]) for row in found.runs]
+    overlaid = all(log.endswith(".mcap") for log in rows) and len(rows) <= MOST_OVERLAID
+    if overlaid and not any(sweep_document(path).get("objectives") for path in given):
+        return _of_logs([Path(log) for log in rows], folder, title, found.unreadable)
+    page_folder = (out.parent if out is not None else folder).resolve()
+    return _of_sweep(given, found, folder, page_folder, title)
+
+
+def _of_logs(
+    logs: Sequence[Path], folder: Path, title: str, left_out: Sequence[tuple[str, str]]
+) -> Report:
+    if len(logs) == 1:
+        from trms_cli.reporting.report_run import run_page
+
+        page = run_page(read_run(logs[0]), title=title)
+        return Report(page, "run", (str(logs[0]),), folder, tuple(left_out))
+    from trms_cli.reporting.report_comparison import comparison_page
+
+    names = _names(logs)
+    runs: list[ReportedRun] = []
+    trouble = list(left_out)
+    for log, name in zip(logs, names, strict=True):
+        try:
+            runs.append(read_run(log, name=name))
+        except RecordingError as error:
+            trouble.append((str(log), error.problem))
+    if not runs:
+        raise RecordingError(
+            f"none of the {len(logs)} logs can be read: {trouble[0][1]}", where=trouble[0][0]
+        )
+    ranking, rule = _ranking(logs)
+    page = comparison_page(
+        runs, ranking=ranking, rule=rule, differences=_differences(runs), left_out=trouble,
+        title=title,
+    )  # fmt: skip
+    return Report(page, "comparison", tuple(map(str, logs)), folder, tuple(trouble))
+
+
+def _of_sweep(
+    given: Sequence[Path], found: Found, folder: Path, page_folder: Path, title: str
+) -> Report:
+    from trms_cli.reporting.report_sweep import sweep_page
+
+    sweep = read_sweep(given, found, page_folder)
+    ranking, rule = ranking_of(compared(found))
+    page = sweep_page(sweep, ranking=ranking, rule=rule, title=title)
+    runs = tuple(str(row["path"]) for row in found.runs)
+    return Report(page, "sweep", runs, folder, tuple(found.unreadable))
+
+
+def _of_scores(given: Sequence[Path], found: Found, folder: Path, title: str) -> Report:
+    """Folders without a log: scores alone, as tournaments leave them."""
+    from trms_cli.reporting.report_sweep import sweep_page
+    from trms_cli.scoring.comparison.gathering import gather
+
+    if found.unreadable:
+        file, problem = found.unreadable[0]
+        raise RecordingError(
+            f"no run here can be read: {problem}", where=file, remedy="a report is drawn from logs"
+        )
+    gathered = gather(given)
+    sweep = from_scores(gathered, given)
+    ranking, rule = ranking_of(gathered.runs)
+    page = sweep_page(sweep, ranking=ranking, rule=rule, title=title)
+    return Report(
+        page, "sweep", tuple(run.path for run in gathered.runs), folder, tuple(gathered.left_out)
+    )
+
+
+def _ranking(logs: Sequence[Path]) -> tuple[Any, str]:
+    """The ranking of a few runs; empty where they are not of one contest."""
+    from trms_cli.scoring.comparison.gathering import gather
+
+    try:
+        return ranking_of(gather(logs).runs)
+    except RecordingError:  # imported recordings have no score
+        return [], ""
+
+
+def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
+    """Options and settings in which the runs differ, a value each."""
+    import yaml
+
+    from trms_cli.scoring.comparison.coordinates import differences
+
+    options = dict.fromkeys(key for run in runs for key in run.choices)
+    rows = [(key, [run.choices.get(key, "–") for run in runs]) for key in options]
+    rows.append(("seed", [run.facts.get("seed", "–") for run in runs]))
+    found = [(key, values) for key, values in rows if len(set(values)) > 1]
+    below = tuple(f"{key}." for key, _ in found)
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    configs = []
+    for run in runs:
+        try:
+            config = yaml.load(run.config, Loader=loader)
+        except (yaml.YAMLError, RecursionError, ValueError):
+            config = None
+        configs.append(config if isinstance(config, dict) else {})
+    settings: dict[str, dict[int, str]] = {}
+    for i, config in enumerate(configs[1:], start=1):
+        for key, first, other in differences(configs[0], config):
+            if not key.startswith(below) and key != "seed":
+                settings.setdefault(key, {0: first})[i] = other
+    for key, values in list(settings.items())[:_MOST_DIFFERENCES]:
+        found.append((key, [values.get(i, values[0]) for i in range(len(runs))]))
+    return found
+
+
+def _own_log(path: Path) -> Path | None:
+    """The log that a path is, or the one of the run's folder that it is."""
+    if path.is_file():
+        return None if path.suffix == ".json" else path
+    log = path / LOG_NAME
+    return log if log.is_file() and not (path / SWEEP_NAME).is_file() else None
+
+
+def _folder(given: Sequence[Path]) -> Path:
+    if len(given) > 1:
+        return Path()
+    return given[0] if given[0].is_dir() else given[0].parent
+
+
+def _distinct(logs: Sequence[Path]) -> list[Path]:
+    return list({log.resolve(): log for log in logs}.values())
+
+
+def _names(logs: Sequence[Path]) -> list[str]:
+    """Names of runs: their folders, with as much of the way to them as tells them apart."""
+    names = [name_of(log) for log in logs]
+    if len(set(names)) == len(names):
+        return names
+    paths = [str((log.parent if log.name == LOG_NAME else log).resolve()) for log in logs]
+    root = os.path.commonpath(paths)
+    shown = [os.path.relpath(path, root) for path in paths]
+    return [f"{name} ({i})" if shown.count(name) > 1 else name for i, name in enumerate(shown)]
+
+
+__all__ = ["MOST_OVERLAID", "PAGE_NAME", "Report", "report_page"]

@@ -1,0 +1,114 @@
+"""The ranking of runs in a report: that of ``trms compare``, also over rows of the index."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from trms_cli.commands.report_sweeps import keys_of, typed_of, value_of
+
+if TYPE_CHECKING:
+    from trms_cli.reporting.report_comparison import RankedEntrant
+    from trms_cli.reporting.reported_sweep import Value
+    from trms_cli.runs.finding import Found
+    from trms_cli.scoring.comparison.compared_run import ComparedRun
+
+#: Coordinates that every ranking looks at, also where runs do not differ in them.
+_RANKED = ("controller", "observer", "ref", "model", "plant", "seed")
+
+
+def ranking_of(runs: Sequence[ComparedRun]) -> tuple[list[RankedEntrant], str]:
+    """The ranking that ``trms compare`` prints, and its rule; empty where nobody can be ranked."""
+    from trms_cli.commands.compare import ordered
+    from trms_cli.scoring.comparison.document import rule
+    from trms_cli.scoring.comparison.grouping import group
+    from trms_cli.scoring.comparison.ranking import rank
+
+    ranking = rank(group(runs))
+    if not ranking.best:
+        return [], ""
+    return [_entrant(s, ranking.metric) for s in ordered(ranking, "rank")], rule(ranking)
+
+
+def compared(found: Found) -> list[ComparedRun]:
+    """Rows of the index as a ranking takes them, without reading a log again."""
+    from trms_cli.scoring.comparison.compared_run import ComparedRun
+
+    typed = [typed_of(row) for row in found.runs]
+    keys = keys_of(found.runs, typed)
+    return [
+        ComparedRun(
+            path=str(row["path"]),
+            coordinates={key: _coordinate(value_of(row, values, key)) for key in (*_RANKED, *keys)},
+            state=_state(row),
+            score=_score(row),
+            message=str(row.get("problem") or ""),
+        )
+        for row, values in zip(found.runs, typed, strict=True)
+    ]
+
+
+def _coordinate(value: Value) -> str:
+    return "–" if value in (None, "") else str(value)
+
+
+def _state(row: Mapping[str, Any]) -> Any:
+    from trms_cli.scoring.comparison.compared_run import State
+
+    if row.get("outcome") == "failed":
+        return State.FAILED
+    return State.DONE if row.get("complete") else State.INCOMPLETE
+
+
+def _score(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures of a row in the shape of a score, as far as a ranking asks for them."""
+    from trms_cli.runs.columns import CHANNEL_FIGURES, INPUT_FIGURES
+
+    def of(figures: Sequence[tuple[Any, ...]], name: str) -> dict[str, Any]:
+        return {key: row.get(f"{stem}_{name}") for stem, key, *_ in figures}
+
+    channels = {
+        n: of(CHANNEL_FIGURES, n)
+        for n in ("alpha_v", "alpha_h")
+        if row.get(f"rmse_{n}") is not None
+    }
+    inputs = {n: of(INPUT_FIGURES, n) for n in ("u_v", "u_h") if row.get(f"effort_{n}") is not None}
+    return {
+        "duration_s": row.get("duration"),
+        "channels": channels,
+        "inputs": inputs,
+        "solver": {
+            "time_ms": {key: row.get(f"solve_{key}") for key in ("median", "p99", "max")},
+            "failures": row.get("failures"),
+            "deadline_misses": row.get("deadline_misses"),
+        },
+    }
+
+
+def _entrant(standing: Any, metric: str) -> RankedEntrant:
+    from trms_cli.reporting.report_comparison import RankedEntrant
+    from trms_cli.scoring.comparison.figures import figures_of
+
+    told, unit = figures_of(standing, metric), "rad"
+    interval = standing.interval
+    return RankedEntrant(
+        name=standing.name,
+        rank=standing.rank,
+        ratio=standing.ratio,
+        low=None if interval is None else interval.low,
+        high=None if interval is None else interval.high,
+        against_first=standing.against_first if standing.rank != 1 else None,
+        different=standing.different,
+        figures={
+            "runs": told.runs,
+            "failed": told.failed,
+            f"{metric.upper()}, mean [{unit}]": told.error_mean,
+            f"{metric.upper()}, worst [{unit}]": told.error_worst,
+            "effort [V² s]": told.effort,
+            "Σ|Δu| [V]": told.variation,
+            "step [ms]": told.step_ms,
+            "step p99 [ms]": told.step_p99_ms,
+            "fall-backs": told.fallbacks,
+            "missed": told.missed,
+        },
+    )

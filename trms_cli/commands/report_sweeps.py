@@ -1,0 +1,298 @@
+"""Reads folders of many runs for reports: rows of the index, and a sweep's own words."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun, Value
+    from trms_cli.runs.finding import Found
+    from trms_cli.scoring.comparison.gathering import Gathered
+
+SWEEP_NAME, PAGE_NAME = "sweep.json", "report.html"
+_SWEEP_SCHEMA = "trms.sweep/"
+_LONGEST_PLAN = 64 * 2**20  # bytes of a sweep.json
+_MOST_KEYS = 30
+_LONGEST_PROBLEM = 1_000
+#: Options that are told of a run where they differ.
+_OPTIONS = (
+    "controller",
+    "observer",
+    "ref",
+    "model",
+    "plant",
+    "effects",
+    "faults",
+    "supervisor",
+    "recording",
+    "loop",
+)
+#: Keys that tell where files go, and what is drawn: nothing of what was run.
+_NO_KEYS = frozenset({"out", "picture", "sim.prediction_every"})
+#: Figures of a page, those that say most first.
+_FIGURES = (
+    "rmse", "rmse_yaw", "rmse_pitch", "max_abs_error_yaw", "max_abs_error_pitch", "overshoot_yaw",
+    "overshoot_pitch", "settling_time_yaw", "settling_time_pitch", "steady_state_error_yaw",
+    "steady_state_error_pitch", "effort", "total_variation", "saturation", "solve_median",
+    "solve_p99", "solve_max", "iterations", "deadline_misses", "failures", "violations",
+    "degraded", "landings", "nees", "nis", "duration",
+)  # fmt: skip
+_NUMBERS = "number", "whole"
+
+
+def rows_of(folders: Sequence[Path]) -> Found:
+    """The runs in folders, as ``trms runs`` has them; logs that are new are read."""
+    from trms_cli.commands.runs_screen import Progress
+    from trms_cli.runs.finding import Question, find
+
+    with Progress() as progress:
+        return find(Question(folders=tuple(folders), sort="path", descending=False), progress)
+
+
+def read_sweep(folders: Sequence[Path], found: Found, page_folder: Path) -> ReportedSweep:
+    """Many runs as a report sees them.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Where they lie.
+    found : Found
+        Their rows.
+    page_folder : Path
+        Where the page will be, for links to reports of single runs.
+    """
+    from trms_cli.reporting.reported_sweep import ReportedSweep
+
+    rows = found.runs
+    plan = sweep_document(folders[0]) if len(folders) == 1 else {}
+    objectives, pareto = _objectives(plan)
+    typed = [typed_of(row) for row in rows]
+    keys = keys_of(rows, typed)
+    by = _entrant_keys(keys)
+    root = _root(rows, folders)
+    figures = _figures(rows, objectives)
+    runs = [
+        _swept(row, values, keys, by, figures, root, page_folder)
+        for row, values in zip(rows, typed, strict=True)
+    ]
+    runs.sort(key=lambda run: (run.number is None, run.number or 0))
+    return ReportedSweep(
+        name=root.name or str(root),
+        runs=runs,
+        keys=keys,
+        figures=figures,
+        objectives=objectives,
+        pareto=pareto,
+        left_out=[*found.unreadable],
+        facts=_facts(folders, plan, rows),
+    )
+
+
+def from_scores(gathered: Gathered, folders: Sequence[Path]) -> ReportedSweep:
+    """Runs of which there are scores alone, without a log."""
+    from trms_cli.reporting.reported_sweep import ReportedSweep, SweptRun
+    from trms_cli.runs.columns import ALIASES, COLUMNS, figures_of
+    from trms_cli.scoring.comparison.coordinates import differing
+    from trms_cli.scoring.comparison.grouping import entrant_name, usual_entrants
+
+    told = list(gathered.runs)
+    keys = differing(told)[:_MOST_KEYS]
+    by = usual_entrants(keys)
+    units = {name: COLUMNS[ALIASES.get(name, name)].unit for name in _FIGURES}
+    root = folders[0].resolve() if len(folders) == 1 else Path.cwd()
+    runs = []
+    for run in told:
+        all_figures = figures_of(run.score or {})
+        figures = {
+            name: value
+            for name in _FIGURES
+            if (value := all_figures.get(ALIASES.get(name, name))) is not None
+        }
+        runs.append(
+            SweptRun(
+                name=_relative(run.path, root),
+                entrant=entrant_name(run, [key for key in by if key in keys]),
+                outcome={"done": "completed"}.get(run.state.value, run.state.value),
+                values={key: _number_or_text(run.coordinates.get(key)) for key in keys},
+                figures=figures,
+                problem=run.message[:_LONGEST_PROBLEM],
+            )
+        )
+    present = {name for run in runs for name in run.figures}
+    return ReportedSweep(
+        name=root.name,
+        runs=runs,
+        keys=keys,
+        figures={name: unit for name, unit in units.items() if name in present},
+        left_out=gathered.left_out,
+        facts={
+            "folder": ", ".join(map(str, folders)),
+            "runs": f"{len(runs)}, of which there are scores alone",
+        },
+    )
+
+
+def sweep_document(folder: Path) -> Mapping[str, Any]:
+    """What a sweep says of itself (``sweep.json``); empty where it does not, or is of others."""
+    try:
+        with (folder / SWEEP_NAME).open("rb") as file:
+            document = json.loads(file.read(_LONGEST_PLAN))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(document, Mapping):
+        return {}
+    return document if str(document.get("schema", "")).startswith(_SWEEP_SCHEMA) else {}
+
+
+def _objectives(plan: Mapping[str, Any]) -> tuple[list[Objective], list[int]]:
+    """What an optimisation seeks, wherever its document has it: names, or mappings with a name."""
+    from trms_cli.reporting.reported_sweep import Objective
+    from trms_cli.runs.columns import ALIASES
+
+    inner = [plan, *(value for value in plan.values() if isinstance(value, Mapping))]
+    holder = next(
+        (each for each in inner if isinstance(each.get("objectives"), (list, Mapping))), {}
+    )
+    given = holder.get("objectives", ())
+    said = {meant: name for name, meant in ALIASES.items() if name in _FIGURES}
+    found = []
+    for each in given:
+        words: Mapping[str, Any] = each if isinstance(each, Mapping) else {"figure": each}
+        name = next((str(words[k]) for k in ("figure", "name", "key") if words.get(k)), "")
+        direction = str(words.get("direction") or words.get("goal") or words.get("sense") or "")
+        if name:
+            found.append(Objective(said.get(name, name), direction.startswith("max")))
+    pareto = holder.get("pareto", ())
+    numbers = [n for n in pareto if isinstance(n, int)] if isinstance(pareto, list) else []
+    return found, numbers
+
+
+def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective]) -> dict[str, str]:
+    """Figures that some run has, with their units."""
+    from trms_cli.runs.columns import ALIASES, COLUMNS
+
+    wanted = dict.fromkeys([*(o.figure for o in objectives), *_FIGURES])
+    found = {}
+    for name in wanted:
+        column = ALIASES.get(name, name)
+        if any(row.get(column) is not None for row in rows):
+            found[name] = COLUMNS[column].unit if column in COLUMNS else ""
+    return found
+
+
+def keys_of(rows: Sequence[Mapping[str, Any]], typed: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Options and typed keys in which runs differ."""
+    found = [o for o in _OPTIONS if len({row.get(o) or "" for row in rows}) > 1]
+    every = dict.fromkeys(key for values in typed for key in values)
+    for key in every:
+        stem = key.partition("@")[0]
+        told = stem in ("effect", "fault") or (key in _OPTIONS and "." not in key)
+        if key in _NO_KEYS or told or key == "seed":
+            continue
+        if len({str(values.get(key)) for values in typed}) > 1:
+            found.append(key)
+    if len({row.get("seed") for row in rows}) > 1:
+        found.append("seed")
+    return found[:_MOST_KEYS]
+
+
+def _entrant_keys(keys: Sequence[str]) -> list[str]:
+    from trms_cli.scoring.comparison.grouping import OF_ENTRANTS
+
+    return [key for key in keys if key.partition(".")[0].partition("@")[0] in OF_ENTRANTS]
+
+
+def _swept(
+    row: Mapping[str, Any], typed: Mapping[str, Any], keys: Sequence[str], by: Sequence[str],
+    figures: Mapping[str, str], root: Path, page_folder: Path,
+) -> SweptRun:  # fmt: skip
+    from trms_cli.reporting.page_rows import relative_link
+    from trms_cli.reporting.reported_sweep import SweptRun
+    from trms_cli.runs.columns import ALIASES
+
+    path = Path(str(row["path"]))
+    own = (path if path.is_dir() else path.parent) / PAGE_NAME
+    own_page = own.parent != page_folder and own.is_file()
+    told = {}
+    for name in figures:
+        value = row.get(ALIASES.get(name, name))
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            told[name] = float(value)
+    values = {key: value_of(row, typed, key) for key in keys}
+    # A setting with a number of its own for each run names no entrant, but a point in a range.
+    named = [key for key in by if "." not in key]
+    return SweptRun(
+        name=_relative(str(path), root),
+        entrant=" + ".join(str(values[key] or "–") for key in named),
+        outcome=str(row.get("outcome") or "unfinished"),
+        values=values,
+        figures=told,
+        problem=str(row.get("problem") or "")[:_LONGEST_PROBLEM],
+        page=relative_link(str(own), str(page_folder)) if own_page else "",
+        number=int(path.name) if path.name.isascii() and path.name.isdigit() else None,
+    )
+
+
+def value_of(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> Value:
+    """What a run has for an option, or for a key that was typed; None for nothing."""
+    found = row.get(key) if key in row else typed.get(key)
+    return found if isinstance(found, (str, int, float)) or found is None else str(found)
+
+
+def typed_of(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Values that were typed for a run, by their dotted keys."""
+    from trms_cli.runs.entry import typed
+
+    try:
+        words = json.loads(row.get("overrides") or "[]")
+    except (ValueError, RecursionError):
+        return {}
+    return typed([str(word) for word in words]) if isinstance(words, list) else {}
+
+
+def _facts(
+    folders: Sequence[Path], plan: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
+) -> dict[str, str]:
+    facts = {"folder": ", ".join(map(str, folders)), "runs": str(len(rows))}
+    command = plan.get("command")
+    if not isinstance(command, str):
+        commands = {row.get("command") for row in rows if row.get("command")}
+        told = str(next(iter(commands))) if len(commands) == 1 else ""
+        # A sweep by Hydra names its own settings too, which nobody typed.
+        command = told.partition(" 'hydra.")[0].partition(" hydra")[0]
+    if command:
+        facts["command"] = f"`{command[:2000].replace('`', chr(39))}`"
+    times = sorted(str(row["time"]) for row in rows if row.get("time"))
+    if times:
+        facts["begun"] = times[0] if times[0] == times[-1] else f"{times[0]} to {times[-1]} UTC"
+    versions = sorted({str(row["version"]) for row in rows if row.get("version")})
+    if versions:
+        facts["version"] = ", ".join(versions)
+    return facts
+
+
+def _root(rows: Sequence[Mapping[str, Any]], folders: Sequence[Path]) -> Path:
+    if len(folders) == 1:
+        return folders[0].resolve()
+    paths = [str(row["path"]) for row in rows]
+    return Path(os.path.commonpath(paths)) if paths else Path.cwd()
+
+
+def _relative(path: str, root: Path) -> str:
+    found = os.path.relpath(os.path.abspath(path), root)
+    return root.name if found == "." else found
+
+
+def _number_or_text(text: str | None) -> Value:
+    if text is None:
+        return None
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -1,0 +1,329 @@
+/* The script of an interactive page: draws its plots with plotly.js, links their time axes, lets
+   tables be sorted and filtered. What stands in the page is data: it is only ever set as text,
+   and as numbers and names of colours in the specifications that reporting/interactive.py wrote. */
+"use strict";
+(() => {
+  const LIGHT = {
+    blue: "#0072b2", vermilion: "#d55e00", green: "#009e73", purple: "#cc79a7", orange: "#c98a00",
+    sky: "#56b4e9", ink: "#222222", grey: "#777777", pale: "#dddddd", alarm: "#c1272d",
+    ground: "#ffffff", grid: "#e4e4e4",
+  };
+  const DARK = {
+    blue: "#5aa9e6", vermilion: "#ff8a4c", green: "#3cc99b", purple: "#e39cc4", orange: "#f0b429",
+    sky: "#9ad4f5", ink: "#e6e6e6", grey: "#9a9a9a", pale: "#4a4d52", alarm: "#ff6b6b",
+    ground: "#17191c", grid: "#33363b",
+  };
+  const PAPER_WIDTH = 680; // pixels of an A4 sheet between its margins
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  const coarse = window.matchMedia("(pointer: coarse)");
+  const CONFIG = {
+    responsive: true,
+    displaylogo: false,
+    doubleClick: "reset",
+    modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+    toImageButtonOptions: { format: "svg", filename: "plot" },
+  };
+  const plots = [];
+  let printing = false;
+
+  // --- plots ------------------------------------------------------------------------------------
+
+  const theme = () => (dark.matches && !printing ? DARK : LIGHT);
+
+  function coloured(value, colours, key) {
+    if (typeof value === "string") {
+      const named = /colou?r$/i.test(key) && value[0] === "@" ? colours[value.slice(1)] : undefined;
+      return named === undefined ? value : named;
+    }
+    if (Array.isArray(value)) return value.map((item) => coloured(item, colours, key));
+    if (value !== null && typeof value === "object") {
+      const made = {};
+      for (const [name, item] of Object.entries(value)) made[name] = coloured(item, colours, name);
+      return made;
+    }
+    return value;
+  }
+
+  function merged(base, over) {
+    const made = { ...base };
+    for (const [key, value] of Object.entries(over)) {
+      const both = value !== null && typeof value === "object" && !Array.isArray(value) &&
+        typeof made[key] === "object";
+      made[key] = both ? merged(made[key], value) : value;
+    }
+    return made;
+  }
+
+  function layoutOf(plot) {
+    const colours = theme();
+    const axis = {
+      gridcolor: colours.grid, zerolinecolor: colours.grid, linecolor: colours.grey,
+      tickcolor: colours.grey, automargin: true, title: { standoff: 6 },
+    };
+    const base = {
+      height: plot.spec.height,
+      margin: { l: 52, r: 14, t: 8, b: 34 },
+      paper_bgcolor: "rgba(0,0,0,0)",
+      plot_bgcolor: "rgba(0,0,0,0)",
+      font: { family: "system-ui, sans-serif", size: 12, color: colours.ink },
+      hovermode: plot.spec.group ? "x unified" : "closest",
+      hoverlabel: { bgcolor: colours.ground, font: { color: colours.ink } },
+      dragmode: coarse.matches ? false : "zoom",
+      legend: { orientation: "h", x: 0, y: 1, xanchor: "left", yanchor: "bottom" },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: colours.grey, activecolor: colours.blue },
+      uirevision: "kept",
+      xaxis: axis,
+      yaxis: axis,
+      yaxis2: axis,
+    };
+    const layout = merged(base, coloured(plot.spec.layout, colours, ""));
+    if (!plot.spec.layout.yaxis2) delete layout.yaxis2;
+    if (printing) layout.width = PAPER_WIDTH;
+    else layout.autosize = true;
+    const variant = plot.spec.variants && plot.spec.variants[plot.variant];
+    for (const [name, text] of Object.entries(variant ? variant.titles : {})) {
+      layout[name] = merged(layout[name], { title: { text } });
+    }
+    return layout;
+  }
+
+  function tracesOf(plot) {
+    const traces = coloured(plot.spec.traces, theme(), "");
+    const variant = plot.spec.variants && plot.spec.variants[plot.variant];
+    if (variant) {
+      variant.traces.forEach((changed, i) => {
+        traces[i] = merged(traces[i], coloured(changed, theme(), ""));
+      });
+    }
+    return traces;
+  }
+
+  function draw(plot) {
+    const drawn = plot.drawn ? Plotly.react : Plotly.newPlot;
+    drawn(plot.place, tracesOf(plot), layoutOf(plot), CONFIG);
+    if (!plot.drawn) {
+      plot.drawn = true;
+      plot.place.on("plotly_relayout", () => follow(plot));
+      plot.place.on("plotly_relayouting", (change) => {
+        if ("xaxis.range[0]" in change) follow(plot);
+      });
+    }
+    if (plot.spec.fans) showFan(plot, plot.fan);
+  }
+
+  const rangeOf = (plot) => plot.place.layout.xaxis.range.map(Number);
+  const alike = (a, b) => a[0] === b[0] && a[1] === b[1];
+
+  /** The others of a group show what this one shows. */
+  function follow(plot) {
+    if (plot.spec.group) show(plot.spec.group, rangeOf(plot));
+  }
+
+  function show(group, range) {
+    for (const other of plots) {
+      if (other.drawn && other.spec.group === group && !alike(rangeOf(other), range)) {
+        Plotly.relayout(other.place, { "xaxis.range": range.slice() });
+      }
+    }
+  }
+
+  // --- what a reader can turn -------------------------------------------------------------------
+
+  function element(tag, properties, ...children) {
+    const made = Object.assign(document.createElement(tag), properties);
+    made.append(...children);
+    return made;
+  }
+
+  function timeTools(tools, group) {
+    const of = () => plots.filter((plot) => plot.drawn && plot.spec.group === group);
+    const moved = (change) => () => {
+      const [first] = of();
+      if (!first) return;
+      const whole = first.spec.layout.xaxis.range;
+      const [low, high] = rangeOf(first);
+      const [from, to] = change(low, high, high - low);
+      show(group, [Math.max(from, whole[0]), Math.min(to, whole[1])]);
+    };
+    const steps = [
+      ["◀", "earlier", (a, b, w) => [a - w / 2, b - w / 2]],
+      ["▶", "later", (a, b, w) => [a + w / 2, b + w / 2]],
+      ["+", "less time, larger", (a, b, w) => [a + w / 4, b - w / 4]],
+      ["−", "more time", (a, b, w) => [a - w / 2, b + w / 2]],
+      ["all", "the whole time", () => [-Infinity, Infinity]],
+    ];
+    const buttons = steps.map(([text, title, change]) => {
+      const button = element("button", { type: "button", textContent: text, title });
+      button.setAttribute("aria-label", title);
+      button.addEventListener("click", moved(change));
+      return button;
+    });
+    tools.append(element("span", { className: "buttons" }, "time ", ...buttons));
+  }
+
+  function showFan(plot, number) {
+    plot.fan = number;
+    const { starts, pairs } = plot.spec.fans;
+    const full = plot.place._fullData;
+    const x = [], y = [], which = [];
+    for (const [all, chosen] of pairs) {
+      x.push(Array.from(full[all].x.slice(starts[number], starts[number + 1])));
+      y.push(Array.from(full[all].y.slice(starts[number], starts[number + 1])));
+      which.push(chosen);
+    }
+    Plotly.restyle(plot.place, { x, y }, which);
+  }
+
+  function fanTools(tools, members) {
+    const times = members[0].spec.fans.times;
+    const slider = element("input", {
+      type: "range", min: 0, max: times.length - 1, value: members[0].fan, className: "fan",
+    });
+    const told = element("output", {});
+    const say = () => { told.textContent = `made at ${times[slider.value]} s`; };
+    slider.setAttribute("aria-label", "which prediction");
+    slider.addEventListener("input", () => {
+      say();
+      for (const plot of members) if (plot.drawn) showFan(plot, Number(slider.value));
+    });
+    say();
+    tools.append(element("label", {}, "prediction ", slider, " ", told));
+  }
+
+  function variantTools(tools, members) {
+    const options = members[0].spec.variants.map((variant, i) =>
+      element("option", { value: i, textContent: variant.label }));
+    const select = element("select", {}, ...options);
+    select.addEventListener("change", () => {
+      for (const plot of members) {
+        plot.variant = Number(select.value);
+        if (plot.drawn) draw(plot);
+      }
+    });
+    tools.append(element("label", {}, "show ", select));
+  }
+
+  function furnish(tools) {
+    const within = plots.filter((plot) => tools.parentElement.contains(plot.place));
+    const groups = new Set(within.map((plot) => plot.spec.group).filter(Boolean));
+    for (const group of groups) timeTools(tools, group);
+    const fans = within.filter((plot) => plot.spec.fans && plot.spec.fans.times.length);
+    if (fans.length) fanTools(tools, fans);
+    const several = within.filter((plot) => plot.spec.variants);
+    if (several.length) variantTools(tools, several);
+    tools.hidden = !tools.childElementCount;
+  }
+
+  // --- tables -----------------------------------------------------------------------------------
+
+  const CONDITION = /^([^<>=!]+)(<=|>=|!=|<|>|=)(.+)$/;
+  const HOLDS = {
+    "<": (a, b) => a < b, ">": (a, b) => a > b, "<=": (a, b) => a <= b, ">=": (a, b) => a >= b,
+    "=": (a, b) => a === b, "!=": (a, b) => a !== b,
+  };
+
+  function valueOf(cell) {
+    if (cell.dataset.v !== undefined) return Number(cell.dataset.v);
+    return cell.classList.contains("number") ? NaN : cell.textContent.trim().toLowerCase();
+  }
+
+  function tableOf(table) {
+    const body = table.tBodies[0];
+    const heads = Array.from(table.tHead.rows[0].cells);
+    const keys = heads.map((head) => (head.dataset.key || head.textContent).trim().toLowerCase());
+    const rows = Array.from(body.rows, (row) => ({
+      row,
+      values: Array.from(row.cells, valueOf),
+      text: row.textContent.toLowerCase(),
+    }));
+    let sorted = null, falling = false;
+
+    function sort(column) {
+      falling = sorted === column ? !falling : false;
+      sorted = column;
+      const empty = (value) => value === "" || value === "–" || Number.isNaN(value);
+      const order = (a, b) => {
+        const [p, q] = [a.values[column], b.values[column]];
+        if (empty(p) || empty(q)) return empty(p) - empty(q); // what is missing stays last
+        if (typeof p === "number" && typeof q === "number") return falling ? q - p : p - q;
+        return (falling ? -1 : 1) * String(p).localeCompare(String(q), "en", { numeric: true });
+      };
+      rows.sort(order);
+      body.append(...rows.map((each) => each.row));
+      heads.forEach((head, i) => {
+        if (i === column) head.setAttribute("aria-sort", falling ? "descending" : "ascending");
+        else head.removeAttribute("aria-sort");
+      });
+    }
+
+    function condition(word) {
+      const parts = CONDITION.exec(word);
+      const column = parts ? keys.indexOf(parts[1]) : -1;
+      if (column < 0) return (each) => each.text.includes(word);
+      const wanted = Number(parts[3]);
+      return (each) => {
+        const value = each.values[column];
+        if (typeof value === "number") {
+          return !Number.isNaN(value) && HOLDS[parts[2]](value, wanted);
+        }
+        return HOLDS[parts[2]](value, parts[3]);
+      };
+    }
+
+    function filter(text) {
+      const conditions = text.toLowerCase().split(/\s+/).filter(Boolean).map(condition);
+      let left = 0;
+      for (const each of rows) {
+        const kept = conditions.every((holds) => holds(each));
+        each.row.hidden = !kept;
+        left += kept;
+      }
+      return left;
+    }
+
+    heads.forEach((head, i) => {
+      const button = element("button", { type: "button", title: "sort" });
+      button.append(...head.childNodes);
+      head.append(button);
+      button.addEventListener("click", () => sort(i));
+    });
+    const tools = table.closest(".sortable").querySelector(".tools");
+    const input = element("input", {
+      type: "search", placeholder: "words, or a column: " + (table.dataset.example || ""),
+    });
+    input.setAttribute("aria-label", "filter the rows");
+    const count = element("output", { textContent: `${rows.length} rows` });
+    input.addEventListener("input", () => {
+      const left = filter(input.value);
+      count.textContent = left === rows.length ? `${left} rows` : `${left} of ${rows.length} rows`;
+    });
+    tools.append(element("label", {}, "filter ", input), " ", count);
+    tools.hidden = false;
+  }
+
+  // --- the page ---------------------------------------------------------------------------------
+
+  for (const place of document.querySelectorAll("div.plot")) {
+    const text = place.parentElement.querySelector("script.plot-data").textContent;
+    const spec = JSON.parse(text);
+    plots.push({ place, spec, drawn: false, variant: 0, fan: 0 });
+    place.style.minHeight = `${spec.height}px`; // the page does not jump when it is drawn
+  }
+  document.querySelectorAll(".section-tools").forEach(furnish);
+  document.querySelectorAll(".sortable table").forEach(tableOf);
+
+  function drawNext(number) {
+    if (number >= plots.length) {
+      document.documentElement.dataset.plots = "drawn";
+      return;
+    }
+    if (!plots[number].drawn) draw(plots[number]);
+    window.setTimeout(drawNext, 0, number + 1); // the reader may scroll meanwhile
+  }
+  drawNext(0);
+
+  const again = () => { for (const plot of plots) draw(plot); };
+  dark.addEventListener("change", again);
+  window.addEventListener("beforeprint", () => { printing = true; again(); });
+  window.addEventListener("afterprint", () => { printing = false; again(); });
+})();

@@ -1,0 +1,205 @@
+"""The page of one run: a sentence, facts, time plots with linked axes, solver, score.
+
+::
+
+    page = run_page(run)          # a ReportedRun
+    page.write(folder / "report.html")
+
+From a notebook, with a log's path: :func:`trms_cli.commands.report_pages.report_page`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+from trms_cli.reporting.interactive import MOST_POINTS
+from trms_cli.reporting.page import Page
+from trms_cli.reporting.page_rows import RowCell, RowColumn
+from trms_cli.reporting.report_phase import fan_plots, phase_plots
+from trms_cli.reporting.report_scores import figure, score_tables
+from trms_cli.reporting.report_signals import (
+    angle_plots,
+    command_plot,
+    innovation_plots,
+    label_of,
+    state_plots,
+    torque_plots,
+    whole_time,
+)
+from trms_cli.reporting.report_solver import solver_plots
+from trms_cli.reporting.reported import ReportedRun
+
+_MOST_EVENTS = 500
+_LONGEST_CONFIG = 200_000  # characters
+#: Options that are named under the lead, with the words for them.
+_PARTS = {
+    "model": "model", "plant": "rig", "effect": "effects", "fault": "faults",
+    "observer": "observer", "controller": "controller", "ref": "reference",
+    "supervisor": "supervisor",
+}  # fmt: skip
+
+THINNED = (
+    f"Curves of more than {MOST_POINTS} samples are thinned: of each stretch of the time the least "
+    "and the largest sample are kept, so that no peak is lost. The log has all of them."
+)
+
+
+def run_page(run: ReportedRun, *, title: str = "") -> Page:
+    """The page of a run, ready to be written.
+
+    Parameters
+    ----------
+    run : ReportedRun
+    title : str
+        Default: what ran against what, and the run's name.
+    """
+    page = Page(title or title_of(run), _lead(run), _facts(run))
+    first = angle_plots(run) + command_plot(run)
+    inner = state_plots(run) + torque_plots(run)
+    innovations = innovation_plots(run)
+    predictions = fan_plots(run)
+    solver = solver_plots(run)
+    timed = [*first, *inner, *innovations, *predictions, *solver]
+    whole_time(timed, run.begin, run.end)
+    if not timed:
+        page.section("Nothing to draw", "The log holds no sample of any signal.")
+    if first:
+        page.section(
+            "Angles and commands",
+            "Drag over a time to enlarge it: all plots of this page follow. A double click goes "
+            "back; a click on a name hides its curve.",
+        )
+        page.plots(first)
+    if inner:
+        page.section("Speeds, rates and torques")
+        page.plots(inner)
+    if innovations:
+        page.section(
+            "Innovations",
+            "Measured minus foretold by the observer. Those of a consistent observer stay within "
+            "the band for 95 % of the samples, without a pattern.",
+        )
+        page.plots(innovations)
+    phases = phase_plots([run])
+    if phases:
+        page.section("Phase plots")
+        page.plots(phases)
+    if predictions:
+        page.section(
+            "Predictions",
+            "What the controller expected, each from the moment it was made. The slider chooses "
+            "the bold one.",
+        )
+        page.plots(predictions)
+    if solver:
+        page.section("Solver")
+        page.plots(solver)
+    if run.score:
+        page.section("Score")
+        score_tables(page, run)
+    _events(page, run)
+    page.section("How this page was made", THINNED)
+    if run.command:
+        page.text("What was typed:")
+        page.command(run.command)
+    if run.config:
+        page.details("The whole configuration", _cut(run.config))
+    return page
+
+
+def title_of(run: ReportedRun) -> str:
+    """``newton_mpc on square: first``; without choices the name alone."""
+    controller, reference = run.choices.get("controller", ""), run.choices.get("ref", "")
+    what = controller
+    if controller and reference and "/reference" in run.times:
+        what = f"{controller} on {reference}"
+    return f"{what}: {run.name}" if what else run.name
+
+
+def ended(run: ReportedRun) -> str:
+    """How it ended, in a word or two."""
+    return {"completed": "completed", "died": "did not end"}.get(run.outcome, f"was {run.outcome}")
+
+
+def _lead(run: ReportedRun) -> list[str]:
+    parts = []
+    for name, told in (run.score.get("channels") or {}).items():
+        value = figure(run.score, "channels", name, "rmse")
+        if value is not None:
+            parts.append(f"{label_of(name)} to {value:.3g} {told.get('unit', 'rad')}")
+    who = run.choices.get("controller") or "The run"
+    if parts:
+        sentence = f"**{who}** followed {' and '.join(parts)} (RMSE) over {run.duration:g} s"
+    else:
+        sentence = f"**{who}**: {run.duration:g} s without a reference to follow"
+    sentence += f", {_trouble(run)}."
+    return [sentence, *_problems(run)]
+
+
+def _trouble(run: ReportedRun) -> str:
+    misses = figure(run.score, "solver", "deadline_misses")
+    failures = figure(run.score, "solver", "failures")
+    words = []
+    if misses is not None:
+        words.append("no deadline missed" if not misses else f"**{misses:g} deadlines missed**")
+    if failures:
+        words.append(f"**{failures:g} fall-backs**")
+    injected = sum(event.kind == "fault_injected" for event in run.events)
+    if injected:
+        words.append(f"{injected} fault{'s' if injected > 1 else ''} injected")
+    held = sum(event.kind == "fault" for event in run.events)
+    if held:
+        words.append(f"**{held} commands that were no numbers**")
+    share = (run.score.get("degraded") or {}).get("share") or {}
+    unwell = sum(value for value in share.values() if isinstance(value, (int, float)))
+    if unwell and math.isfinite(unwell):
+        words.append(f"not normal for {100 * unwell:.3g} % of the time")
+    return ", ".join(words) or "nothing to report of a solver"
+
+
+def _problems(run: ReportedRun) -> list[str]:
+    told = list(run.problems)
+    if run.outcome != "completed" and not told:
+        told = [f"the run {ended(run)}"]
+    if not told:
+        return []
+    return [f"**Incomplete**: {'; '.join(told)}. What follows goes as far as the log does."]
+
+
+def _facts(run: ReportedRun) -> dict[str, str]:
+    facts = {words: run.choices[group] for group, words in _PARTS.items() if run.choices.get(group)}
+    facts |= {"outcome": ended(run), "duration": f"{run.duration:g} s"}
+    facts |= dict(run.facts)
+    if run.repeat:
+        facts["the same again"] = f"`{run.repeat.replace('`', chr(39))}`"
+    return facts
+
+
+def _events(page: Page, run: ReportedRun) -> None:
+    if not run.events:
+        return
+    counts = Counter(event.kind for event in run.events)
+    page.section(
+        "Events",
+        "; ".join(f"{kind} {count}" for kind, count in counts.most_common(20)) + ".",
+    )
+    columns = [
+        RowColumn("time [s]", "time", number=True, decimals=2),
+        RowColumn("what", "what"),
+        RowColumn("where", "where"),
+        RowColumn("in words", "words"),
+        RowColumn("value", "value", number=True),
+    ]
+    rows: list[list[RowCell]] = [
+        [e.time, e.kind, e.source, e.message, e.value] for e in run.events[:_MOST_EVENTS]
+    ]
+    left = len(run.events) - len(rows)
+    more = f"The first {_MOST_EVENTS}; {left} more are in the log." if left else ""
+    page.rows(columns, rows, more, example="what=fault")
+
+
+def _cut(text: str) -> str:
+    if len(text) <= _LONGEST_CONFIG:
+        return text
+    return text[:_LONGEST_CONFIG] + f"\n… ({len(text) - _LONGEST_CONFIG} more characters)"

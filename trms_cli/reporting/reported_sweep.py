@@ -1,0 +1,164 @@
+"""Many runs as a report sees them: a row of figures each, and what was varied between them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+#: What a key or figure may be of a run.
+Value = str | float | int | bool | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweptRun:
+    """A run of many.
+
+    Attributes
+    ----------
+    name : str
+        Its folder, from that of all.
+    entrant : str
+        Who ran: the options and settings that a ranking tells apart.
+    outcome : str
+        ``completed``, ``failed``, ``interrupted``, ``unfinished``, ….
+    values : dict of str to value
+        By key that differs between runs (:attr:`ReportedSweep.keys`).
+    figures : dict of str to float
+        By name (:attr:`ReportedSweep.figures`); missing for what it does not have.
+    problem : str
+        Why it failed.
+    page : str
+        Address of its own report from the page's folder; "" if it has none.
+    number : int or None
+        Of the sweep's run, as its folder is called.
+    """
+
+    name: str
+    entrant: str = ""
+    outcome: str = "completed"
+    values: Mapping[str, Value] = field(default_factory=dict)
+    figures: Mapping[str, float] = field(default_factory=dict)
+    problem: str = ""
+    page: str = ""
+    number: int | None = None
+
+    @property
+    def failed(self) -> bool:
+        """Whether something went wrong with it."""
+        return self.outcome not in ("completed", "unfinished")
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What an optimisation seeks.
+
+    Attributes
+    ----------
+    figure : str
+        Name of a figure.
+    largest : bool
+        It seeks the largest, not the least.
+    """
+
+    figure: str
+    largest: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportedSweep:
+    """Many runs.
+
+    Attributes
+    ----------
+    name : str
+    runs : sequence of SweptRun
+    keys : sequence of str
+        Keys and options in which runs differ.
+    figures : dict of str to str
+        Names of figures with their units, those that say most first.
+    objectives : sequence of Objective
+        Of an optimisation; empty for other sweeps.
+    pareto : sequence of int
+        Numbers of the runs of which none is better in all objectives; empty: worked out here.
+    left_out : sequence of (str, str)
+        Files that could not be read, with the reason.
+    facts : dict of str to str
+    """
+
+    name: str
+    runs: Sequence[SweptRun]
+    keys: Sequence[str] = ()
+    figures: Mapping[str, str] = field(default_factory=dict)
+    objectives: Sequence[Objective] = ()
+    pareto: Sequence[int] = ()
+    left_out: Sequence[tuple[str, str]] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def entrants(self) -> list[str]:
+        """Who ran, in the order of the runs."""
+        return list(dict.fromkeys(run.entrant for run in self.runs))
+
+    @cached_property
+    def numeric_keys(self) -> list[str]:
+        """Keys whose values are numbers, seeds (which have no order) last."""
+        found = [key for key in self.keys if self._is_numeric(key)]
+        return sorted(found, key=lambda key: key.endswith("seed"))
+
+    def title(self, figure: str) -> str:
+        """``rmse_yaw [rad]``."""
+        unit = self.figures.get(figure, "")
+        return f"{figure} [{unit}]" if unit not in ("", "1") else figure
+
+    def of(self, entrant: str) -> list[SweptRun]:
+        """Runs of an entrant that ended well, or go on."""
+        return [run for run in self.runs if run.entrant == entrant and not run.failed]
+
+    def front(self) -> list[SweptRun]:
+        """Runs of which no other is as good in all objectives and better in one.
+
+        As the sweep names them, of those that are here; else worked out.
+        """
+        named = {run.number: run for run in self.runs if run.number is not None}
+        told = [named[number] for number in self.pareto if number in named]
+        return told or self._worked_out()
+
+    def _worked_out(self) -> list[SweptRun]:
+        signs = [-1.0 if objective.largest else 1.0 for objective in self.objectives]
+        known = [
+            run
+            for run in self.runs
+            if not run.failed and all(o.figure in run.figures for o in self.objectives)
+        ]
+        if not known or not signs:
+            return []
+        names = [objective.figure for objective in self.objectives]
+        costs = np.array([[run.figures[name] for name in names] for run in known]) * signs
+        return [run for run, kept in zip(known, undominated(costs), strict=True) if kept]
+
+    def _is_numeric(self, key: str) -> bool:
+        present = [run.values[key] for run in self.runs if run.values.get(key) is not None]
+        return bool(present) and all(
+            isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)
+            for v in present
+        )
+
+
+def undominated(costs: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Which rows no other row dominates: as small in all columns, smaller in one.
+
+    Parameters
+    ----------
+    costs : (n, objectives) array
+    """
+    kept = np.ones(len(costs), dtype=bool)
+    for i in np.lexsort(costs.T[::-1]):
+        if kept[i]:
+            beaten = (costs[i] <= costs).all(axis=1) & (costs[i] < costs).any(axis=1)
+            kept &= ~beaten
+    return kept
