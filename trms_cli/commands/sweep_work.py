@@ -28,12 +28,15 @@ from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.runs.columns import figures_of
 from trms_cli.sweeps.driver import DISK_FULL
 from trms_cli.sweeps.launcher import Attempt
+from trms_cli.sweeps.leaving import leaving
 from trms_cli.sweeps.point import Result, State
 from trms_cli.sweeps.record import STOP_NAME
 from trms_cli.sweeps.status import SCHEMA, SIGN_EVERY, RunFolder, now, result_of
 
 #: Lines of a run's standard error that are kept.
 _MOST_NOTES = 20
+#: A worker with several threads makes one run after another: they share compiled functions.
+_ONE_AT_A_TIME = threading.Lock()
 _LOOK = 0.5  # s between two looks whether the sweep is to stop
 
 
@@ -66,9 +69,13 @@ class MakeRun:
 
     def __call__(self, attempt: Attempt) -> Result | None:
         """Make the run; every failure is told in the result, and in the run's ``status.json``."""
+        with _ONE_AT_A_TIME:
+            return self._called(attempt)
+
+    def _called(self, attempt: Attempt) -> Result | None:
         point = attempt.point
         sweep = Path(self.folder)
-        if (sweep / STOP_NAME).exists():
+        if leaving.is_set() or (sweep / STOP_NAME).exists():
             return Result(point.number, "interrupted")
         run = RunFolder(sweep, point.number)
         try:
@@ -184,7 +191,8 @@ class _Watch(threading.Thread):
         """Until the run has ended."""
         last = monotonic()
         while not self._done.wait(_LOOK):
-            if self._stop_file.exists() or os.getppid() != self._parent:
+            orphaned = os.getppid() != self._parent
+            if orphaned or leaving.is_set() or self._stop_file.exists():
                 self._interrupt()
                 return
             if monotonic() - last >= SIGN_EVERY:

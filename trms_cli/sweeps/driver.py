@@ -29,6 +29,8 @@ _AHEAD = 1
 _LOOK = 0.5
 #: s that running ones have to end when the sweep is interrupted.
 _GRACE = 30.0
+#: A worker that is told to go (a job out of time, preempted) has not failed at its run.
+_MOST_INTERRUPTIONS = 20
 _NOBODY = Claim(0, "", 0, "")
 
 
@@ -216,20 +218,22 @@ class Driver:
         told = folder.result()
         if told is not None and told.state != "interrupted":
             self._take(told)
-        elif told is None and folder.last_attempt() < attempt.number:
-            self._waiting.appendleft(attempt)  # it died before it began with this one
+        elif folder.last_attempt() < attempt.number:
+            self._waiting.appendleft(attempt)  # it left before it began with this one
         elif told is None and is_alive(folder.holder() or _NOBODY) is not False:
             self._watch(attempt)
+        elif told is not None:
+            self._try_again(attempt, "it was told to end each time", _MOST_INTERRUPTIONS)
         else:
-            self._try_again(attempt, ended.reason or "it was ended from outside")
+            self._try_again(attempt, ended.reason or "no reason given", self._retries)
 
-    def _try_again(self, attempt: Attempt, reason: str) -> None:
+    def _try_again(self, attempt: Attempt, reason: str, most: int) -> None:
         if self._stopping:
             return
         point = attempt.point
         tries = self._tries[point.number] = self._tries.get(point.number, 0) + 1
         folder = RunFolder(self._record.folder, point.number)
-        if tries <= self._retries:
+        if tries <= most:
             self.progress.retried += 1
             self._waiting.append(Attempt(point, max(folder.last_attempt(), attempt.number) + 1))
             return
@@ -254,9 +258,12 @@ class Driver:
             if result is not None and result.state != "interrupted":
                 del self._watched[number]
                 self._take(result)
-            elif result is not None or not watched.lives(folder):
+            elif result is not None:
                 del self._watched[number]
-                self._try_again(watched.attempt, "it gives no sign of life")
+                self._try_again(watched.attempt, "it was ended", _MOST_INTERRUPTIONS)
+            elif not watched.lives(folder):
+                del self._watched[number]
+                self._try_again(watched.attempt, "it gave no sign of life any more", self._retries)
 
     def _stop(self, crew: Crew) -> None:
         """Have the running ones end, and wait for them."""

@@ -1,0 +1,274 @@
+"""Workers of Dask: a scheduler that runs already, on any machines, or a cluster of this machine.
+
+Dask hands a task of a worker that died to another one by itself. It does not get run twice: the
+attempt has been begun, so the second worker leaves it, and the driver decides about the next
+attempt. Where the scheduler is ours it is told not to try.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import queue
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.sweeps.launcher import Attempt, Crew, Ended, Work
+from trms_cli.sweeps.launchers.local import ONE_THREAD
+
+INSTALL = "pip install 'trms-cli[cluster]'"
+_EVERY = 2.0  # s between two counts of the workers
+_numbers = itertools.count()
+
+
+@dataclass(frozen=True, kw_only=True)
+class DaskLauncher:
+    """Workers of Dask.
+
+    Attributes
+    ----------
+    address : str or None
+        Of a scheduler that runs, ``tcp://head:8786``; None: a cluster of processes on this
+        machine, for this sweep.
+    workers : int or None
+        Processes of the cluster on this machine; None: one for each core. A scheduler that runs
+        has the workers that it has.
+    patience : float
+        Time that a scheduler, and its first worker, have to answer, s.
+    """
+
+    address: str | None = None
+    workers: Annotated[int, Meta(ge=1, le=4096)] | None = None
+    patience: Annotated[float, Meta(gt=0)] = 30.0
+
+    @contextmanager
+    def crew(self, work: Work) -> Iterator[Crew]:
+        """Connect to the scheduler, or start a cluster."""
+        dask = require_distributed("dask")
+        if self.address is not None and self.workers is not None:
+            raise ConfigurationError(
+                f"{self.workers} given, and the scheduler at {self.address} has its own workers",
+                where="launcher.workers",
+                remedy="leave one of the two out",
+            )
+        with contextlib.ExitStack() as stack:
+            target: Any = self.address
+            if target is None:
+                from joblib import cpu_count
+
+                target = stack.enter_context(cluster(self.workers or max(1, cpu_count())))
+            client = stack.enter_context(connected(dask, target, self.patience))
+            if self.address is None:
+                client.register_plugin(worker_plugin())
+            wait_for_workers(client, self.patience, str(self.address or "this machine"))
+            crew = DaskCrew(client, work, str(self.address or "this machine"))
+            stack.callback(crew.end)
+            yield crew
+
+
+def require_distributed(launcher: str) -> Any:
+    """The package ``distributed``.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not installed; it tells the line that installs it.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise ConfigurationError(
+            f"launcher={launcher} needs the package distributed, which is not installed",
+            where="launcher",
+            remedy=f"{INSTALL}, or launcher=local for the cores of this machine",
+        ) from error
+    return distributed
+
+
+@contextmanager
+def cluster(workers: int, **more: Any) -> Iterator[Any]:
+    """A scheduler in this process, and worker processes of it on this machine."""
+    import dask
+    from distributed import LocalCluster
+
+    # A worker that dies takes its task with it: the driver decides whether it is tried again.
+    with dask.config.set(
+        {
+            "distributed.scheduler.allowed-failures": 0,
+            "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+            "distributed.logging.distributed": "critical",
+        }
+    ):
+        started = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+            **more,
+        )
+        try:
+            yield started
+        finally:
+            with contextlib.suppress(Exception):
+                started.close(timeout=10)
+
+
+@contextmanager
+def connected(distributed: Any, target: Any, patience: float, **more: Any) -> Iterator[Any]:
+    """A client of a scheduler.
+
+    Raises
+    ------
+    ConfigurationError
+        If it does not answer.
+    """
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    try:
+        client = distributed.Client(
+            target, timeout=patience, set_as_default=False, name="trms", **more
+        )
+    except (OSError, ValueError, TimeoutError, ImportError) as error:
+        raise ConfigurationError(
+            f"the Dask scheduler {target} does not answer ({_first_line(error)})",
+            where="launcher.address",
+            remedy="start one (`dask scheduler`, and `dask worker ADDRESS --nthreads 1` on each "
+            "machine), or leave the address out for this machine alone",
+        ) from error
+    try:
+        yield client
+    finally:
+        with contextlib.suppress(Exception), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            client.close(timeout=5)
+
+
+def wait_for_workers(client: Any, patience: float, where: str) -> None:
+    """Wait for the first worker.
+
+    Raises
+    ------
+    ConfigurationError
+        If none comes.
+    """
+    try:
+        client.wait_for_workers(1, timeout=patience)
+    except TimeoutError as error:
+        raise ConfigurationError(
+            f"no worker has joined the Dask scheduler ({where}) within {patience:g} s",
+            where="launcher",
+            remedy="start workers: `dask worker ADDRESS --nthreads 1`; or raise launcher.patience",
+        ) from error
+
+
+class DaskCrew:
+    """What is submitted to a scheduler, and comes back from it.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    work : callable
+    where : str
+        The scheduler, for messages.
+    """
+
+    def __init__(self, client: Any, work: Work, where: str) -> None:
+        self._client, self._work, self._where = client, work, where
+        self._given: dict[str, tuple[Any, Attempt]] = {}
+        self._came: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._workers, self._counted = 1, -_EVERY
+        self._name = f"trms-{time.time_ns():x}-{next(_numbers)}"
+
+    @property
+    def workers(self) -> int:
+        """Worker processes that the scheduler has at present; at least one, for there may come."""
+        here = time.monotonic()
+        if here - self._counted >= _EVERY:
+            self._counted = here
+            with contextlib.suppress(Exception):
+                self._workers = max(1, len(self._client.nthreads()))
+        return self._workers
+
+    def submit(self, attempts: Sequence[Attempt]) -> None:
+        """Have runs made."""
+        keys = [f"{self._name}-{each.point.number}-{next(_numbers)}" for each in attempts]
+        try:
+            futures = self._client.map(self._work, attempts, key=keys, pure=False, retries=0)
+        except Exception as error:
+            raise self._gone(error) from error
+        for key, future, attempt in zip(keys, futures, attempts, strict=True):
+            self._given[key] = (future, attempt)
+            future.add_done_callback(lambda done: self._came.put(done.key))
+
+    def ended(self, timeout_s: float) -> list[Ended]:
+        """Those that have ended since the last call."""
+        found: list[Ended] = []
+        with contextlib.suppress(queue.Empty):
+            key = self._came.get(timeout=timeout_s)
+            while True:
+                found += self._taken(key)
+                key = self._came.get_nowait()
+        if not found and self._client.status not in ("running", "newly-created"):
+            raise self._gone(None)
+        return found
+
+    def end(self) -> None:
+        """Take back what has not ended."""
+        futures = [future for future, _ in self._given.values()]
+        with contextlib.suppress(Exception):
+            self._client.cancel(futures, force=True)
+
+    def _taken(self, key: str) -> list[Ended]:
+        future, attempt = self._given.pop(key, (None, None))
+        if attempt is None or future is None:
+            return []
+        if future.status == "finished":
+            result = future.result(timeout=30)
+            reason = "" if result is not None else "another worker had begun it"
+            return [Ended(attempt, result, reason)]
+        if future.status == "error":
+            error = future.exception(timeout=30)
+            if type(error).__name__ in ("KilledWorker", "CancelledError", "WorkerClosedError"):
+                return [Ended(attempt, None, "the process that ran it died")]
+            return [Ended(attempt, None, _first_line(error))]
+        if self._client.status != "running":  # taken back, since the connection is lost
+            raise self._gone(None)
+        return [Ended(attempt, None, f"Dask has {future.status} it")]
+
+    def _gone(self, error: Exception | None) -> TrmsError:
+        reason = f" ({_first_line(error)})" if error is not None else ""
+        return TrmsError(
+            f"the Dask scheduler ({self._where}) is gone{reason}",
+            where="launcher",
+            remedy="start it again, then `trms sweep resume FOLDER`",
+        )
+
+
+def worker_plugin() -> Any:
+    """Ctrl-C is this process's to handle, not that of each worker."""
+    from distributed import WorkerPlugin
+
+    class Apart(WorkerPlugin):
+        name = "trms: apart from the terminal"
+
+        def setup(self, worker: Any) -> None:
+            import signal
+
+            with contextlib.suppress(ValueError):  # not in the main thread
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    return Apart()
+
+
+def _first_line(error: BaseException | None) -> str:
+    lines = [line.strip() for line in str(error or "").splitlines() if line.strip()]
+    return lines[0] if lines else type(error).__name__
