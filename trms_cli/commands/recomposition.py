@@ -121,7 +121,8 @@ class Recomposer:
         return composition if job is None else _numbered(composition, job)
 
     def _composed(self, request: Request) -> Composition:
-        choices, values = [], []
+        choices: list[tuple[str, Override]] = []
+        values: list[tuple[str, Override]] = []
         for text in request.overrides:
             override = parse(text, self._groups)
             (values if self._is_value(override) else choices).append((text, override))

@@ -185,4 +185,4 @@ def task_of(plan: Plan) -> Task:
             where="sweep.json",
             remedy="a sweep that was begun from Python is gone on with from Python",
         )
-    return found  # type: ignore[no-any-return]
+    return found

@@ -1,0 +1,301 @@
+"""Jobs of SLURM: a job array of workers, each of which takes many runs.
+
+submitit submits the jobs; each is a worker of a Dask scheduler in this process, so that runs are
+handed out one by one and a job that is preempted, out of time or killed costs the run that it was
+at. A job that is told to go (SIGTERM, or submitit's signal before the time limit) ends its run as
+interrupted, which is then made again elsewhere. Where jobs have ended while there is work, others
+are submitted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
+
+from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.sweeps.launcher import Crew, Ended, Work
+from trms_cli.sweeps.launchers.dask import (
+    INSTALL,
+    DaskCrew,
+    cluster,
+    connected,
+    require_distributed,
+    wait_for_workers,
+)
+from trms_cli.sweeps.launchers.local import ONE_THREAD, InProcess
+
+#: s between two looks at jobs that have ended.
+_LOOK = 10.0
+#: s that a run has to end in, in a job that is told to go.
+_GRACE = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlurmLauncher:
+    """Jobs of SLURM.
+
+    Attributes
+    ----------
+    workers : int
+        Jobs of the array, each making one run at a time.
+    cluster : "slurm", "local" or "debug"
+        ``local``: the jobs are processes on this machine, ``debug``: the runs are made in this
+        process; both to try a sweep before it goes to the cluster.
+    partition : str or None
+        Of SLURM; None: its default.
+    timeout_min : int
+        Time limit of a job, min.
+    cpus : int
+        Processors of a job.
+    mem_gb : float or None
+        Memory of a job, GB; None: SLURM's default.
+    parallelism : int or None
+        Jobs of the array that run at once at most; None: all.
+    parameters : dict
+        Further parameters of submitit: ``slurm_account``, ``slurm_qos``, …
+    host : str or None
+        Name or address of this machine as the jobs reach it; None: by its host name.
+    logs : str
+        Folder for what the jobs print, seen by all machines.
+    patience : float
+        Time that the first job may wait in the queue, s.
+    """
+
+    workers: Annotated[int, Meta(ge=1, le=10000)] = 8
+    cluster: Literal["slurm", "local", "debug"] = "slurm"
+    partition: str | None = None
+    timeout_min: Annotated[int, Meta(ge=1)] = 60
+    cpus: Annotated[int, Meta(ge=1)] = 1
+    mem_gb: Annotated[float, Meta(gt=0)] | None = None
+    parallelism: Annotated[int, Meta(ge=1)] | None = None
+    parameters: dict[str, Any] = field(default_factory=dict)
+    host: str | None = None
+    logs: str = "slurm-logs"
+    patience: Annotated[float, Meta(gt=0)] = 86400.0
+
+    @contextmanager
+    def crew(self, work: Work) -> Iterator[Crew]:
+        """Submit the jobs, and wait for the first of them."""
+        if self.cluster == "debug":
+            yield InProcess(work)
+            return
+        distributed = require_distributed("slurm")
+        executor = self._executor()
+        host = self.host or ("127.0.0.1" if self.cluster == "local" else _own_address())
+        with contextlib.ExitStack() as stack:
+            started = stack.enter_context(cluster(0, host=host))
+            client = stack.enter_context(connected(distributed, started, 30.0))
+            jobs = _Jobs(executor, started.scheduler_address, self.workers)
+            stack.callback(jobs.cancel)
+            jobs.submit(self.workers)
+            jobs.wait_for_first(client, self.patience)
+            crew = _SlurmCrew(client, work, jobs)
+            stack.callback(crew.end)
+            yield crew
+
+    def _executor(self) -> Any:
+        try:
+            import submitit
+        except ImportError as error:
+            raise ConfigurationError(
+                "launcher=slurm needs the package submitit, which is not installed",
+                where="launcher",
+                remedy=f"{INSTALL}, or launcher=local for the cores of this machine",
+            ) from error
+        folder = Path(self.logs).absolute()
+        try:
+            executor = submitit.AutoExecutor(folder=folder, cluster=self.cluster)
+        except RuntimeError as error:
+            raise ConfigurationError(
+                f"there is no SLURM on this machine ({error})",
+                where="launcher.cluster",
+                remedy="start the sweep where `sbatch` is, or try it with launcher.cluster=local",
+            ) from error
+        given: dict[str, Any] = {
+            "name": "trms-sweep",
+            "timeout_min": self.timeout_min,
+            "cpus_per_task": self.cpus,
+            "mem_gb": self.mem_gb,
+            "slurm_partition": self.partition,
+            "slurm_array_parallelism": self.parallelism,
+        }
+        try:
+            executor.update_parameters(
+                **{key: value for key, value in given.items() if value is not None},
+                **self.parameters,
+            )
+        except (NameError, TypeError, ValueError, AssertionError) as error:
+            raise ConfigurationError(
+                f"submitit refuses it: {error}",
+                where="launcher.parameters",
+                remedy="its parameters of SLURM begin with slurm_: slurm_account, slurm_qos, …",
+            ) from error
+        return executor
+
+
+class _Jobs:
+    """The jobs, and those that take the place of jobs that have ended."""
+
+    def __init__(self, executor: Any, address: str, wanted: int) -> None:
+        self._executor, self._address, self._wanted = executor, address, wanted
+        self._jobs: list[Any] = []
+        self._looked = time.monotonic()
+        self._in_vain = 0  # jobs that have ended since a run was finished
+
+    def submit(self, count: int) -> None:
+        """Submit jobs as one array.
+
+        Raises
+        ------
+        TrmsError
+            If SLURM does not take them.
+        """
+        try:
+            with self._executor.batch():
+                new = [self._executor.submit(serve, self._address) for _ in range(count)]
+        except Exception as error:
+            raise TrmsError(
+                f"the jobs cannot be submitted: {error}",
+                where="launcher",
+                remedy="mend launcher.partition, launcher.timeout_min, launcher.mem_gb or "
+                "launcher.parameters",
+            ) from error
+        self._jobs += new
+
+    def wait_for_first(self, client: Any, patience: float) -> None:
+        """Wait for a worker, and look meanwhile whether jobs end before they have begun.
+
+        Raises
+        ------
+        TrmsError
+            If none comes.
+        """
+        until = time.monotonic() + patience
+        while time.monotonic() < until:
+            with contextlib.suppress(ConfigurationError):
+                wait_for_workers(client, 2.0, "this machine")
+                return
+            if all(job.done() for job in self._jobs):
+                raise self._failed()
+        raise TrmsError(
+            f"no job has begun within {patience:g} s",
+            where="launcher.patience",
+            remedy="see `squeue`; the sweep can be gone on with at any time",
+        )
+
+    def finished_one(self) -> None:
+        """A run has been finished: the jobs work."""
+        self._in_vain = 0
+
+    def replace(self) -> None:
+        """Submit jobs for those that have ended, preempted, out of time or killed.
+
+        Raises
+        ------
+        TrmsError
+            If they end again and again without a finished run.
+        """
+        if time.monotonic() - self._looked < _LOOK:
+            return
+        self._looked = time.monotonic()
+        ended = [job for job in self._jobs if job.done()]
+        if not ended:
+            return
+        self._in_vain += len(ended)
+        if self._in_vain > 3 * self._wanted:
+            raise self._failed()
+        self._jobs = [job for job in self._jobs if job not in ended]
+        self.submit(len(ended))
+
+    def cancel(self) -> None:
+        """End all jobs."""
+        for job in self._jobs:
+            with contextlib.suppress(Exception):
+                job.cancel()
+
+    def _failed(self) -> TrmsError:
+        words = ""
+        for job in self._jobs:
+            with contextlib.suppress(Exception):
+                lines = [line for line in (job.stderr() or "").splitlines() if line.strip()]
+                words = lines[-1].strip() if lines else ""
+                if words:
+                    break
+        return TrmsError(
+            f"the jobs end before they have finished a run{f': {words}' if words else ''}",
+            where="launcher",
+            remedy=f"see what they print in {self._executor.folder}",
+        )
+
+
+class _SlurmCrew(DaskCrew):
+    """Dask's crew, whose workers are jobs."""
+
+    def __init__(self, client: Any, work: Work, jobs: _Jobs) -> None:
+        super().__init__(client, work, "this process")
+        self._jobs = jobs
+
+    def ended(self, timeout_s: float) -> list[Ended]:
+        found = super().ended(timeout_s)
+        if any(each.result is not None for each in found):
+            self._jobs.finished_one()
+        self._jobs.replace()
+        return found
+
+
+def serve(address: str) -> None:
+    """What a job does: it is a worker of the scheduler until that ends, or the job is told to."""
+    os.environ.update(ONE_THREAD)
+    asyncio.run(_served(address))
+
+
+async def _served(address: str) -> None:
+    from distributed import Worker
+
+    from trms_cli.sweeps.leaving import leaving
+
+    worker = Worker(
+        address, nthreads=1, memory_limit=0, dashboard=False, death_timeout=60, heartbeat_interval=2
+    )
+    await worker
+    gone = asyncio.Event()
+
+    async def leave() -> None:
+        leaving.set()  # the run notices
+        until = time.monotonic() + _GRACE
+        while worker.state.executing_count and time.monotonic() < until:
+            await asyncio.sleep(0.1)
+        await asyncio.sleep(0.5)  # for the message to get out
+        await worker.close(reason="the job was told to go")
+        gone.set()
+
+    loop = asyncio.get_running_loop()
+    leaves: list[asyncio.Task[None]] = []
+    for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+        loop.add_signal_handler(number, lambda: leaves.append(asyncio.ensure_future(leave())))
+    await worker.finished()
+    if leaves:
+        await gone.wait()
+
+
+def _own_address() -> str:
+    """The address of this machine by which others reach it."""
+    try:
+        return socket.gethostbyname(socket.gethostname())
+    except OSError as error:
+        raise ConfigurationError(
+            f"this machine's name leads to no address ({error})",
+            where="launcher.host",
+            remedy="name the address by which the jobs reach this machine",
+        ) from error
