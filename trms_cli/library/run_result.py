@@ -18,9 +18,9 @@ from trms_cli.library.result import Result
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
-    from matplotlib.figure import Figure
 
     from trms_cli.recordings.log_reader import LoggedRun
+    from trms_cli.reporting.notebook_figure import NotebookFigure
 
 #: Figures of the table in a notebook: key of a channel, label.
 _FIGURES = (
@@ -120,7 +120,7 @@ class Run(Result):
     def _ipython_key_completions_(self) -> list[str]:
         return self.topics
 
-    def figure(self) -> Figure:
+    def figure(self) -> NotebookFigure:
         """The picture of the run, to be changed or saved: ``run.figure().savefig("run.pdf")``."""
         from trms_cli.reporting.run_picture import figure_of_run
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from textwrap import dedent
 from typing import Any
 
 import numpy as np
@@ -47,9 +49,17 @@ class TimeFunction:
         return np.broadcast_to(values, times.shape).copy()
 
     def __repr__(self) -> str:
-        try:
-            source = inspect.getsource(self.function).strip()
-        except (OSError, TypeError):
-            source = ""
-        name = getattr(self.function, "__name__", "function")
-        return f"TimeFunction({source if source and name == '<lambda>' else name})"
+        return f"TimeFunction({_words_of(self.function)})"
+
+
+def _words_of(function: Callable[..., Any]) -> str:
+    """The name of a function; of a lambda its source, where that can be told from its line's."""
+    name = getattr(function, "__name__", type(function).__name__)
+    if name != "<lambda>":
+        return name
+    try:
+        tree = ast.parse(dedent(inspect.getsource(function)).strip())
+    except (OSError, TypeError, SyntaxError):
+        return name
+    found = [node for node in ast.walk(tree) if isinstance(node, ast.Lambda)]
+    return ast.unparse(found[0]) if len(found) == 1 else name

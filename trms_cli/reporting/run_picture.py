@@ -96,7 +96,7 @@ def figure_of_run(
     *,
     title: str = "",
     limits: Mapping[str, tuple[float, float]] | None = None,
-) -> Figure:
+) -> NotebookFigure:
     """The picture of a run, not yet on any paper; arguments as of :func:`draw_run`."""
     with house_style():
         return _figure(history, score, title, limits or {})
@@ -107,7 +107,7 @@ def _figure(
     score: Mapping[str, Any],
     title: str,
     limits: Mapping[str, tuple[float, float]],
-) -> Figure:
+) -> NotebookFigure:
     channels = _channels(history)
     torques = estimated_torques(history.columns("/estimate"))
     lines = _title_lines(title)
@@ -135,7 +135,7 @@ def _figure(
     return figure
 
 
-def _sheet(heights: Sequence[float], top: float) -> tuple[Figure, list[Axes]]:
+def _sheet(heights: Sequence[float], top: float) -> tuple[NotebookFigure, list[Axes]]:
     """A figure with panels of the given heights (inches) under each other, `top` free above.
 
     Placed by hand: to have the places found takes as long as all the drawing.
