@@ -32,11 +32,15 @@ if TYPE_CHECKING:
     from trms_cli.library.run_result import Run as Run
     from trms_cli.library.running import read_log as read_log
     from trms_cli.library.running import run as run
+    from trms_cli.library.showing import plot as plot
+    from trms_cli.library.showing import report as report
     from trms_cli.library.studying import diagnose as diagnose
     from trms_cli.library.studying import excite as excite
     from trms_cli.library.studying import identify as identify
     from trms_cli.library.studying import stability as stability
     from trms_cli.library.studying import validate as validate
+    from trms_cli.library.sweeping import Sweep as Sweep
+    from trms_cli.library.sweeping import sweep as sweep
     from trms_cli.simulation.closed_loop import Experiment as Experiment
 
 #: Module of each name.
@@ -61,11 +65,15 @@ _HOMES = {
     "Run": "library.run_result",
     "read_log": "library.running",
     "run": "library.running",
+    "plot": "library.showing",
+    "report": "library.showing",
     "diagnose": "library.studying",
     "excite": "library.studying",
     "identify": "library.studying",
     "stability": "library.studying",
     "validate": "library.studying",
+    "Sweep": "library.sweeping",
+    "sweep": "library.sweeping",
     "Experiment": "simulation.closed_loop",
 }
 

@@ -215,7 +215,7 @@ def load(path: str | PathLike[str]) -> Result:
 
     Returns
     -------
-    Run, Fit, Validation, Stability, Diagnosis or Excitation
+    Run, Sweep, Fit, Validation, Stability, Diagnosis or Excitation
 
     Raises
     ------
@@ -231,6 +231,10 @@ def load(path: str | PathLike[str]) -> Result:
     for kind in kinds:
         if (folder / kind.DOCUMENT).is_file():
             return kind(folder)
+    if (folder / "sweep.json").is_file():
+        from trms_cli.library.sweeping import Sweep
+
+        return Sweep(folder)
     if folder.is_file() or (folder / "run.mcap").is_file():
         return run_in(folder)
     raise RecordingError(

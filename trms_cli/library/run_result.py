@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
     from trms_cli.reporting.notebook_figure import NotebookFigure
 
+#: Pixels of the picture in a notebook.
+_WIDTH = 640
 #: Figures of the table in a notebook: key of a channel, label.
 _FIGURES = (
     ("rmse", "RMSE"),
@@ -181,10 +183,16 @@ class Run(Result):
                 if any(c.get(key) is not None for c in channels.values())
             ]
             yield html.table(head, rows)
-        picture = self.pictures.get("run")
-        figure: Any = None if picture else self.figure()
-        yield html.picture(picture.read_bytes() if picture else figure._repr_png_())
+        yield html.picture(self._small_picture())
         yield html.files({"log": self.log})
+
+    def _small_picture(self) -> bytes:
+        drawn = self.pictures.get("run")
+        if drawn is None:
+            return self.figure()._repr_png_()
+        from trms_cli.reporting.notebook_figure import small_png
+
+        return small_png(drawn.read_bytes(), width=_WIDTH)
 
     def _limits(self) -> dict[str, tuple[float, float]]:
         from trms_cli.scoring.score import LIMITS_KEY

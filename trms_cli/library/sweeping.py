@@ -1,0 +1,260 @@
+"""Many runs from one call: ``trms run -m``, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.library import html
+from trms_cli.library.arguments import Arguments, arguments_of, text_of
+from trms_cli.library.calling import called, words_of
+from trms_cli.library.judging import Comparison, compare
+from trms_cli.library.result import Result
+from trms_cli.library.run_result import Run, run_in
+
+if TYPE_CHECKING:
+    import pandas  # type: ignore[import-untyped,unused-ignore]
+
+#: A path, or several.
+Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Sweep(Result):
+    """Many runs in one folder, each in a numbered folder of its own."""
+
+    FILES: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """``trms.sweep-status/1``: how it stands now, failures by their reason, the best."""
+        from trms_cli.commands.sweep_outcome import outcome_of
+
+        return outcome_of(self.folder)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Runs ``done``, ``failed``, ``lost``, ``interrupted``, ``running``, ``left``."""
+        return dict(self.document["counts"])
+
+    @property
+    def frame(self) -> pandas.DataFrame:
+        """A row a run: what was chosen and typed, and every figure of its score."""
+        from trms_cli.runs.frame import runs_frame
+
+        return runs_frame("", self.folder, sort="path")
+
+    @property
+    def best(self) -> Run | None:
+        """The run with the smallest objective (tracking RMSE, all channels added)."""
+        best = self.document["best"]
+        return None if best is None else self[best["run"]]
+
+    def __getitem__(self, number: int) -> Run:
+        """A run by its number, from 0 on."""
+        return run_in(self.folder / str(number))
+
+    def __len__(self) -> int:
+        return int(self.document["total"] or sum(self.counts.values()))
+
+    def compare(self, **how: Any) -> Comparison:
+        """Its runs ranked; arguments as of :func:`trms_cli.compare`."""
+        return compare(self.folder, **how)
+
+    def resume(self, *settings: str, retry_failed: bool = False, verbose: bool = False) -> Sweep:
+        """Go on where it stopped: ``trms sweep resume``; no run is made twice.
+
+        Parameters
+        ----------
+        *settings : str
+            ``"launcher=…"``, ``"launcher.workers=4"``, ``"retries=2"``, instead of those it has.
+        retry_failed : bool
+            Whether runs that failed or were lost are made again.
+        verbose : bool
+            Show progress.
+        """
+        from trms_cli.commands.sweep import go_on
+
+        line = f"Python: resume({str(self.folder)!r})"
+        with called(line, verbose=verbose) as heard, _screen(verbose) as tell:
+            go_on(self.folder, settings=settings, retry_failed=retry_failed, tell=tell)
+        heard.warn()
+        return self
+
+    @property
+    def headline(self) -> str:
+        """How many runs, and where."""
+        told = ", ".join(f"{n} {state}" for state, n in self.counts.items() if n)
+        return f"{told or 'no run yet'}: {self.folder}"
+
+    def _repr_html_(self) -> str:
+        document = self.document
+        parts = [html.paragraph(self.headline, bold=True)]
+        if document["failures"]:
+            rows = [[f["count"], f["problem"]] for f in document["failures"]]
+            parts.append(html.table(["runs", "that failed"], rows))
+        best = document["best"]
+        if best is not None:
+            words = " ".join(best["overrides"])
+            parts.append(html.paragraph(f"best {best['objective']:.3g}: {words}"))
+        return "".join(parts)
+
+
+def sweep(
+    *overrides: str,
+    sampler: Any = None,
+    launcher: Any = None,
+    workers: int | None = None,
+    retries: int | None = None,
+    out: str | PathLike[str] | None = None,
+    config_dir: Paths = (),
+    verbose: bool = False,
+    **keys: Any,
+) -> Sweep:
+    """Make one run for each combination of values: ``trms run -m``.
+
+    A list is what a key takes in turn; a list inside it is one value.
+
+    Parameters
+    ----------
+    *overrides : str
+        As after ``-m``: ``"controller=pid,lqr"``, ``"seed=range(10)"``,
+        ``"plant.parameters=prior"``.
+    sampler : str or mapping
+        How values are chosen: ``"grid"``, ``{"latin_hypercube": {"samples": 200}}``, ….
+    launcher : str or mapping
+        Where runs are made: ``"local"``, ``{"dask": {"address": "tcp://head:8786"}}``, ….
+    workers : int
+        Processes; by default all cores.
+    retries : int
+        Times that a run is tried again after its worker died.
+    out : path
+        The folder of the sweep, new or empty.
+    config_dir : path or sequence of paths
+    verbose : bool
+        Show progress.
+    **keys
+        As of :func:`trms_cli.run`, with lists for what varies: ``controller=["pid", "lqr"]``,
+        ``seed=range(3)``, ``plant={"parameters": {"k_g": [0.1, 0.2]}}``,
+        ``effect=[["main_dead_zone", "main_inflow"], "yaw_coulomb_friction"]``. Objects cannot be
+        swept: runs are made in other processes.
+
+    Returns
+    -------
+    Sweep
+        ``.frame``, ``.counts``, ``.best``, ``.compare()``, ``[number]``, ``.resume()``.
+
+    Raises
+    ------
+    TrmsError
+        For what cannot be composed, before anything is written.
+    KeyboardInterrupt
+        If it was stopped; ``trms_cli.load(folder).resume()`` goes on.
+
+    Examples
+    --------
+    >>> swept = sweep(controller=["pid", "lqr"], seed=range(3), sim={"duration": 20})
+    >>> swept.frame.groupby("controller").rmse_alpha_h.median()
+    """
+    from trms_cli.commands.run import perform as task
+    from trms_cli.commands.sweep import make_sweep
+
+    steering = {"sampler": sampler, "launcher": launcher, "retries": retries}
+    asked = _asked(overrides, keys, steering, workers, config_dir)
+    if out is not None:
+        words = (*asked.words, f"out={text_of(str(Path(out).expanduser()))}")
+        asked = Arguments(words, {}, asked.config_dirs)
+    line = words_of("run", Arguments(("-m", *asked.words), {}, asked.config_dirs))
+    with called(line, verbose=verbose) as heard, _screen(verbose) as tell:
+        swept = make_sweep(asked.words, "run", task, config_dirs=asked.config_dirs, tell=tell)
+    if not verbose:
+        heard.warn()
+    return Sweep(_near(swept.folder))
+
+
+def _screen(verbose: bool) -> Any:
+    """A context whose value is told of progress."""
+    from contextlib import nullcontext
+
+    if not verbose:
+        return nullcontext(lambda progress, result: None)
+    from trms_cli.commands.sweep_screen import SweepScreen
+
+    class _Shown(SweepScreen):
+        def __enter__(self) -> Any:
+            return super().__enter__().tell
+
+    return _Shown(as_json=False)
+
+
+def _asked(
+    overrides: Sequence[str],
+    keys: Mapping[str, Any],
+    steering: Mapping[str, Any],
+    workers: int | None,
+    config_dir: Paths,
+) -> Arguments:
+    """What varies in the grammar of ``-m``, and the sweep's own settings."""
+    varied: dict[str, list[Any]] = {}
+    fixed = _without_lists(keys, varied)
+    plain = arguments_of("run", (), fixed, config_dir=config_dir)
+    words = list(plain.words)
+    for key, values in varied.items():
+        words.append(f"{key}={','.join(_value(key, value, config_dir) for value in values)}")
+    own = {key: value for key, value in steering.items() if value is not None}
+    settings = arguments_of("sweep", (), own, config_dir=config_dir)
+    words += settings.words
+    words += [f"launcher.workers={workers}"] if workers is not None else []
+    _refuse_objects({**plain.objects, **settings.objects})
+    return Arguments((*words, *overrides), {}, plain.config_dirs)
+
+
+def _without_lists(keys: Mapping[str, Any], varied: dict[str, list[Any]]) -> dict[str, Any]:
+    """The keys without those that a list varies, which go to `varied` by their dotted names."""
+
+    def rest(node: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+        kept: dict[str, Any] = {}
+        for name, value in node.items():
+            place = f"{prefix}{name}"
+            if isinstance(value, Mapping):
+                kept[name] = rest(value, f"{place}.")
+            elif isinstance(value, list | tuple | range) or type(value).__name__ == "ndarray":
+                varied[place] = list(value)
+            else:
+                kept[name] = value
+        return kept
+
+    return rest(keys, "")
+
+
+def _value(key: str, value: Any, config_dir: Paths) -> str:
+    """One of the values that a key takes in turn."""
+    asked = arguments_of("run", (), {key: value}, config_dir=config_dir)
+    _refuse_objects(asked.objects)
+    if len(asked.words) != 1:
+        raise ConfigurationError(
+            f"{value!r} among the values of a sweep",
+            where=key,
+            remedy=f"vary its keys by themselves: {key}={{KEY: [VALUE, VALUE]}}",
+        )
+    return asked.words[0].partition("=")[2]
+
+
+def _refuse_objects(objects: Mapping[str, Any]) -> None:
+    for place, plugin in objects.items():
+        raise ConfigurationError(
+            f"the object {plugin!r} given",
+            where=place,
+            remedy="runs of a sweep are made in other processes: give the class a YAML "
+            "(docs/writing-a-plugin.md) and its folder as config_dir, or call run() in a loop",
+        )
+
+
+def _near(folder: Path) -> Path:
+    """A folder under the working folder without it: as other results name theirs."""
+    here = Path.cwd()
+    return folder.relative_to(here) if folder.is_relative_to(here) else folder
