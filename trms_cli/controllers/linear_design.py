@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -130,8 +131,13 @@ def _gliding(model: Model) -> Model:
     Set-valued friction holds an axis that rests: the rig would have no slopes there.
     """
     gliding = copy.copy(model)
-    gliding.impulse = lambda x, u, p, w, duration: x  # type: ignore[method-assign]
+    gliding.impulse = _no_impulse  # type: ignore[method-assign]
     return gliding
+
+
+def _no_impulse(x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
+    """In place of a model's own; see :meth:`trms_cli.models.model.Model.impulse`."""
+    return x
 
 
 def require_drivable(linear: LinearModel, where: str) -> None:

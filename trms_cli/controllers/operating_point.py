@@ -33,6 +33,7 @@ import numpy.typing as npt
 from trms_cli.controllers.steady_state_step import controlled_rows, newton_step
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
+from trms_cli.core.process_cache import kept
 from trms_cli.models.model import Model
 from trms_cli.models.rest import rest_equations
 
@@ -122,7 +123,7 @@ class SteadyState:
             )
         self._stops = [model.stops.get(name, np.inf) for name in model.controlled]
         self._upper = model.input_bounds()[1].tolist()
-        self.function = newton_step(model, equations)
+        self.function = kept(newton_step, model, equations)
         self._newton = BufferedFunction(self.function)
         (self._z, self._r, self._w, p, q, self._active, self._bound, reach, self._curved) = (
             self._newton.inputs

@@ -35,6 +35,7 @@ from trms_cli.controllers.pid_tuning import (
     worst,
 )
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.process_cache import kept
 from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
@@ -121,6 +122,10 @@ class Design:
         ConfigurationError
             By the key of an operating point or of gains that will not do.
         """
+        return dict(kept(Design._of, self, model, step))
+
+    def _of(self, model: Model, step: float) -> dict[str, AxisDesign]:
+        """See :meth:`of`."""
         if not model.axes:
             raise ConfigurationError(
                 f"model {model.name!r} has no axis, and pid holds the angles of axes",

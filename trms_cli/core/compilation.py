@@ -30,6 +30,8 @@ COMPILER_FLAGS = ("-O2", "-ftree-vectorize", "-fPIC", "-shared", "-ffp-contract=
 #: hypotheses. Compiling takes half the time so, and the code is as fast.
 _QUICKLY = ("-O1", *COMPILER_FLAGS[2:])
 _ENVIRONMENT_SWITCH = "TRMS_COMPILE"  # "0" turns compilation off
+#: Functions that a process keeps at hand; each may be that of many runs.
+_MOST_LOADED = 128
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -71,8 +73,12 @@ def compiled(function: ca.Function) -> ca.Function:
     beside its place and renamed.
     """
     program = compiler()
-    if program is None:
-        return function
+    return function if program is None else _loaded(function, program, cache_folder())
+
+
+@functools.lru_cache(maxsize=_MOST_LOADED)
+def _loaded(function: ca.Function, program: str, folder: Path) -> ca.Function:
+    """See :func:`compiled`. A function never changes: asked for again, it is found at once."""
     library = _library([function], "", program)
     return function if library is None else ca.external(function.name(), str(library))
 
@@ -216,7 +222,9 @@ def _array(size: tuple[int, int]) -> FloatArray:
     return np.zeros((rows, columns), order="F")
 
 
+@functools.lru_cache(maxsize=_MOST_LOADED)
 def _dense(function: ca.Function) -> ca.Function:
+    """The same function with dense inputs and outputs."""
     if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) and all(
         function.sparsity_in(i).is_dense() for i in range(function.n_in())
     ):

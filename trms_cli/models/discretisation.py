@@ -16,7 +16,7 @@ that the generated code does not grow with their number.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
@@ -24,6 +24,7 @@ import numpy as np
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
+from trms_cli.core.process_cache import kept
 from trms_cli.models.elimination import factorised
 from trms_cli.models.model import Model, Signal
 
@@ -179,6 +180,15 @@ def discretise(
             f"cannot discretise with step {step_length!r} s and {substeps!r} substeps",
             remedy="the step is positive and there is at least one substep",
         )
+    # The equations are shared between equal models; the model is the caller's own.
+    discrete = kept(_discretised, model, step_length, substeps, method, sensors)
+    return replace(discrete, model=model)
+
+
+def _discretised(
+    model: Model, step_length: float, substeps: int, method: Method, sensors: bool
+) -> DiscreteModel:
+    """See :func:`discretise`."""
     if model.sample_time is not None:
         return _repeated(model, step_length, sensors)
     if method == "auto":

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from trms_cli.core.process_cache import kept
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.model import Model
 
@@ -43,6 +44,11 @@ class RestEquations:
 
 def rest_equations(model: Model) -> RestEquations:
     """The equations for the states of a model at rest, without the memory of its input path."""
+    return kept(_rest_equations, model)
+
+
+def _rest_equations(model: Model) -> RestEquations:
+    """See :func:`rest_equations`."""
     x, u, p, w = model.symbols()
     if model.sample_time is None:
         f = model.dynamics(x, u, p, w)

@@ -25,6 +25,7 @@ from trms_cli.core.plugins import nearest
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
+from trms_cli.models.state_noise import noise_of_states
 from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.noise_tables import InitialSd, Positive, ProcessNoise, by_state
 from trms_cli.observers.observer import ObserverSetup
@@ -71,9 +72,9 @@ class FilterOptions:
     longest_rejection: Annotated[float, Meta(gt=0)] = 0.5
 
 
-@dataclass(frozen=True)
-class Augmentation:
-    """A model made ready for a filter.
+@dataclass(frozen=True, kw_only=True)
+class AugmentedModel:
+    """The equations that a filter believes: all that its step is built from.
 
     Attributes
     ----------
@@ -87,16 +88,6 @@ class Augmentation:
         Measured ones of the model's outputs.
     names : tuple of str
         Of z, shape (n,).
-    mean, sd : (n,) arrays
-        Before the first measurement.
-    memory : (n_m,) array
-        Of the input path, after a long time at the first command.
-    q : (n,) array
-        Variances that a sample adds to z.
-    r : (n_y,) array
-        Variances of the measurement noise.
-    floor : (n,) array
-        Least variances, far below every physical scale.
     """
 
     discrete: DiscreteModel
@@ -104,12 +95,6 @@ class Augmentation:
     equations: list[int]
     channels: list[int]
     names: tuple[str, ...]
-    mean: FloatArray
-    sd: FloatArray
-    memory: FloatArray
-    q: FloatArray
-    r: FloatArray
-    floor: FloatArray
 
     @property
     def model(self) -> Model:
@@ -156,6 +141,42 @@ class Augmentation:
         return self.discrete.measurement(full, u, p)[self.channels]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Augmentation(AugmentedModel):
+    """A model made ready for a filter: its equations, where it starts, and its noise.
+
+    Attributes
+    ----------
+    mean, sd : (n,) arrays
+        Before the first measurement.
+    memory : (n_m,) array
+        Of the input path, after a long time at the first command.
+    q : (n,) array
+        Variances that a sample adds to z.
+    r : (n_y,) array
+        Variances of the measurement noise.
+    floor : (n,) array
+        Least variances, far below every physical scale.
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+    memory: FloatArray
+    q: FloatArray
+    r: FloatArray
+    floor: FloatArray
+
+    def alone(self) -> AugmentedModel:
+        """The equations without their numbers: the same for every run of one model."""
+        return AugmentedModel(
+            discrete=self.discrete,
+            substeps=self.substeps,
+            equations=self.equations,
+            channels=self.channels,
+            names=self.names,
+        )
+
+
 def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
     """The model of a setup as a filter with these options sees it.
 
@@ -187,7 +208,7 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
         # What is remembered of a channel starts from its first, noisy reading.
         sd[i] = np.hypot(sd[i], noise_sd[channel])
     intensity = by_state(options.process_noise, kinds, augmented, "process_noise.states")
-    driven = _driven_by_noise(model, setup.sample_time)
+    driven = noise_of_states(model, model.parameters.values, setup.sample_time)
     for row in np.flatnonzero(driven):
         if augmented[row] not in options.process_noise.states:
             intensity[row] = driven[row] / np.sqrt(setup.sample_time)
@@ -250,13 +271,6 @@ def _noise_sd(setup: ObserverSetup, given: Mapping[str, float]) -> FloatArray:
                 remedy=f"observer.measurement_noise.{name}=… (standard deviation)",
             )
     return sd
-
-
-def _driven_by_noise(model: Model, sample_time: float) -> FloatArray:
-    """What noise adds to each state in a sample by the model itself, shape (n_x,)."""
-    _, _, p, _ = model.symbols()
-    added = ca.Function("added", [p], [ca.densify(model.noise_sd(p, sample_time))])
-    return np.asarray(added(model.parameters.values)).ravel()
 
 
 def _read_at_first(setup: ObserverSetup) -> Iterator[tuple[int, int]]:

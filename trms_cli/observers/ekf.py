@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.observers.augmentation import Augmentation
+from trms_cli.core.process_cache import kept
+from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.kalman_step import exact_measurement, exact_transition, kalman_step
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import RecursiveFilter
@@ -29,7 +30,11 @@ class Ekf(RecursiveFilter):
     def compose(
         self, setup: ObserverSetup, augmented: Augmentation
     ) -> tuple[ca.Function, FloatArray]:
-        step = kalman_step(
-            "ekf_step", augmented, exact_transition(augmented), exact_measurement(augmented)
-        )
-        return step, augmented.model.parameters.values
+        return kept(_step, augmented.alone()), augmented.model.parameters.values
+
+
+def _step(augmented: AugmentedModel) -> ca.Function:
+    """One sample; see :func:`trms_cli.observers.kalman_step.kalman_step`."""
+    return kalman_step(
+        "ekf_step", augmented, exact_transition(augmented), exact_measurement(augmented)
+    )

@@ -8,6 +8,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.process_cache import kept
 from trms_cli.models.model import Model
 from trms_cli.models.rest import rest_equations
 from trms_cli.observers.state_kinds import kinds_of_states
@@ -48,20 +50,25 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
     equations = rest_equations(model)
     rows = list(equations.unknowns)
     unknown = [k for k, i in enumerate(rows) if model.state_names[i] not in known]
-    _, u, p, w = model.symbols()
-    s = ca.SX.sym("s", len(rows))
     if unknown:
-        f = equations.residual(s, u, p, w)
-        linear = ca.Function("rates", [s, u, p, w], [f, ca.densify(ca.jacobian(f, s))])
+        linear = BufferedFunction(kept(_linear_rates, model), compile=False)
         weights = equation_weights(model, rows, known.keys())
         constant = (command, model.parameters.values, np.zeros(model.n_w))
-        _solve(x, rows, unknown, weights, lambda at: linear(at, *constant))
+        _solve(x, rows, unknown, weights, lambda at: linear.evaluate(at, *constant))
     if not np.all(np.isfinite(x)):
         x = model.rest()
         for name, value in known.items():
             x[model.state_index(name)] = value
-    whole = ca.Function("whole", [s, u], [equations.state(s, u)])
-    return np.array(whole(x[rows], command))[:, 0]
+    return np.array(equations.state(x[rows], command))[:, 0]
+
+
+def _linear_rates(model: Model) -> ca.Function:
+    """``(s, u, p, w)`` → the equations of rest and their slopes in s, both dense."""
+    equations = rest_equations(model)
+    _, u, p, w = model.symbols()
+    s = ca.SX.sym("s", len(equations.unknowns))
+    f = equations.residual(s, u, p, w)
+    return ca.Function("rates", [s, u, p, w], [f, ca.densify(ca.jacobian(f, s))])
 
 
 def equation_weights(model: Model, rows: list[int], known: Set[str]) -> FloatArray:
@@ -84,16 +91,16 @@ def _solve(
     rows: list[int],
     unknown: list[int],
     weights: FloatArray,
-    linear: Callable[[FloatArray], Sequence[object]],
+    linear: Callable[[FloatArray], Sequence[FloatArray]],
 ) -> None:
     """Gauss–Newton on the unknown ones among the rows, in place."""
     free = [rows[k] for k in unknown]
     for _ in range(_ITERATIONS):
-        rates, slope = (np.array(value) for value in linear(x[rows]))
-        slope = weights[:, None] * slope[:, unknown]
+        rates, slope = (np.array(value, order="C") for value in linear(x[rows]))
+        slope = weights[:, None] * slope.reshape(len(rows), -1)[:, unknown]
         # Scaled columns: rotor speeds are a hundred times what angles are.
         scale = np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
-        move, *_ = np.linalg.lstsq(slope / scale, -weights * rates[:, 0], rcond=1e-10)
+        move, *_ = np.linalg.lstsq(slope / scale, -weights * rates, rcond=1e-10)
         x[free] += move / scale
         if np.max(np.abs(move / scale)) < 1e-9:
             break

@@ -14,14 +14,14 @@ from __future__ import annotations
 import casadi as ca
 
 from trms_cli.models.discretisation import discretise
-from trms_cli.observers.augmentation import Augmentation
+from trms_cli.observers.augmentation import AugmentedModel
 from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS
 from trms_cli.observers.update import diagonal, disturbances, gain_stage, gated
 
 
 def kalman_step(
     name: str,
-    augmented: Augmentation,
+    augmented: AugmentedModel,
     transition: ca.Function,
     measurement: ca.Function,
     restate: ca.Function | None = None,
@@ -87,7 +87,7 @@ def kalman_step(
     )
 
 
-def exact_transition(augmented: Augmentation) -> ca.Function:
+def exact_transition(augmented: AugmentedModel) -> ca.Function:
     """The model's own step with its Jacobian: ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
 
     A model that steps several times in a sample is differentiated once, and its slopes follow by
@@ -118,7 +118,7 @@ def exact_transition(augmented: Augmentation) -> ca.Function:
     return ca.Function("transition", [at, held, *rest], [state, ca.densify(slope), remembered])
 
 
-def _equal_steps(augmented: Augmentation) -> tuple[ca.Function, ...]:
+def _equal_steps(augmented: AugmentedModel) -> tuple[ca.Function, ...]:
     """Steps that make up a sample: the model's own, or its substeps where nothing remembers.
 
     A memory changes at some part of the sample, and makes the substeps unequal.
@@ -129,7 +129,7 @@ def _equal_steps(augmented: Augmentation) -> tuple[ca.Function, ...]:
     return (discretise(augmented.model, discrete.step_length / count).step,) * count
 
 
-def exact_measurement(augmented: Augmentation) -> ca.Function:
+def exact_measurement(augmented: AugmentedModel) -> ca.Function:
     """The measured channels with their slope: ``(z, u, p) → y, H``."""
     z, _, u, p, _ = augmented.symbols()
     y = augmented.measured(z, u, p)

@@ -27,9 +27,10 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.process_cache import kept
 from trms_cli.models.model import Signal, names
 from trms_cli.models.state_dependent import state_dependent
-from trms_cli.observers.augmentation import Augmentation
+from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.kalman_step import exact_measurement, kalman_step
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import RecursiveFilter
@@ -60,17 +61,21 @@ class StateDependentEkf(RecursiveFilter):
         model = augmented.model
         x_0 = _vector(self.origin, model.states, "origin")
         u_0 = _vector(self.origin_command, model.inputs, "origin_command")
-        step = kalman_step(
-            "state_dependent_ekf_step",
-            augmented,
-            state_dependent_transition(augmented, x_0, u_0),
-            exact_measurement(augmented),
-        )
-        return step, model.parameters.values
+        return kept(_step, augmented.alone(), x_0, u_0), model.parameters.values
+
+
+def _step(augmented: AugmentedModel, x_0: FloatArray, u_0: FloatArray) -> ca.Function:
+    """One sample; see :func:`trms_cli.observers.kalman_step.kalman_step`."""
+    return kalman_step(
+        "state_dependent_ekf_step",
+        augmented,
+        state_dependent_transition(augmented, x_0, u_0),
+        exact_measurement(augmented),
+    )
 
 
 def state_dependent_transition(
-    augmented: Augmentation, x_0: FloatArray, u_0: FloatArray
+    augmented: AugmentedModel, x_0: FloatArray, u_0: FloatArray
 ) -> ca.Function:
     """``(z, memory, u, p, known) → z⁺, A, memory⁺`` in coefficients around (x₀, u₀).
 

@@ -6,6 +6,7 @@ from typing import Literal
 
 import casadi as ca
 
+from trms_cli.core.process_cache import kept
 from trms_cli.models.discrete import copied_states
 from trms_cli.models.model import Model, names
 
@@ -23,6 +24,11 @@ def kinds_of_states(model: Model) -> tuple[Kind, ...]:
     speeds in place of rotors, and states that a step only copies: the past of another or of an
     input.
     """
+    return kept(_kinds_of_states, model)
+
+
+def _kinds_of_states(model: Model) -> tuple[Kind, ...]:
+    """See :func:`kinds_of_states`."""
     x, u, p, w = model.symbols()
     follow = model.dynamics if model.sample_time is None else model.transition
     pushes = ca.jacobian(follow(x, u, p, w), w)

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.process_cache import kept
 from trms_cli.observers.augmentation import Augmentation
 
 # Names that were here before there were other filters, and that others import from here.
@@ -57,4 +58,5 @@ class Ukf(RecursiveFilter):
         self, setup: ObserverSetup, augmented: Augmentation
     ) -> tuple[ca.Function, FloatArray]:
         points = SigmaPoints(augmented.n, self.alpha, self.beta, self.kappa)
-        return filter_step(augmented, points), augmented.model.parameters.values
+        step = kept(filter_step, augmented.alone(), points)
+        return step, augmented.model.parameters.values

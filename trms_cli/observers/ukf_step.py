@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import casadi as ca
 
-from trms_cli.observers.augmentation import Augmentation
+from trms_cli.observers.augmentation import AugmentedModel
 from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS
 from trms_cli.observers.sigma_points import SigmaPoints
 from trms_cli.observers.update import diagonal, disturbances, gain_stage, gated
 
 
-def filter_step(augmented: Augmentation, points: SigmaPoints) -> ca.Function:
+def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     """One sample; see :mod:`trms_cli.observers.recursive_filter` for inputs and outputs."""
     model = augmented.model
     n, n_y, n_m = points.n, len(augmented.channels), augmented.n_m
@@ -64,7 +64,7 @@ def _spread_stage(points: SigmaPoints) -> ca.Function:
     return ca.Function("spread", [m, P], [points.around(m, P)])
 
 
-def _dynamics_stage(augmented: Augmentation) -> ca.Function:
+def _dynamics_stage(augmented: AugmentedModel) -> ca.Function:
     """One sigma point (and the memory) over one sample."""
     n_s = augmented.n_s
     z, memory, u, p, known = augmented.symbols()
@@ -93,12 +93,12 @@ def _weighted(off: ca.MX, points: SigmaPoints) -> ca.MX:
     return off * ca.repmat(ca.DM(points.covariance_weights).T, off.shape[0], 1)
 
 
-def _measurement_stage(augmented: Augmentation) -> ca.Function:
+def _measurement_stage(augmented: AugmentedModel) -> ca.Function:
     z, _, u, p, _ = augmented.symbols()
     return ca.Function("measure_one", [z, u, p], [ca.densify(augmented.measured(z, u, p))])
 
 
-def _update_stage(augmented: Augmentation, points: SigmaPoints) -> ca.Function:
+def _update_stage(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     n, count, n_y = points.n, points.count, len(augmented.channels)
     m, drawn = ca.MX.sym("m", n), ca.MX.sym("drawn", n, count)
     seen = ca.MX.sym("seen", n_y, count)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from trms_cli.observers.augmentation import Augmentation
+from trms_cli.observers.augmentation import AugmentedModel
 
 
 def diagonal(values: ca.MX) -> ca.MX:
@@ -36,7 +36,7 @@ def gated(mask: ca.MX, innovation: ca.MX, variance: ca.MX, gate: ca.MX) -> ca.MX
 
 
 def disturbances(
-    augmented: Augmentation, mean: ca.MX, sd: ca.MX, known: ca.MX
+    augmented: AugmentedModel, mean: ca.MX, sd: ca.MX, known: ca.MX
 ) -> tuple[ca.MX, ca.MX]:
     """All disturbances and their standard deviations, (n_w, 1) each."""
     d, d_sd = ca.MX(known), ca.MX.zeros(augmented.model.n_w)

@@ -19,12 +19,14 @@ from msgspec import Meta
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.process_cache import kept
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import FloatArray, Model, Signal, names
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.models.rest import rest_equations
+from trms_cli.models.state_noise import noise_of_states
 from trms_cli.plants.disturbance import ScheduledDisturbance
 from trms_cli.plants.faults.fault import Fault, FaultRun, FaultSetup
 from trms_cli.plants.mechanical_stops import StoppedSteps, with_stops
@@ -140,13 +142,13 @@ class SimulatedRun:
         if model.sample_time is not None:
             start = _remembering(rig.model, start, self.first_command, rig.initial)
         # The buffers' arrays are fixed for life; the step writes beside its input and is copied
-        # back, the measurement reads the same state.
+        # back, the measurement reads what the step does.
         self._step = BufferedFunction(discrete.step)
-        self._sense = BufferedFunction(_selected(discrete.measurement, channels, available))
+        sense = kept(_selected, discrete.measurement, channels, available)
+        self._sense = BufferedFunction(sense, inputs=self._step.inputs[:3])
         self._full = self._step.inputs[0]
         self._full[:] = discrete.initial(start, self.first_command)
         self._step.inputs[2][:] = self.parameters.values
-        self._sense.inputs[2][:] = self.parameters.values
         self._n_x = model.n_x
         generator = np.random.default_rng(np.random.SeedSequence([setup.seed, 0x504C414E]))
         self._noise = rig.sensors.draw_noise(channels, setup.samples, generator)
@@ -166,7 +168,6 @@ class SimulatedRun:
 
     def measure(self) -> FloatArray:
         sense = self._sense
-        sense.inputs[0][:] = self._full
         sense()
         y = sense.outputs[0] + self._noise[self._sample]
         if self._any_rounded:
@@ -182,7 +183,6 @@ class SimulatedRun:
             for fault in self.faults:
                 fault.commanded(self._sample, command)
         step.inputs[1][:] = command
-        self._sense.inputs[1][:] = command
         step.inputs[3][:] = self._w[self._sample]
         step()
         self._full[:] = step.outputs[0]
@@ -246,9 +246,7 @@ def _noise_on_states(
     model: Model, parameters: ParameterSet, setup: PlantSetup
 ) -> tuple[npt.NDArray[np.intp], FloatArray]:
     """States that noise drives, and what it adds to each over the run, (samples, count)."""
-    _, _, p, _ = model.symbols()
-    added = ca.Function("added", [p], [ca.densify(model.noise_sd(p, setup.sample_time))])
-    sd = np.asarray(added(parameters.values)).ravel()
+    sd = noise_of_states(model, parameters.values, setup.sample_time)
     driven = np.flatnonzero(sd)
     pushes = np.zeros((setup.samples, driven.size))
     for column, row in enumerate(driven):

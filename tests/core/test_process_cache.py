@@ -1,0 +1,143 @@
+"""What a process keeps: found by content, bounded, and never in the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from trms_cli.core import process_cache
+from trms_cli.core.process_cache import MOST_RESULTS, forget, kept
+from trms_cli.models.newtonian import Newtonian
+
+_calls: list[Any] = []
+
+
+@pytest.fixture(autouse=True)
+def fresh() -> Iterator[None]:
+    forget()
+    _calls.clear()
+    yield
+    forget()
+
+
+@dataclass
+class Weights:
+    """A mutable thing that a result follows from."""
+
+    values: dict[str, float]
+
+
+def total(weights: Weights) -> float:
+    _calls.append(weights)
+    return sum(weights.values.values())
+
+
+def plain(value: Any) -> list[Any]:
+    _calls.append(value)
+    return [value]
+
+
+def test_equal_content_is_computed_once() -> None:
+    assert plain(1) is not kept(plain, 1)
+    _calls.clear()
+    assert kept(plain, {"a": 0.1}) is kept(plain, {"a": 0.1})
+    assert kept(plain, np.arange(3.0)) is kept(plain, np.arange(3.0))
+    assert len(_calls) == 2
+
+
+def test_an_object_that_was_changed_is_another_input() -> None:
+    weights = Weights({"a": 1.0, "b": 2.0})
+    assert kept(total, weights) == 3.0
+    weights.values["b"] = 5.0
+    assert kept(total, weights) == 6.0
+    weights.values["b"] = 2.0
+    assert kept(total, weights) == 3.0
+    assert len(_calls) == 2
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [(1, 1.0), (0.0, -0.0), ((1, 2), [1, 2]), ("1", 1), (np.float32(1), np.float64(1))],
+)
+def test_what_is_only_equal_in_value_is_told_apart(one: Any, other: Any) -> None:
+    assert kept(plain, one) is not kept(plain, other)
+
+
+def test_two_functions_of_equal_inputs_are_told_apart() -> None:
+    assert kept(total, Weights({})) == 0
+    assert kept(plain, Weights({})) == [Weights({})]
+
+
+def test_a_class_defined_anew_is_another_class() -> None:
+    def defined(factor: float) -> Any:
+        space: dict[str, Any] = {"__name__": "notebook"}
+        exec(f"class Cell:\n    def of(self):\n        return {factor}", space)
+        return space["Cell"]()
+
+    found = [kept(_what_a_cell_says, defined(factor)) for factor in (1.0, 2.0)]
+    assert found == [1.0, 2.0]
+
+
+def _what_a_cell_says(cell: Any) -> float:
+    return float(cell.of())
+
+
+def test_inputs_without_a_content_are_computed_each_time() -> None:
+    closing_over = 1.0
+
+    def closure() -> float:
+        return closing_over
+
+    x = ca.SX.sym("x")
+    for value in (closure, x, (i for i in range(3))):
+        assert kept(plain, value) is not kept(plain, value)
+    assert not process_cache._kept
+
+
+def test_what_is_raised_is_not_kept() -> None:
+    with pytest.raises(ZeroDivisionError):
+        kept(_inverse, 0.0)
+    with pytest.raises(ZeroDivisionError):
+        kept(_inverse, 0.0)
+    assert not process_cache._kept
+
+
+def _inverse(value: float) -> float:
+    return 1.0 / value
+
+
+def test_the_longest_unused_goes_first() -> None:
+    first = kept(plain, "first")
+    for i in range(MOST_RESULTS):
+        kept(plain, i)
+        assert kept(plain, "first") is first
+    assert len(process_cache._kept) == MOST_RESULTS
+    assert kept(plain, 0) is not None and _calls.count(0) == 2  # it had gone
+
+
+def test_casadi_functions_are_told_apart_by_what_they_are() -> None:
+    x = ca.SX.sym("x")
+    one, other = (ca.Function("f", [x], [k * x]) for k in (2, 3))
+    again: Callable[[ca.Function], ca.Function] = ca.Function
+    assert kept(plain, one) is kept(plain, again(one))
+    assert kept(plain, one) is not kept(plain, other)
+
+
+def test_a_model_with_parameters_assigned_is_another_model() -> None:
+    model = Newtonian()
+    before = kept(_coupling, model)
+    assert kept(_coupling, Newtonian()) == before and len(_calls) == 1
+    model.parameters = model.parameters.replaced({"k_g": 0.05})
+    assert kept(_coupling, model) == 0.05 != before
+    model.parameters = Newtonian().parameters
+    assert kept(_coupling, model) == before
+
+
+def _coupling(model: Newtonian) -> float:
+    _calls.append(model)
+    return model.parameters["k_g"].value

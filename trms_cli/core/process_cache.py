@@ -1,0 +1,128 @@
+"""Results that depend on nothing but their inputs, kept while the process lives.
+
+A process that makes many runs, as a sweep's worker does, needs the same equations, gains and
+filters again and again: most of a run's configuration is that of the run before. They are found
+by the *content* of what they follow from, never by which object it is, so that a model whose
+parameters were assigned anew is another model, and a run is the same whatever ran before it.
+
+What is kept is shared: nobody may change it. Between processes,
+:mod:`trms_cli.core.result_cache` keeps what takes long.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import pickle
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Lock
+from types import FunctionType
+from typing import Any, ParamSpec, TypeVar
+
+import casadi as ca
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+#: Results kept at a time. A run with equations of its own adds about ten; the longest unused go.
+MOST_RESULTS = 128
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A result, and the objects that its key names by their place in memory.
+
+    Attributes
+    ----------
+    result : object
+    named : tuple of object
+        Held, so that no other object takes their place as long as the key is there.
+    """
+
+    result: Any
+    named: tuple[object, ...]
+
+
+_kept: OrderedDict[bytes, _Kept] = OrderedDict()
+_lock = Lock()
+
+
+def kept(compute: Callable[P, T], *inputs: P.args, **options: P.kwargs) -> T:
+    """``compute(*inputs, **options)``, or what it gave for equal inputs before.
+
+    Parameters
+    ----------
+    compute : callable
+        A function of a module, pure: its result follows from its arguments alone. What it raises
+        is not kept.
+    *inputs, **options
+        Plain data, arrays, dataclasses, models: whatever can be pickled. With an input that
+        cannot (one that holds a closure, or CasADi symbols), it is computed each time.
+
+    Returns
+    -------
+    T
+        Shared with others: it is to be read only.
+    """
+    content = _content((compute, inputs, options))
+    if content is None:
+        return compute(*inputs, **options)
+    key, named = content
+    with _lock:
+        found = _kept.get(key)
+        if found is not None:
+            _kept.move_to_end(key)
+            return found.result
+    result = compute(*inputs, **options)
+    with _lock:
+        _kept[key] = _Kept(result, named)
+        while len(_kept) > MOST_RESULTS:
+            _kept.popitem(last=False)
+    return result
+
+
+def forget() -> None:
+    """Drop all that is kept, as a fresh process has it."""
+    with _lock:
+        _kept.clear()
+
+
+def _content(value: object) -> tuple[bytes, tuple[object, ...]] | None:
+    """A digest of all that a value holds, and the objects named in it; None where it has none."""
+    stream = io.BytesIO()
+    pickler = _ContentPickler(stream)
+    try:
+        pickler.dump(value)
+    except Exception:
+        # Whatever an object has against being pickled: it costs time, never the run.
+        return None
+    return hashlib.sha256(stream.getbuffer()).digest(), tuple(pickler.named)
+
+
+class _ContentPickler(pickle.Pickler):
+    """Writes what values hold; what can never change is named by its place in memory.
+
+    These are classes and functions of modules, which a notebook may define anew under the same
+    name, and CasADi's functions, whose content is long and never changes.
+    """
+
+    def __init__(self, stream: io.BytesIO) -> None:
+        super().__init__(stream, protocol=5)
+        self.named: list[object] = []
+
+    def persistent_id(self, value: Any) -> Any:
+        """A name for what is not written out, None for all else."""
+        if isinstance(value, type):
+            self.named.append(value)
+            return "class", id(value)
+        if isinstance(value, ca.Function):
+            self.named.append(value)
+            return "casadi", hash(value)  # the same for each handle of one function
+        if isinstance(value, FunctionType):
+            if value.__closure__ is not None:
+                raise pickle.PicklingError(f"{value.__qualname__} holds what may change")
+            self.named.append(value)
+            return "function", id(value)
+        return None

@@ -1,0 +1,28 @@
+"""What noise adds to the states of a model in a step, as a number for each state."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.core.process_cache import kept
+from trms_cli.models.model import FloatArray, Model
+
+
+def noise_of_states(model: Model, parameters: FloatArray, step: float) -> FloatArray:
+    """Standard deviations of what noise adds to each state in a step (s), shape (n_x,).
+
+    Parameters
+    ----------
+    parameters : (n_p,) array
+        Values of the model's parameters, SI.
+    step : float
+        s.
+    """
+    return np.asarray(kept(_noise_function, model, step)(parameters)).ravel()
+
+
+def _noise_function(model: Model, step: float) -> ca.Function:
+    """``p`` → standard deviations, (n_x, 1)."""
+    _, _, p, _ = model.symbols()
+    return ca.Function("added", [p], [ca.densify(model.noise_sd(p, step))])
