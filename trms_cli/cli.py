@@ -42,7 +42,7 @@ COMMANDS: dict[str, str] = {
     "compare": "many runs ranked: tracking, effort, robustness, time of a step, failures",
     "report": "one HTML page of a run, a comparison or a sweep: plots and tables, nothing fetched",
     "import": "turn a recording (CSV, MAT) into an MCAP log",
-    "export": "turn an MCAP log into CSV, Parquet or MAT",
+    "export": "turn an MCAP log into CSV, Parquet or MAT; add the 3D view for Foxglove",
     "export-controller": "a controller as C source for a rig's own computer",
     "list": "the plugins there are, with one line each",
     "allow": "let the classes of a package of yours, or of somebody else's, run",
@@ -108,6 +108,10 @@ def _dispatch(arguments: list[str]) -> int:
     # another on a busy machine have cost a training a factor of fifty.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     module = load_command(word)
+    if any(text.partition("=")[0] == "--allow" for text in rest):
+        from trms_cli.commands.catalogue import take_allowed
+
+        rest = take_allowed(rest)  # here alone: words that a log or a file holds allow nothing
     if "--help" in rest or "-h" in rest:
         sys.stdout.write(help_text(module))
         return EXIT_OK

@@ -1,22 +1,30 @@
-"""``trms export``: a run's MCAP log as CSV, Parquet or MAT."""
+"""``trms export``: a run's MCAP log as CSV, Parquet or MAT, or with a 3D view for Foxglove."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.commands.run_folder import log_of
 
-SUMMARY = "turn an MCAP log into CSV, Parquet or MAT"
+if TYPE_CHECKING:
+    from trms_cli.recordings.log_reader import LoggedRun
 
-FORMATS = ("csv", "parquet", "mat")
+SUMMARY = "turn an MCAP log into CSV, Parquet or MAT; add the 3D view for Foxglove"
+
+FORMATS = ("csv", "parquet", "mat", "foxglove")
+#: Seconds between two poses of an added 3D view: more than a screen shows smoothly.
+_POSE_EVERY = 0.04
 
 HELP = """\
-usage: trms export LOG [--format csv|parquet|mat] [--out FILE] [--force] [--json]
+usage: trms export LOG [--format csv|parquet|mat|foxglove] [--out FILE] [--force] [--json]
+       trms export --layout FILE [--force]
 
-Writes a run's log for programs that read no MCAP. The log of a run that died is written as
+Writes a run's log for programs that read no MCAP, or again as MCAP with the 3D view of the rig,
+which imported recordings and older logs lack. The log of a run that died is written as
 far as it goes. The file appears when it is whole; nothing is overwritten unless told so.
 
   LOG            an MCAP log of trms, or the folder of a run
@@ -25,8 +33,12 @@ far as it goes. The file appears when it is whole; nothing is overwritten unless
                  parquet  one wide table of all topics, a row per sample time, columns
                           topic.field, units in the fields' metadata; events as lists
                  mat      a struct per topic, units beside the values
+                 foxglove the same log with the rig's body, its poses and the commands as
+                          arrows, for Foxglove's 3D panel (a MCAP file again)
                  (default: what the ending of --out tells, else csv)
-  --out FILE     where to write (default: beside LOG, with the format's ending)
+  --out FILE     where to write (default: beside LOG, with the format's ending;
+                 run.foxglove.mcap)
+  --layout FILE  write the layout for Foxglove: 3D view, plots, modes, events
   --force        replace FILE if it exists
   --json         print what was written as JSON
 
@@ -34,31 +46,48 @@ examples
   trms export outputs/2025-01-31/run.mcap
   trms export run.mcap --format parquet
   trms export run.mcap --out for_matlab.mat --force
+  trms export imported.mcap --format foxglove --layout trms.json
 """
 
 
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     options = PlainOptions("trms export", HELP)
-    options.add_argument("log", type=Path)
+    options.add_argument("log", type=Path, nargs="?")
     options.add_argument("--format", choices=FORMATS)
     options.add_argument("--out", type=Path)
+    options.add_argument("--layout", type=Path)
     options.add_argument("--force", action="store_true")
     options.add_argument("--json", action="store_true")
     given = options.parse_args(argv)
+    if given.log is None and given.layout is None:
+        options.error("the following arguments are required: LOG")
+    if given.layout is not None:
+        _write_layout(given.layout, force=given.force)
+        if given.log is None:
+            if given.json:
+                print(json.dumps({"schema": "trms.export/1", "layout": str(given.layout)}))
+            else:
+                print(f"layout: {given.layout} (in Foxglove: Layout, Import from file)")
+            return 0
     given.log = log_of(given.log)
     format_ = given.format or _format_of(given.out)
-    out = given.out or given.log.with_suffix(f".{format_}")
+    ending = "foxglove.mcap" if format_ == "foxglove" else format_
+    out = given.out or given.log.with_suffix(f".{ending}")
 
     from trms_cli.recordings.export import export_log
     from trms_cli.recordings.log_reader import read_log
 
     log = read_log(given.log)
-    export_log(log, out, format_, force=given.force)
+    poses = None
+    if format_ == "foxglove":
+        poses = _add_scene(log, out, force=given.force)
+    else:
+        export_log(log, out, format_, force=given.force)
 
     topics = {name: len(table) for name, table in log.tables.items() if len(table)}
     if given.json:
-        document = {
+        document: dict[str, Any] = {
             "schema": "trms.export/1",
             "log": str(given.log),
             "complete": log.complete,
@@ -68,6 +97,10 @@ def main(argv: list[str]) -> int:
             "duration_s": log.duration_s,
             "topics": topics,
         }
+        if poses is not None:
+            document["poses"] = poses
+        if given.layout is not None:
+            document["layout"] = str(given.layout)
         json.dump(document, sys.stdout, indent=2, ensure_ascii=False)
         sys.stdout.write("\n")
         return 0
@@ -75,10 +108,34 @@ def main(argv: list[str]) -> int:
         print(f"note: {given.log}: {problem}")
     messages = ", ".join(f"{count} of {name}" for name, count in topics.items())
     print(f"{given.log}: {log.duration_s:.6g} s; messages: {messages}")
-    print(f"{format_}: {out}")
+    print(f"{format_}: {out}" + ("" if poses is None else f" ({poses} poses)"))
+    if given.layout is not None:
+        print(f"layout: {given.layout} (in Foxglove: Layout, Import from file)")
+    elif poses is not None:
+        print("layout: trms export --layout trms.json writes one for Foxglove")
     return 0
+
+
+def _add_scene(log: LoggedRun, out: Path, *, force: bool) -> int:
+    """Write the log with a 3D view; the number of poses."""
+    from trms_cli.commands.scene_of_log import scene_of_log
+    from trms_cli.recordings.foxglove.added_scene import write_with_scene
+
+    scene = scene_of_log(log)
+    every = scene.every(_POSE_EVERY)
+    return write_with_scene(log, scene.encoder, scene.sources, every, out, force=force)
+
+
+def _write_layout(path: Path, *, force: bool) -> None:
+    from trms_cli.recordings.foxglove.topics import layout
+    from trms_cli.recordings.output_file import whole_file
+
+    with whole_file(path, force=force) as temporary:
+        temporary.write_bytes(layout())
 
 
 def _format_of(out: Path | None) -> str:
     ending = out.suffix.lower().lstrip(".") if out else ""
+    if ending == "mcap":
+        return "foxglove"
     return ending if ending in FORMATS else "csv"

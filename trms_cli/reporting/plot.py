@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -59,6 +60,8 @@ _SIZE = re.compile(
     r"(\d+(?:\.\d+)?)\s*(mm|cm|in|pt)?(?:\s*[x×]\s*(\d+(?:\.\d+)?)\s*(mm|cm|in|pt)?)?"
 )
 _UNITS = {"mm": 1.0, "cm": 10.0, "in": _INCH, "pt": _INCH / 72}
+#: Between two ticks, times a power of ten.
+_STEPS = (1, 2, 2.5, 5, 10)
 #: Mean width of a letter over the font's size.
 _LETTER = 0.56
 
@@ -188,6 +191,16 @@ def _plotted(
         raise ConfigurationError(
             f"{len(chosen)} names for {len(given)} logs", where="names", remedy="one name a log"
         )
+    spans = [_span(log) for log in given]
+    if not any(begin <= high and low <= finish for begin, finish in spans):
+        first, last = min(span[0] for span in spans), max(span[1] for span in spans)
+        told = f"the logs go from {first:g} to {last:g} s" if first < last else "they are empty"
+        raise ConfigurationError(
+            "the logs have no sample"
+            + ("" if start is end is None else f" from {low:g} to {high:g} s"),
+            where="start, end",
+            remedy=told,
+        )
     return [Plotted(log, name, low, high) for log, name in zip(given, chosen, strict=True)]
 
 
@@ -264,11 +277,12 @@ def _settle(axes: Axes, panel: Panel, width: float, style: Variant) -> None:
     """As many ticks as fit beside each other."""
     room = width * (0.5 if panel.half else 1.0) / (2.2 if style == "slides" else 1.0)
     if axes.get_xscale() == "linear":
-        axes.xaxis.set_major_locator(MaxNLocator(max(3, int(room / (18 if panel.half else 13)))))
+        count = max(3, int(room / (18 if panel.half else 13)))
+        axes.xaxis.set_major_locator(MaxNLocator(count, steps=_STEPS))
     bars = not panel.over_time and panel.half and len(axes.patches) > 0
     if axes.get_yscale() == "linear" and not bars:
         count = 4 if panel.height < 1.5 else 6
-        axes.yaxis.set_major_locator(MaxNLocator(count, min_n_ticks=2))
+        axes.yaxis.set_major_locator(MaxNLocator(count, steps=_STEPS, min_n_ticks=2))
 
 
 def _share_time(timed: Sequence[Axes], logs: Sequence[Plotted]) -> None:
@@ -278,16 +292,25 @@ def _share_time(timed: Sequence[Axes], logs: Sequence[Plotted]) -> None:
     for axes in timed[:-1]:
         axes.tick_params(labelbottom=False)
     timed[-1].set_xlabel("time [s]")
-    spans = [
-        (float(table.time[0]), float(table.time[-1]))
-        for log in logs
-        for topic, table in log.log.tables.items()
-        if topic != "/event" and len(table.time)
-    ]
+    spans = [_span(log.log) for log in logs]
     begin = max(min(span[0] for span in spans), min(log.start for log in logs))
     end = min(max(span[1] for span in spans), max(log.end for log in logs))
     if begin < end:
         timed[-1].set_xlim(begin, end)
+
+
+def _span(log: Log) -> tuple[float, float]:
+    """From a log's first sample to the end of its last one, s; (inf, −inf) for an empty one."""
+    tables = [t for name, t in log.tables.items() if name != "/event" and len(t.time)]
+    return (
+        min((float(table.time[0]) for table in tables), default=math.inf),
+        max((float(table.time[-1]) + _interval(table.time) for table in tables), default=-math.inf),
+    )
+
+
+def _interval(time: Any) -> float:
+    """How long the last sample holds, s."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
 def _legend(figure: Figure, width: float, style: Variant) -> None:

@@ -26,8 +26,8 @@ from trms_cli.reporting.style import (
 )
 from trms_cli.reporting.torques import estimated_torques
 
-#: Of the reference: thin, dark and dashed in every figure.
-_ASKED: dict[str, Any] = {"color": INK, "linestyle": (0, (4, 2)), "linewidth": 0.8}
+#: Of the reference: dark and dashed in every figure.
+_ASKED: dict[str, Any] = {"color": INK, "linestyle": (0, (4, 2))}
 _BAND = 0.22  # opacity of a band of two standard deviations
 _BAND_POINTS = 1000
 
@@ -82,7 +82,7 @@ def errors(logs: Sequence[Plotted]) -> list[Panel]:
                 if len(asked.time) != len(done.time) or np.any(asked.time != done.time):
                     place = np.searchsorted(asked.time, done.time, side="right") - 1
                     held = asked.values[np.maximum(place, 0)]
-                _curve(axes, done.time, held - done.values, log.name, i)
+                _curve(axes, done.time, held - done.values, _of(log, logs), i)
             _zero(axes)
             _label(axes, f"{LABELS.get(name, name)} error", "rad")
 
@@ -104,7 +104,7 @@ def inputs(logs: Sequence[Plotted]) -> list[Panel]:
                 signal = log.signal("/command", name)
                 if signal is not None:
                     unit = signal.unit
-                    _curve(axes, signal.time, signal.values, log.name, i, steps=True)
+                    _curve(axes, signal.time, signal.values, _of(log, logs), i, steps=True)
             _limits(axes, logs, name)
             _label(axes, f"{LABELS.get(name, name)}\ncommand", unit)
 
@@ -169,7 +169,7 @@ def solver(logs: Sequence[Plotted]) -> list[Panel]:
         def draw(axes: Axes) -> None:
             for i, (log, count) in enumerate(zip(logs, counts, strict=True)):
                 if count is not None:
-                    _curve(axes, count.time, count.values, log.name, i, steps=True)
+                    _curve(axes, count.time, count.values, _of(log, logs), i, steps=True)
             axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
             _label(axes, "iterations", "")
 
@@ -208,7 +208,7 @@ def _draw_tracked(axes: Axes, log: Plotted, name: str, place: int, alone: bool) 
     guessed = log.signal("/estimate", name) if done.source != "estimate" else None
     deviation = log.signal("/estimate", f"sd_{name}")
     if alone and guessed is not None and deviation is not None and deviation.values.max() > 0:
-        look = curve_look(1) | {"linewidth": 0.7, "zorder": 5}
+        look = curve_look(1) | {"zorder": 5}
         _line(axes, guessed.time, guessed.values, "estimate", look)
     _curve(axes, done.time, done.values, done.source if alone else log.name, place)
     return f"{LABELS.get(name, name)} [{done.unit}]"
@@ -265,11 +265,14 @@ def _draw_estimate(axes: Axes, log: Plotted, name: str, place: int, alone: bool)
         sd = log.signal("/estimate", f"innovation_sd_{name}")
     if off is None:
         return ""
+    scale, unit = (1e3, "mrad") if off.unit == "rad" else (1.0, off.unit)
     if sd is not None:
-        _band(axes, sd.time, -2 * sd.values, 2 * sd.values, place, alone)
-    _curve(axes, off.time, off.values, what if alone else log.name, place)
+        settled = slice(len(sd.time) // 20, None)  # one that finds its feet hides the rest
+        band = 2 * scale * sd.values[settled]
+        _band(axes, sd.time[settled], -band, band, place, alone)
+    _curve(axes, off.time, scale * off.values, what if alone else log.name, place)
     _zero(axes)
-    return f"{_short(name)}\n[{off.unit}]"
+    return f"{_symbol(name)}\n[{unit}]"
 
 
 def _draw_torque(axes: Axes, log: Plotted, name: str, place: int, alone: bool) -> str:
@@ -306,8 +309,13 @@ def _draw_times(axes: Axes, logs: Sequence[Plotted]) -> None:
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     if np.isfinite(deadline):
-        axes.axhline(deadline, color=ALARM, linewidth=0.8, linestyle=":", label="deadline")
+        axes.axhline(deadline, color=ALARM, linestyle=":", label="deadline")
     _label(axes, "step time", "ms")
+
+
+def _of(log: Plotted, logs: Sequence[Plotted]) -> str | None:
+    """What a curve is called where it needs no other word: nothing, if it is the only one."""
+    return log.name if len(logs) > 1 else None
 
 
 def _in_order(names: Any) -> list[str]:
@@ -317,17 +325,26 @@ def _in_order(names: Any) -> list[str]:
     return sorted(found, key=lambda name: usual.index(name) if name in usual else len(usual))
 
 
-def _short(name: str) -> str:
-    words = {"S_v": "pitch momentum", "S_h": "yaw momentum", "i_v": "main current"}
-    return words.get(name, LABELS.get(name, name))
+def _symbol(name: str) -> str:
+    """A state in words, or by its symbol: ``S_v``."""
+    letter, _, of = name.partition("_")
+    return LABELS.get(name) or (f"${letter}_{of}$" if len(letter) == len(of) == 1 else name)
 
 
-def _curve(axes: Axes, time: Any, values: Any, label: str, place: int, steps: bool = False) -> None:
+def _curve(
+    axes: Axes, time: Any, values: Any, label: str | None, place: int, steps: bool = False
+) -> None:
     _line(axes, time, values, label, curve_look(place) | {"zorder": 4}, steps=steps)
 
 
 def _line(
-    axes: Axes, time: Any, values: Any, label: str, look: dict[str, Any], *, steps: bool = False
+    axes: Axes,
+    time: Any,
+    values: Any,
+    label: str | None,
+    look: dict[str, Any],
+    *,
+    steps: bool = False,
 ) -> None:
     drawn, kept = thinned_to_extremes(time, values)
     axes.plot(drawn, kept, label=label, drawstyle="steps-post" if steps else "default", **look)
@@ -351,7 +368,7 @@ def _limits(axes: Axes, logs: Sequence[Plotted], name: str) -> None:
     low, high = axes.get_ylim()
     for bound in {bound for log in logs for bound in log.limits().get(name, ())}:
         if low - 0.3 * (high - low) < bound < high + 0.3 * (high - low):
-            axes.axhline(bound, color=ALARM, linewidth=0.8, linestyle=":", label="limit")
+            axes.axhline(bound, color=ALARM, linestyle=":", label="limit")
 
 
 def _zero(axes: Axes) -> None:

@@ -81,7 +81,7 @@ def _fan(log: Plotted, name: str, place: int, alone: bool) -> Panel:
         done, asked = log.truth(name), log.signal("/reference", name)
         if asked is not None:
             time, values = thinned_to_extremes(asked.time, asked.values)
-            axes.plot(time, values, color=INK, linestyle=(0, (4, 2)), linewidth=0.8,
+            axes.plot(time, values, color=INK, linestyle=(0, (4, 2)),
                       drawstyle="steps-post", label="reference", zorder=3)  # fmt: skip
         if done is not None:
             time, values = thinned_to_extremes(done.time, done.values)

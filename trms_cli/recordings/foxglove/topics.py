@@ -1,4 +1,4 @@
-"""The topics of a log that Foxglove's own panels show, with Foxglove's own schemas.
+"""The topics of a log that Foxglove's own panels show, with Foxglove's own schemas, and a layout.
 
 The schemas travel in the log as they are published (``schemas/LICENSE`` tells from where), because
 Foxglove knows by a schema's name that a message is a scene, a transform or a log line.
@@ -34,3 +34,8 @@ def encoded_topics() -> list[EncodedTopic]:
 def schema_text(name: str) -> bytes:
     """The published JSON schema of a message: ``SceneUpdate``."""
     return Path(__file__).with_name("schemas").joinpath(f"{name}.json").read_bytes().rstrip()
+
+
+def layout() -> bytes:
+    """A layout for these topics and the run's own, to be imported into Foxglove."""
+    return Path(__file__).with_name("layout.json").read_bytes()
