@@ -88,6 +88,10 @@ class SweepScreen:
         from trms_cli.commands.sweep_outcome import outcome_of
 
         document = outcome_of(folder)
+        if document["summary"]:
+            from trms_cli.commands import sweep_summary
+
+            sweep_summary.draw(folder, document["summary"])
         if self._as_json:
             sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
         else:
@@ -154,7 +158,8 @@ def say_outcome(document: Mapping[str, Any]) -> None:
         print(f"           run {numbers}{more}")
     if len(document["failures"]) > _MOST_REASONS:
         print(f"           and {len(document['failures']) - _MOST_REASONS} other reasons (--json)")
-    _say_best(document)
+    if not document["summary"]:
+        _say_best(document)
     _say_summary(document)
     print(f"folder     {folder}")
     print()
@@ -183,4 +188,4 @@ def _say_summary(document: Mapping[str, Any]) -> None:
     if document["summary"]:
         from trms_cli.commands import sweep_summary
 
-        sweep_summary.say(document["summary"])
+        sweep_summary.say(document)

@@ -1,7 +1,7 @@
 """What many runs with drawn parameters say: failures, quantiles, and which parameter matters.
 
-Everything is told by group: one combination of the choices (``controller=pid``), over all samples
-and all values of ``seed``. All groups have seen the same samples.
+Everything is told by group: one combination of the choices (``controller=pid``), over all draws,
+each the mean over the values of ``seed``. All groups have seen the same draws.
 """
 
 from __future__ import annotations
@@ -100,30 +100,52 @@ class Robustness:
         names: Sequence[str],
     ) -> dict[str, Any]:
         lost = sum(results[p.number].state == "lost" for p in points)
-        tried = [p for p in points if results[p.number].state != "lost"]
-        ended = [p for p in tried if results[p.number].state == "done"]
+        draws: dict[tuple[Any, ...], list[Result]] = {}
+        for point in points:
+            if results[point.number].state != "lost":
+                drawn = tuple(point.values[varied.key] for varied in space.continuous)
+                draws.setdefault(drawn, []).append(results[point.number])
+        # Runs of one draw are not independent: what is counted are draws.
+        failed = {drawn for drawn, own in draws.items() if any(r.state != "done" for r in own)}
         beyond = {
-            name: [p for p in ended if _beyond(figure_of(results[p.number], name), bound)]
+            name: {
+                drawn
+                for drawn, own in draws.items()
+                if drawn not in failed and any(_beyond(figure_of(r, name), bound) for r in own)
+            }
             for name, bound in self.limits.items()
         }
-        bad = {p.number for members in beyond.values() for p in members}
-        count = len(tried) - len(ended) + len(bad)
+        count = len(failed.union(*beyond.values()))
         failures: dict[str, Any] = {
+            "draws": len(draws),
             "count": count,
-            "failed_runs": len(tried) - len(ended),
+            "failed_runs": len(failed),
             "beyond": {name: len(members) for name, members in beyond.items()},
         }
+        figures = {name: _of_draws(draws, name) for name in names}
         return {
-            "runs": len(tried),
+            "runs": sum(map(len, draws.values())),
             "lost": lost,
-            "failures": failures | _share(count, len(tried)),
+            "failures": failures | _share(count, len(draws)),
             "figures": {
-                name: _distribution(values)
-                for name in names
-                if (values := _values(ended, results, name)[1]).size
+                name: _distribution(np.array(list(found.values())))
+                for name, found in figures.items()
+                if found
             },
-            "sensitivity": _sensitivity(space, ended, results, names),
+            "sensitivity": _sensitivity(space, figures),
         }
+
+
+def _of_draws(
+    draws: Mapping[tuple[Any, ...], Sequence[Result]], name: str
+) -> dict[tuple[Any, ...], float]:
+    """A figure of each draw, the mean over its runs; without those of which none has it."""
+    found = {}
+    for drawn, own in draws.items():
+        values = [value for r in own if (value := figure_of(r, name)) is not None]
+        if values:
+            found[drawn] = float(np.mean(values))
+    return found
 
 
 def _has(result: Result, name: str) -> bool:
@@ -145,18 +167,9 @@ def _share(count: int, runs: int) -> dict[str, float | None]:
     return {"share": count / runs, "low": float(interval.low), "high": float(interval.high)}
 
 
-def _values(
-    points: Sequence[Point], results: Mapping[int, Result], name: str
-) -> tuple[list[Point], np.ndarray[Any, np.dtype[np.float64]]]:
-    """The points that have a figure, and its values."""
-    found = [(p, figure_of(results[p.number], name)) for p in points]
-    present = [(p, float(value)) for p, value in found if value is not None]
-    return [p for p, _ in present], np.array([value for _, value in present])
-
-
 def _distribution(values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
     return {
-        "runs": int(values.size),
+        "draws": int(values.size),
         "mean": float(values.mean()),
         "sd": float(values.std(ddof=1)) if values.size > 1 else None,
         "min": float(values.min()),
@@ -167,7 +180,7 @@ def _distribution(values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, An
 
 
 def _sensitivity(
-    space: Space, points: Sequence[Point], results: Mapping[int, Result], names: Sequence[str]
+    space: Space, figures: Mapping[str, Mapping[tuple[Any, ...], float]]
 ) -> list[dict[str, Any]]:
     """Spearman's rank correlation of each drawn value with each figure, strongest first.
 
@@ -177,16 +190,14 @@ def _sensitivity(
     from scipy.stats import false_discovery_control, spearmanr
 
     found: list[dict[str, Any]] = []
-    for name in names:
-        having, figures = _values(points, results, name)
-        if len(having) < _FEWEST or np.ptp(figures) == 0:
+    for name, told in figures.items():
+        if len(told) < _FEWEST or np.ptp(list(told.values())) == 0:
             continue
-        for varied in space.continuous:
-            drawn = np.array([float(p.values[varied.key]) for p in having])
-            if np.ptp(drawn) == 0:
-                continue
-            rho, p = spearmanr(drawn, figures)
-            found.append({"key": varied.key, "figure": name, "rho": float(rho), "p": float(p)})
+        drawn = np.array(list(told), dtype=float)
+        for column, varied in enumerate(space.continuous):
+            if np.ptp(drawn[:, column]) > 0:
+                rho, p = spearmanr(drawn[:, column], list(told.values()))
+                found.append({"key": varied.key, "figure": name, "rho": float(rho), "p": float(p)})
     if found:
         adjusted = false_discovery_control([each["p"] for each in found])
         for each, p in zip(found, adjusted, strict=True):
