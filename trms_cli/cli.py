@@ -146,6 +146,8 @@ def help_text(module: ModuleType) -> str:
         from trms_cli.commands.catalogue import describe_choices
 
         text += "\n" + describe_choices(primary)
+        if "--multirun" in text:
+            text += "\nsweeps (-m)\n" + describe_choices("sweep")
     return text
 
 

@@ -36,7 +36,7 @@ examples
 """
 
 #: Primary configurations; what an earlier one says of a group counts.
-_PRIMARIES = ("run", "identify", "validate", "excite", "stability")
+_PRIMARIES = ("run", "identify", "validate", "excite", "stability", "sweep")
 
 #: Groups that the primary configurations do not have: they are chosen inside others.
 _INSIDE_OTHERS = {

@@ -99,6 +99,12 @@ def _of_list(earlier: Sequence[str], word: str) -> list[str]:
 def _of_overrides(primary: str, earlier: Sequence[str], word: str) -> list[str]:
     config_dirs, rest = take_config_dirs(earlier)
     declared = read_primary(primary, config_dirs)
+    if {"-m", "--multirun"} & set(rest):
+        rest = [text for text in rest if not text.startswith("-")]
+        own = read_primary("sweep", config_dirs)
+        declared = declared._replace(
+            defaults=declared.defaults | own.defaults, body=declared.body | own.body
+        )
     groups = read_groups(config_dirs)
     bare = word.lstrip("+~")
     prefix = word[: len(word) - len(bare)]

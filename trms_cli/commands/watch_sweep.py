@@ -11,7 +11,13 @@ from trms_cli.commands.watch_frame import between, fitted, tail_of
 from trms_cli.runs.sweep_progress import Job, Sweep
 
 _SILENT = 30.0  # s without a word from a job, after which that is told
-_COLUMNS = {"done": "green", "failed": "bold red", "interrupted": "yellow", "gone": "bold red"}
+_COLUMNS = {
+    "done": "green",
+    "failed": "bold red",
+    "lost": "bold red",
+    "interrupted": "yellow",
+    "gone": "bold red",
+}
 
 
 def sweep_frame(sweep: Sweep, width: int, height: int, *, plain: bool = False) -> list[Text]:
@@ -58,7 +64,7 @@ def _progress(sweep: Sweep, width: int, plain: bool) -> Text:
         used = 0
         for states, name, style in (
             (("done",), "done", "green"),
-            (("failed", "interrupted", "gone"), "failed", "red"),
+            (("failed", "lost", "interrupted", "gone"), "failed", "red"),
             (("running",), "running", "yellow"),
         ):
             count = sweep.count(*states)
@@ -72,7 +78,7 @@ def _progress(sweep: Sweep, width: int, plain: bool) -> Text:
 
 
 def _troubles(sweep: Sweep) -> list[str]:
-    counts = [(sweep.count(state), state) for state in ("failed", "interrupted", "gone")]
+    counts = [(sweep.count(state), state) for state in ("failed", "lost", "interrupted", "gone")]
     return [f"{count} {state}" for count, state in counts if count]
 
 

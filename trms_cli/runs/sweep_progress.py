@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import platform
 import re
 import time
 from collections.abc import Iterator, Mapping
@@ -21,7 +22,9 @@ _SCHEMA = "trms.status/1"
 _LONGEST = 2**20  # bytes of a status
 _DEEPEST = 3  # folders between a sweep and its jobs
 _RECENT = 60  # ended jobs that the throughput is told over
-_ENDED = ("done", "failed", "interrupted")
+_ENDED = ("done", "failed", "interrupted", "lost")
+_RECORD_NAME, _RECORD_SCHEMA = "sweep.json", "trms.sweep/1"
+_LONGEST_RECORD = 2**26  # bytes
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,8 @@ class Job:
     name : str
         Its folder, from that of the sweep.
     state : str
-        ``running``, ``done``, ``failed``, ``interrupted``, or ``gone``: it says that it runs, and
-        this machine has no such process.
+        ``running``, ``done``, ``failed``, ``interrupted``, ``lost`` (its worker died each time), or
+        ``gone``: it says that it runs, and this machine has no such process.
     overrides : tuple of str
         What was typed for it.
     objective : float
@@ -106,7 +109,7 @@ class Sweep:
     @property
     def failures(self) -> list[Job]:
         """Jobs that did not end well, the latest first."""
-        failed = [job for job in self.jobs if job.state in ("failed", "interrupted", "gone")]
+        failed = [job for job in self.jobs if job.state in ("failed", "lost", "interrupted", "gone")]
         return sorted(failed, key=lambda job: -job.changed)
 
 
@@ -185,7 +188,7 @@ def _read(file: Path, folder: Path, changed: int) -> Job | None:
     if document is None:
         return None
     state = str(document.get("state"))
-    if state == "running" and not _is_alive(document.get("pid")):
+    if state == "running" and not _is_alive(document.get("pid"), document.get("host")):
         state = "gone"
     overrides = document.get("overrides")
     objective = document.get("objective")
@@ -203,7 +206,9 @@ def _read(file: Path, folder: Path, changed: int) -> Job | None:
     )
 
 
-def _is_alive(pid: Any) -> bool:
+def _is_alive(pid: Any, host: Any) -> bool:
+    if isinstance(host, str) and host != platform.node():
+        return True  # nobody here can tell
     if not isinstance(pid, int) or isinstance(pid, bool) or not 0 < pid < 2**31:
         return True  # it does not say: believe it
     try:
@@ -223,7 +228,28 @@ def _rate(jobs: tuple[Job, ...]) -> float:
 
 
 def _plan(folder: Path) -> tuple[tuple[str, ...], int | None]:
-    """What was typed for a sweep, and how many jobs that makes, from the file that Hydra leaves."""
+    """What was typed for a sweep, and how many jobs that makes, from the record of the sweep."""
+    if (folder / _RECORD_NAME).exists():
+        return _recorded_plan(folder / _RECORD_NAME)
+    return _plan_of_hydra(folder)
+
+
+def _recorded_plan(file: Path) -> tuple[tuple[str, ...], int | None]:
+    try:
+        document = json.loads(read_bytes(file, _LONGEST_RECORD))
+    except (OSError, RecordingError, ValueError, RecursionError):
+        return (), None
+    if not isinstance(document, Mapping) or document.get("schema") != _RECORD_SCHEMA:
+        return (), None
+    overrides, total = document.get("overrides"), document.get("total")
+    return (
+        tuple(map(str, overrides)) if isinstance(overrides, list) else (),
+        total if isinstance(total, int) and not isinstance(total, bool) else None,
+    )
+
+
+def _plan_of_hydra(folder: Path) -> tuple[tuple[str, ...], int | None]:
+    """The same of a sweep that Hydra made, as earlier versions did."""
     import yaml
 
     from trms_cli.core.yaml_data import MOST_BYTES, load_yaml
