@@ -20,7 +20,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export REASON
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test slow lint format check bench regression regression-update \
+.PHONY: help setup run test slow package docs docs-links lint format check bench regression regression-update \
 	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
@@ -47,6 +47,16 @@ test: $(READY) ## set up and run the tests
 
 slow: $(READY) ## the long tests
 	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m slow -q $(ARGS)
+
+package: $(READY) ## wheel and source distribution, built, installed under lowest and newest dependencies, used
+	@$(BIN)/python -m pytest -q -m slow tests/packaging $(ARGS)
+
+docs: $(READY) ## build the documentation site into build/site; a broken link fails
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site
+	@echo 'build/site/index.html'
+
+docs-links: $(READY) ## ask for every address outside that the documentation names (needs a network)
+	@$(BIN)/python -m sphinx -q -b linkcheck docs build/links
 
 lint: $(READY) ## formatting, lint and types
 	@$(BIN)/ruff format --check .
