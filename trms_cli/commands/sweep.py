@@ -48,6 +48,7 @@ examples
 
 options
   --retry-failed   make again what failed or was lost
+  --allow PACKAGE  let classes of this package run, as for the command that began the sweep
   --json           print the outcome as one JSON document (trms.sweep-status/1)
 """
 
@@ -306,11 +307,18 @@ def _driven(
 ) -> Swept:
     """Drive the sweep, and write down at the end, whatever it is, how it stands."""
     from trms_cli.commands.sweep_work import MakeRun
+    from trms_cli.core.allowed import allowed_for_now
     from trms_cli.sweeps.driver import Driver, counts_of
     from trms_cli.sweeps.status import now
 
     work = MakeRun(
-        str(record.folder), plan.primary, task, plan.config_dirs, plan.directory, plan.git
+        str(record.folder),
+        plan.primary,
+        task,
+        plan.config_dirs,
+        plan.directory,
+        plan.git,
+        tuple(sorted(allowed_for_now())),
     )
     driver = Driver(
         record,

@@ -65,6 +65,9 @@ def _read(
     argv: Sequence[str], word: str, allowed: Sequence[str]
 ) -> tuple[Path, list[str], list[str]]:
     """The folder, the overrides and the options of a command line."""
+    from trms_cli.commands.catalogue import take_allowed
+
+    argv = take_allowed(argv)
     options = [text for text in argv if text.startswith("-")]
     for option in options:
         if option not in allowed:

@@ -24,6 +24,7 @@ from trms_cli.commands.git_revision import known_revision
 from trms_cli.commands.invocation import called_as
 from trms_cli.commands.recomposition import recomposer
 from trms_cli.commands.run_folder import SCORE_NAME
+from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.runs.columns import figures_of
 from trms_cli.sweeps.driver import DISK_FULL
@@ -58,6 +59,8 @@ class MakeRun:
         Working directory, for paths in overrides.
     git : str
         Revision of the checkout, asked once for all runs.
+    allowed : tuple of str
+        Packages whose classes may be built, for workers that do not inherit it.
     """
 
     folder: str
@@ -66,6 +69,7 @@ class MakeRun:
     config_dirs: tuple[str, ...]
     directory: str
     git: str = ""
+    allowed: tuple[str, ...] = ()
 
     def __call__(self, attempt: Attempt) -> Result | None:
         """Make the run; every failure is told in the result, and in the run's ``status.json``."""
@@ -117,6 +121,8 @@ class MakeRun:
         point = attempt.point
         told: dict[str, Any] = {}
         errors = io.StringIO()
+        for package in self.allowed:
+            allow_for_now(package)
         try:
             with _here(self.directory), _watched(run, attempt.number, Path(self.folder)):
                 folders = tuple(map(Path, self.config_dirs))

@@ -1,0 +1,237 @@
+"""The driver: whatever workers and messages do, each point ends once, and none is lost."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.core.errors import TrmsError
+from trms_cli.sweeps.driver import DISK_FULL, Driver
+from trms_cli.sweeps.launcher import Attempt, Ended
+from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.record import Record
+from trms_cli.sweeps.samplers.planned import Planned
+from trms_cli.sweeps.status import RunFolder
+
+DEAD = subprocess.Popen(["true"])
+DEAD.wait()
+
+
+class Listed:
+    """Proposes a number of points, some at a time."""
+
+    def __init__(self, count: int, begun: int = 0) -> None:
+        self.total, self._next, self.told = count, begun, []
+
+    def more(self, results, wanted):
+        self.told += results
+        first, self._next = self._next, min(self.total, self._next + max(wanted, 0))
+        return [Point(n, (f"seed={n}",)) for n in range(first, self._next)]
+
+    def summary(self, results):
+        return {}
+
+
+class Unreliable:
+    """A crew whose workers die at every stage of a run, and whose messages are lost or doubled."""
+
+    workers = 3
+
+    def __init__(self, folder, chance, deaths):
+        self.folder, self.chance, self.deaths = folder, chance, deaths
+        self.begins: dict[int, int] = {}
+        self.finished: dict[int, int] = {}
+        self.given: list[Attempt] = []
+
+    @contextmanager
+    def crew(self, work):
+        yield self
+
+    def submit(self, attempts):
+        self.given += attempts
+
+    def ended(self, timeout_s):
+        if not self.given:
+            return []
+        attempt = self.given.pop(self.chance.randrange(len(self.given)))
+        fate = self.chance.choice(["good", *self.deaths])
+        if fate == "before":
+            return [Ended(attempt, None, "died")]
+        found = self.work(attempt, dies=fate == "amid")
+        if fate == "twice":  # the engine has handed it to a second worker
+            assert self.work(attempt, dies=False) is None or found is not None
+            found = found or RunFolder(self.folder, attempt.point.number).result()
+        if fate in ("amid", "after"):
+            return [Ended(attempt, None, "died")]
+        return [Ended(attempt, found)] * (2 if fate == "told twice" else 1)
+
+    def work(self, attempt, *, dies):
+        run = RunFolder(self.folder, attempt.point.number)
+        if not run.claim(attempt.number):
+            return run.result()
+        self.begins[run.number] = self.begins.get(run.number, 0) + 1
+        status = {"schema": "trms.status/1", "state": "running"}
+        run.write(status)
+        if dies:
+            claim = run.attempt_file(attempt.number)
+            claim.write_text(claim.read_text().replace(str(os.getpid()), str(DEAD.pid)))
+            return None
+        run.write(status | {"state": "done", "objective": 1.0})
+        self.finished[run.number] = self.finished.get(run.number, 0) + 1
+        return Result(run.number, "done", objective=1.0)
+
+
+FATES = ["before", "amid", "after", "twice", "told twice"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    count=st.integers(1, 12),
+    retries=st.integers(0, 3),
+    deaths=st.sets(st.sampled_from(FATES)),
+)
+def test_each_point_ends_once(tmp_path_factory, seed, count, retries, deaths):
+    folder = tmp_path_factory.mktemp("sweep")
+    record = Record(folder)
+    proposals = Listed(count)
+    crew = Unreliable(folder, random.Random(seed), sorted(deaths))
+    driver = Driver(record, proposals, lambda attempt: None, retries=retries)
+    driver.drive(crew)
+    results = driver.progress.results
+    assert sorted(results) == list(range(count))
+    assert [point.number for point in record.points()] == list(range(count))
+    assert all(times == 1 for times in crew.finished.values())  # none is made twice
+    assert all(times <= retries + 1 for times in crew.begins.values())
+    for number, result in results.items():
+        assert RunFolder(folder, number).result().state == result.state
+        assert (result.state == "done") == (number in crew.finished)
+        assert result.state == "done" or crew.begins[number] == retries + 1
+    if "amid" not in deaths:
+        assert set(crew.finished) == set(range(count))
+    assert {result.number for result in proposals.told} == set(range(count))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6), stops=st.lists(st.integers(1, 6), max_size=4))
+def test_a_driver_that_is_killed_again_and_again(tmp_path_factory, seed, stops):
+    """Whatever it had handed out, the next one goes on, and nothing is made twice."""
+
+    class Killed(BaseException):
+        pass
+
+    folder = tmp_path_factory.mktemp("sweep")
+    record, chance, count = Record(folder), random.Random(seed), 9
+    crew = Unreliable(folder, chance, ["amid", "after", "before"])
+    for stop in [*stops, None]:
+        known = record.points(mend=True)
+        crew.given.clear()
+
+        def tell(progress, result, left=[stop]):  # noqa: B006
+            if result is not None and left[0] is not None:
+                left[0] -= 1
+                if left[0] < 0:
+                    raise Killed
+
+        driver = Driver(
+            record, Listed(count, len(known)), lambda attempt: None, retries=50, tell=tell
+        )
+        try:
+            driver.take_stock(known)
+            driver.drive(crew)
+        except Killed:
+            continue
+    assert set(crew.finished) == set(range(count))
+    assert all(times == 1 for times in crew.finished.values())
+    assert sorted(driver.progress.results) == list(range(count))
+
+
+class Scripted(Unreliable):
+    """Ends each attempt as a script says."""
+
+    def __init__(self, folder, script):
+        super().__init__(folder, random.Random(0), [])
+        self.script = script
+
+    def ended(self, timeout_s):
+        attempt = self.given.pop(0) if self.given else None
+        return [] if attempt is None else [Ended(attempt, self.script(self, attempt))]
+
+
+def _driver(folder, count, **more) -> Driver:
+    return Driver(Record(folder), Listed(count), lambda attempt: None, **{"retries": 1} | more)
+
+
+def test_a_full_disk_ends_the_sweep_with_what_to_do(tmp_path):
+    script = lambda crew, a: Result(a.point.number, "interrupted", problem=f"{DISK_FULL}: x")  # noqa: E731
+    with pytest.raises(TrmsError, match="disk is full") as told:
+        _driver(tmp_path, 2).drive(Scripted(tmp_path, script))
+    assert "sweep resume" in told.value.remedy
+
+
+def test_a_worker_that_is_told_to_go_has_not_failed_at_its_run(tmp_path):
+    times: dict[int, int] = {}
+
+    def script(crew, attempt):
+        number = attempt.point.number
+        times[number] = times.get(number, 0) + 1
+        if times[number] <= 3:
+            RunFolder(tmp_path, number).claim(attempt.number)
+            RunFolder(tmp_path, number).write({"schema": "trms.status/1", "state": "interrupted"})
+            return Result(number, "interrupted")
+        return crew.work(attempt, dies=False)
+
+    driver = _driver(tmp_path, 2, retries=0)
+    driver.drive(Scripted(tmp_path, script))
+    assert driver.progress.counts == {"done": 2} and driver.progress.retried == 6
+
+
+def test_failed_runs_are_made_again_only_when_asked(tmp_path):
+    def fails(crew, attempt):
+        RunFolder(tmp_path, attempt.point.number).claim(attempt.number)
+        status = {"schema": "trms.status/1", "state": "failed", "error": {"problem": "bad"}}
+        RunFolder(tmp_path, attempt.point.number).write(status)
+        return Result(attempt.point.number, "failed", problem="bad")
+
+    _driver(tmp_path, 3).drive(Scripted(tmp_path, fails))
+    known = Record(tmp_path).points()
+    for again, expected in ((False, {"failed": 3}), (True, {"done": 3})):
+        driver = Driver(
+            Record(tmp_path),
+            Listed(3, 3),
+            lambda attempt: None,
+            retries=1,
+            retry_failed=again,
+        )
+        driver.take_stock(known)
+        driver.drive(Scripted(tmp_path, lambda crew, a: crew.work(a, dies=False)))
+        assert driver.progress.counts == expected
+
+
+def test_thousands_of_points_are_handed_out_in_linear_time(tmp_path):
+    """Counted in looks at the disk: a sweep must not go through its folders for each run."""
+    looks = 0
+    listed = os.listdir
+
+    def counted(*args):
+        nonlocal looks
+        looks += 1
+        return listed(*args)
+
+    count = 400
+    driver = _driver(tmp_path, count)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "listdir", counted)
+        driver.drive(Scripted(tmp_path, lambda crew, a: crew.work(a, dies=False)))
+    assert driver.progress.counts == {"done": count}
+    assert looks <= 3 * count
+
+
+def test_the_planned_samplers_are_proposals():
+    assert hasattr(Planned, "more") and hasattr(Planned, "summary")
