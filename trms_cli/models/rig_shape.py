@@ -112,7 +112,7 @@ def _stand(height: float, radius: float) -> list[Cylinder]:
     """Base plate and pillar."""
     plate = 0.04 * height
     return [
-        Cylinder("base", BASE, (0.0, 0.0, 0.5 * plate), _UP, plate, 0.4 * height, "grey"),
+        Cylinder("base", BASE, (0.0, 0.0, 0.5 * plate), _UP, plate, 0.28 * height, "grey"),
         Cylinder(
             "pillar", BASE, (0.0, 0.0, 0.5 * height), _UP, height, max(1.6 * radius, 0.01), "pale"
         ),

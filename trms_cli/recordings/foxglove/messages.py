@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from trms_cli.core.scene import (
@@ -34,7 +35,8 @@ from trms_cli.core.scene import (
 Attitudes = Mapping[str, tuple[float, float]]
 
 _CORNERS = 48  # of a ring
-_GHOST_OPACITY = 0.3
+_GHOST_OPACITY = {"reference": 0.35, "estimate": 0.9}
+_GHOST_WIDTH = 0.8
 #: Shares of an arrow: its head's length at most, and diameters over its reach.
 _HEAD, _SHAFT_WIDTH, _HEAD_WIDTH = 0.25, 0.06, 0.14
 _SECOND = 1_000_000_000  # ns
@@ -94,10 +96,10 @@ class SceneEncoder:
             _entity(time_ns, frame, frame, [p for p in parts if p.frame == frame], self._about)
             for frame in (BASE, YAW, BEAM)
         ]
-        moving = [part for part in parts if part.frame == BEAM]
         for ghost in self.ghosts:
             frame = f"{ghost}_{BEAM}"
-            entities.append(_entity(time_ns, frame, ghost, moving, "", ghost))
+            shape = [_pointer(parts)] if ghost == "estimate" else _inside(parts)
+            entities.append(_entity(time_ns, frame, ghost, shape, "", ghost))
         return _encoded({"deletions": [], "entities": entities})
 
     def transforms(self, time_ns: int, attitudes: Attitudes) -> bytes:
@@ -194,6 +196,28 @@ def _entity(
     }
 
 
+def _inside(parts: Sequence[Cylinder | Ring]) -> list[Cylinder | Ring]:
+    """The beam a little thinner: hidden in the rig's own while both agree, and not through it."""
+    return [
+        replace(part, thickness=_GHOST_WIDTH * part.thickness)
+        if isinstance(part, Ring)
+        else replace(part, radius=_GHOST_WIDTH * part.radius, length=0.98 * part.length)
+        for part in parts
+        if part.frame == BEAM
+    ]
+
+
+def _pointer(parts: Sequence[Cylinder | Ring]) -> Cylinder:
+    """A thin rod along the beam that stands out at both ends: an estimate is hardly ever off."""
+    rings = [part for part in parts if isinstance(part, Ring)]
+    ends = [part.centre[0] + sign * 1.3 * part.radius for part in rings for sign in (-1, 1)]
+    low, high = min(ends), max(ends)
+    return Cylinder(
+        "estimate", BEAM, (0.5 * (low + high), 0.0, 0.0), (1.0, 0.0, 0.0), high - low,
+        0.4 * min(part.thickness for part in rings), "estimate",
+    )  # fmt: skip
+
+
 def _cylinder(part: Cylinder, ghost: str) -> dict[str, Any]:
     return {
         "pose": _pose(part.centre, rotation_onto(part.axis)),
@@ -244,7 +268,7 @@ def _x_onto(axis: Vector) -> Quaternion:
 
 def _colour(tone: str, opacity: float, ghost: str = "") -> dict[str, float]:
     if ghost:
-        tone, opacity = ghost, opacity * _GHOST_OPACITY
+        tone, opacity = ghost, opacity * _GHOST_OPACITY[ghost]
     red, green, blue = TONES[tone]
     return {"r": red, "g": green, "b": blue, "a": opacity}
 
