@@ -212,7 +212,7 @@ BAD_INPUT = [
     ("signal@ref.alpha_v=sine", "signal@ref.alpha_v", "nothing is chosen"),
     ("sgnal@ref.alpha_v=sine", "there is no group 'sgnal'", "did you mean signal?"),
     ("experiment=shrt", "experiment has no option 'shrt'", "did you mean short?"),
-    ("hydra.run.dir=x", "hydra.run.dir", "add -m"),
+    ("hydra.run.dir=x", "hydra.run.dir", "are not taken"),
     ("--multrun", "unknown option '--multrun'", "did you mean --multirun?"),
     ("--config-dir=/nowhere/at/all", "does not exist"),
     ("--config-dir=.", "holds no group"),

@@ -18,7 +18,9 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from trms_cli.commands.composition import Composition
+from trms_cli.commands.run_folder import in_use
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError, TrmsError
+from trms_cli.core.held_folder import hold
 from trms_cli.core.plugins import TARGET, build
 
 #: In the folder of a diagnosis: what it says, what was printed on the way, how long it took.
@@ -189,6 +191,8 @@ def _why(problem: BaseException) -> str:
 def _make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
+        if not hold(out):
+            raise in_use(out)
     except OSError as error:
         raise RecordingError(
             f"cannot be made: {error.strerror or error}",

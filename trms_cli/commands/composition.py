@@ -20,6 +20,7 @@ from trms_cli.commands.catalogue import (
     read_groups,
     read_primary,
 )
+from trms_cli.commands.interpolations import check_interpolations
 from trms_cli.commands.overrides import Request, prepare, read_request
 from trms_cli.commands.placed_choices import drop_foreign_keys
 from trms_cli.commands.run_folder import new_folder
@@ -148,6 +149,7 @@ def _compose(request: Request, primary: str) -> Composition:
 def _hydra_compose(primary: str, overrides: Sequence[str], config_dirs: Sequence[Path]) -> Any:
     """The ``DictConfig`` with its ``hydra`` node, unresolved."""
     import hydra
+    from omegaconf import OmegaConf
 
     from trms_cli.commands.search_path import HYDRA_VERSION_BASE, user_folders
 
@@ -155,7 +157,11 @@ def _hydra_compose(primary: str, overrides: Sequence[str], config_dirs: Sequence
         hydra.initialize_config_dir(
             str(config_folder()), job_name=primary, version_base=HYDRA_VERSION_BASE
         )
-        return hydra.compose(primary, overrides=list(overrides), return_hydra_config=True)
+        composed = hydra.compose(primary, overrides=list(overrides), return_hydra_config=True)
+    content = OmegaConf.to_container(composed)
+    assert isinstance(content, dict)
+    check_interpolations({str(key): content[key] for key in content if key != "hydra"})
+    return composed
 
 
 def finish(composed: Any, declared: Primary, request: Request) -> Composition:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from trms_cli.commands.catalogue import Groups, Primary, take_allowed, take_config_dirs
+from trms_cli.commands.catalogue import Groups, Primary, take_config_dirs
 from trms_cli.commands.declared_keys import DeclaredKeys, is_path
 from trms_cli.commands.model_files import with_model_files
 from trms_cli.core.errors import ConfigurationError
@@ -64,7 +64,7 @@ def read_request(argv: Sequence[str]) -> Request:
     ConfigurationError
         For an unknown option; a command takes its own options off before.
     """
-    config_dirs, rest = take_config_dirs(take_allowed(argv))
+    config_dirs, rest = take_config_dirs(argv)
     overrides: list[str] = []
     show = multirun = False
     words = iter(rest)
@@ -127,9 +127,7 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
     keys = DeclaredKeys(primary, groups, request.overrides)
     for override in _last_of_each_choice(request, primary, groups):
         if override.key.split(".")[0].split("/")[0] == "hydra":
-            _check_hydra_key(override, request)
-            prepared.append(str(override))
-            continue
+            raise _hydra_key(override)
         if override.package:
             placed = _placed_choice(override, primary, groups)
             if (placed.key, placed.package[1:]) in keys.places():
@@ -156,13 +154,13 @@ def _last_of_each_choice(request: Request, primary: Primary, groups: Groups) -> 
     return kept
 
 
-def _check_hydra_key(override: Override, request: Request) -> None:
-    if not request.multirun:
-        raise ConfigurationError(
-            "Hydra's own keys steer a sweep only",
-            where=override.key,
-            remedy="add -m for a sweep, or leave the key out",
-        )
+def _hydra_key(override: Override) -> ConfigurationError:
+    return ConfigurationError(
+        f"{override}: keys of Hydra's own are not taken",
+        where=override.key,
+        remedy="a sweep has a sampler and a launcher of its own (`trms list sampler`); the folder "
+        "of a run is out=FOLDER",
+    )
 
 
 def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Override:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,7 +11,10 @@ from typing import Any
 
 from trms_cli.commands.composition import Task, execute
 from trms_cli.commands.identify_files import REQUEST_NAME
+from trms_cli.commands.run_folder import in_use
+from trms_cli.core.data_file import read_json
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.held_folder import hold
 
 _KEY = "resume="
 
@@ -98,14 +100,18 @@ class Resumption:
                     remedy=f"a {self.noun} goes on as it was asked for, in its own folder; only "
                     f"{self.only} may change: for all else {self.verb} anew",
                 )
-        places = [word for place in request["config_dirs"] for word in ("--config-dir", place)]
+        if not hold(folder):
+            raise in_use(folder)
+        places = [f"--config-dir={place}" for place in request["config_dirs"]]
         task: Task = partial(perform, folder=folder)
         return execute([*places, *request["overrides"], *argv], self.command, task)
 
     def _request(self, file: Path) -> dict[str, Any]:
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
+            content = read_json(file)
             words = {key: [str(v) for v in content[key]] for key in ("overrides", "config_dirs")}
+            if any(word.startswith("-") for word in words["overrides"]):
+                raise ValueError("an option among what was typed")
             return words | {"working_folder": str(content["working_folder"])}
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ConfigurationError(

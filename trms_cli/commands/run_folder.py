@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.held_folder import hold, let_go
 from trms_cli.core.whole_file import replace_whole
 
 #: Files of a run in its folder.
@@ -30,14 +31,23 @@ def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
     Raises
     ------
     TrmsError
-        If the folder holds something already, or cannot be made or written to.
+        If the folder holds something already, if another process is writing into it, or if it
+        cannot be made or written to.
+
+    Notes
+    -----
+    Of several processes that are given one folder at once, one gets it.
     """
     try:
         if out is None:
             return _dated(what)
         folder = Path(out).expanduser()
         folder.mkdir(parents=True, exist_ok=True)
+        if not hold(folder):
+            raise in_use(folder)
+        # Asked once nobody else can begin to write into it.
         if any(folder.iterdir()):
+            let_go(folder)
             raise TrmsError(
                 f"the folder {str(folder)!r} is not empty, and nothing is written over",
                 where="out",
@@ -53,6 +63,15 @@ def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
             remedy="name a folder that you can write to: out=FOLDER",
         ) from error
     return folder
+
+
+def in_use(folder: Path) -> TrmsError:
+    """The words for a folder that another process writes into."""
+    return TrmsError(
+        f"another process is writing into the folder {str(folder)!r}",
+        where="out",
+        remedy="name a new folder, or wait until the other has ended",
+    )
 
 
 @contextmanager
@@ -83,6 +102,7 @@ def _dated(what: str) -> Path:
         except FileExistsError:
             number += 1
         else:
+            hold(folder)
             return folder
 
 

@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.catalogue import take_allowed
 from trms_cli.commands.composition import Composition, Outcome, Task, compose, execute
 from trms_cli.commands.given_object import refuse_given
 from trms_cli.commands.invocation import program
 from trms_cli.commands.run_folder import log_of
+from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.plugins import TARGET
 
@@ -61,14 +61,13 @@ def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
     what it always means. That needs option files that say what they said: where they have
     changed since, the log's own configuration still runs, but nothing can be laid on top.
     """
-    argv = take_allowed(argv)
     run = _read(log)
-    then = tuple(json.loads(run.run.get("overrides", "[]")))
-    folders = [Path(folder) for folder in json.loads(run.run.get("config_dirs", "[]"))]
+    then = _words(run, "overrides")
+    folders = [Path(folder) for folder in _words(run, "config_dirs")]
     logged = _config(run)
     refuse_given(logged, "", str(log))
     typed = [word for word in then if not _is_own(word)]
-    places = [word for folder in folders for word in ("--config-dir", str(folder))]
+    places = [f"--config-dir={folder}" for folder in folders]
     _tell_what_differs(run)
     changed = _changed(logged, [*places, *typed], primary)
     if not changed:
@@ -108,6 +107,15 @@ def _read(path: Path) -> LoggedRun:
             "plant=replay plant.file=FILE",
         )
     return run
+
+
+def _words(run: LoggedRun, key: str) -> tuple[str, ...]:
+    """What was typed then: overrides or folders. An option that a log holds is not followed."""
+    with not_as_written(str(run.path), "what was typed for it"):
+        words = json.loads(run.run.get(key, "[]"))
+        if not isinstance(words, list) or any(str(word).startswith("-") for word in words):
+            raise ValueError(f"{key}: {words!r}")
+        return tuple(map(str, words))
 
 
 def _config(run: LoggedRun) -> dict[str, Any]:
@@ -179,7 +187,7 @@ def _as_logged(
     make_importable(folders)
     config = {**logged, "out": None}
     config |= {word.partition("=")[0]: word.partition("=")[2] for word in own}
-    overrides = tuple(json.loads(run.run.get("overrides", "[]")))
+    overrides = _words(run, "overrides")
     choices = {
         key: value
         for key, equals, value in (word.partition("=") for word in overrides)
@@ -190,6 +198,10 @@ def _as_logged(
     return Composition(config, overrides, groups, tuple(folders))
 
 
+def _mapping(run: LoggedRun, key: str) -> dict[str, Any]:
+    return dict(json.loads(run.run.get(key, "{}")))
+
+
 def _is_own(word: str) -> bool:
     return word.lstrip("+").partition("=")[0] in _OWN_KEYS
 
@@ -198,7 +210,9 @@ def _tell_what_differs(run: LoggedRun) -> None:
     """Say which packages are not those of the log: figures may differ in their last digits."""
     from trms_cli.commands.run_assembly import VERSIONS_KEY, versions
 
-    then, now = json.loads(run.run.get(VERSIONS_KEY, "{}")), versions()
+    now = versions()
+    with not_as_written(str(run.path)):
+        then = {str(name): str(text) for name, text in _mapping(run, VERSIONS_KEY).items()}
     changed = [
         f"{name} {then[name]} → {now.get(name, 'absent')}"
         for name in then
@@ -209,5 +223,6 @@ def _tell_what_differs(run: LoggedRun) -> None:
 
 
 def _writer(run: LoggedRun) -> str:
-    version = json.loads(run.run.get("versions", "{}")).get("trms", "")
+    with not_as_written(str(run.path)):
+        version = _mapping(run, "versions").get("trms", "")
     return f"trms {version}".strip()

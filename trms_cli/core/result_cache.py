@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TypeVar
@@ -13,6 +11,7 @@ import msgspec
 import numpy as np
 
 from trms_cli.core.compilation import cache_folder
+from trms_cli.core.whole_file import replace_whole
 
 T = TypeVar("T")
 
@@ -50,9 +49,6 @@ def _keep(file: Path, content: bytes) -> None:
     """Write whole or not at all; a cache that cannot be written is no error."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=file.parent)
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-        os.replace(name, file)
+        replace_whole(file, content)
     except OSError:
         return

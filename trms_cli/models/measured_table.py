@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.data_file import MEBIBYTE, read_bytes
 from trms_cli.core.errors import ModelError
 
 FloatArray = npt.NDArray[np.float64]
 
+#: Of a file; a measured curve has some kilobytes.
+_MOST = MEBIBYTE
 #: Factor to SI by unit, by column.
 Columns = Mapping[str, Mapping[str, float]]
 
@@ -46,7 +49,7 @@ def read_table(
         If there is no such file, or its content is not such a table; with the line.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = read_bytes(Path(path), _MOST).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise ModelError(

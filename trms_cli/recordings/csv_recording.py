@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
+from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, read_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name
 from trms_cli.recordings.output_file import whole_file
@@ -28,6 +30,11 @@ _HEADER_CELL = re.compile(r"^(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]$")
 _TIME = Channel("t", "time", ("s",), "time")
 _EXAMPLE = "t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"
 _MISSING = float("nan")
+#: Of a file: eight channels at 100 Hz for some three hours.
+_USUAL_MOST = 64 * MEBIBYTE
+_LEAST_LINE = 8  # bytes; shorter lines hold no recording
+_MOST_COLUMNS = 1000
+_BLOCK = 10_000  # rows
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,7 @@ def _one_line(text: str) -> str:
 
 def _lines(path: Path) -> tuple[list[str], bool]:
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, largest(_USUAL_MOST))
     except FileNotFoundError as error:
         raise RecordingError("there is no such file", where=str(path)) from error
     except OSError as error:
@@ -123,6 +130,13 @@ def _lines(path: Path) -> tuple[list[str], bool]:
         found = f"the byte 0x{data[error.start]:02x} is not UTF-8 text"
         _refuse(path, line, found, "save the file as UTF-8")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if text.count("\n") > largest(_USUAL_MOST) // _LEAST_LINE:
+        raise RecordingError(
+            f"it has {text.count(chr(10)):,} lines, and {largest(_USUAL_MOST) // _LEAST_LINE:,} "
+            "are read",
+            where=str(path),
+            remedy=how_to_raise(text.count("\n") * _LEAST_LINE),
+        )
     if not text.strip():
         raise RecordingError(
             "the file is empty", where=str(path), remedy=f"it needs a header as {_EXAMPLE}"
@@ -150,6 +164,12 @@ def _preamble(path: Path, lines: list[str]) -> tuple[dict[str, str], int]:
 
 
 def _header(line: str, where: str) -> list[_Column]:
+    if line.count(",") >= _MOST_COLUMNS:
+        raise RecordingError(
+            f"it has {line.count(',') + 1:,} columns",
+            where=where,
+            remedy=f"a recording has up to {_MOST_COLUMNS}; is a line end missing?",
+        )
     cells = [cell.strip().strip('"').strip() for cell in line.split(",")]
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in line:
@@ -221,23 +241,29 @@ def _numbers(
 ) -> tuple[np.ndarray, list[int]]:
     """Return the cells as (n, columns) floats, and the line number of each row."""
     width = len(columns)
-    rows, line_numbers = [], []
-    for number, line in enumerate(lines[first:], start=first + 1):
+    blocks: list[np.ndarray] = []
+    rows: list[list[float]] = []
+    line_numbers: list[int] = []
+    for number, line in enumerate(islice(lines, first, None), start=first + 1):
         if not line or line.isspace():
             continue
+        found = line.count(",") + 1  # before it is cut up: it may be all of the file
+        if found != width:
+            cut = number == len(lines) and not ends_with_newline and found < width
+            _refuse_width(path, number, line, found, width, cut=cut)
         cells = line.split(",")
-        if len(cells) != width:
-            cut = number == len(lines) and not ends_with_newline and len(cells) < width
-            _refuse_width(path, number, line, len(cells), width, cut=cut)
         try:
             rows.append([float(c) if c and not c.isspace() else _MISSING for c in cells])
         except ValueError:
             rows.append([_number(path, number, c, k) for c, k in zip(cells, columns, strict=True)])
         line_numbers.append(number)
-    if len(rows) < 2:
-        found = "there are no numbers below the header" if not rows else "there is a single row"
-        _refuse(path, first + 1, found, "a recording needs two samples or more")
-    table = np.array(rows)
+        if len(rows) == _BLOCK:  # as numbers they take a quarter of the memory
+            blocks.append(np.array(rows))
+            rows = []
+    if len(line_numbers) < 2:
+        told = "there is a single row" if line_numbers else "there are no numbers below the header"
+        _refuse(path, first + 1, told, "a recording needs two samples or more")
+    table = np.concatenate([*blocks, np.array(rows).reshape(-1, width)])
     # "nan" and "inf" pass float(), and so does an empty cell as our own NaN: only rows with
     # a value that is not finite are looked at again. float() also takes 1_0 for 10.
     suspects = set(np.flatnonzero(~np.isfinite(table).all(axis=1)).tolist())

@@ -11,13 +11,16 @@ there are any) is read as the log that it was exported from: each has its own ``
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from trms_cli.core.data_file import largest, not_as_written, read_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.channels import REFERENCE_OF_AXIS, find_channel
+from trms_cli.recordings.mat_structure import USUAL_MOST, is_level_5, plain_variables
 from trms_cli.recordings.recording import Recording, require_channels, require_values
 from trms_cli.recordings.units import to_si
 
@@ -32,7 +35,11 @@ _REMEDY = "save('rec.mat', 't', 'u_v', 'u_h', 'alpha_v', 'alpha_h'), each a vect
 def read_mat(path: Path | str) -> Recording:
     """Read a MAT recording into SI units; NaN is a missing sample."""
     path = Path(path)
-    variables = _variables(path)
+    with not_as_written(str(path)):
+        return _recording(path, _variables(path))
+
+
+def _recording(path: Path, variables: dict[str, Any]) -> Recording:
     if "t" not in variables and isinstance(variables.get("measurement"), dict):
         return _of_topics(path, variables)
     units = variables.get("units", {})
@@ -135,9 +142,18 @@ def _variables(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
     try:
-        content = loadmat(path, simplify_cells=True)
+        data = read_bytes(path, largest(USUAL_MOST))
+        names = plain_variables(data) if is_level_5(data) else None
+        content = loadmat(BytesIO(data), simplify_cells=True, variable_names=names)
     except FileNotFoundError as error:
         raise RecordingError("there is no such file", where=str(path)) from error
+    except OSError as error:
+        reason = error.strerror or error
+        raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
+    except RecordingError:
+        raise
+    except MemoryError as error:
+        raise RecordingError("it does not fit into the memory", where=str(path)) from error
     except NotImplementedError as error:
         raise RecordingError(
             "this is a MATLAB 7.3 file (HDF5)", where=str(path), remedy="save(..., '-v7')"

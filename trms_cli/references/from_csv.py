@@ -15,8 +15,13 @@ from typing import Literal
 
 import numpy as np
 
+from trms_cli.core.data_file import MEBIBYTE, largest, read_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.references.signal import EDGE, Array
+
+#: Of a file: its rows are taken apart in memory.
+_USUAL_MOST = 32 * MEBIBYTE
+_MOST_COLUMNS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +104,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
             remedy=f"give the path of a CSV file whose header is like {example}",
         )
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_bytes(path, largest(_USUAL_MOST)).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(
             f"{str(path)!r} cannot be read: {getattr(error, 'strerror', None) or error}",
@@ -157,7 +162,9 @@ def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
     """Line numbers (from 1) and cells, without metadata, comments and blank lines."""
     for line, content in enumerate(text.splitlines(), start=1):
         if content.strip() and not content.lstrip().startswith("#"):
-            yield line, [cell.strip() for cell in next(csv.reader([content]))]
+            if content.count(",") > _MOST_COLUMNS or len(content) > csv.field_size_limit():
+                raise RecordingError(f"line {line} is no row of a table", where="file")
+            yield line, [cell.strip() for cell in next(csv.reader([content]), [])]
 
 
 def _name_and_unit(cell: str, where: str, unit: str) -> tuple[str, str]:
