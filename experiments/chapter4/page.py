@@ -271,14 +271,14 @@ def _bars(outcomes: Sequence[CaseOutcome]) -> Any:
 
 def _traces(outcome: CaseOutcome) -> Any:
     """Angles of the held-out recording, measured and simulated."""
-    from trms_cli.reporting.style import COLOURS, GREY, legend_above, new_figure
+    from trms_cli.reporting.style import COLOURS, GREY, MEASURED, legend_above, new_figure
 
     angles = [name for name in _ANGLES if name in outcome.white]
     figure = new_figure(9.5, 0.6 + 2.0 * len(angles))
     panels = figure.subplots(len(angles), 1, sharex=True, squeeze=False)[:, 0]
     time = outcome.measured["time"]
     for panel, name in zip(panels, angles, strict=True):
-        panel.plot(time, outcome.measured[name], color="#aaaaaa", lw=2.4, label="measured")
+        panel.plot(time, outcome.measured[name], color=MEASURED, lw=2.4, label="measured")
         panel.plot(time, outcome.white_trace[name], color=GREY, lw=0.9, ls="--", label="white")
         for i, fit in enumerate(outcome.fits):
             label = f"grey, {_METHODS[fit.method]}"

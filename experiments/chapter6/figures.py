@@ -18,6 +18,7 @@ from trms_cli.reporting.style import (
     COLOURS,
     GREY,
     INK,
+    LITTLE,
     PALE,
     PALETTE,
     house_style,
@@ -197,7 +198,7 @@ def draw_domain(study: Domain, slices: Mapping[str, Found], path: Path) -> None:
     """The shortest horizon from which the terminal constraint can be met, over three slices."""
     horizons = study.horizons
     colours = LinearSegmentedColormap.from_list(
-        "horizons", [PALETTE["blue"], PALETTE["sky"], "#f4f4f4"]
+        "horizons", [PALETTE["blue"], PALETTE["sky"], LITTLE]
     ).with_extremes(over="white")
     norm = BoundaryNorm(np.arange(len(horizons) + 1) - 0.5, colours.N)
     with house_style():

@@ -17,6 +17,7 @@ from trms_cli.reporting.style import (
     INK,
     PALE,
     PALETTE,
+    SHADES,
     house_style,
     new_figure,
     save_png,
@@ -65,7 +66,6 @@ def draw_runs(runs: Sequence[Ran], observer: str, path: Path) -> None:
 
 def draw_polytope(clouds: Mapping[float, FloatArray], path: Path) -> None:
     """Coefficients of the nonlinear model by the size of the region, in two pairs of entries."""
-    shades = ["#c6dbef", "#9ecae1", "#4292c6", "#08519c"]
     pairs = [
         ((1, 2), (1, 0), "yaw rate ← yaw (cable)", "yaw rate ← tail thrust"),
         ((4, 5), (4, 3), "pitch momentum ← pitch (gravity)", "pitch momentum ← main rotor"),
@@ -75,7 +75,7 @@ def draw_polytope(clouds: Mapping[float, FloatArray], path: Path) -> None:
         page = new_figure(10.0, 3.5)
         panels = page.subplots(1, 3)
         for panel, (across, up, xlabel, ylabel) in zip(panels, pairs, strict=True):
-            for shade, (size, cloud) in zip(shades, clouds.items(), strict=False):
+            for shade, (size, cloud) in zip(SHADES, clouds.items(), strict=False):
                 x, y = cloud[:, across[0], across[1]], cloud[:, up[0], up[1]]
                 panel.plot(x, y, ".", ms=2.0, color=shade, label=f"± {size:g}", mew=0)
             panel.set(xlabel=xlabel, ylabel=ylabel)

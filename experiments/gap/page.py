@@ -298,7 +298,7 @@ def _worst(runs: Sequence[Tracking]) -> Tracking:
 
 def _errors(runs: Sequence[Tracking]) -> Any:
     """Root mean square errors by effect and model, a point a rig, a bar for the mean."""
-    from trms_cli.reporting.style import legend_above, new_figure
+    from trms_cli.reporting.style import INK, legend_above, new_figure
 
     figure = new_figure(9.5, 4.6)
     panels = figure.subplots(2, 1, sharex=True)
@@ -313,7 +313,7 @@ def _errors(runs: Sequence[Tracking]) -> Any:
                 at = i + 0.2 * (j - (len(models) - 1) / 2)
                 label = model if i == 0 else None
                 panel.bar(at, np.mean(values), 0.17, color=_colour(model, models), label=label)
-                panel.plot([at] * len(values), values, ".", color="#222222", ms=3)
+                panel.plot([at] * len(values), values, ".", color=INK, ms=3)
         if max(errors(r)[axis] for r in runs) > _WIDE * min(errors(r)[axis] for r in runs):
             panel.set_yscale("log")
         panel.set_ylabel(f"{axis} error, RMS [mrad]")
@@ -324,7 +324,7 @@ def _errors(runs: Sequence[Tracking]) -> Any:
 
 def _traces(one: Tracking, all_runs: Sequence[Tracking], runs: Path) -> Any:
     """Tracking error over time of one rig with every model."""
-    from trms_cli.reporting.style import legend_above, new_figure
+    from trms_cli.reporting.style import GREY, legend_above, new_figure
 
     figure = new_figure(9.5, 4.6)
     panels = figure.subplots(3, 1, sharex=True)
@@ -335,7 +335,7 @@ def _traces(one: Tracking, all_runs: Sequence[Tracking], runs: Path) -> Any:
             for i, axis in enumerate(AXES):
                 style = ("-", "--")[i]
                 panels[0].plot(
-                    traces["time"], traces["reference"][:, i], style, color="#777777", label=axis
+                    traces["time"], traces["reference"][:, i], style, color=GREY, label=axis
                 )
         error = 1e3 * (traces["angle"] - traces["reference"])
         for i in range(2):

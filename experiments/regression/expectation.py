@@ -13,7 +13,6 @@ from experiments.regression.runs import Outcome
 
 README, FIGURE = HERE / "README.md", HERE / "figure.png"
 _BEGIN, _END = "<!-- expected figures: begin -->", "<!-- expected figures: end -->"
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
 def write_expectation(
@@ -58,8 +57,14 @@ def _number(value: float | None, digits: int) -> str:
 
 def draw(outcomes: Sequence[Outcome], path: Path) -> None:
     """A panel for each axis, reference and rig, a line for each controller."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from trms_cli.reporting.style import house_style, save_png
+
+    with house_style():
+        save_png(_drawn(outcomes), path)
+
+
+def _drawn(outcomes: Sequence[Outcome]) -> Any:
+    from trms_cli.reporting.style import COLOURS, GREY, new_figure
 
     panels: dict[tuple[str, str], list[tuple[str, dict[str, Any]]]] = {}
     for outcome in outcomes:
@@ -68,18 +73,16 @@ def draw(outcomes: Sequence[Outcome], path: Path) -> None:
     references = list(dict.fromkeys(reference for reference, _ in panels))
     rigs = list(dict.fromkeys(rig for _, rig in panels))
     rows = [(reference, axis) for reference in references for axis in ("alpha_v", "alpha_h")]
-    figure = Figure(figsize=(3.2 * len(rigs), 1.7 * len(rows)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(3.2 * len(rigs), 1.7 * len(rows))
     grid = figure.subplots(len(rows), len(rigs), sharex=True, sharey="row", squeeze=False)
     for i, (reference, axis) in enumerate(rows):
         for j, rig in enumerate(rigs):
             panel = grid[i][j]
             for k, (controller, traces) in enumerate(panels.get((reference, rig), [])):
                 if k == 0:
-                    panel.plot(traces["time"], traces[f"r_{axis}"], color="#777777", lw=0.8)
-                colour = _COLOURS[k % len(_COLOURS)]
+                    panel.plot(traces["time"], traces[f"r_{axis}"], color=GREY, lw=0.8)
+                colour = COLOURS[k % len(COLOURS)]
                 panel.plot(traces["time"], traces[axis], color=colour, lw=1.0, label=controller)
-            panel.spines[["top", "right"]].set_visible(False)
             panel.tick_params(labelsize=8)
             if i == 0:
                 panel.set_title(f"rig {rig}", fontsize=9)
@@ -90,4 +93,4 @@ def draw(outcomes: Sequence[Outcome], path: Path) -> None:
                 panel.set_xlabel("time [s]", fontsize=8)
     handles, labels = grid[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
-    figure.savefig(path, dpi=100)
+    return figure

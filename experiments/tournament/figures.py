@@ -80,7 +80,7 @@ def _effects(results: Results) -> Any:
     """Entrants × effects: geometric mean over the references of the error over the best."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    from trms_cli.reporting.style import INK, new_figure
+    from trms_cli.reporting.style import INK, PALETTE, PAPER, SOME, new_figure
 
     ranking = results.classes.get("effect")
     if ranking is None:
@@ -91,7 +91,7 @@ def _effects(results: Results) -> Any:
     values = np.array([[table.get(rig, np.nan) for table in tables] for rig in rigs])
     figure = new_figure(2.9 + 0.78 * len(shown), 1.6 + 0.19 * len(rigs))
     panel = figure.subplots()
-    colours = LinearSegmentedColormap.from_list("behind", ["#ffffff", "#f5d9c6", "#d55e00"])
+    colours = LinearSegmentedColormap.from_list("behind", [PAPER, SOME, PALETTE["vermilion"]])
     panel.imshow(
         np.clip(values, 1.0, _DARKEST), aspect="auto", cmap=colours, vmin=1.0, vmax=_DARKEST
     )

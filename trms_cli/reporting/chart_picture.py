@@ -13,7 +13,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from trms_cli.core.chart import Axis, Chart, Panel
 from trms_cli.reporting.chart_marks import Handle, draw_mark
-from trms_cli.reporting.style import new_figure
+from trms_cli.reporting.style import GREY, GROUND, new_figure
 
 #: Letters of a legend that fit into an inch, its handle counted as some.
 _LETTERS_PER_INCH, _HANDLE_LETTERS = 15.0, 6
@@ -57,8 +57,8 @@ def _draw_panel(axes: Any, panel: Panel) -> dict[str, Handle]:
         axes.tick_params(labelsize=7, pad=0)
         for side in (axes.xaxis, axes.yaxis, axes.zaxis):
             side.pane.set_facecolor((1, 1, 1, 0))
-            side.line.set_color("#777777")
-            side._axinfo["grid"].update(color="#e4e4e4", linewidth=0.5)
+            side.line.set_color(GREY)
+            side._axinfo["grid"].update(color=GROUND, linewidth=0.5)
     for name, axis in (("x", panel.x), ("y", panel.y), ("z", panel.z)):
         if axis is not None:
             _set_axis(axes, name, axis)

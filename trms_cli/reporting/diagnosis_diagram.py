@@ -13,7 +13,7 @@ from matplotlib.patches import FancyBboxPatch
 
 from trms_cli.gap.diagnosis import LocationShare
 from trms_cli.reporting.diagnosis_words import percent
-from trms_cli.reporting.style import GREY, INK, PALE, PALETTE, house_style, new_figure
+from trms_cli.reporting.style import GREY, INK, PALE, PALETTE, PAPER, house_style, new_figure
 
 #: Size of a box, and the pitch of columns and rows, in units of the drawing.
 _WIDE, _HIGH, _ACROSS = 1.42, 0.86, 1.95
@@ -109,7 +109,7 @@ def _draw(panel: Axes, box: _Box, place: LocationShare | None, seen: bool) -> No
             zorder=3,
         )
     )
-    ink = "#ffffff" if share > 0.6 else (INK if place is not None else GREY)
+    ink = PAPER if share > 0.6 else (INK if place is not None else GREY)
     if place is None:
         panel.text(box.x, box.y, box.title, ha="center", va="center", color=ink, size=8, zorder=4)
         return

@@ -11,10 +11,13 @@ from matplotlib.figure import Figure
 from trms_cli.gap.diagnosis import Gap, RaceEntry, Traces
 from trms_cli.reporting.diagnosis_words import effect_words, is_suspect, percent
 from trms_cli.reporting.style import (
+    FAINT,
     GREY,
     INK,
     LABELS,
+    MEASURED,
     PALE,
+    PALE_SKY,
     PALETTE,
     house_style,
     legend_above,
@@ -23,7 +26,6 @@ from trms_cli.reporting.style import (
 )
 
 _WIDTH = 9.2
-_MEASURED = "#aaaaaa"
 #: Models of the pictures: colour, width, line.
 _RUNS = {
     "raw": ("as it was", GREY, 0.9, "--"),
@@ -111,10 +113,10 @@ def race_figure(
 
 def _bar_colour(entry: RaceEntry, best: Sequence[str], alike: bool) -> str:
     if not is_suspect(entry.effects):
-        return "#b8b8b8"
+        return FAINT
     if entry.effects == best:
         return PALETTE["blue"]
-    return PALETTE["sky"] if alike else "#cfdce6"
+    return PALETTE["sky"] if alike else PALE_SKY
 
 
 def force_figure(traces: Traces, locations: Sequence[str]) -> Figure | None:
@@ -188,7 +190,7 @@ def run_figure(traces: Traces) -> Figure | None:
             unit, scale = ("rad", 1.0) if angle else ("rad/s", 1.0)
             measured = scale * np.asarray(series["measured"], dtype=float)
             time, values = thinned(traces.run_time, measured)
-            panel.plot(time, values, color=_MEASURED, lw=2.4, label="measured", zorder=1)
+            panel.plot(time, values, color=MEASURED, lw=2.4, label="measured", zorder=1)
             for name, (words, colour, width, line) in _RUNS.items():
                 if name in series:
                     time, values = thinned(traces.run_time, series[name])

@@ -18,6 +18,7 @@ from trms_cli.reporting.style import (
     GREY,
     INK,
     LABELS,
+    MEASURED,
     PALE,
     house_style,
     legend_above,
@@ -28,7 +29,6 @@ from trms_cli.reporting.style import (
 
 FloatArray = npt.NDArray[np.float64]
 
-_MEASURED = "#aaaaaa"
 _WIDTH, _ROW_HEIGHT = 11.0, 1.75
 #: Prior standard deviations to either side that the figure of the parameters shows.
 _REACH = 4.0
@@ -149,7 +149,7 @@ def draw(figure: Figure, path: Path) -> None:
 
 def _draw_run(panel: Axes, trace: FreeRunTrace) -> None:
     time, measured = thinned(trace.time, trace.measured)
-    panel.plot(time, measured, color=_MEASURED, lw=2.4, label="measured", zorder=3)
+    panel.plot(time, measured, color=MEASURED, lw=2.4, label="measured", zorder=3)
     if trace.before is not None:
         low, high = _range(trace)
         _, before = thinned(trace.time, _broken(trace, trace.before))

@@ -319,13 +319,14 @@ def _digits(value: float, sd: float | None) -> int:
 def embedded(figure: Figure) -> tuple[str, bytes]:
     """Media type and bytes of a drawing; equal figures give equal bytes."""
     import numpy as np
-    from matplotlib import rc_context
+
+    from trms_cli.reporting.style import house_style
 
     drawn = io.BytesIO()
     lines = [line for axes in figure.axes for line in axes.lines]
     points = sum(np.shape(line.get_path().vertices)[0] for line in lines)
     if points <= _MOST_POINTS:
-        with rc_context({"svg.hashsalt": "trms", "svg.fonttype": "path"}):
+        with house_style():
             figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
         return "image/svg+xml", drawn.getvalue()
     from PIL import Image

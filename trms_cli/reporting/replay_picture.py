@@ -17,6 +17,7 @@ from trms_cli.reporting.style import (
     GREY,
     INK,
     LABELS,
+    MEASURED,
     house_style,
     legend_above,
     new_figure,
@@ -25,7 +26,6 @@ from trms_cli.reporting.style import (
 )
 from trms_cli.reporting.torques import draw_torques, estimated_torques
 
-_MEASURED = "#aaaaaa"
 _WIDTH, _ROW_HEIGHT = 11.0, 1.75
 #: The band of the innovations reaches this far beyond itself, unless they stay closer.
 _MOST_BANDS = 6.0
@@ -86,7 +86,7 @@ def _draw_channel(panel: Axes, name: str, unit: str, history: Drawable) -> None:
             zorder=2,
         )
     time, measured = thinned(history.times("/measurement"), history.columns("/measurement")[name])
-    panel.plot(time, measured, color=_MEASURED, lw=2.4, label="measured", zorder=3)
+    panel.plot(time, measured, color=MEASURED, lw=2.4, label="measured", zorder=3)
     if name in estimate:
         time, values = thinned(history.times("/estimate"), estimate[name])
         panel.plot(time, values, color=COLOURS[1], lw=0.7, label="estimate", zorder=4)

@@ -46,7 +46,10 @@ MANY_COLOURS = (*COLOURS, PALETTE["orange"], PALETTE["sky"])
 INK, GREY, PALE = "#222222", "#777777", "#dddddd"
 #: Of what was measured, behind what is held against it; of what counts less; of empty ground.
 MEASURED, FAINT, GROUND = "#aaaaaa", "#b8b8b8", "#e4e4e4"
-PAPER = "#ffffff"
+PAPER, PALE_SKY = "#ffffff", "#cfdce6"
+#: Of a family of curves, from the first to the last; and of what there is little of, or some.
+SHADES = ("#c6dbef", "#9ecae1", "#4292c6", "#08519c")
+LITTLE, SOME = "#f4f4f4", "#f5d9c6"
 #: A curve's dashes by its place among others: where colours are lost in print, these are left.
 LINE_STYLES: tuple[Any, ...] = (
     "solid",

@@ -19,6 +19,7 @@ from trms_cli.reporting.style import (
     GREY,
     INK,
     LABELS,
+    MEASURED,
     PALE,
     PALETTE,
     house_style,
@@ -31,7 +32,6 @@ from trms_cli.reporting.style import (
 FloatArray = npt.NDArray[np.float64]
 
 _WIDTH, _ROW_HEIGHT = 11.0, 1.9
-_MEASURED = "#aaaaaa"
 #: s, where the axis of time begins.
 _SHORTEST = 2e-3
 _ORDER = ("blue", "vermilion", "green", "purple", "orange", "sky")
@@ -175,7 +175,7 @@ def draw_free_runs(
         figure = new_figure(_WIDTH, 0.7 + _ROW_HEIGHT * rows)
         panels = figure.subplots(rows, 1, sharex=True)
         for panel, (name, values) in zip(panels, measured.items(), strict=False):
-            panel.plot(*thinned(time, values), color=_MEASURED, lw=2.6, label="measured")
+            panel.plot(*thinned(time, values), color=MEASURED, lw=2.6, label="measured")
             for colour, (label, run) in zip(_ORDER[:1] + _ORDER[1:], runs.items(), strict=False):
                 panel.plot(*thinned(time, run[name]), color=PALETTE[colour], lw=1.0, label=label)
             _stay_near(panel, values)

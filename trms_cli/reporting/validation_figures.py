@@ -15,6 +15,7 @@ from trms_cli.reporting.style import (
     GREY,
     INK,
     LABELS,
+    MEASURED,
     PALE,
     PALETTE,
     house_style,
@@ -23,7 +24,6 @@ from trms_cli.reporting.style import (
     thinned,
 )
 
-_MEASURED = "#aaaaaa"
 _WIDTH = 9.2
 #: Colours of models, in order; more than these share the last.
 MODEL_COLOURS = (*COLOURS, PALETTE["orange"], PALETTE["sky"])
@@ -105,7 +105,7 @@ def free_run_figure(runs: Sequence[ChannelRun]) -> Figure:
                 for panel in (above, below):
                     panel.axvline(start, color=PALE, lw=0.8, zorder=1)
             time, measured = thinned(run.time, run.measured)
-            above.plot(time, measured, color=_MEASURED, lw=2.2, label="measured", zorder=2)
+            above.plot(time, measured, color=MEASURED, lw=2.2, label="measured", zorder=2)
             for i, (model, simulated) in enumerate(run.simulated.items()):
                 time, values = thinned(run.time, simulated)
                 above.plot(time, values, color=colour_of(i), lw=0.9, label=model, zorder=3)
