@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
@@ -11,6 +12,8 @@ from trms_cli.sweeps.point import Result
 
 #: What a command itself calls its figure of merit: the cost of ``trms identify``, …
 MERIT = "merit"
+#: Likeness from which on a name is rather another one misspelt than that of an unknown channel.
+_MISSPELT = 0.85
 _MERIT_ABOUT = "the command's own figure of merit"
 
 
@@ -26,10 +29,11 @@ def canonical(name: str, where: str) -> str:
     column = COLUMNS.get(found)
     if found == MERIT or (column is not None and column.is_number):
         return found
-    if column is None and any(found.startswith(f"{stem}_") for stem in FIGURE_STEMS):
-        return found  # of a channel that the twin rotor does not have
     numbers = [n for n, each in COLUMNS.items() if each.is_number]
     said = [n for n, meant in ALIASES.items() if meant in numbers]
+    of_channel = column is None and any(found.startswith(f"{stem}_") for stem in FIGURE_STEMS)
+    if of_channel and not get_close_matches(found, [*numbers, *said], n=1, cutoff=_MISSPELT):
+        return found  # of a channel that the twin rotor does not have
     raise ConfigurationError(
         f"runs have no figure {name!r}", where=where, remedy=nearest(name, [*numbers, *said, MERIT])
     )
