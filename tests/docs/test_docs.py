@@ -23,8 +23,20 @@ from .markdown import blocks
 
 ROOT = Path(__file__).parents[2]
 #: Pages whose commands are typed here.
-TYPED = ["README.md", "docs/getting-started.md", "docs/writing-a-plugin.md"]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *ROOT.glob("*/*/README.md")])
+TYPED = ["README.md", "docs/getting-started.md", "docs/tutorial.md", "docs/writing-a-plugin.md"]
+TYPED += [f"docs/how-to/{name}.md" for name in ("own-controller", "own-effect", "own-rig-from-csv")]
+TYPED += ["docs/how-to/real-time-export.md"]
+PAGES = sorted(
+    [
+        ROOT / "README.md",
+        *(
+            page
+            for folder in ("", "how-to/", "reference/")
+            for page in ROOT.glob(f"docs/{folder}*.md")
+        ),
+        *ROOT.glob("*/*/README.md"),
+    ]
+)
 _SHORT = 2.0  # s
 
 

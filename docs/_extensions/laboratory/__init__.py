@@ -1,0 +1,54 @@
+"""What the site adds to the Markdown pages, all of it made at build time.
+
+==================  ================================================================
+`navigation`        the tree of pages, read from the tables of ``index.md``
+`sources`           a page for every source file that a page links
+`commands`          a reference page a command, from its help
+`configuration`     a reference page a group of options, from the YAML files
+`formats`           the schemas that the code names
+`interface`         the Python reference: protocols, base classes, library functions
+==================  ================================================================
+
+Generated pages lie in folders that git ignores; they are rewritten only when they change, so that
+a second build is quick.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+
+from . import commands, configuration, formats, interface, navigation, sources
+from .pages import write_pages
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Sphinx's entry point."""
+    app.connect("builder-inited", _generate)
+    app.connect("env-get-outdated", navigation.always_read)
+    app.connect("source-read", _complete)
+    app.connect("doctree-read", navigation.mark_cards)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def _generate(app: Sphinx) -> None:
+    docs = Path(app.srcdir)
+    write_pages(docs / "reference" / "commands", commands.pages())
+    write_pages(docs / "reference" / "configuration", configuration.pages())
+    write_pages(docs / "reference" / "python", interface.pages())
+    write_pages(docs / "source", sources.pages(docs))
+
+
+def _complete(app: Sphinx, name: str, content: list[str]) -> None:
+    """Append to a page what the site knows beyond it."""
+    docs = Path(app.srcdir)
+    text = sources.relink(content[0], name, docs)
+    text += {
+        "reference/commands": commands.listing,
+        "reference/configuration": configuration.listing,
+        "reference/python": interface.listing,
+        "reference/formats": formats.listing,
+    }.get(name, str)()
+    content[0] = text + navigation.toctrees(name, docs)
