@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.invocation import program
 from trms_cli.commands.run_folder import LOG_NAME
 from trms_cli.core.errors import RecordingError
 
@@ -61,7 +61,7 @@ def read_run(path: Path, *, name: str = "") -> ReportedRun:
         choices=_choices(texts),
         facts=_facts(log, texts, path),
         command=texts.get("command", "")[:_MOST_TEXT],
-        repeat=f"{program()} run --from {shlex.quote(str(path))}" if log.config else "",
+        repeat=f"trms run --from {shlex.quote(str(path))}" if log.config else "",
         config=log.attachments.get("config.yaml", b"").decode(errors="replace"),
     )
 
@@ -142,6 +142,8 @@ def _facts(log: LoggedRun, texts: Mapping[str, str], path: Path) -> dict[str, st
     for key, words in (("seed", "seed"), ("recording.file", "recording"), ("start", "begun")):
         if texts.get(key):
             facts[words] = texts[key][:_MOST_TEXT]
+    if "begun" in facts:  # to the second
+        facts["begun"] = re.sub(r"^(\S{10})T(\S{8})\.\d+\+00:00$", r"\1 \2 UTC", facts["begun"])
     facts["log"] = str(path)
     versions = _json(texts, "versions")
     if isinstance(versions, Mapping):

@@ -185,9 +185,10 @@ def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
     from trms_cli.scoring.comparison.coordinates import differences
 
     options = dict.fromkeys(key for run in runs for key in run.choices)
-    rows = [(key, [run.choices.get(key, "–") for run in runs]) for key in options]
+    rows = [(key, [run.choices.get(key, "none") for run in runs]) for key in options]
     rows.append(("seed", [run.facts.get("seed", "–") for run in runs]))
     found = [(key, values) for key, values in rows if len(set(values)) > 1]
+    told = {key for key, _ in rows}
     below = tuple(f"{key}." for key, _ in found)
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     configs = []
@@ -200,7 +201,7 @@ def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
     settings: dict[str, dict[int, str]] = {}
     for i, config in enumerate(configs[1:], start=1):
         for key, first, other in differences(configs[0], config):
-            if not key.startswith(below) and key != "seed":
+            if not key.startswith(below) and key not in told:
                 settings.setdefault(key, {0: first})[i] = other
     for key, values in list(settings.items())[:_MOST_DIFFERENCES]:
         found.append((key, [values.get(i, values[0]) for i in range(len(runs))]))

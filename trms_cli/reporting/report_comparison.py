@@ -27,7 +27,7 @@ from trms_cli.reporting.interactive import (
 )
 from trms_cli.reporting.page import Cell, Marked, Page
 from trms_cli.reporting.report_phase import phase_plots
-from trms_cli.reporting.report_run import THINNED, ended
+from trms_cli.reporting.report_run import HOW_TO_TURN, THINNED, ended
 from trms_cli.reporting.report_scores import compared_rows, figure
 from trms_cli.reporting.report_signals import axis_title, label_of, whole_time
 from trms_cli.reporting.report_solver import solver_overlay
@@ -107,8 +107,7 @@ def comparison_page(
     if followed:
         page.section(
             "Tracking",
-            "Drag over a time to enlarge it: all plots of this page follow. A double click goes "
-            "back; a click on a name hides its curve.",
+            HOW_TO_TURN,
         )
         page.plots(followed)
     if commands:
@@ -160,7 +159,7 @@ def add_ranking(page: Page, ranking: Sequence[RankedEntrant], rule: str) -> None
         "error over the best's",
         "95 % interval",
         "over the first's",
-        "told apart from the first",
+        "told apart",
     ]
     page.table([*columns, *heads], rows, heads=2)
 
@@ -319,7 +318,7 @@ def _lead(runs: Sequence[ReportedRun]) -> list[str]:
         )
     else:
         sentences.append(f"{len(runs)} runs over one another.")
-    references = {run.choices.get("ref", "") for run in runs}
+    references = {run.choices["ref"] for run in runs if "ref" in run.choices}
     if len(references) > 1:
         sentences.append("They followed **different references**: their errors compare little.")
     unwell = [run.name for run in runs if run.outcome != "completed" or run.problems]
@@ -341,7 +340,7 @@ def _facts(runs: Sequence[ReportedRun]) -> dict[str, str]:
 def _interval(entrant: RankedEntrant) -> str:
     if entrant.low is None or entrant.high is None:
         return "–"
-    return f"{entrant.low:.3f} to {entrant.high:.3f}"
+    return f"{entrant.low:.3f}\u2060–\u2060{entrant.high:.3f}"  # in one line
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -44,6 +44,11 @@ THINNED = (
     "and the largest sample are kept, so that no peak is lost. The log has all of them."
 )
 
+HOW_TO_TURN = (
+    "Drag over a time to enlarge it, or use the buttons: all plots follow. A double click goes "
+    "back; a click on a name hides its curve."
+)
+
 
 def run_page(run: ReportedRun, *, title: str = "") -> Page:
     """The page of a run, ready to be written.
@@ -67,8 +72,7 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
     if first:
         page.section(
             "Angles and commands",
-            "Drag over a time to enlarge it: all plots of this page follow. A double click goes "
-            "back; a click on a name hides its curve.",
+            HOW_TO_TURN,
         )
         page.plots(first)
     if inner:

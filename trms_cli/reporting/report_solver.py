@@ -227,4 +227,4 @@ def _with_deadlines(
 
 def _unlogged(plot: Plot) -> None:
     """Markers alone have no legend worth its room."""
-    plot.layout["showlegend"] = len(plot.traces) > 1
+    plot.layout |= {"showlegend": len(plot.traces) > 1, "legend": {"itemsizing": "constant"}}

@@ -175,7 +175,7 @@ def _failures(page: Page, sweep: ReportedSweep) -> None:
 
 def _all_runs(page: Page, sweep: ReportedSweep) -> None:
     page.section("All runs", _how_to_filter(sweep))
-    keys, figures = list(sweep.keys), list(sweep.figures)
+    keys, (figures, alike) = list(sweep.keys), _apart(sweep)
     has_entrants = len(sweep.entrants) > 1 and not _said_by_a_key(sweep)
     columns = [RowColumn("run", "run")]
     columns += [RowColumn("who", "who")] if has_entrants else []
@@ -193,9 +193,24 @@ def _all_runs(page: Page, sweep: ReportedSweep) -> None:
         row += [run.problem] if told else []
         rows.append(row)
     caption = "A click on a head sorts. On paper stand the first 200 rows."
+    if alike:
+        same = ", ".join(f"{sweep.title(name)} {value:.4g}" for name, value in alike.items())
+        caption += f" The same for all that have it: {same}."
     if len(sweep.runs) > MOST_ROWS:
         caption += f" The first {MOST_ROWS} of {len(sweep.runs)} runs."
     page.rows(columns, rows, caption, example=_example(sweep))
+
+
+def _apart(sweep: ReportedSweep) -> tuple[list[str], dict[str, float]]:
+    """Figures that tell runs apart, and those that are the same for all, with their value."""
+    apart, alike = [], {}
+    for name in sweep.figures:
+        values = {run.figures[name] for run in sweep.runs if name in run.figures}
+        if len(values) == 1 and len(sweep.runs) > 1:
+            alike[name] = values.pop()
+        elif values:
+            apart.append(name)
+    return apart, alike
 
 
 def _how_to_filter(sweep: ReportedSweep) -> str:
@@ -216,9 +231,7 @@ def _example(sweep: ReportedSweep) -> str:
 
 def _said_by_a_key(sweep: ReportedSweep) -> bool:
     """Whether one key alone names who ran: a column of its own would say it twice."""
-    return any(
-        all(str(run.values.get(key)) == run.entrant for run in sweep.runs) for key in sweep.keys
-    )
+    return any(map(sweep.names_entrants, sweep.keys))
 
 
 def _shown(value: object) -> str:

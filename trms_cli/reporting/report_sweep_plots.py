@@ -70,7 +70,11 @@ def key_plots(sweep: ReportedSweep, figures: Sequence[str]) -> list[Plot]:
     numeric = sweep.numeric_keys
     chosen = [key for key in numeric if not key.endswith("seed")] or numeric
     others = [
-        k for k in sweep.keys if k not in numeric and 1 < _distinct(sweep, k) <= _MOST_CATEGORIES
+        key
+        for key in sweep.keys
+        if key not in numeric
+        and not sweep.names_entrants(key)  # their spread is drawn already
+        and 1 < _distinct(sweep, key) <= _MOST_CATEGORIES
     ]
     plots = [_scatter(sweep, key, figures) for key in chosen[:_MOST_KEYS]]
     plots += [_categories(sweep, key, figures) for key in others[:_MOST_KEYS]]

@@ -110,6 +110,11 @@ class ReportedSweep:
         found = [key for key in self.keys if self._is_numeric(key)]
         return sorted(found, key=lambda key: key.endswith("seed"))
 
+    def names_entrants(self, key: str) -> bool:
+        """Whether one key alone tells who ran."""
+        told = [run for run in self.runs if run.values.get(key) is not None]
+        return bool(told) and all(str(run.values[key]) == run.entrant for run in told)
+
     def title(self, figure: str) -> str:
         """``rmse_yaw [rad]``."""
         unit = self.figures.get(figure, "")

@@ -19,8 +19,12 @@
   const CONFIG = {
     responsive: true,
     displaylogo: false,
+    // plotly.js would offer to send the plot to its maker's server: a page sends nothing anywhere
+    showSendToCloud: false,
+    plotlyServerURL: "",
     doubleClick: "reset",
-    modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+    displayModeBar: coarse.matches ? false : "hover", // under a finger it would hide the names
+    modeBarButtonsToRemove: ["sendChartToCloud", "select2d", "lasso2d", "autoScale2d"],
     toImageButtonOptions: { format: "svg", filename: "plot" },
   };
   const plots = [];
@@ -71,7 +75,6 @@
       dragmode: coarse.matches ? false : "zoom",
       legend: { orientation: "h", x: 0, y: 1, xanchor: "left", yanchor: "bottom" },
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colours.grey, activecolor: colours.blue },
-      uirevision: "kept",
       xaxis: axis,
       yaxis: axis,
       yaxis2: axis,
@@ -98,16 +101,16 @@
     return traces;
   }
 
+  /** Draw it, anew where it stands already: of another width the names find no room otherwise. */
   function draw(plot) {
-    const drawn = plot.drawn ? Plotly.react : Plotly.newPlot;
-    drawn(plot.place, tracesOf(plot), layoutOf(plot), CONFIG);
-    if (!plot.drawn) {
-      plot.drawn = true;
-      plot.place.on("plotly_relayout", () => follow(plot));
-      plot.place.on("plotly_relayouting", (change) => {
-        if ("xaxis.range[0]" in change) follow(plot);
-      });
-    }
+    const layout = layoutOf(plot);
+    if (plot.drawn && plot.spec.group) layout.xaxis.range = rangeOf(plot);
+    Plotly.newPlot(plot.place, tracesOf(plot), layout, CONFIG);
+    plot.drawn = true;
+    plot.place.on("plotly_relayout", () => follow(plot));
+    plot.place.on("plotly_relayouting", (change) => {
+      if ("xaxis.range[0]" in change) follow(plot);
+    });
     if (plot.spec.fans) showFan(plot, plot.fan);
   }
 

@@ -1,0 +1,246 @@
+"""Pages in a real browser: they draw, zoom together, sort, filter, print, and run nothing foreign."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from trms_cli.reporting.page import Page
+from trms_cli.reporting.report_comparison import comparison_page
+from trms_cli.reporting.report_run import run_page
+from trms_cli.reporting.report_sweep import sweep_page
+from trms_cli.reporting.reported import RunEvent
+from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun
+
+#: What a stranger may have written anywhere.
+ATTACKS = (
+    "<script>window.harmed = 1</script>",
+    "</script><script>window.harmed = 1</script>",
+    '"><img src=x onerror="window.harmed = 1">',
+    "<svg onload=window.harmed=1><a href='javascript:window.harmed=1'>x</a>",
+    "<!--<script>",
+)
+HOSTILE = " ".join(ATTACKS)
+RANGES = """() => [...document.querySelectorAll('div.plot')]
+  .filter(p => p.layout.xaxis.title.text === 'time [s]').map(p => p.layout.xaxis.range.map(Number))"""
+
+
+@pytest.fixture(scope="module")
+def sweep() -> ReportedSweep:
+    runs = [
+        SweptRun(
+            name=str(i), number=i, entrant=("pid", "lqr")[i % 2],
+            values={"controller": ("pid", "lqr")[i % 2], "gain": 0.1 * (i % 5), "size": i % 3},
+            figures={"rmse": 0.001 * ((37 * i) % 60 + 1), "effort": 60.0 - i},
+        )
+        for i in range(60)
+    ]  # fmt: skip
+    runs.append(SweptRun(name="60", entrant="pid", outcome="failed", problem="it fell"))
+    return ReportedSweep(
+        name="many",
+        runs=runs,
+        keys=["controller", "gain", "size"],
+        figures={"rmse": "rad", "effort": "V² s"},
+        objectives=(Objective("rmse"), Objective("effort")),
+    )
+
+
+def test_a_run_draws_and_its_axes_are_linked(opened, run):
+    page = opened(run_page(run).html())
+    curves = "p => p.querySelector('.cartesianlayer path') !== null"
+    assert page(f"[...document.querySelectorAll('div.plot')].every({curves})")
+    before = page(RANGES)
+    assert len(before) >= 8 and all(r == [0, 19.95] for r in before)
+
+    # a drag over a part of the first plot enlarges that part in all
+    box = page.tab.locator("div.plot .nsewdrag").first.bounding_box()
+    page.tab.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 0.5 * box["height"])
+    page.tab.mouse.down()
+    page.tab.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"], steps=4)
+    page.tab.mouse.up()
+    page.tab.wait_for_function(f"({RANGES})().every(r => r[1] - r[0] < 6)")
+    after = page(RANGES)
+    assert all(r == after[0] for r in after)
+    assert after[0] == pytest.approx([0.25 * 19.95, 0.5 * 19.95], abs=0.3)
+
+    page.tab.get_by_role("button", name="the whole time").first.click()
+    page.tab.wait_for_function(f"({RANGES})().every(r => r[0] === 0 && r[1] === 19.95)")
+
+    # the slider chooses a prediction
+    slider = page.tab.get_by_role("slider")
+    slider.fill("7")
+    assert "made at 7 s" in page.tab.locator("output").first.inner_text()
+    chosen = page(
+        "() => { const p = [...document.querySelectorAll('div.plot')].find(p => p.data.some("
+        "t => t.name === 'chosen prediction')); const t = p._fullData.find("
+        "t => t.name === 'chosen prediction'); return [t.x[0], t.x.length]; }"
+    )
+    assert chosen == [pytest.approx(7.0), 21]
+
+    # nothing is offered to be sent to anybody, nothing was fetched, nothing complained
+    assert page("document.querySelectorAll('[data-title*=\"Share\"], [data-title*=cloud i]').length") == 0  # fmt: skip
+    assert [url for url in page.requests if not url.startswith(("file:", "data:", "blob:"))] == []
+    assert page.messages == []
+
+
+def test_a_sweep_sorts_filters_and_changes_its_figure(opened, sweep):
+    page = opened(sweep_page(sweep).html())
+
+    def column(number):
+        return page(
+            "n => [...document.querySelectorAll('.sortable tbody tr:not([hidden])')]"
+            ".map(r => r.cells[n].textContent)",
+            number,
+        )
+
+    heads = page("[...document.querySelectorAll('.sortable thead th')].map(h => h.dataset.key)")
+    rmse, run = heads.index("rmse"), heads.index("run")
+    head = page.tab.locator(".sortable thead button").nth(rmse)
+    head.click()
+    rising = column(rmse)
+    assert rising[-1] == "–" and [float(v) for v in rising[:-1]] == sorted(map(float, rising[:-1]))
+    head.click()
+    falling = column(rmse)
+    assert falling[-1] == "–" and falling[:-1] == rising[-2::-1]
+    page.tab.locator(".sortable thead button").nth(run).click()
+    assert column(run) == [str(i) for i in range(61)]
+
+    box = page.tab.get_by_role("searchbox")
+    box.fill("lqr rmse<0.01")
+    left = column(run)
+    expected = [str(i) for i in range(60) if i % 2 and 0.001 * ((37 * i) % 60 + 1) < 0.01]
+    assert (
+        left == expected and f"{len(expected)} of 61 rows" in page.tab.locator("main").inner_text()
+    )
+    box.fill("outcome=failed")
+    assert column(run) == ["60"]
+    box.fill("")
+    assert len(column(run)) == 61
+
+    title = "() => document.querySelectorAll('div.plot')[1].layout.xaxis.title.text"
+    assert page(title) == "rmse [rad]"
+    page.tab.locator("select").first.select_option(label="effort [V² s]")
+    page.tab.wait_for_function(f"({title})() === 'effort [V² s]'")
+    drawn = page("() => document.querySelectorAll('div.plot')[1]._fullData[0].x[0]")
+    assert drawn == 60.0
+    kinds = page("[...document.querySelectorAll('div.plot')].flatMap(p => p.data.map(t => t.type))")
+    assert {"box", "histogram", "scatter", "heatmap"} <= set(kinds)
+    assert page.messages == []
+
+
+@pytest.mark.parametrize("what", ["run", "comparison", "sweep"])
+def test_a_telephone_needs_no_sideways_scroll(opened, make_run, sweep, what):
+    long = make_run("a_rather_long_name_of_a_folder_without_any_space_in_it_" + 3 * "0123456789")
+    pages = {
+        "run": lambda: run_page(long),
+        "comparison": lambda: comparison_page([long, make_run("other")]),
+        "sweep": lambda: sweep_page(sweep),
+    }
+    page = opened(pages[what]().html(), width=375, is_mobile=True, has_touch=True)
+    assert page("document.documentElement.scrollWidth") == 375
+    wide = (
+        "[...document.querySelectorAll('div.plot .svg-container')].every(p => p.offsetWidth <= 375)"
+    )
+    assert page(wide)
+    # a finger over a plot scrolls the page
+    assert page(
+        "[...document.querySelectorAll('div.plot')].every(p => p.layout.dragmode === false)"
+    )
+    assert page.messages == []
+
+
+def test_prints_on_paper_in_light_colours_also_from_a_dark_room(opened, run):
+    few = ("/reference", "/plant/state", "/command")
+    page = opened(
+        run_page(replace(run, columns={t: run.columns[t] for t in few})).html(), color_scheme="dark"
+    )
+    ink = "() => document.querySelector('div.plot').layout.font.color"
+    assert page(ink) == "#e6e6e6"
+    page("addEventListener('beforeprint', () => { window.printed = [...document.querySelectorAll("
+         "'div.plot')].map(p => [p.layout.font.color, p._fullLayout.width]); })")  # fmt: skip
+    content = page.tab.pdf(format="A4")
+    assert content.startswith(b"%PDF") and len(content) > 20_000
+    printed = page("window.printed")
+    assert len(printed) >= 6 and all(told == ["#222222", 680] for told in printed)
+    assert page(ink) == "#e6e6e6"
+    assert page.messages == []
+
+
+def test_without_scripts_sentences_and_tables_stand(opened, sweep):
+    page = opened(sweep_page(sweep).html(), drawn=False, java_script_enabled=False)
+    text = page.tab.locator("main").inner_text()
+    assert "switched off here" in text and "it fell" in text
+    assert page.tab.locator(".sortable tbody tr").count() == 61
+
+
+def test_hostile_text_runs_nothing(opened, run, sweep):
+    hostile = replace(
+        run,
+        name=HOSTILE,
+        events=[RunEvent(1.0, HOSTILE, HOSTILE, HOSTILE), RunEvent(2.0, "fault", HOSTILE, HOSTILE)],
+        problems=[HOSTILE],
+        outcome=HOSTILE,
+        choices={"controller": HOSTILE, "ref": HOSTILE, HOSTILE: HOSTILE},
+        facts={HOSTILE: HOSTILE},
+        command=HOSTILE,
+        repeat=HOSTILE,
+        config=HOSTILE,
+        times={**run.times, HOSTILE: run.times["/command"]},
+        columns={
+            topic: {**of, HOSTILE: run.columns["/command"]["u_v"]} if topic != "/prediction" else of
+            for topic, of in run.columns.items()
+        },
+        units={topic: {**of, HOSTILE: HOSTILE} for topic, of in run.units.items()},
+        score={**run.score, "channels": {HOSTILE: {"rmse": 1.0, "unit": HOSTILE}},
+               "inputs": {HOSTILE: {"effort": 1.0, "unit": HOSTILE}}},
+    )  # fmt: skip
+    swept = SweptRun(
+        name=HOSTILE, entrant=HOSTILE, outcome="completed", problem=HOSTILE, page="./" + "x",
+        values={"controller": HOSTILE, HOSTILE: 1.0}, figures={"rmse": 1.0, HOSTILE: 2.0},
+    )  # fmt: skip
+    many = replace(
+        sweep,
+        name=HOSTILE,
+        runs=[swept, replace(swept, entrant="b", outcome="failed"), replace(swept, values={HOSTILE: 2.0})],
+        keys=["controller", HOSTILE],
+        figures={"rmse": HOSTILE, HOSTILE: HOSTILE},
+        objectives=(Objective("rmse"), Objective(HOSTILE)),
+        left_out=[(HOSTILE, HOSTILE)],
+        facts={HOSTILE: HOSTILE},
+    )  # fmt: skip
+    for made in (
+        run_page(hostile),
+        comparison_page([hostile, run], differences=[(HOSTILE, [HOSTILE, HOSTILE])], left_out=[(HOSTILE, HOSTILE)]),
+        sweep_page(many, title=HOSTILE),
+    ):  # fmt: skip
+        page = opened(made.html())
+        for plot in page.tab.locator("div.plot .nsewdrag").all()[:3]:  # what is pointed at is told
+            plot.hover(force=True)
+        assert page("window.harmed") is None
+        # no element that strangers wrote came to be, in the page or in its plots
+        assert page("document.querySelectorAll('main img, main a[href^=javascript], [onload], [onerror]').length") == 0  # fmt: skip
+        assert page("document.querySelectorAll('script').length") == 2 + page(
+            "document.querySelectorAll('script.plot-data').length"
+        )
+        assert page("document.body.innerText.includes('<script>window.harmed = 1</script>')")
+        assert page.messages == []
+
+
+def test_the_policy_stops_what_escaping_would_have_let_through(opened, run):
+    """The second wall, should the first have a hole: markup in a page runs and fetches nothing."""
+    bare = replace(run, columns={"/plant/state": run.columns["/plant/state"]})
+    html = run_page(bare).html().replace(
+        "</main>",
+        "<script>window.harmed = 1</script><img src='http://127.0.0.1:9/x' onerror='window.harmed = 1'>"
+        "</main>",
+    )  # fmt: skip
+    page = opened(html)
+    assert page("window.harmed") is None
+    assert any("Content Security Policy" in message for message in page.messages)
+
+
+def test_pages_of_other_commands_complain_of_nothing(opened):
+    plain = Page("Plain", "A page without plots.")
+    plain.table(["a"], [[1.0]])
+    assert opened(plain.html(), drawn=False).messages == []

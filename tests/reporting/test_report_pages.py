@@ -1,0 +1,316 @@
+"""Pages of runs, comparisons and sweeps: what stands in them, also where a log has little."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import pytest
+
+from trms_cli.reporting.interactive import MOST_POINTS
+from trms_cli.reporting.page_rows import Linked, RowColumn, relative_link, rows_html
+from trms_cli.reporting.page_scripts import policy, scripts
+from trms_cli.reporting.report_comparison import RankedEntrant, comparison_page
+from trms_cli.reporting.report_run import run_page
+from trms_cli.reporting.report_sweep import sweep_page
+from trms_cli.reporting.reported import ReportedRun
+from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun, undominated
+
+
+def plots_of(page):
+    """Specifications in a page by their headings."""
+    found = re.findall(
+        r'<figure class="plot[^>]*>\n(?:<h3>(.*?)</h3>)?.*?class="plot-data">(.*?)</script>',
+        page.html(),
+        re.DOTALL,
+    )
+    return {unescape(title): json.loads(data) for title, data in found}
+
+
+def unpacked(array):
+    return np.frombuffer(base64.b64decode(array["bdata"]), dtype="<" + array["dtype"])
+
+
+def swept(number, entrant="pid", *, k_g=0.1, rmse=0.2, **more):
+    return SweptRun(
+        name=str(number),
+        number=number,
+        entrant=entrant,
+        values={"controller": entrant, "plant.parameters.k_g": k_g},
+        figures={"rmse": rmse, "effort": 10.0 - 20 * rmse},
+        **more,
+    )
+
+
+@pytest.fixture
+def sweep() -> ReportedSweep:
+    runs = [swept(i, ("pid", "lqr")[i % 2], k_g=0.1 + 0.01 * (i // 2), rmse=0.1 + 0.01 * i) for i in range(20)]  # fmt: skip
+    runs.append(SweptRun(name="20", outcome="failed", problem="the rig <fell>", entrant="pid"))
+    return ReportedSweep(
+        name="many",
+        runs=runs,
+        keys=["controller", "plant.parameters.k_g"],
+        figures={"rmse": "rad", "effort": "V² s"},
+    )
+
+
+class TestRun:
+    """The page of one run."""
+
+    def test_has_every_part(self, run):
+        page = run_page(run)
+        text = page.html()
+        for heading in ("Angles and commands", "Speeds, rates and torques", "Innovations", "Phase plots",
+                        "Predictions", "Solver", "Score", "Events"):  # fmt: skip
+            assert f"<h2>{heading}</h2>" in text
+        assert {"pitch", "yaw", "commands", "time of a control step", "predictions of pitch",
+                "pitch against its rate", "pitch against yaw", "distribution of the times"} <= set(plots_of(page))  # fmt: skip
+        assert "trms run --from first/run.mcap" in text and "duration: 20" in text
+
+    def test_lead_tells_tracking_misses_and_faults(self, run):
+        lead = run_page(run).lead[0]
+        assert "**newton_mpc** followed pitch to 0.1 rad and yaw to 0.1 rad" in lead
+        assert "1 deadlines missed" in lead and "1 fault injected" in lead and "10 %" in lead
+
+    def test_all_plots_of_the_time_share_group_and_range(self, run):
+        timed = [spec for spec in plots_of(run_page(run)).values() if spec["group"] == "time"]
+        assert len(timed) >= 8
+        assert {tuple(spec["layout"]["xaxis"]["range"]) for spec in timed} == {(0.0, 19.95)}
+
+    def test_curves_are_the_samples(self, run):
+        traces = plots_of(run_page(run))["yaw"]["traces"]
+        by_name = {trace["name"]: trace for trace in traces}
+        assert set(by_name) >= {"rig", "measured", "reference", "estimate ± 2 sd"}
+        np.testing.assert_allclose(
+            unpacked(by_name["rig"]["y"]), run.columns["/plant/state"]["alpha_h"], rtol=1e-6
+        )
+        np.testing.assert_allclose(unpacked(by_name["rig"]["x"]), run.times["/plant/state"], rtol=1e-6)  # fmt: skip
+
+    def test_events_limits_and_saturation_are_drawn(self, run):
+        plots = plots_of(run_page(run))
+        marks = next(t for t in plots["pitch"]["traces"] if t["name"] == "events")
+        assert unpacked(marks["x"]).tolist() == [5.0] and "yaw is frozen" in marks["text"][0]
+        shapes = plots["commands"]["layout"]["shapes"]
+        assert any(s["type"] == "rect" and (s["x0"], s["x1"]) == (6.0, 6.5) for s in shapes)
+        levels = [s["y0"] for s in plots["pitch"]["layout"]["shapes"] if s["xref"] == "paper"]
+        assert levels == [-0.5, 0.5]
+
+    def test_missed_deadlines_and_fall_backs_are_marked(self, run):
+        traces = {t["name"]: t for t in plots_of(run_page(run))["time of a control step"]["traces"]}
+        assert unpacked(traces["deadline missed"]["x"]).tolist() == [5.0]
+        assert unpacked(traces["deadline missed"]["y"]).tolist() == [200.0]
+        assert len(unpacked(traces["fall-back"]["x"])) == 1
+
+    def test_a_prediction_begins_where_it_was_made(self, run):
+        spec = plots_of(run_page(run))["predictions of yaw"]
+        (every, chosen), starts = spec["fans"]["pairs"][0], spec["fans"]["starts"]
+        x = unpacked(spec["traces"][every]["x"])
+        assert len(starts) == len(spec["fans"]["times"]) + 1 == len(run.times["/prediction"]) + 1
+        np.testing.assert_allclose([x[s] for s in starts[:-1]], run.times["/prediction"], rtol=1e-6)
+        assert not len(unpacked(spec["traces"][chosen]["x"]))
+
+    def test_is_small_for_eighty_seconds_at_a_hundred_hertz(self, make_run):
+        # ten times the samples of the example are those of 80 s at 200 Hz
+        page = run_page(make_run(seconds=800.0))
+        assert len(page.html().encode()) < 3e6
+        longest = max(len(unpacked(t["y"])) for s in plots_of(page).values() for t in s["traces"] if isinstance(t["y"], dict))  # fmt: skip
+        assert longest <= 20_000 and MOST_POINTS == 2_000
+
+    def test_without_reference_controller_and_truth_it_is_a_recording(self, run):
+        kept = ("/measurement", "/command")
+        page = run_page(
+            ReportedRun(
+                name="rig",
+                times={topic: run.times[topic] for topic in kept},
+                columns={topic: run.columns[topic] for topic in kept},
+                duration=20.0,
+            )
+        )
+        assert set(plots_of(page)) >= {"pitch", "yaw", "commands", "pitch against yaw"}
+        assert "without a reference to follow" in page.lead[0]
+        assert "<h2>Solver</h2>" not in page.html() and "<h2>Predictions</h2>" not in page.html()
+
+    def test_of_no_samples_it_says_so(self):
+        page = run_page(ReportedRun(name="dead", times={}, columns={}, outcome="died", problems=("it holds no sample",)))  # fmt: skip
+        assert "no sample of any signal" in page.html() and "it holds no sample" in page.lead[1]
+
+    def test_gaps_and_damage_are_drawn_as_far_as_they_go(self, run):
+        columns = {topic: dict(of) for topic, of in run.columns.items()}
+        columns["/measurement"]["alpha_v"] = np.full(len(run.times["/measurement"]), np.nan)
+        columns["/estimate"] = {"alpha_v": np.full(len(run.times["/estimate"]), np.inf)}
+        columns["/controller"] = {"solve_time_s": np.full(len(run.times["/controller"]), np.nan)}
+        columns["/prediction"] = {"time": columns["/prediction"]["time"]}
+        hurt = replace(run, columns=columns, outcome="interrupted", score={})
+        page = run_page(hurt)
+        assert "pitch" in plots_of(page) and "was interrupted" in page.lead[1]
+
+    def test_one_channel_of_other_names(self, run):
+        time = run.times["/measurement"]
+        one = {
+            "/measurement": {"level": np.sin(time)},
+            "/reference": {"level": np.zeros(len(time))},
+        }
+        page = run_page(ReportedRun(name="tank", times=dict.fromkeys(one, time), columns=one))
+        assert {"level", "level against its rate"} == set(plots_of(page))
+
+
+class TestComparison:
+    """Several runs over one another."""
+
+    def test_runs_lie_over_one_another_and_the_best_is_marked(self, make_run):
+        page = comparison_page([make_run("one"), make_run("other", shift=0.2)])
+        names = [trace["name"] for trace in plots_of(page)["yaw"]["traces"]]
+        assert names == ["one", "other", "reference"]
+        assert "**one** tracks best" in page.lead[0]
+        row = re.search(r"pitch: RMSE \[rad\]</th>(.*?)</tr>", page.html())
+        assert re.findall(r'class="(.*?)">', row[1]) == ["best number", " number"]
+        iae = re.search(r"pitch: IAE \[rad s\]</th>(.*?)</tr>", page.html())
+        assert "best" not in iae[1]  # alike
+
+    def test_error_is_reference_minus_actual(self, make_run):
+        run = make_run()
+        trace = plots_of(comparison_page([run, run]))["tracking error of yaw"]["traces"][0]
+        expected = run.columns["/reference"]["alpha_h"] - run.columns["/plant/state"]["alpha_h"]
+        np.testing.assert_allclose(unpacked(trace["y"]), expected, atol=1e-7)
+
+    def test_different_references_are_drawn_each(self, make_run):
+        other = make_run("other")
+        columns = {t: dict(of) for t, of in other.columns.items()}
+        columns["/reference"] = {n: v + 0.1 for n, v in columns["/reference"].items()}
+        page = comparison_page([make_run("one"), replace(other, columns=columns)])
+        names = [trace["name"] for trace in plots_of(page)["yaw"]["traces"]]
+        assert names == ["one", "other", "reference of one", "reference of other"]
+
+    def test_runs_without_anything_in_common(self, make_run):
+        empty = ReportedRun(name="dead", times={}, columns={}, outcome="died")
+        page = comparison_page([make_run("one"), empty], left_out=[("x.mcap", "damaged")])
+        assert "**Incomplete**: dead" in page.lead[1] and "x.mcap" in page.html()
+
+    def test_ranking_has_intervals(self, make_run):
+        ranking = [
+            RankedEntrant(name="a", rank=1, ratio=1.0, low=1.0, high=1.0, figures={"runs": 3}),
+            RankedEntrant(
+                name="b", rank=2, ratio=1.2, low=1.1, high=1.4, different=True, figures={}
+            ),
+        ]
+        page = comparison_page([make_run("a"), make_run("b")], ranking=ranking, rule="by tracking")
+        (trace,) = plots_of(page)["error over the best's"]["traces"]
+        np.testing.assert_allclose(trace["error_x"]["array"], [0.0, 0.2], atol=1e-6)
+        np.testing.assert_allclose(trace["error_x"]["arrayminus"], [0.0, 0.1], atol=1e-6)
+
+
+class TestSweep:
+    """Many runs."""
+
+    def test_lead_counts_and_names_the_best(self, sweep):
+        lead = sweep_page(sweep).lead
+        assert lead[0] == "20 of 21 runs completed; **1 failed**."
+        assert "rmse [rad] of a run is 0.1: 0 " in lead[-1]
+
+    def test_every_run_is_in_the_table_and_failures_have_their_reason(self, sweep):
+        text = sweep_page(sweep).html()
+        assert text.count("<tr><td>") == 21
+        assert "the rig &lt;fell&gt;" in text and "<fell>" not in text
+
+    def test_each_figure_can_be_chosen_in_each_plot(self, sweep):
+        plots = plots_of(sweep_page(sweep))
+        assert set(plots) == {"by who ran", "distribution", "against plant.parameters.k_g"}
+        for spec in plots.values():
+            assert [v["label"] for v in spec["variants"]] == ["rmse [rad]", "effort [V² s]"]
+            assert all(len(v["traces"]) == len(spec["traces"]) for v in spec["variants"])
+        dots = plots["against plant.parameters.k_g"]["traces"]
+        assert [t["name"] for t in dots] == ["pid", "lqr"]
+        np.testing.assert_allclose(unpacked(dots[1]["y"]), [0.11 + 0.02 * i for i in range(10)], rtol=1e-6)  # fmt: skip
+
+    def test_two_keys_make_a_map_of_means(self, sweep):
+        runs = [
+            SweptRun(name=f"{i}{j}{k}", values={"a": 1.0 * i, "b": 10 * j}, figures={"rmse": i + j + 0.5 * k})
+            for i in range(3) for j in range(4) for k in (0, 1)
+        ]  # fmt: skip
+        page = sweep_page(ReportedSweep(name="grid", runs=runs, keys=["a", "b"], figures={"rmse": "rad"}))  # fmt: skip
+        (trace,) = plots_of(page)["over a and b"]["traces"]
+        assert trace["type"] == "heatmap" and trace["x"] == ["0", "1", "2"]
+        np.testing.assert_allclose(trace["z"], np.add.outer(np.arange(4), np.arange(3)) + 0.25)
+
+    def test_the_front_is_drawn_as_the_sweep_names_it_or_worked_out(self, sweep):
+        objectives = (Objective("rmse"), Objective("effort"))
+        named = replace(sweep, objectives=objectives, pareto=[3, 5, 99])
+        front = plots_of(sweep_page(named))["effort against rmse"]["traces"][1]
+        assert front["text"] == ["3", "5"]
+        runs = [*sweep.runs, swept(21, rmse=0.5)]  # effort falls with rmse: all are on the front
+        runs.append(replace(swept(22), figures={"rmse": 0.6, "effort": 9.0}))
+        out = replace(sweep, runs=runs, objectives=objectives)
+        assert {run.number for run in out.front()} == {*range(20), 21}
+
+    def test_three_objectives_are_drawn_in_pairs(self, sweep):
+        runs = [replace(r, figures={**r.figures, "x": 1.0 * i}) for i, r in enumerate(sweep.runs)]
+        page = sweep_page(replace(sweep, runs=runs, objectives=[Objective(n) for n in ("rmse", "effort", "x")]))  # fmt: skip
+        assert {"effort against rmse", "x against rmse", "x against effort"} <= set(plots_of(page))
+
+    def test_one_run_and_none(self):
+        one = sweep_page(ReportedSweep(name="one", runs=[swept(0)]))
+        assert "1 of 1 runs completed" in one.html()
+        assert "0 of 0 runs completed" in sweep_page(ReportedSweep(name="none", runs=[])).html()
+
+    def test_thousands_of_runs_stay_in_bounds(self):
+        generator = np.random.default_rng(0)
+        runs = [
+            swept(i, ("pid", "lqr")[i % 2], k_g=float(generator.normal()), rmse=float(generator.uniform()))
+            for i in range(12_000)
+        ]  # fmt: skip
+        text = sweep_page(
+            ReportedSweep(name="big", runs=runs, keys=["controller", "plant.parameters.k_g"],
+                          figures={"rmse": "rad", "effort": "V² s"})
+        ).html()  # fmt: skip
+        assert text.count("<tr><td>") == 10_000 and "first 10000 of 12000" in text
+        assert len(text) < 8e6
+
+
+def test_undominated_keeps_equals_and_drops_what_is_beaten():
+    costs = np.array([[1, 2], [2, 1], [2, 2], [1, 2], [0.5, 3]])
+    assert undominated(costs).tolist() == [True, True, False, True, True]
+
+
+class TestSafety:
+    """Nothing of strangers runs, and nothing is fetched."""
+
+    def test_the_policy_names_the_scripts_that_the_page_carries(self, run):
+        text = run_page(run).html()
+        told = unescape(re.search(r'Content-Security-Policy" content="(.*?)"', text)[1])
+        bodies = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+        assert len(bodies) == 2
+        for body in bodies:
+            digest = base64.b64encode(hashlib.sha256(body.encode()).digest()).decode()
+            assert f"'sha256-{digest}'" in told
+        assert told.startswith("default-src 'none'") and "unsafe-eval" not in told
+        assert "unsafe-inline" not in told.partition("script-src")[2].partition(";")[0]
+
+    def test_a_page_without_plots_lets_no_script_run(self):
+        assert "script-src 'none'" in policy()
+
+    def test_plotly_is_what_its_readme_says(self):
+        from trms_cli.reporting import page_scripts
+
+        assets = page_scripts._ASSETS
+        digest = hashlib.sha256((assets / "plotly-cartesian.min.js").read_bytes()).hexdigest()
+        assert digest in (assets / "README.md").read_text(encoding="utf-8")
+        assert "v4.1.1" in scripts()[0][:200] and "MIT" in (assets / "LICENSE-plotly.js").read_text()  # fmt: skip
+
+    @pytest.mark.parametrize(
+        "name", ["javascript:alert(1)", "//evil.example/x", '"><img src=x>', "ä b#?.html"]
+    )
+    def test_links_lead_to_files_beside_the_page_alone(self, name, tmp_path):
+        link = relative_link(str(tmp_path / name / "report.html"), str(tmp_path))
+        assert link.startswith("./") and not set(link) & set('"<> #?')
+        assert ":" not in link.partition("/")[0]
+
+    def test_cells_are_escaped_and_cut(self):
+        columns = [RowColumn("a", "a"), RowColumn("b", "b", number=True)]
+        html = rows_html(columns, [[Linked("<x>", './"y'), float("nan")], ["<" * 1000, 1e400]])
+        assert "<x>" not in html and './"' not in html and "<<" not in html
+        assert len(html) < 2200 and "∞" in html
