@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -217,6 +218,12 @@ def attachments(
 
 def versions() -> dict[str, str]:
     """Versions of what computes, by package."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """See :func:`versions`: they stay the same while the process lives."""
     found = {"trms": __version__, "python": platform.python_version()}
     for package in _COMPUTING_PACKAGES:
         try:

@@ -51,7 +51,7 @@ _Positive = Annotated[float, Meta(gt=0)]
 _NotNegative = Annotated[float, Meta(ge=0)]
 
 
-@dataclass
+@dataclass(slots=True)
 class AxisState:
     """One axis: its fixed numbers and what it remembers.
 

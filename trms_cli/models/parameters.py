@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -238,14 +240,9 @@ def parse_parameter_file(text: str | bytes, source: str) -> ParameterFile:
     """
     import yaml
 
-    from trms_cli.core.yaml_data import load_yaml
-
     try:
-        content = load_yaml(text)
-        if isinstance(content, dict):
-            # A rig may be called 7, or 1e5.
-            content = {k: str(v) if k in _TEXTS else _numbers(v) for k, v in content.items()}
-        return msgspec.convert(content, ParameterFile)
+        # A copy: what is kept stays as it was read.
+        return msgspec.convert(deepcopy(_content_of(text)), ParameterFile)
     except yaml.YAMLError as error:
         raise ModelError(
             f"not valid YAML: {str(error).splitlines()[0]}",
@@ -258,6 +255,18 @@ def parse_parameter_file(text: str | bytes, source: str) -> ParameterFile:
             where=source,
             remedy="a model file has name, model, parameters: {NAME: {value, unit, …}}, limits",
         ) from None
+
+
+@lru_cache(maxsize=16)
+def _content_of(text: str | bytes) -> object:
+    """The content of a parameter file's text as plain data; a process reads few of them, often."""
+    from trms_cli.core.yaml_data import load_yaml
+
+    content = load_yaml(text)
+    if isinstance(content, dict):
+        # A rig may be called 7, or 1e5.
+        return {k: str(v) if k in _TEXTS else _numbers(v) for k, v in content.items()}
+    return content
 
 
 def _numbers(node: object) -> object:

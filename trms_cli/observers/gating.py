@@ -74,7 +74,7 @@ class Gate:
 
     def quiet(self) -> bool:
         """Whether the last sample changes nothing in the gate: all was believed, as before."""
-        return not (self.counting or self.rejected.any())
+        return not (self.counting or any(self.rejected.tolist()))
 
     def follow(self, present: BoolArray, innovation: FloatArray, sd: FloatArray) -> bool:
         """Take note of a sample; true if a channel is to be believed from the next one on.

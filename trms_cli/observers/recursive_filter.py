@@ -14,6 +14,7 @@ and its outputs
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -136,17 +137,23 @@ class RecursiveFilter(FilterOptions, ABC):
         m, covariance, memory, u, y, mask, advance, acting = function.inputs[:8]
         if known is not None:
             acting[:] = known
-        np.isfinite(measurement, out=state.present)
         u[:] = command
-        mask[:] = state.present
-        y[:] = 0.0
-        np.copyto(y, measurement, where=state.present)
+        complete = math.isfinite(sum(measurement.tolist()))
+        if complete:
+            state.present[:] = mask[:] = True
+            y[:] = measurement
+        else:
+            np.isfinite(measurement, out=state.present)
+            mask[:] = state.present
+            y[:] = 0.0
+            np.copyto(y, measurement, where=state.present)
         # At time zero there is nothing to predict over: the prior meets the first measurement.
         advance[0] = state.started
         state.started = True
         function()
         m_next, covariance_next, memory_next, health = function.outputs[:4]
-        if not np.isfinite(health[0]):
+        healthy = math.isfinite(health[0])
+        if not healthy:
             recover(state)
         m[:] = m_next
         covariance[...] = covariance_next if state.settled is None else state.settled
@@ -157,7 +164,7 @@ class RecursiveFilter(FilterOptions, ABC):
             and gate.follow(state.present, estimate.innovation, estimate.innovation_sd)
         ):
             covariance += state.prior_covariance
-        if not state.present.all():
+        if not (complete and healthy):
             estimate.innovation[~state.present] = np.nan
         return estimate
 

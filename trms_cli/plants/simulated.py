@@ -156,9 +156,11 @@ class SimulatedRun:
         self._quanta = np.where(quanta > 0, quanta, 1.0)
         self._rounded = quanta > 0
         self._any_rounded = bool(self._rounded.any())
+        self._all_rounded = bool(self._rounded.all())
         self.faults = _broken(rig.faults, setup, channels, names(model.inputs))
         self._driven, self._pushes = _noise_on_states(model, self.parameters, setup)
         self._w = self._torques(rig, setup)
+        self._pushed = bool(self._w.any())
         self.known_disturbances: Mapping[str, FloatArray] = self._known(rig, setup)
         self._sample = 0
 
@@ -171,7 +173,10 @@ class SimulatedRun:
         sense()
         y = sense.outputs[0] + self._noise[self._sample]
         if self._any_rounded:
-            y = np.where(self._rounded, np.round(y / self._quanta) * self._quanta, y)
+            shown = y / self._quanta
+            np.rint(shown, shown)
+            shown *= self._quanta
+            y = shown if self._all_rounded else np.where(self._rounded, shown, y)
         for fault in self.faults:
             fault.sensed(self._sample, y)
         return y
@@ -183,14 +188,15 @@ class SimulatedRun:
             for fault in self.faults:
                 fault.commanded(self._sample, command)
         step.inputs[1][:] = command
-        step.inputs[3][:] = self._w[self._sample]
+        if self._pushed:
+            step.inputs[3][:] = self._w[self._sample]
         step()
         self._full[:] = step.outputs[0]
         if self._driven.size:
             self._full[self._driven] += self._pushes[self._sample]
         self._sample += 1
-        # One sum is the cheapest test of all states at once.
-        if not math.isfinite(float(self._full.sum())):
+        # One sum is the cheapest test of all states at once, and of a few numbers Python's.
+        if not math.isfinite(sum(self._full.tolist())):
             raise SimulationError(
                 f"the simulated rig's state is no longer finite at sample {self._sample}",
                 where="plant",

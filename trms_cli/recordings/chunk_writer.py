@@ -12,6 +12,7 @@ import struct
 import sys
 import zlib
 from array import array
+from collections import defaultdict
 from collections.abc import Iterable
 from typing import Protocol
 
@@ -136,27 +137,25 @@ class ChunkWriter:
         messages : iterable of (channel id, log time [ns], publish time [ns], data)
             In the order of log time.
         """
-        pack = _MESSAGE.pack
+        pack, opcode = _MESSAGE.pack, int(Opcode.MESSAGE)
         counts = self._counts
-        indexes: dict[int, array[int]] = {}
+        entries: defaultdict[int, list[int]] = defaultdict(list)
         parts: list[bytes] = []
+        add = parts.append
         offset = 0
         for channel_id, log_time, publish_time, data in messages:
             size = _MESSAGE_HEAD + len(data)
             number = counts[channel_id]
             counts[channel_id] = number + 1
-            parts.append(pack(Opcode.MESSAGE, size, channel_id, number, log_time, publish_time))
-            parts.append(data)
-            index = indexes.get(channel_id)
-            if index is None:
-                index = indexes[channel_id] = array("Q")
-            index.append(log_time)
-            index.append(offset)
+            add(pack(opcode, size, channel_id, number, log_time, publish_time))
+            add(data)
+            entries[channel_id] += (log_time, offset)
             offset += 9 + size
         if not parts:
             return
-        start = min(index[0] for index in indexes.values())
-        end = max(index[-2] for index in indexes.values())
+        start = min(index[0] for index in entries.values())
+        end = max(index[-2] for index in entries.values())
+        indexes = {channel_id: array("Q", index) for channel_id, index in entries.items()}
         self._put_chunk(b"".join(parts), start, end, indexes)
 
     def finish(self) -> None:

@@ -31,7 +31,7 @@ from trms_cli.observers.observer import Estimate, Observer, ObserverSetup
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
 from trms_cli.simulation.command_gate import CommandGate
-from trms_cli.simulation.history import History
+from trms_cli.simulation.history import History, Writer
 from trms_cli.simulation.supervisor import (
     Mode,
     SupervisorPlugin,
@@ -148,8 +148,12 @@ class Loop:
     _now_ns: int = 0
     done: int = 0
     _gate: CommandGate = field(init=False)
+    _tell_control: Writer = field(init=False)
+    _tell_prediction: Writer = field(init=False)
 
     def __post_init__(self) -> None:
+        self._tell_control = self.history.writer("/controller")
+        self._tell_prediction = self.history.writer("/prediction")
         self._gate = CommandGate(names(self.plant.inputs), self.plant.input_limits, self._tell)
 
     @classmethod
@@ -208,19 +212,21 @@ class Loop:
         ratio = e.samples_per_control
         period = ratio * e.sample_time
         per_second = max(1, round(1.0 / e.sample_time))
-        lookahead = np.arange(self.preview + 1) * ratio
+        seen_ahead = self.preview * ratio + 1
         controlled = [e.model.state_index(name) for name in e.model.controlled]
         state_names = names(plant.states)
         log_reference, log_command = history.writer("/reference"), history.writer("/command")
         log_measurement, log_state = history.writer("/measurement"), history.writer("/plant/state")
         log_estimate, log_known = history.writer("/estimate"), history.writer("/disturbance")
         measured, known = self._known_torques()
+        faults = getattr(plant, "faults", ())
         u = plant.first_command.copy()
         landing = False
 
         for k in range(self.done, e.samples):
             now_ns = self._now_ns = round(k * e.sample_time * 1e9)
-            self._tell_of_faults(k)
+            if faults:
+                self._tell_of_faults(faults, k)
             y = plant.measure()
             seen = watch.screen(y)
             truth_row = plant.state.tolist()
@@ -243,16 +249,15 @@ class Loop:
                 if landing:
                     control = ControlSetup(e.model, period, u.copy())
                     self._controller_state, landing = e.controller.init(control), False
-                sample = ControlSample(
-                    k * e.sample_time, self.references[k + lookahead], estimate, u
-                )
+                ahead = self.references[k : k + seen_ahead : ratio].copy()
+                sample = ControlSample(k * e.sample_time, ahead, estimate, u)
                 u = self._control(sample, k // ratio, period)
             log_reference(now_ns, self.references[k].tolist())
             log_command(now_ns, u.tolist())
             log_measurement(now_ns, y.tolist())
             log_state(now_ns, truth_row)
             log_estimate(now_ns, estimate_row(estimate))
-            if estimate.rejected.any():
+            if any(estimate.rejected.tolist()):
                 tell_rejected(history, now_ns, estimate, plant.outputs)
             plant.advance(u)
             self.done = k + 1
@@ -292,7 +297,7 @@ class Loop:
         spent = perf_counter() - begin
         u = self._gate.applied(command, sample.previous_command)
         self._supervisor.heard(command)
-        self.history.writer("/controller")(
+        self._tell_control(
             now_ns,
             (
                 spent,
@@ -313,7 +318,7 @@ class Loop:
         )
         if command.prediction is not None:
             p = command.prediction
-            self.history.writer("/prediction")(now_ns, (p.time, *p.states.T, *p.inputs.T))
+            self._tell_prediction(now_ns, (p.time, *p.states.T, *p.inputs.T))
         if command.status is Status.FAILED:
             self.history.event(now_ns, "solver", "controller", command.message or "solve failed")
         return u
@@ -322,7 +327,7 @@ class Loop:
         """The controller's row while it is not asked."""
         status, watch = Status.OVERRIDDEN, self._supervisor
         nothing = (math.nan,) * 3
-        self.history.writer("/controller")(
+        self._tell_control(
             self._now_ns,
             (
                 *(*nothing, 0, status.label, *nothing, False, False, status.meaning),
@@ -333,9 +338,9 @@ class Loop:
     def _tell(self, kind: str, source: str, words: str, value: float = math.nan) -> None:
         self.history.event(self._now_ns, kind, source, words, value)
 
-    def _tell_of_faults(self, k: int) -> None:
+    def _tell_of_faults(self, faults: Sequence[Any], k: int) -> None:
         """Faults of a simulated rig, as they begin and end."""
-        for fault in getattr(self.plant, "faults", ()):
+        for fault in faults:
             if k == fault.active.start and fault.active:
                 self._tell("fault_injected", "plant", fault.words)
             elif k == fault.active.stop and fault.active:
@@ -358,14 +363,11 @@ def estimate_row(estimate: Estimate) -> list[float]:
     row = [*estimate.x.tolist(), *estimate.disturbance.tolist()]
     row += estimate.sd.tolist()
     row += estimate.disturbance_sd.tolist()
-    for triple in zip(
-        estimate.predicted.tolist(),
-        estimate.innovation.tolist(),
-        estimate.innovation_sd.tolist(),
-        strict=True,
-    ):
-        row += triple
-    return row
+    of_channels = [0.0] * (3 * len(estimate.predicted))
+    of_channels[0::3] = estimate.predicted.tolist()
+    of_channels[1::3] = estimate.innovation.tolist()
+    of_channels[2::3] = estimate.innovation_sd.tolist()
+    return row + of_channels
 
 
 def tell_rejected(

@@ -52,8 +52,13 @@ class CommandGate:
             raise _no_command(f"command is {command.u!r}, no array of numbers") from None
         if asked.shape != previous.shape:
             raise _no_command(f"command has shape {asked.shape}, the rig takes {previous.shape}")
+        values = asked.tolist()
+        if not (self._saturated or self._not_finite) and all(
+            map(_between, self._lower, values, self._upper)
+        ):
+            return asked.copy()  # as almost always: nothing to cut, nothing to tell
         applied = previous.copy()
-        for i, value in enumerate(asked.tolist()):
+        for i, value in enumerate(values):
             name, finite = self._inputs[i], math.isfinite(value)
             if finite:
                 applied[i] = min(max(value, self._lower[i]), self._upper[i])
@@ -69,6 +74,11 @@ class CommandGate:
                 kind = "fault_end" if finite else "fault"
                 self._tell(kind, "controller", f"{name} {words}", value)
         return applied
+
+
+def _between(low: float, value: float, high: float) -> bool:
+    """False for what is not a number."""
+    return low < value < high
 
 
 def _no_command(what: str) -> SimulationError:

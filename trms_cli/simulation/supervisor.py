@@ -241,39 +241,41 @@ class WatchingRun:
         self._active: dict[tuple[Reason, str], list[int]] = {}
 
     def screen(self, y: FloatArray) -> FloatArray:
+        missed, same, last = self._missed, self._same, self._last
         for i, value in enumerate(y.tolist()):
             if value != value:
-                self._missed[i] += 1
+                missed[i] += 1
                 continue
-            self._missed[i] = 0
-            if value == self._last[i]:
-                self._same[i] += 1
+            missed[i] = 0
+            if value == last[i]:
+                same[i] += 1
             else:
                 self._changes[i] += 1
-                self._readings[i] += 1 + self._same[i]
-                self._same[i], self._sum[i], self._frozen[i] = 0, 0.0, False
-                self._last[i] = value
+                self._readings[i] += 1 + same[i]
+                same[i], self._sum[i], self._frozen[i] = 0, 0.0, False
+                last[i] = value
         if any(self._frozen):
             return np.where(self._frozen, np.nan, y)
         return y
 
     def judge(self, estimate: Estimate, tell: Tell) -> None:
         seen: list[tuple[Reason, str]] = []
+        total, mean, frozen = self._sum, self._mean, self._frozen
         innovations, spreads = estimate.innovation.tolist(), estimate.innovation_sd.tolist()
         for i, (innovation, spread) in enumerate(zip(innovations, spreads, strict=True)):
             share = (innovation / spread) ** 2 if spread > 0.0 else 0.0
             if share == share:
-                self._sum[i] += share
-                self._mean[i] += self._forget * (share - self._mean[i])
-                if self._same[i] >= self._frozen_after and not self._frozen[i]:
-                    self._frozen[i] = self._should_move(i)
+                total[i] += share
+                mean[i] += self._forget * (share - mean[i])
+                if self._same[i] >= self._frozen_after and not frozen[i]:
+                    frozen[i] = self._should_move(i)
             if self._missed[i] >= self._missing_after:
                 seen.append((Reason.MISSING, self._outputs[i]))
-            elif self._frozen[i]:
+            elif frozen[i]:
                 seen.append((Reason.FROZEN, self._outputs[i]))
-            elif self._mean[i] > self._limit:
+            elif mean[i] > self._limit:
                 seen.append((Reason.INCONSISTENT, self._outputs[i]))
-        if not math.isfinite(float(estimate.x.sum())):
+        if not math.isfinite(sum(estimate.x.tolist())):
             seen.append((Reason.ESTIMATE, ""))
         if self._failing:
             seen.append((Reason.CONTROLLER, ""))
@@ -333,6 +335,8 @@ class WatchingRun:
         self._out_of_reach = command.out_of_reach
 
     def reasons(self) -> str:
+        if not self._active:
+            return ""
         return "; ".join(f"{reason.label} {channel}".strip() for reason, channel in self._active)
 
 
