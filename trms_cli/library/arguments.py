@@ -249,8 +249,8 @@ def _file_of(value: str | PathLike[str] | Result, key: str) -> str:
 def _inside(word: str, places: Iterable[str]) -> bool:
     """Whether an override is of a place, or of something in it."""
     override = parse(word, {})
-    spots = (override.key, override.package.lstrip("@"))
-    return any(s == place or s.startswith(f"{place}.") for place in places for s in spots if s)
+    spot = override.package.lstrip("@") or override.key
+    return any(spot == place or spot.startswith(f"{place}.") for place in places)
 
 
 def _refuse_keys_of_objects(words: Sequence[str], objects: Mapping[str, Any]) -> None:

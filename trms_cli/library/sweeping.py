@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.library import html
@@ -43,10 +43,19 @@ class Sweep(Result):
 
     @property
     def frame(self) -> pandas.DataFrame:
-        """A row a run: what was chosen and typed, and every figure of its score."""
+        """A row a run, by its number: what was varied, and every figure of its score."""
         from trms_cli.runs.frame import runs_frame
+        from trms_cli.sweeps.record import Record
 
-        return runs_frame("", self.folder, sort="path")
+        frame = runs_frame("", self.folder, sort="path")
+        frame.index = [int(Path(place).name) for place in frame["path"]]
+        frame.index.name = "run"
+        frame = frame.sort_index()
+        values = {point.number: point.values for point in Record(self.folder).points()}
+        for key in dict.fromkeys(key for found in values.values() for key in found):
+            if key not in frame:
+                frame[key] = [_number(values.get(run, {}).get(key)) for run in frame.index]
+        return frame
 
     @property
     def best(self) -> Run | None:
@@ -80,8 +89,15 @@ class Sweep(Result):
         from trms_cli.commands.sweep import go_on
 
         line = f"Python: resume({str(self.folder)!r})"
-        with called(line, verbose=verbose) as heard, _screen(verbose) as tell:
-            go_on(self.folder, settings=settings, retry_failed=retry_failed, tell=tell)
+        with called(line, verbose=verbose) as heard, _Screen(verbose) as screen:
+            go_on(
+                self.folder,
+                settings=settings,
+                retry_failed=retry_failed,
+                tell=screen.tell,
+                begun=screen.begun,
+            )
+            screen.ended(self.folder)
         heard.warn()
         return self
 
@@ -169,26 +185,54 @@ def sweep(
         words = (*asked.words, f"out={text_of(str(Path(out).expanduser()))}")
         asked = Arguments(words, {}, asked.config_dirs)
     line = words_of("run", Arguments(("-m", *asked.words), {}, asked.config_dirs))
-    with called(line, verbose=verbose) as heard, _screen(verbose) as tell:
-        swept = make_sweep(asked.words, "run", task, config_dirs=asked.config_dirs, tell=tell)
+    with called(line, verbose=verbose) as heard, _Screen(verbose) as screen:
+        swept = make_sweep(
+            asked.words,
+            "run",
+            task,
+            config_dirs=asked.config_dirs,
+            tell=screen.tell,
+            begun=screen.begun,
+        )
+        screen.ended(swept.folder)
     if not verbose:
         heard.warn()
     return Sweep(_near(swept.folder))
 
 
-def _screen(verbose: bool) -> Any:
-    """A context whose value is told of progress."""
-    from contextlib import nullcontext
+class _Screen:
+    """What the command shows, or nothing."""
 
-    if not verbose:
-        return nullcontext(lambda progress, result: None)
-    from trms_cli.commands.sweep_screen import SweepScreen
+    def __init__(self, verbose: bool) -> None:
+        self._shown: Any = None
+        if verbose:
+            from trms_cli.commands.sweep_screen import SweepScreen
 
-    class _Shown(SweepScreen):
-        def __enter__(self) -> Any:
-            return super().__enter__().tell
+            self._shown = SweepScreen(as_json=False)
 
-    return _Shown(as_json=False)
+    def __enter__(self) -> Self:
+        if self._shown is not None:
+            self._shown.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._shown is not None:
+            self._shown.__exit__(*error)
+
+    def tell(self, progress: Any, result: Any) -> None:
+        """After each run, and now and then."""
+        if self._shown is not None:
+            self._shown.tell(progress, result)
+
+    def begun(self, folder: Path) -> None:
+        """Once the sweep has its folder."""
+        if self._shown is not None:
+            self._shown.say_begun(folder)
+
+    def ended(self, folder: Path) -> None:
+        """At the end."""
+        if self._shown is not None:
+            self._shown.say_ended(folder)
 
 
 def _asked(
@@ -252,6 +296,14 @@ def _refuse_objects(objects: Mapping[str, Any]) -> None:
             remedy="runs of a sweep are made in other processes: give the class a YAML "
             "(docs/writing-a-plugin.md) and its folder as config_dir, or call run() in a loop",
         )
+
+
+def _number(value: Any) -> Any:
+    """A choice that is a number as that."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return value
 
 
 def _near(folder: Path) -> Path:

@@ -1,0 +1,139 @@
+"""A call leaves the process as it found it, wherever it is made."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+import typing
+
+import pytest
+
+import trms_cli
+from trms_cli import TrmsNote, run
+from trms_cli.cli import main
+
+SHORT = {"controller": "lqr", "sim": {"duration": 0.5}, "picture": False}
+
+
+def test_importing_it_loads_nothing():
+    code = "import sys, trms_cli; dir(trms_cli); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
+    ours = [name for name in loaded.split() if name.partition(".")[0] == "trms_cli"]
+    assert ours == ["trms_cli"]
+    assert not {"numpy", "hydra", "matplotlib", "pandas"} & set(loaded.split())
+
+
+def test_every_name_is_there_documented_and_typed():
+    for name in trms_cli.__all__:
+        found = getattr(trms_cli, name)
+        if name == "__version__":
+            continue
+        function = found.__call__ if name in ("runs", "stability") else found
+        assert function.__doc__ and len(function.__doc__) > 30, name
+        if callable(function) and not isinstance(function, type):
+            hints = (
+                typing.get_type_hints(function) if name == "options" else function.__annotations__
+            )
+            assert "return" in hints, name
+            assert "Examples" in function.__doc__ and "Raises" in function.__doc__, name
+    assert set(trms_cli.__all__) == set(dir(trms_cli))
+    with pytest.raises(AttributeError):
+        getattr(trms_cli, "nothing")  # noqa: B009
+
+
+def state() -> tuple:
+    from hydra.core.global_hydra import GlobalHydra
+
+    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    return (
+        sys.stdout, sys.stderr, list(sys.path), list(sys.argv), dict(os.environ), os.getcwd(),
+        handlers, GlobalHydra.instance().hydra, gc.get_threshold(), threading.active_count(),
+    )  # fmt: skip
+
+
+def test_nothing_of_the_process_is_changed(here):
+    run(**SHORT)
+    before = state()
+    run(**SHORT)
+    with pytest.raises(trms_cli.ConfigurationError):
+        run(controller="none of these")
+    assert state() == before
+
+
+def test_a_notebook_that_uses_hydra_itself_keeps_its_own(here):
+    import hydra
+    from hydra.core.global_hydra import GlobalHydra
+
+    (here / "conf").mkdir()
+    (here / "conf" / "mine.yaml").write_text("a: 1\n")
+    with hydra.initialize_config_dir(str(here / "conf"), version_base="1.2"):
+        mine = GlobalHydra.instance().hydra
+        run(**SHORT)
+        assert GlobalHydra.instance().hydra is mine
+        assert hydra.compose("mine").a == 1
+
+
+def test_it_is_quiet_and_can_be_heard(here, capsys):
+    quiet = run(**SHORT, out="quiet")
+    captured = capsys.readouterr()
+    assert captured.out == captured.err == ""
+    run(**SHORT, out="loud", verbose=True)
+    loud = capsys.readouterr().out
+    assert main(["run", "controller=lqr", "sim.duration=0.5", "picture=false", "out=typed"]) == 0
+    typed = capsys.readouterr().out
+
+    def steady(text: str) -> list[str]:
+        return [
+            line.replace("loud", "typed").replace("quiet", "typed")
+            for line in text.splitlines()
+            if not line.startswith(("time", "solver"))
+        ]
+
+    assert steady(loud) == steady(typed) == steady(quiet.text)
+
+
+def test_notes_are_warnings(lqr, here, monkeypatch):
+    monkeypatch.setattr("trms_cli.core.compilation.compiler", lambda: None)
+    monkeypatch.delenv("TRMS_COMPILE", raising=False)
+    with pytest.warns(TrmsNote, match="no C compiler"):
+        run(**SHORT)
+
+
+def test_threads_take_turns_and_others_are_not_silenced(here, capsys):
+    made: dict[str, object] = {}
+
+    def work(name: str) -> None:
+        made[name] = run(**SHORT, seed=len(name), out=name)
+        print(f"done {name}")
+
+    threads = [threading.Thread(target=work, args=(name,)) for name in ("a", "bb")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made["a"].config["seed"] == 1 and made["bb"].config["seed"] == 2
+    assert sorted(capsys.readouterr().out.split()) == ["a", "bb", "done", "done"]
+
+
+def test_it_works_inside_a_running_event_loop(here):
+    async def cell():
+        return run(**SHORT, out="inside")
+
+    assert asyncio.run(cell()).outcome == "completed"
+
+
+def test_the_second_run_is_that_of_a_fresh_process(here):
+    run(controller="newton_mpc", sim={"duration": 0.5}, picture=False)
+    second = run(**SHORT, out="second")
+    code = (
+        "from trms_cli import run; "
+        "run(controller='lqr', sim={'duration': 0.5}, picture=False, out='fresh')"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    fresh = trms_cli.read_log("fresh")
+    assert fresh["/plant/state"].equals(second["/plant/state"])
