@@ -193,7 +193,9 @@ def _as_logged(
         for key, equals, value in (word.partition("=") for word in overrides)
         if key in config
     }
-    groups = {key: choices.get(key, "logged") for key, v in config.items() if isinstance(v, dict)}
+    groups: dict[str, Any] = {
+        key: choices.get(key, "logged") for key, v in config.items() if isinstance(v, dict)
+    }
     groups["effect"] = list(config.get("effect") or {})
     return Composition(config, overrides, groups, tuple(folders))
 

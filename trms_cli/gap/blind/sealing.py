@@ -19,6 +19,7 @@ from typing import Any
 
 from msgspec import convert
 
+from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.gap.blind.cases import Case, plan
@@ -147,6 +148,13 @@ def open_key(key: Path, folder: Path) -> OpenedKey:
     file = key / KEY if key.is_dir() else key
     document = _document(file, KEY_SCHEMA, "key")
     told = _document(folder / COMMITMENT, COMMITMENT_SCHEMA, "in")
+    with not_as_written(str(file)):
+        return _opened(document, told, file, folder)
+
+
+def _opened(
+    document: Mapping[str, Any], told: Mapping[str, Any], file: Path, folder: Path
+) -> OpenedKey:
     content = document["key"]
     commitment = _commitment(document["salt"], content)
     if commitment != told["sha256"]:
@@ -232,7 +240,7 @@ def _write(path: Path, text: str) -> None:
 
 def _document(path: Path, schema: str, where: str) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
     except (OSError, ValueError) as error:
         raise RecordingError(
             f"cannot be read: {error}", where=str(path), remedy=f"{where}= names another place"

@@ -10,6 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.gap.blind.fresh import on_fresh
 from trms_cli.gap.blind.judging import Judged, OnFresh, answer_of
@@ -38,8 +39,9 @@ def judge(key: OpenedKey, folder: Path) -> list[Judged]:
         if file is None:
             continue
         try:
-            document = json.loads(file.read_text(encoding="utf-8"))
-            answer = answer_of(document, _seconds(file.parent))
+            document = read_json(file)
+            with not_as_written(str(file)):
+                answer = answer_of(document, _seconds(file.parent))
         except (OSError, ValueError) as error:
             raise RecordingError(
                 f"this is no diagnosis: {error}",
