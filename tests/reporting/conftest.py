@@ -16,9 +16,14 @@ from trms_cli.reporting.reported import ReportedRun, RunEvent
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _QUIET = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 _REQUIRED = "TRMS_REQUIRE_BROWSER"
 
 
@@ -103,9 +108,11 @@ def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.
     estimate: dict[str, Any] = {}
     for angle in angles:
         estimate |= {
-            angle: lagging + noise, f"sd_{angle}": np.full(len(time), 0.002),
-            f"innovation_{angle}": noise, f"innovation_sd_{angle}": np.full(len(time), 0.002),
-        }  # fmt: skip
+            angle: lagging + noise,
+            f"sd_{angle}": np.full(len(time), 0.002),
+            f"innovation_{angle}": noise,
+            f"innovation_sd_{angle}": np.full(len(time), 0.002),
+        }
     estimate |= {"yaw_moment": 1e-3 * square, "sd_yaw_moment": np.full(len(time), 1e-3)}
     solve = 1e-3 * (1.0 + 0.2 * np.sin(control))
     solve[50] = 0.2
@@ -119,13 +126,19 @@ def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.
         "/command": {"u_v": 2 * square, "u_h": square},
         "/estimate": estimate,
         "/controller": {
-            "solve_time_s": solve, "iterations": np.full(len(control), 3.0), "status": text,
-            "deadline_missed": missed, "fallback": missed,
+            "solve_time_s": solve,
+            "iterations": np.full(len(control), 3.0),
+            "status": text,
+            "deadline_missed": missed,
+            "fallback": missed,
         },
         "/prediction": {"time": horizon, "alpha_v": fans, "alpha_h": fans, "u_v": fans},
-    }  # fmt: skip
+    }
     times = dict.fromkeys(columns, time) | {"/controller": control, "/prediction": made}
-    units = {topic: {n: "rad" if n.startswith("alpha") else "V" for n in c} for topic, c in columns.items()}  # fmt: skip
+    units = {
+        topic: {n: "rad" if n.startswith("alpha") else "V" for n in c}
+        for topic, c in columns.items()
+    }
     units["/estimate"]["yaw_moment"] = "N*m"
     return ReportedRun(
         name=name,
@@ -145,7 +158,7 @@ def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.
                 "time_ms": {"median": 1.0, "p99": 2.0, "max": 200.0},
                 "deadline_misses": 1,
                 "failures": 1,
-            },  # fmt: skip
+            },
             "degraded": {"share": {"degraded": 0.1}},
         },
         limits={"u_v": (-2.5, 2.5), "alpha_v": (-0.5, 0.5)},

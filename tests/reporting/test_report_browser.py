@@ -1,4 +1,4 @@
-"""Pages in a real browser: they draw, zoom together, sort, filter, print, and run nothing foreign."""
+"""Pages in a real browser: they draw, zoom together, sort, filter, print, run nothing foreign."""
 
 from __future__ import annotations
 
@@ -23,19 +23,22 @@ ATTACKS = (
 )
 HOSTILE = " ".join(ATTACKS)
 RANGES = """() => [...document.querySelectorAll('div.plot')]
-  .filter(p => p.layout.xaxis.title.text === 'time [s]').map(p => p.layout.xaxis.range.map(Number))"""
+  .filter(p => p.layout.xaxis.title.text === 'time [s]')
+  .map(p => p.layout.xaxis.range.map(Number))"""
 
 
 @pytest.fixture(scope="module")
 def sweep() -> ReportedSweep:
     runs = [
         SweptRun(
-            name=str(i), number=i, entrant=("pid", "lqr")[i % 2],
+            name=str(i),
+            number=i,
+            entrant=("pid", "lqr")[i % 2],
             values={"controller": ("pid", "lqr")[i % 2], "gain": 0.1 * (i % 5), "size": i % 3},
             figures={"rmse": 0.001 * ((37 * i) % 60 + 1), "effort": 60.0 - i},
         )
         for i in range(60)
-    ]  # fmt: skip
+    ]
     runs.append(SweptRun(name="60", entrant="pid", outcome="failed", problem="it fell"))
     return ReportedSweep(
         name="many",
@@ -79,7 +82,10 @@ def test_a_run_draws_and_its_axes_are_linked(opened, run):
     assert chosen == [pytest.approx(7.0), 21]
 
     # nothing is offered to be sent to anybody, nothing was fetched, nothing complained
-    assert page("document.querySelectorAll('[data-title*=\"Share\"], [data-title*=cloud i]').length") == 0  # fmt: skip
+    assert (
+        page("document.querySelectorAll('[data-title*=\"Share\"], [data-title*=cloud i]').length")
+        == 0
+    )
     assert [url for url in page.requests if not url.startswith(("file:", "data:", "blob:"))] == []
     assert page.messages == []
 
@@ -157,8 +163,10 @@ def test_prints_on_paper_in_light_colours_also_from_a_dark_room(opened, run):
     )
     ink = "() => document.querySelector('div.plot').layout.font.color"
     assert page(ink) == "#e6e6e6"
-    page("addEventListener('beforeprint', () => { window.printed = [...document.querySelectorAll("
-         "'div.plot')].map(p => [p.layout.font.color, p._fullLayout.width]); })")  # fmt: skip
+    page(
+        "addEventListener('beforeprint', () => { window.printed = [...document.querySelectorAll("
+        "'div.plot')].map(p => [p.layout.font.color, p._fullLayout.width]); })"
+    )
     content = page.tab.pdf(format="A4")
     assert content.startswith(b"%PDF") and len(content) > 20_000
     printed = page("window.printed")
@@ -192,34 +200,55 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
             for topic, of in run.columns.items()
         },
         units={topic: {**of, HOSTILE: HOSTILE} for topic, of in run.units.items()},
-        score={**run.score, "channels": {HOSTILE: {"rmse": 1.0, "unit": HOSTILE}},
-               "inputs": {HOSTILE: {"effort": 1.0, "unit": HOSTILE}}},
-    )  # fmt: skip
+        score={
+            **run.score,
+            "channels": {HOSTILE: {"rmse": 1.0, "unit": HOSTILE}},
+            "inputs": {HOSTILE: {"effort": 1.0, "unit": HOSTILE}},
+        },
+    )
     swept = SweptRun(
-        name=HOSTILE, entrant=HOSTILE, outcome="completed", problem=HOSTILE, page="./" + "x",
-        values={"controller": HOSTILE, HOSTILE: 1.0}, figures={"rmse": 1.0, HOSTILE: 2.0},
-    )  # fmt: skip
+        name=HOSTILE,
+        entrant=HOSTILE,
+        outcome="completed",
+        problem=HOSTILE,
+        page="./" + "x",
+        values={"controller": HOSTILE, HOSTILE: 1.0},
+        figures={"rmse": 1.0, HOSTILE: 2.0},
+    )
     many = replace(
         sweep,
         name=HOSTILE,
-        runs=[swept, replace(swept, entrant="b", outcome="failed"), replace(swept, values={HOSTILE: 2.0})],
+        runs=[
+            swept,
+            replace(swept, entrant="b", outcome="failed"),
+            replace(swept, values={HOSTILE: 2.0}),
+        ],
         keys=["controller", HOSTILE],
         figures={"rmse": HOSTILE, HOSTILE: HOSTILE},
         objectives=(Objective("rmse"), Objective(HOSTILE)),
         left_out=[(HOSTILE, HOSTILE)],
         facts={HOSTILE: HOSTILE},
-    )  # fmt: skip
+    )
     for made in (
         run_page(hostile),
-        comparison_page([hostile, run], differences=[(HOSTILE, [HOSTILE, HOSTILE])], left_out=[(HOSTILE, HOSTILE)]),
+        comparison_page(
+            [hostile, run],
+            differences=[(HOSTILE, [HOSTILE, HOSTILE])],
+            left_out=[(HOSTILE, HOSTILE)],
+        ),
         sweep_page(many, title=HOSTILE),
-    ):  # fmt: skip
+    ):
         page = opened(made.html())
         for plot in page.tab.locator("div.plot .nsewdrag").all()[:3]:  # what is pointed at is told
             plot.hover(force=True)
         assert page("window.harmed") is None
         # no element that strangers wrote came to be, in the page or in its plots
-        assert page("document.querySelectorAll('main img, main a[href^=javascript], [onload], [onerror]').length") == 0  # fmt: skip
+        assert (
+            page(
+                "document.querySelectorAll('main img, a[href^=javascript], [onload], [onerror]').length"
+            )
+            == 0
+        )
         assert page("document.querySelectorAll('script').length") == 2 + page(
             "document.querySelectorAll('script.plot-data').length"
         )
@@ -230,11 +259,16 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
 def test_the_policy_stops_what_escaping_would_have_let_through(opened, run):
     """The second wall, should the first have a hole: markup in a page runs and fetches nothing."""
     bare = replace(run, columns={"/plant/state": run.columns["/plant/state"]})
-    html = run_page(bare).html().replace(
-        "</main>",
-        "<script>window.harmed = 1</script><img src='http://127.0.0.1:9/x' onerror='window.harmed = 1'>"
-        "</main>",
-    )  # fmt: skip
+    html = (
+        run_page(bare)
+        .html()
+        .replace(
+            "</main>",
+            "<script>window.harmed = 1</script>"
+            "<img src='http://127.0.0.1:9/x' onerror='window.harmed = 1'>"
+            "</main>",
+        )
+    )
     page = opened(html)
     assert page("window.harmed") is None
     assert any("Content Security Policy" in message for message in page.messages)

@@ -49,7 +49,10 @@ def swept(number, entrant="pid", *, k_g=0.1, rmse=0.2, **more):
 
 @pytest.fixture
 def sweep() -> ReportedSweep:
-    runs = [swept(i, ("pid", "lqr")[i % 2], k_g=0.1 + 0.01 * (i // 2), rmse=0.1 + 0.01 * i) for i in range(20)]  # fmt: skip
+    runs = [
+        swept(i, ("pid", "lqr")[i % 2], k_g=0.1 + 0.01 * (i // 2), rmse=0.1 + 0.01 * i)
+        for i in range(20)
+    ]
     runs.append(SweptRun(name="20", outcome="failed", problem="the rig <fell>", entrant="pid"))
     return ReportedSweep(
         name="many",
@@ -65,11 +68,27 @@ class TestRun:
     def test_has_every_part(self, run):
         page = run_page(run)
         text = page.html()
-        for heading in ("Angles and commands", "Speeds, rates and torques", "Innovations", "Phase plots",
-                        "Predictions", "Solver", "Score", "Events"):  # fmt: skip
+        for heading in (
+            "Angles and commands",
+            "Speeds, rates and torques",
+            "Innovations",
+            "Phase plots",
+            "Predictions",
+            "Solver",
+            "Score",
+            "Events",
+        ):
             assert f"<h2>{heading}</h2>" in text
-        assert {"pitch", "yaw", "commands", "time of a control step", "predictions of pitch",
-                "pitch against its rate", "pitch against yaw", "distribution of the times"} <= set(plots_of(page))  # fmt: skip
+        assert {
+            "pitch",
+            "yaw",
+            "commands",
+            "time of a control step",
+            "predictions of pitch",
+            "pitch against its rate",
+            "pitch against yaw",
+            "distribution of the times",
+        } <= set(plots_of(page))
         assert "trms run --from first/run.mcap" in text and "duration: 20" in text
 
     def test_lead_tells_tracking_misses_and_faults(self, run):
@@ -89,7 +108,9 @@ class TestRun:
         np.testing.assert_allclose(
             unpacked(by_name["rig"]["y"]), run.columns["/plant/state"]["alpha_h"], rtol=1e-6
         )
-        np.testing.assert_allclose(unpacked(by_name["rig"]["x"]), run.times["/plant/state"], rtol=1e-6)  # fmt: skip
+        np.testing.assert_allclose(
+            unpacked(by_name["rig"]["x"]), run.times["/plant/state"], rtol=1e-6
+        )
 
     def test_events_limits_and_saturation_are_drawn(self, run):
         plots = plots_of(run_page(run))
@@ -118,7 +139,12 @@ class TestRun:
         # ten times the samples of the example are those of 80 s at 200 Hz
         page = run_page(make_run(seconds=800.0))
         assert len(page.html().encode()) < 3e6
-        longest = max(len(unpacked(t["y"])) for s in plots_of(page).values() for t in s["traces"] if isinstance(t["y"], dict))  # fmt: skip
+        longest = max(
+            len(unpacked(t["y"]))
+            for s in plots_of(page).values()
+            for t in s["traces"]
+            if isinstance(t["y"], dict)
+        )
         assert longest <= 20_000 and MOST_POINTS == 2_000
 
     def test_without_reference_controller_and_truth_it_is_a_recording(self, run):
@@ -136,7 +162,11 @@ class TestRun:
         assert "<h2>Solver</h2>" not in page.html() and "<h2>Predictions</h2>" not in page.html()
 
     def test_of_no_samples_it_says_so(self):
-        page = run_page(ReportedRun(name="dead", times={}, columns={}, outcome="died", problems=("it holds no sample",)))  # fmt: skip
+        page = run_page(
+            ReportedRun(
+                name="dead", times={}, columns={}, outcome="died", problems=("it holds no sample",)
+            )
+        )
         assert "no sample of any signal" in page.html() and "it holds no sample" in page.lead[1]
 
     def test_gaps_and_damage_are_drawn_as_far_as_they_go(self, run):
@@ -225,14 +255,24 @@ class TestSweep:
             assert all(len(v["traces"]) == len(spec["traces"]) for v in spec["variants"])
         dots = plots["against plant.parameters.k_g"]["traces"]
         assert [t["name"] for t in dots] == ["pid", "lqr"]
-        np.testing.assert_allclose(unpacked(dots[1]["y"]), [0.11 + 0.02 * i for i in range(10)], rtol=1e-6)  # fmt: skip
+        np.testing.assert_allclose(
+            unpacked(dots[1]["y"]), [0.11 + 0.02 * i for i in range(10)], rtol=1e-6
+        )
 
     def test_two_keys_make_a_map_of_means(self, sweep):
         runs = [
-            SweptRun(name=f"{i}{j}{k}", values={"a": 1.0 * i, "b": 10 * j}, figures={"rmse": i + j + 0.5 * k})
-            for i in range(3) for j in range(4) for k in (0, 1)
-        ]  # fmt: skip
-        page = sweep_page(ReportedSweep(name="grid", runs=runs, keys=["a", "b"], figures={"rmse": "rad"}))  # fmt: skip
+            SweptRun(
+                name=f"{i}{j}{k}",
+                values={"a": 1.0 * i, "b": 10 * j},
+                figures={"rmse": i + j + 0.5 * k},
+            )
+            for i in range(3)
+            for j in range(4)
+            for k in (0, 1)
+        ]
+        page = sweep_page(
+            ReportedSweep(name="grid", runs=runs, keys=["a", "b"], figures={"rmse": "rad"})
+        )
         (trace,) = plots_of(page)["over a and b"]["traces"]
         assert trace["type"] == "heatmap" and trace["x"] == ["0", "1", "2"]
         np.testing.assert_allclose(trace["z"], np.add.outer(np.arange(4), np.arange(3)) + 0.25)
@@ -249,7 +289,9 @@ class TestSweep:
 
     def test_three_objectives_are_drawn_in_pairs(self, sweep):
         runs = [replace(r, figures={**r.figures, "x": 1.0 * i}) for i, r in enumerate(sweep.runs)]
-        page = sweep_page(replace(sweep, runs=runs, objectives=[Objective(n) for n in ("rmse", "effort", "x")]))  # fmt: skip
+        page = sweep_page(
+            replace(sweep, runs=runs, objectives=[Objective(n) for n in ("rmse", "effort", "x")])
+        )
         assert {"effort against rmse", "x against rmse", "x against effort"} <= set(plots_of(page))
 
     def test_one_run_and_none(self):
@@ -260,13 +302,22 @@ class TestSweep:
     def test_thousands_of_runs_stay_in_bounds(self):
         generator = np.random.default_rng(0)
         runs = [
-            swept(i, ("pid", "lqr")[i % 2], k_g=float(generator.normal()), rmse=float(generator.uniform()))
+            swept(
+                i,
+                ("pid", "lqr")[i % 2],
+                k_g=float(generator.normal()),
+                rmse=float(generator.uniform()),
+            )
             for i in range(12_000)
-        ]  # fmt: skip
+        ]
         text = sweep_page(
-            ReportedSweep(name="big", runs=runs, keys=["controller", "plant.parameters.k_g"],
-                          figures={"rmse": "rad", "effort": "V² s"})
-        ).html()  # fmt: skip
+            ReportedSweep(
+                name="big",
+                runs=runs,
+                keys=["controller", "plant.parameters.k_g"],
+                figures={"rmse": "rad", "effort": "V² s"},
+            )
+        ).html()
         assert text.count("<tr><td>") == 10_000 and "first 10000 of 12000" in text
         assert len(text) < 8e6
 
@@ -299,7 +350,9 @@ class TestSafety:
         assets = page_scripts._ASSETS
         digest = hashlib.sha256((assets / "plotly-cartesian.min.js").read_bytes()).hexdigest()
         assert digest in (assets / "README.md").read_text(encoding="utf-8")
-        assert "v4.1.1" in scripts()[0][:200] and "MIT" in (assets / "LICENSE-plotly.js").read_text()  # fmt: skip
+        assert (
+            "v4.1.1" in scripts()[0][:200] and "MIT" in (assets / "LICENSE-plotly.js").read_text()
+        )
 
     @pytest.mark.parametrize(
         "name", ["javascript:alert(1)", "//evil.example/x", '"><img src=x>', "ä b#?.html"]

@@ -210,9 +210,10 @@ def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
 
 def _own_log(path: Path) -> Path | None:
     """The log that a path is, or the one of the run's folder that it is."""
-    if path.is_file():
-        return None if path.suffix == ".json" else path
-    log = path / LOG_NAME
+    if path.is_file() and path.suffix != ".json":
+        return path
+    # a score stands beside the log that it is of
+    log = (path if path.is_dir() else path.parent) / LOG_NAME
     return log if log.is_file() and not (path / SWEEP_NAME).is_file() else None
 
 

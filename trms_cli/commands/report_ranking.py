@@ -9,7 +9,6 @@ from trms_cli.commands.report_sweeps import keys_of, typed_of, value_of
 
 if TYPE_CHECKING:
     from trms_cli.reporting.report_comparison import RankedEntrant
-    from trms_cli.reporting.reported_sweep import Value
     from trms_cli.runs.finding import Found
     from trms_cli.scoring.comparison.compared_run import ComparedRun
 
@@ -39,7 +38,7 @@ def compared(found: Found) -> list[ComparedRun]:
     return [
         ComparedRun(
             path=str(row["path"]),
-            coordinates={key: _coordinate(value_of(row, values, key)) for key in (*_RANKED, *keys)},
+            coordinates={key: _coordinate(row, values, key) for key in (*_RANKED, *keys)},
             state=_state(row),
             score=_score(row),
             message=str(row.get("problem") or ""),
@@ -48,8 +47,11 @@ def compared(found: Found) -> list[ComparedRun]:
     ]
 
 
-def _coordinate(value: Value) -> str:
-    return "–" if value in (None, "") else str(value)
+def _coordinate(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> str:
+    value = value_of(row, typed, key)
+    if value in (None, ""):
+        return "none" if key in row or key in typed else "–"
+    return str(value)
 
 
 def _state(row: Mapping[str, Any]) -> Any:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from trms_cli.runs.finding import Found
     from trms_cli.scoring.comparison.gathering import Gathered
 
+STATUS_NAME = "status.json"
 SWEEP_NAME, PAGE_NAME = "sweep.json", "report.html"
 _SWEEP_SCHEMA = "trms.sweep/"
 _LONGEST_PLAN = 64 * 2**20  # bytes of a sweep.json
@@ -50,7 +53,8 @@ def rows_of(folders: Sequence[Path]) -> Found:
     from trms_cli.runs.finding import Question, find
 
     with Progress() as progress:
-        return find(Question(folders=tuple(folders), sort="path", descending=False), progress)
+        found = find(Question(folders=tuple(folders), sort="path", descending=False), progress)
+    return replace(found, runs=_completed(found.runs))
 
 
 def read_sweep(folders: Sequence[Path], found: Found, page_folder: Path) -> ReportedSweep:
@@ -235,6 +239,25 @@ def _swept(
         page=relative_link(str(own), str(page_folder)) if own_page else "",
         number=int(path.name) if path.name.isascii() and path.name.isdigit() else None,
     )
+
+
+def _completed(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows in which a job that left no log has the usual option of each group it does not name."""
+    usual = {
+        key: Counter(row[key] for row in rows if row.get(key) not in (None, "")).most_common(1)
+        for key in (*_OPTIONS, "seed")
+    }
+    whole = []
+    for row in rows:
+        if str(row["log"]).endswith(STATUS_NAME):
+            filled = {
+                key: most[0][0]
+                for key, most in usual.items()
+                if most and row.get(key) in (None, "")
+            }
+            row = {**row, **filled}
+        whole.append(row)
+    return whole
 
 
 def value_of(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> Value:
