@@ -1,0 +1,259 @@
+"""The 3D view in a run's log: its geometry, its schemas, and readers that pass it by."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from trms_cli.cli import main
+from trms_cli.commands.scene_of_log import scene_of_log
+from trms_cli.recordings.export import export_log
+from trms_cli.recordings.foxglove.added_scene import scene_messages
+from trms_cli.recordings.foxglove.topics import SCENE_TOPICS, layout, schema_text
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.recordings.log_tail import LogTail
+from trms_cli.reporting.scene_picture import frames_of
+
+ROOT = Path(__file__).parents[2]
+SHORT = ("sim.duration=2", "picture=false")
+
+
+def run(folder: Path, *words: str) -> Path:
+    assert main(["run", *SHORT, *words, f"out={folder}"]) == 0
+    return folder / "run.mcap"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    """Two seconds of the default loop, every second sample with a pose."""
+    return run(tmp_path_factory.mktemp("scene") / "there", "sim.scene_every=2")
+
+
+def messages(path: Path) -> dict[str, list[tuple[int, dict, bytes]]]:
+    """Time (ns), decoded message and schema of the viewer's topics."""
+    found: dict[str, list] = {topic: [] for topic in SCENE_TOPICS}
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(topics=SCENE_TOPICS):
+            assert schema is not None
+            found[channel.topic].append((message.log_time, json.loads(message.data), schema.data))
+    return found
+
+
+def test_every_message_is_as_its_published_schema_says(log):
+    found = messages(log)
+    assert {topic: len(told) > 0 for topic, told in found.items()} == dict.fromkeys(
+        SCENE_TOPICS, True
+    )
+    for told in found.values():
+        validator = jsonschema.Draft202012Validator(json.loads(told[0][2]))
+        for _, message, _ in told[:20]:
+            validator.validate(message)
+    assert found["/tf"][0][2] == schema_text("FrameTransforms")
+
+
+def test_the_pose_is_the_angles(log):
+    """The beam's axis in space is e_ξ of the model's sign conventions, at every pose."""
+    state = read_log(log).table("/plant/state")
+    found = messages(log)["/tf"]
+    assert len(found) == 50
+    for time_ns, message, _ in found:
+        k = int(np.flatnonzero(state.time_ns == time_ns)[0])
+        yaw, pitch = state.columns["alpha_h"][k], state.columns["alpha_v"][k]
+        rotation, _ = frames_of(message)["beam"]
+        along = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
+        np.testing.assert_allclose(rotation[:, 0], along, atol=1e-6)
+        np.testing.assert_allclose(rotation[:, 1], [-np.sin(yaw), np.cos(yaw), 0], atol=1e-6)
+        assert np.linalg.det(rotation) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_ghost_is_the_reference(log):
+    reference = read_log(log).table("/reference")
+    time_ns, message, _ = messages(log)["/tf"][-1]
+    k = int(np.flatnonzero(reference.time_ns == time_ns)[0])
+    rotation, _ = frames_of(message)["reference_beam"]
+    assert np.arcsin(rotation[2, 0]) == pytest.approx(reference.columns["alpha_v"][k], abs=1e-5)
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    assert yaw == pytest.approx(reference.columns["alpha_h"][k], abs=1e-5)
+
+
+def test_positive_pitch_raises_the_main_rotor(log):
+    """From the hanging rest upwards: the rotor's place, with all frames composed."""
+    found = messages(log)
+    bodies = found["/scene"][0][1]
+    beam = next(entity for entity in bodies["entities"] if entity["id"] == "beam")
+    motor = max(beam["cylinders"], key=lambda part: part["pose"]["position"]["x"])
+    at = np.array([motor["pose"]["position"][axis] for axis in "xyz"])
+    assert at[0] == pytest.approx(0.246)  # l_m of the set `bench`
+    heights, pitches = [], []
+    state = read_log(log).table("/plant/state")
+    for time_ns, message, _ in found["/tf"]:
+        rotation, origin = frames_of(message)["beam"]
+        heights.append(float((rotation @ at + origin)[2]))
+        pitches.append(state.columns["alpha_v"][np.flatnonzero(state.time_ns == time_ns)[0]])
+    pivot = frames_of(found["/tf"][0][1])["yaw"][1][2]
+    np.testing.assert_allclose(heights, pivot + 0.246 * np.sin(pitches), atol=1e-6)
+
+
+def test_arrows_are_the_commands(log):
+    command = read_log(log).table("/command")
+    seen = 0
+    for time_ns, message, _ in messages(log)["/scene/commands"]:
+        k = int(np.flatnonzero(command.time_ns == time_ns)[0])
+        arrows = message["entities"][0]["arrows"]
+        share = command.columns["u_v"][k] / 2.5
+        main_rotor = [a for a in arrows if a["pose"]["position"]["x"] > 0]
+        if abs(share) < 1e-6:
+            continue
+        length = main_rotor[0]["shaft_length"] + main_rotor[0]["head_length"]
+        assert length == pytest.approx(abs(share) * 0.246, rel=1e-4)
+        # x of the arrow, turned: up for a positive command
+        turned = main_rotor[0]["pose"]["orientation"]
+        up = 2 * (turned["x"] * turned["z"] - turned["w"] * turned["y"])
+        assert up == pytest.approx(np.sign(share), abs=1e-6)
+        seen += 1
+    assert seen > 10
+
+
+def test_readers_of_samples_pass_the_view_by(log, tmp_path):
+    """Everything a reader sees is as in a run without the view."""
+    without = run(tmp_path / "without", "sim.scene_every=0")
+    one, other = read_log(log), read_log(without)
+    assert list(one.tables) == list(other.tables)
+    assert not set(SCENE_TOPICS) & set(one.tables)
+    assert one.complete and one.duration_s == other.duration_s
+    for topic in ("/command", "/plant/state", "/estimate", "/measurement"):
+        for name, column in one.tables[topic].columns.items():
+            np.testing.assert_array_equal(column, other.tables[topic].columns[name])
+    with LogTail(log) as tail:
+        piece = tail.read()
+        assert piece is not None and not set(SCENE_TOPICS) & set(piece.tables)
+        assert tail.problems == []
+    for format_ in ("csv", "parquet", "mat"):
+        export_log(one, tmp_path / f"view.{format_}", format_)
+    export_log(other, tmp_path / "none.csv", "csv")
+    told = [(tmp_path / name).read_text(encoding="utf-8") for name in ("view.csv", "none.csv")]
+    samples = [[line for line in text.splitlines() if not line.startswith("#")] for text in told]
+    assert samples[0] == samples[1]
+
+
+def test_an_added_view_is_that_of_the_run(log):
+    """What `trms export` adds is bit for bit what the run would have logged."""
+    read = read_log(log)
+    scene = scene_of_log(read)
+    added: dict[str, list] = {topic: [] for topic in SCENE_TOPICS}
+    for topic, time_ns, data in scene_messages(read, scene.encoder, scene.sources, 2):
+        added[topic].append((time_ns, json.loads(data)))
+    logged = messages(log)
+    for topic in SCENE_TOPICS:
+        assert added[topic] == [(time_ns, message) for time_ns, message, _ in logged[topic]], topic
+
+
+def test_the_exported_log_holds_all_that_the_run_logged(log, tmp_path, capsys):
+    out = tmp_path / "shown.mcap"
+    assert main(["export", str(log), "--format", "foxglove", "--out", str(out)]) == 0
+    assert "poses" in capsys.readouterr().out
+    one, other = read_log(log), read_log(out)
+    assert other.complete and other.run == one.run and other.score == one.score
+    assert other.attachments == one.attachments
+    for topic, table in one.tables.items():
+        np.testing.assert_array_equal(table.time_ns, other.tables[topic].time_ns)
+    assert len(messages(out)["/tf"]) == 50
+    assert main(["export", str(log), "--format", "foxglove", "--out", str(out)]) == 2
+
+
+def test_a_log_of_a_run_that_died_gains_a_view(log, tmp_path, capsys):
+    cut = tmp_path / "cut.mcap"
+    data = log.read_bytes()
+    cut.write_bytes(data[: int(0.8 * len(data))])
+    assert main(["export", str(cut), "--format", "foxglove"]) == 0
+    assert "was not finished" in capsys.readouterr().out
+    assert len(messages(tmp_path / "cut.foxglove.mcap")["/tf"]) >= 20
+
+
+@pytest.mark.parametrize(
+    ("words", "moves"),
+    [
+        (("model=newtonian_vertical", "controller=pid", "observer=full_state"), "alpha_v"),
+        (("model=newtonian_horizontal", "controller=pid", "observer=full_state"), "alpha_h"),
+        (("experiment=quanser_aero",), "alpha_v"),
+        (("model=tras", "controller=open_loop", "observer=full_state"), "alpha_v"),
+        (("model=narx_2dof", "controller=open_loop", "observer=full_state"), "alpha_v"),
+    ],
+)
+@pytest.mark.slow
+def test_every_rig_with_an_attitude_has_a_view(tmp_path, words, moves):
+    path = run(tmp_path / "there", *words)
+    found = messages(path)
+    assert len(found["/scene"]) == 1 and len(found["/tf"]) > 5
+    signal = read_log(path).table("/plant/state").columns[moves]
+    rotation, _ = frames_of(found["/tf"][-1][1])["beam"]
+    told = np.arcsin(rotation[2, 0]) if moves == "alpha_v" else np.arctan2(*rotation[1::-1, 0])
+    last = np.flatnonzero(read_log(path).table("/plant/state").time_ns == found["/tf"][-1][0])[0]
+    assert told == pytest.approx((signal[last] + np.pi) % (2 * np.pi) - np.pi, abs=1e-5)
+
+
+def test_a_motor_alone_has_none_and_says_why(tmp_path, capsys):
+    path = run(
+        tmp_path / "motor",
+        "model=motor_main",
+        "ref=speed",
+        "controller=open_loop",
+        "observer=full_state",
+    )
+    assert messages(path) == {topic: [] for topic in SCENE_TOPICS}
+    capsys.readouterr()
+    assert main(["export", str(path), "--format", "foxglove"]) == 2
+    assert "has no attitude" in capsys.readouterr().err
+
+
+def test_how_often_is_checked(tmp_path, capsys):
+    assert main(["run", "sim.scene_every=-1", f"out={tmp_path / 'no'}"]) == 2
+    assert "sim.scene_every" in capsys.readouterr().err
+
+
+class TestLayout:
+    """Each message path of the layout leads to something in a real log."""
+
+    def paths(self) -> list[str]:
+        told = json.loads(layout())
+        found = []
+        for name, panel in told["configById"].items():
+            found += [path["value"] for path in panel.get("paths", ())]
+            found += [panel[key] for key in ("topicPath", "topicToRender") if panel.get(key)]
+            if name.startswith("3D!"):
+                found += list(panel["topics"])
+        return found
+
+    def test_every_path_resolves(self, log):
+        fields = {topic: set(table.columns) for topic, table in read_log(log).tables.items()}
+        viewed = messages(log)
+        assert len(self.paths()) > 15
+        for path in self.paths():
+            topic, _, field = path.partition(".")
+            if topic in viewed:
+                assert viewed[topic] and not field
+            else:
+                assert topic in fields, path
+                assert not field or field in fields[topic], path
+
+    def test_every_panel_stands_once(self):
+        told = json.loads(layout())
+
+        def leaves(node) -> list[str]:
+            if isinstance(node, str):
+                return [node]
+            assert set(node) == {"direction", "first", "second", "splitPercentage"}
+            assert node["direction"] in ("row", "column") and 0 < node["splitPercentage"] < 100
+            return leaves(node["first"]) + leaves(node["second"])
+
+        assert sorted(leaves(told["layout"])) == sorted(told["configById"])
+
+    def test_the_one_in_the_pages_is_the_one_that_is_written(self, tmp_path):
+        out = tmp_path / "layout.json"
+        assert main(["export", "--layout", str(out)]) == 0
+        assert out.read_bytes() == (ROOT / "docs" / "foxglove" / "trms.json").read_bytes()
