@@ -81,7 +81,7 @@ def test_killed_workers(tmp_path, launcher):
 
 
 def test_the_debugger_s_launcher_starts_no_process(tmp_path):
-    progress, begun, pids = drive(tmp_path, LocalLauncher(workers=0))
+    progress, _, pids = drive(tmp_path, LocalLauncher(workers=0))
     assert progress.counts == {"done": RUNS} and pids == {os.getpid()}
 
 

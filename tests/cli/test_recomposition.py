@@ -1,0 +1,165 @@
+"""Values varied inside a choice of options that is composed once: equal to composing afresh."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trms_cli.commands import recomposition
+from trms_cli.commands.composition import compose
+from trms_cli.commands.recomposition import Recomposer
+from trms_cli.core.errors import TrmsError
+
+CHOICES = [
+    [],
+    ["controller=pid"],
+    ["controller=lqr", "observer=kalman"],
+    ["model=lagrangian", "plant=ideal"],
+    ["effect=[yaw_coulomb_friction,main_input_delay]"],
+    ["ref=square", "signal@ref.alpha_v=sine"],
+    ["experiment=disturbed_rig", "fault=yaw_outliers"],
+    ["model@plant.model=newtonian_full"],
+]
+NUMBERS = st.one_of(
+    st.integers(-1000, 1000).map(str),
+    st.floats(1e-9, 1e9).map(repr),
+    st.sampled_from(["1e-3", "1E5", ".5", "1.", "1_000", "-0", "0.10", "inf", "nan", "007"]),
+)
+WORDS = st.sampled_from(
+    [
+        "true",
+        "False",
+        "null",
+        "a",
+        "'a b'",
+        '"x=y"',
+        "[1,2.5,a]",
+        "[]",
+        "{a:1}",
+        "a b",
+        "a/b.c",
+        "''",
+    ]
+)
+VALUES = st.one_of(
+    st.tuples(
+        st.sampled_from(
+            [
+                "sim.duration",
+                "seed",
+                "sim.sample_time",
+                "plant.prior_seed",
+                "plant.parameters.k_g",
+                "model.parameters.k_g",
+                "++plant.parameters.h_v",
+                "ref.alpha_v.amplitude",
+                "effect.yaw_coulomb_friction.torque",
+                "controller.sample_time",
+                "plant.sensors.noise_sd.omega_v",
+                "model.name",
+            ]
+        ),
+        NUMBERS,
+    ),
+    st.tuples(st.sampled_from(["out", "picture", "sim", "supervisor.x", "seed"]), WORDS),
+    st.just(("sim.duration", "${sim.sample_time}")),
+).map("=".join)
+
+
+def _outcome(composing):
+    try:
+        found = composing()
+    except TrmsError as error:
+        return type(error), error.problem, error.where, error.remedy
+    return repr(found.config), found.choices, found.overrides, found.config_dirs
+
+
+@pytest.fixture(scope="module")
+def known() -> Recomposer:
+    return Recomposer("run")
+
+
+@settings(max_examples=12, deadline=None)
+@given(data=st.data())
+def test_equals_composing_afresh(known, data):
+    _is_equal(known, data.draw(st.sampled_from(CHOICES)), data)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("choices", CHOICES, ids=" ".join)
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_equals_composing_afresh_for_many(known, choices, data):
+    _is_equal(known, choices, data)
+
+
+def _is_equal(known, choices, data):
+    values = data.draw(st.lists(VALUES, max_size=4))
+    words = data.draw(st.permutations([*choices, *values]))
+    again, afresh = _outcome(lambda: known.compose(words)), _outcome(lambda: compose(words))
+    assert again == afresh
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["sim.duration=1", "plant.parameters.k_g=0.19", "seed=4"],
+        ["controller=pid", "picture=false", "out='a b'", "model.parameters.k_g=0.2"],
+        ["effect=yaw_coulomb_friction", "effect.yaw_coulomb_friction.torque=1e-3"],
+        ["ref=square", "signal@ref.alpha_v=sine", "ref.alpha_v.amplitude=0.1"],
+    ],
+)
+def test_what_sweeps_vary_is_not_composed_again(known, monkeypatch, words):
+    known.compose(words)  # the choices are known from here on
+
+    def refuse(*_):
+        raise AssertionError("composed from the start")
+
+    monkeypatch.setattr(recomposition, "_compose", refuse)
+    monkeypatch.setattr(recomposition, "_hydra_compose", refuse)
+    again = known.compose([*words, "sim.prediction_every=3"], job=7)
+    assert again.job == 7 and again.config["sim"]["prediction_every"] == 3
+
+
+def test_a_configuration_is_the_caller_s_own(known):
+    first = known.compose(["seed=1"])
+    first.config["sim"]["duration"] = -1.0
+    first.config["plant"]["model"]["name"] = "spoilt"
+    assert repr(known.compose(["seed=1"]).config) == repr(compose(["seed=1"]).config)
+
+
+def test_the_rig_follows_the_model_that_is_varied(known):
+    config = known.compose(["model.parameters.k_g=0.123"]).config
+    assert config["plant"]["model"]["parameters"] == {"k_g": 0.123}
+
+
+def test_what_is_kept_is_bounded(monkeypatch):
+    monkeypatch.setattr(recomposition, "_MOST_BASES", 2)
+    composer = Recomposer("run")
+    for name in ("pid", "lqr", "linear_mpc"):
+        composer.compose([f"controller={name}"])
+    assert len(composer._bases) == 2
+
+
+def test_a_tenth_of_the_time(known):
+    """As a ratio in one process: what a composition from the start costs, and a value varied."""
+    words = ["controller=pid", "plant.parameters.k_g=0.19"]
+    known.compose(words)
+
+    def cost(make, times):
+        begin = time.process_time()
+        for seed in range(times):
+            make([*words, f"seed={seed}"])
+        return (time.process_time() - begin) / times
+
+    assert cost(known.compose, 50) < 0.1 * cost(compose, 3)
+
+
+def test_equal_documents(known):
+    words = ["controller=pid", "seed=3"]
+    assert json.dumps(known.compose(words).config) == json.dumps(compose(words).config)
+    assert known.compose(words).yaml == compose(words).yaml

@@ -1,0 +1,471 @@
+"""Sweeps as typed: worker and driver killed, resumed, failing, refused; one record of it all."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from trms_cli.recordings.log_reader import read_log
+
+SHORT = ["controller=pid", "observer=full_state", "plant=ideal", "sim.duration=0.5"]
+
+PLUGIN = '''"""A controller that kills its process, fails, or takes its time."""
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deadly:
+    how: str = "well"
+    marker: str = ""
+
+    def __post_init__(self):
+        if self.how == "dies":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if self.how == "dies once" and not Path(self.marker).exists():
+            Path(self.marker).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        if self.how == "bad":
+            raise RuntimeError("no such gain\\nand more")
+        if self.how == "slow":
+            time.sleep(0.5)
+        raise SystemExit("built")
+'''
+
+
+@pytest.fixture
+def begun(tmp_path, monkeypatch):
+    """Counts runs that have begun to write a log, by their folder."""
+    ledger = tmp_path / "ledger"
+    monkeypatch.setenv("TRMS_RUNS", str(ledger))
+
+    def count() -> Counter[str]:
+        lines = [file.read_text().splitlines() for file in ledger.glob("new-runs-*")]
+        return Counter(Path(line).parent.name for each in lines for line in each)
+
+    return count
+
+
+@pytest.fixture
+def started(executable, tmp_path):
+    """Start ``trms`` in a process group of its own, and leave nothing behind."""
+    processes = []
+
+    def start(*argv: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [str(executable), *argv],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            start_new_session=True,
+        )
+        processes.append(process)
+        return process
+
+    yield start
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+def statuses(sweep: Path) -> dict[int, dict]:
+    found = {}
+    for file in sweep.glob("*/status.json"):
+        found[int(file.parent.name)] = json.loads(file.read_text(encoding="utf-8"))
+    return found
+
+
+def wait_for(condition, seconds: float = 60.0):
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.02)
+    raise AssertionError("it did not come to that")
+
+
+def running(sweep: Path) -> list[dict]:
+    """Runs that write their log at present."""
+    return [
+        status
+        for number, status in statuses(sweep).items()
+        if status["state"] == "running" and (sweep / str(number) / "run.mcap").exists()
+    ]
+
+
+def states(sweep: Path) -> Counter[str]:
+    return Counter(status["state"] for status in statuses(sweep).values())
+
+
+class TestAWholeSweep:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def made(cls, executable, tmp_path_factory):
+        folder = tmp_path_factory.mktemp("lab")
+        varied = ["plant=simulated", "plant.parameters.k_g=0.19,0.2", "seed=1,2"]
+        words = ["run", "-m", *SHORT, *varied, "out=s"]
+        result = subprocess.run(
+            [str(executable), *words], cwd=folder, capture_output=True, text=True, check=False
+        )
+        assert result.returncode == 0, result.stderr
+        return folder / "s", result
+
+    def test_its_screen(self, made):
+        folder, result = made
+        assert "4 of 4 runs done" in result.stdout
+        assert f"folder     {folder}" in result.stdout and "compare" in result.stdout
+        assert result.stderr == ""
+
+    def test_a_run(self, made):
+        folder, _ = made
+        for number in range(4):
+            status = statuses(folder)[number]
+            assert (status["schema"], status["job"], status["state"]) == (
+                "trms.status/1",
+                number,
+                "done",
+            )
+            assert status["attempt"] == 1 and status["begin"] < status["end"]
+            assert status["host"] == os.uname().nodename and status["pid"] != os.getpid()
+            score = json.loads((folder / str(number) / "score.json").read_text())
+            assert status["figures"]["rmse_alpha_h"] == score["channels"]["alpha_h"]["rmse"]
+            assert status["objective"] == status["figures"]["rmse"]
+            log = read_log(folder / str(number) / "run.mcap")
+            assert log.complete
+            typed = json.loads(log.run["overrides"])
+            assert typed == status["overrides"] and "picture=false" in typed
+            assert log.run["command"].startswith("trms run ")
+            assert not (folder / str(number) / "run.png").exists()
+
+    def test_its_record(self, made):
+        folder, _ = made
+        record = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))
+        assert record["schema"] == "trms.sweep/1" and record["primary"] == "run"
+        assert (record["state"], record["total"], record["counts"]["done"]) == ("done", 4, 4)
+        assert record["directory"] == str(folder.parent) and "numpy" in record["versions"]
+        points = [json.loads(line) for line in (folder / "points.jsonl").read_text().splitlines()]
+        assert [point["number"] for point in points] == [0, 1, 2, 3]
+        assert points[2]["values"] == {"plant.parameters.k_g": "0.2", "seed": "1"}
+        for point in points:
+            assert tuple(point["overrides"]) == tuple(
+                statuses(folder)[point["number"]]["overrides"]
+            )
+
+    def test_other_commands_know_it(self, made, trms):
+        folder, _ = made
+        assert len(json.loads(trms("runs", "--in", str(folder), "--json").stdout)["runs"]) == 4
+        assert trms("compare", str(folder)).returncode == 0
+        assert "4 / 4 done" in trms("watch", str(folder), "--once").stdout
+        assert "4 of 4 runs done" in trms("sweep", "status", str(folder)).stdout
+
+    def test_a_run_is_repeated_by_its_log(self, made, trms, tmp_path):
+        folder, _ = made
+        result = trms("run", "--from", str(folder / "1" / "run.mcap"), "out=again")
+        assert result.returncode == 0, result.stderr
+        assert "note" not in result.stderr
+        one, again = (
+            json.loads((place / "score.json").read_text())
+            for place in (folder / "1", tmp_path / "again")
+        )
+        assert one["channels"] == again["channels"]
+
+    def test_resuming_it_does_nothing(self, made, trms, begun):
+        folder, _ = made
+        before = {file: file.stat().st_mtime_ns for file in folder.rglob("*.mcap")}
+        result = trms("sweep", "resume", str(folder))
+        assert result.returncode == 0 and "4 of 4 runs done" in result.stdout
+        assert before == {file: file.stat().st_mtime_ns for file in folder.rglob("*.mcap")}
+        assert not begun()
+
+    def test_its_status_as_json(self, made, trms):
+        folder, _ = made
+        document = json.loads(trms("sweep", "status", str(folder), "--json").stdout)
+        assert document["schema"] == "trms.sweep-status/1"
+        assert document["counts"]["done"] == document["total"] == 4
+        assert document["failures"] == [] and document["best"]["run"] in range(4)
+        best = statuses(folder)[document["best"]["run"]]["objective"]
+        assert best == min(status["objective"] for status in statuses(folder).values())
+
+
+LONG = ["controller=pid", "observer=full_state", "sim.duration=16"]
+
+
+def test_a_killed_worker_costs_one_attempt(started, tmp_path, begun):
+    sweep = tmp_path / "s"
+    process = started("run", "-m", *LONG, "seed=range(8)", "launcher.workers=2", "out=s")
+    victim = wait_for(lambda: [run for run in running(sweep) if begun()[str(run["job"])]])[0]
+    os.kill(victim["pid"], signal.SIGKILL)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert "8 of 8 runs done" in out and "1 tried again" in out
+    assert begun() == Counter(map(str, range(8))) + Counter([str(victim["job"])])
+    assert statuses(sweep)[victim["job"]]["attempt"] == 2
+    kept = sweep / str(victim["job"]) / "attempt-1"
+    assert {"run.mcap.dead", "status.json.dead"} <= set(os.listdir(kept))
+    assert all(read_log(log).complete for log in sweep.glob("*/run.mcap"))
+    assert len(list(sweep.rglob("*.mcap"))) == 8
+
+
+@pytest.mark.parametrize(
+    "how",
+    [signal.SIGKILL, signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
+)
+def test_resumed_after_its_driver_has_gone(started, trms, tmp_path, begun, how):
+    sweep = tmp_path / "s"
+    process = started("run", "-m", *LONG, "seed=range(5)", "launcher.workers=2", "out=s")
+    wait_for(lambda: states(sweep)["done"] >= 2 and running(sweep))
+    process.send_signal(how)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == {2: 130, 15: 143, 9: -9}[how]
+    before = {
+        number: status for number, status in statuses(sweep).items() if status["state"] == "done"
+    }
+    if how != signal.SIGKILL:
+        assert "sweep resume" in err and "Traceback" not in err
+        assert not running(sweep) and states(sweep)["interrupted"] >= 1
+        record = json.loads((sweep / "sweep.json").read_text())
+        assert record["state"] == "interrupted"
+        assert "stopped before its end" in trms("sweep", "status", "s").stdout
+    result = trms("sweep", "resume", "s", "launcher.workers=1")
+    assert result.returncode == 0, result.stderr
+    assert "5 of 5 runs done" in result.stdout
+    after = statuses(sweep)
+    assert len(after) == 5 and states(sweep) == {"done": 5}
+    for number, status in before.items():  # nothing that was done is repeated
+        assert after[number] == status
+        assert begun()[str(number)] == 1
+    assert sum(begun().values()) <= 5 + 2
+    assert all(read_log(log).complete for log in sweep.glob("*/run.mcap"))
+
+
+def test_a_second_process_is_refused(started, trms, tmp_path):
+    sweep = tmp_path / "s"
+    process = started("run", "-m", *LONG, "seed=range(40)", "launcher.workers=1", "out=s")
+    wait_for(lambda: running(sweep))
+    result = trms("sweep", "resume", "s")
+    assert result.returncode == 2 and f"process {process.pid}" in result.stderr
+    assert "going on" in trms("sweep", "status", "s").stdout
+    assert trms("run", "-m", *LONG, "seed=1,2", "out=s").returncode == 2
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=60)
+
+
+def test_sweeps_that_begin_at_once_have_folders_of_their_own(started, tmp_path):
+    words = ["run", "-m", *SHORT, "seed=1,2", "launcher.workers=0"]
+    processes = [started(*words) for _ in range(3)]
+    for process in processes:
+        _, err = process.communicate(timeout=120)
+        assert process.returncode == 0, err
+    folders = list(tmp_path.glob("outputs/*/*-run-sweep*"))
+    assert len(folders) == 3 and all(states(folder) == {"done": 2} for folder in folders)
+
+
+class TestFailures:
+    @pytest.fixture
+    def deadly(self, tmp_path) -> list[str]:
+        lab = tmp_path / "lab" / "configs" / "controller"
+        lab.mkdir(parents=True)
+        (tmp_path / "lab" / "deadly_lab.py").write_text(PLUGIN)
+        (lab / "deadly.yaml").write_text(
+            "# a controller that does not control\n_target_: deadly_lab.Deadly\n"
+            "how: well      # what it does\nmarker: ''     # file\n"
+        )
+        return ["--config-dir", "lab/configs", "--allow", "deadly_lab"]
+
+    def test_are_told_by_their_reason_and_made_again_when_asked(self, trms, tmp_path, deadly):
+        words = ["run", *deadly, "-m", *SHORT, "out=s", "launcher.workers=1"]
+        result = trms(*words, "controller=pid,deadly", "++controller.how=bad,", "seed=1")
+        assert result.returncode == 2  # pid has no such key, which is told before a run is made
+        assert not (tmp_path / "s").exists()
+        result = trms(*words, "controller=deadly", "controller.how=bad", "seed=1,2,3")
+        assert result.returncode == 1, result.stderr
+        assert "0 of 3 runs done, 3 failed" in result.stdout
+        assert "3×" in result.stdout and "no such gain" in result.stdout
+        assert "--retry-failed" in result.stdout
+        assert "RuntimeError" in json.dumps(statuses(tmp_path / "s")[0]["error"])
+        again = trms("sweep", "resume", "s", "--allow", "deadly_lab")
+        assert again.returncode == 1 and statuses(tmp_path / "s")[0]["attempt"] == 1
+        again = trms("sweep", "resume", "s", "--retry-failed", "--allow", "deadly_lab")
+        assert again.returncode == 1 and statuses(tmp_path / "s")[0]["attempt"] == 2
+        document = json.loads(trms("sweep", "status", "s", "--json").stdout)
+        assert [(f["count"], f["runs"]) for f in document["failures"]] == [(3, [0, 1, 2])]
+
+    def test_a_run_that_kills_its_worker_each_time_is_lost(self, trms, tmp_path, deadly):
+        words = ["run", *deadly, "-m", "observer=full_state", "plant=ideal", "sim.duration=0.5"]
+        result = trms(
+            *words, "controller=deadly", "controller.how=dies,bad", "retries=2", "out=s", "--json"
+        )
+        assert result.returncode == 1, result.stderr
+        document = json.loads(result.stdout)
+        assert document["counts"]["lost"] == 1 and document["counts"]["failed"] == 1
+        status = statuses(tmp_path / "s")[0]
+        assert status["state"] == "lost" and status["attempt"] == 3
+        assert "died 3 times" in status["error"]["problem"]
+
+
+@pytest.mark.parametrize(
+    ("words", "hints"),
+    [
+        (["hydra/launcher=joblib"], ["hydra/launcher", "launcher=local"]),
+        (["hydra/sweeper=optuna"], ["sampler="]),
+        (["hydra.sweep.dir=x"], ["out=FOLDER"]),
+        (["sampler=gird"], ["did you mean grid?"]),
+        (["launcher=dusk"], ["did you mean dask?"]),
+        (["launcher.wrokers=2"], ["did you mean workers?"]),
+        (["launcher.workers=-1"], ["launcher.workers"]),
+        (["launcher=local,dask"], ["a sweep has one"]),
+        (["retries=-1"], ["retries", "whole number"]),
+        (["retries=much"], ["retries"]),
+        (["controller=pid,lqrr"], ["did you mean lqr?"]),
+        (["controller.k_q=1,2"], ["controller"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_bad_input_is_answered_before_anything_is_made(trms, tmp_path, words, hints):
+    result = trms("run", "-m", "seed=1,2", "out=s", *words)
+    told = " ".join(result.stderr.split())
+    assert result.returncode == 2 and "Traceback" not in told
+    assert all(hint in told for hint in hints), told
+    assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize(
+    ("argv", "hint"),
+    [
+        ([], "trms sweep resume FOLDER"),
+        (["resmue", "x"], "trms sweep resume FOLDER"),
+        (["resume"], "no folder named"),
+        (["resume", "nowhere"], "there is no folder"),
+        (["status", "."], "sweep.json"),
+        (["resume", ".", "--retry"], "did you mean --retry-failed"),
+        (["resume", ".", "seed=3"], "sweep.json"),
+        (["status", ".", "seed=3"], "usage"),
+    ],
+)
+def test_bad_input_of_the_command(trms, argv, hint):
+    result = trms("sweep", *argv)
+    assert result.returncode == 2 and hint in " ".join(result.stderr.split())
+
+
+class TestResuming:
+    @pytest.fixture
+    def stopped(self, trms, tmp_path) -> Path:
+        """A sweep of three, as a driver leaves it that was killed at once."""
+        assert (
+            trms("run", "-m", *SHORT, "seed=1,2,3", "out=s", "launcher.workers=0").returncode == 0
+        )
+        sweep = tmp_path / "s"
+        record = json.loads((sweep / "sweep.json").read_text())
+        (sweep / "sweep.json").write_text(json.dumps(record | {"state": "running"}))
+        for name in (".attempt-1", "status.json", "score.json", "run.mcap"):
+            (sweep / "2" / name).unlink()
+        return sweep
+
+    def test_from_another_folder(self, stopped, executable, tmp_path_factory):
+        elsewhere = tmp_path_factory.mktemp("elsewhere")
+        result = subprocess.run(
+            [str(executable), "sweep", "resume", str(stopped), "launcher.workers=0"],
+            cwd=elsewhere, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert result.returncode == 0, result.stderr
+        assert states(stopped) == {"done": 3} and not list(elsewhere.iterdir())
+
+    @pytest.mark.parametrize(
+        ("words", "hint"),
+        [
+            (["sampler=random"], "make it anew"),
+            (["seed=5"], "only launcher"),
+            (["retries=x"], "retries"),
+        ],
+    )
+    def test_only_where_it_runs_may_change(self, stopped, trms, words, hint):
+        result = trms("sweep", "resume", "s", *words)
+        told = " ".join(result.stderr.split())
+        assert result.returncode == 2 and hint in told
+
+    def test_other_versions_are_told(self, stopped, trms):
+        text = (stopped / "sweep.json").read_text()
+        (stopped / "sweep.json").write_text(re.sub(r'"numpy": "[^"]+"', '"numpy": "0.1"', text))
+        result = trms("sweep", "resume", "s", "launcher.workers=0")
+        assert result.returncode == 0 and "numpy 0.1 →" in result.stderr
+
+    def test_a_record_names_no_code_of_others(self, stopped, trms):
+        text = (stopped / "sweep.json").read_text()
+        (stopped / "sweep.json").write_text(
+            text.replace("trms_cli.commands.run:perform", "os:system")
+        )
+        result = trms("sweep", "resume", "s")
+        assert result.returncode == 2 and "no command of this program" in result.stderr
+
+    def test_a_folder_that_is_gone(self, stopped, trms):
+        record = json.loads((stopped / "sweep.json").read_text())
+        (stopped / "sweep.json").write_text(json.dumps(record | {"directory": "/nowhere"}))
+        result = trms("sweep", "resume", "s")
+        assert result.returncode == 2 and "is gone" in result.stderr
+
+
+def test_a_sweep_from_python(tmp_path, monkeypatch):
+    from trms_cli.commands.run import perform
+    from trms_cli.commands.sweep import go_on, make_sweep
+
+    monkeypatch.chdir(tmp_path)
+    seen = []
+    swept = make_sweep(
+        [*SHORT, "seed=1,2", "launcher.workers=0", "out=s"],
+        "run",
+        perform,
+        tell=lambda progress, result: seen.append(result),
+    )
+    assert swept.all_done and swept.counts["done"] == 2 and swept.folder == tmp_path / "s"
+    assert [point.values["seed"] for point in swept.points] == ["1", "2"]
+    assert all(result.figures["rmse_alpha_h"] > 0 for result in swept.results.values())
+    assert len([result for result in seen if result is not None]) == 2
+    assert go_on(tmp_path / "s").results.keys() == swept.results.keys()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["launcher=dask", "launcher.workers=2"],
+        ["launcher=slurm", "launcher.cluster=local", "launcher.workers=2"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_worker_of_a_cluster_is_killed(started, tmp_path, begun, words):
+    sweep = tmp_path / "s"
+    process = started("run", "-m", *LONG, "seed=range(8)", *words, "out=s")
+    victim = wait_for(lambda: [run for run in running(sweep) if begun()[str(run["job"])]])[0]
+    os.kill(victim["pid"], signal.SIGKILL)
+    out, err = process.communicate(timeout=200)
+    assert process.returncode == 0, err
+    assert "8 of 8 runs done" in out and states(sweep) == {"done": 8}
+    assert begun() == Counter(map(str, range(8))) + Counter([str(victim["job"])])
+
+
+@pytest.mark.slow
+def test_a_thousand_runs(trms, tmp_path, begun):
+    result = subprocess.run(
+        [sys.executable, "-m", "trms_cli", "run", "-m", *SHORT, "seed=range(1000)", "out=s"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "1000 of 1000 runs done" in result.stdout
+    assert begun() == Counter(map(str, range(1000)))
