@@ -16,12 +16,18 @@ from .markdown import blocks
 ROOT = Path(__file__).parents[2]
 #: What is tested with more elsewhere.
 ELSEWHERE = {"docs/log-format.md"}
+#: Folders that the documentation site is made in.
+MADE = {"_build", "source"}
+#: Pages that fit models and sweep.
+LONG = {"docs/library.md"}
 
 
 def _sessions() -> list[str]:
     found = []
     for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         name = page.relative_to(ROOT).as_posix()
+        if MADE.intersection(page.parts):
+            continue
         if name not in ELSEWHERE and any(_is_typed(block) for block in blocks(page)):
             found.append(name)
     return found
@@ -46,7 +52,9 @@ def test_there_are_pages_with_python() -> None:
     assert {"docs/library.md", "docs/runs.md", "docs/watch.md"} <= set(_sessions())
 
 
-@pytest.mark.parametrize("name", _sessions())
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in _sessions()]
+)
 def test_the_python_of_a_page_runs(name: str, run_folder: Path, monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TRMS_RUNS", str(tmp_path / "index"))
