@@ -145,3 +145,9 @@ def test_every_export_that_is_a_recording_is_imported_again(
     for name, values in before.channels.items():
         np.testing.assert_array_equal(after.channels[name], values)
     assert after.metadata == before.metadata and after.units == before.units
+
+
+def test_a_recording_of_three_samples_is_one(trms: Program, tmp_path: Path) -> None:
+    (tmp_path / "short.csv").write_text("t[s],u_v[V],alpha_v[deg]\n0,0,1\n0.1,1,2\n0.2,1,3\n")
+    done = trms("import", "short.csv")
+    assert done.returncode == 0 and "3 samples" in done.stdout

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
 from trms_cli.effects.cable_hysteresis import CableHysteresis
@@ -39,7 +39,7 @@ def test_the_loop_closes_and_has_the_area_of_the_closed_form(rig):
     amplitude = np.ptp(angle[last]) / 2
     peak = brentq(lambda q: loop(q)[0] - 2 * amplitude / WIDTH, 1e-9, 1 - 1e-12)
     np.testing.assert_allclose(np.abs(z[last]).max(), peak, atol=1e-3)
-    area = np.trapezoid(TORQUE * z[last], angle[last])
+    area = trapezoid(TORQUE * z[last], angle[last])
     np.testing.assert_allclose(area, 2 * TORQUE * WIDTH * loop(peak)[1], rtol=2e-3)
 
 

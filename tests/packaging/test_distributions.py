@@ -20,12 +20,17 @@ trms run controller=pid sim.duration=4 picture=false out=pid
 trms run controller=robust_mpc_offline observer=state_dependent_ekf sim.duration=2 out=robust
 trms run -m controller=pid seed=1,2 sim.duration=1 out=sweep
 trms export pid/run.mcap --format parquet
+trms import rig.csv
 trms runs --in .
 trms stability study=equilibria out=stability
 trms validate real=pid/run.mcap out=validation
 trms report newton --out newton.html
 trms plot newton/run.mcap --format pdf --out newton.pdf
 """
+#: What a bench writes.
+RECORDING = "t[ms],u_v[%],alpha_v[deg],omega_v[rpm]\n" + "".join(
+    f"{20 * k},{10 * (k % 2)},{0.1 * k},{3 * k}\n" for k in range(5)
+)
 #: What a user writes; a type checker has to know what comes back.
 TYPED = """
 from pathlib import Path
@@ -75,6 +80,7 @@ def test_it_works_outside_of_its_checkout(environment_with, bounds, version):
             if name in versions:  # some only for other machines
                 assert versions[name].startswith(bound), f"{name} is {versions[name]}"
     assert "ready" in environment.run("trms", "doctor")
+    (environment.work / "rig.csv").write_text(RECORDING, encoding="utf-8")
     for line in COMMANDS.strip().splitlines():
         environment.run(*shlex.split(line))
     score = json.loads(environment.run("trms", "score", "newton/run.mcap", "--json"))

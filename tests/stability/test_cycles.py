@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import trapezoid
 from scipy.special import ellipk
 
 from trms_cli.models.model import Model, Signal
@@ -101,7 +102,7 @@ def test_its_multiplier_is_the_exponential_of_the_divergence(van_der_pol_search)
     """Liouville: the product of all multipliers is exp ∮ div f dt, and one of them is 1."""
     (orbit,) = van_der_pol_search.orbits
     divergence = 1 - orbit.path[:, 0] ** 2
-    expected = np.exp(np.trapezoid(divergence, orbit.time))
+    expected = np.exp(trapezoid(divergence, orbit.time))
     assert orbit.largest.real == pytest.approx(expected, rel=1e-5)
     assert orbit.largest.real == pytest.approx(8.597e-4, rel=1e-3)
 

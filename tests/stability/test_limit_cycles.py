@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.chart import Curve
@@ -101,7 +102,7 @@ def test_the_multipliers_have_the_product_of_liouville():
     (orbit,) = [orbit for orbit in found.orbits if orbit.stable]
     field = VectorField(model)
     divergence = [np.trace(field.linearised(x, point.u)[0]) for x in orbit.path]
-    expected = np.trapezoid(divergence, orbit.time)
+    expected = trapezoid(divergence, orbit.time)
     assert np.log(np.abs(np.prod(orbit.multipliers))) == pytest.approx(expected, rel=1e-4)
 
 

@@ -111,7 +111,7 @@ def _past(table: np.ndarray, lags: int, latest: int) -> np.ndarray:
     columns = []
     for lag in range(latest, latest + lags):
         moved = np.full(table.shape, np.nan)
-        moved[lag:] = table[: len(table) - lag]
+        moved[lag:] = table[: max(len(table) - lag, 0)]
         columns.append(moved)
     return np.hstack(columns)
 
