@@ -222,7 +222,7 @@ def test_a_sweep_over_two_controllers(trms, tmp_path):
     words = ["observer=full_state", "plant=ideal", "sim.duration=2", "picture=false"]
     result = trms("run", "-m", "controller=newton_mpc,pid", *words, "out=swept")
     assert result.returncode == 0, result.stderr
-    assert "2 of 2 jobs done" in result.stdout
+    assert "2 of 2 runs done" in result.stdout
     for job, controller in enumerate(("newton_mpc", "pid")):
         folder = tmp_path / "swept" / str(job)
         status = json.loads((folder / "status.json").read_text())

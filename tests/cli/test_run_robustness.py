@@ -175,6 +175,7 @@ def test_an_interrupted_run_leaves_a_complete_and_marked_log(started, trms, endi
 @posix
 def test_ctrl_c_ends_a_sweep_and_not_only_its_job(executable, own, tmp_path):
     words = [*own, "controller.how=slow", "sim.duration=600", "seed=1,2", "out=swept"]
+    words += ["launcher.workers=1"]
     process = subprocess.Popen(
         [str(executable), "run", "-m", *words],
         cwd=tmp_path,

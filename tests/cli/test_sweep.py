@@ -130,6 +130,7 @@ class TestAWholeSweep:
     def test_its_screen(self, made):
         folder, result = made
         assert "4 of 4 runs done" in result.stdout
+        assert result.stdout.count("RMSE") == 4
         assert f"folder     {folder}" in result.stdout and "compare" in result.stdout
         assert result.stderr == ""
 

@@ -12,6 +12,7 @@ from trms_cli.sweeps.record import Record, is_driven
 from trms_cli.sweeps.status import RunFolder, is_alive, result_of
 
 SCHEMA = "trms.sweep-status/1"
+_MOST_LINES = 30  # a line for each run of a sweep that has no more
 
 
 def outcome_of(folder: Path) -> dict[str, Any]:
@@ -22,7 +23,8 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     dict
         ``counts`` by state, among them ``running`` and ``left`` (proposed, and not begun or left
         by a worker that died); ``failures``: state, problem, where, remedy, count and runs;
-        ``rate`` in runs per second of late; ``best``: the run with the smallest objective.
+        ``rate`` in runs per second of late; ``best``: the run with the smallest objective;
+        ``told``: what each run says of itself, for a sweep of few.
 
     Raises
     ------
@@ -53,6 +55,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
             if value is not None and math.isfinite(value) and (not best or value < best[0]):
                 best = value, point.number
     total = document.get("total")
+    lines = [_line(folder, point.number, document) for point in points[:_MOST_LINES]]
     if isinstance(total, int):
         counts["left"] += max(0, total - len(points))
     state = document["state"]
@@ -80,8 +83,18 @@ def outcome_of(folder: Path) -> dict[str, Any]:
             "objective": best[0],
             "overrides": [w for w in points[best[1]].overrides if w not in set(shown)],
         },
+        "told": [line for line in lines if line] if len(points) <= _MOST_LINES else [],
         "summary": document.get("summary") or {},
     }
+
+
+def _line(folder: Path, number: int, document: Mapping[str, Any]) -> str:
+    """What a run says of itself, without what all runs share."""
+    line = str(RunFolder(folder, number).status().get("told") or "")
+    space = document.get("space")
+    for word in space.get("fixed", ()) if isinstance(space, Mapping) else ():
+        line = line.replace(f" {word}", "", 1)
+    return line
 
 
 def _state(run: RunFolder, status: Mapping[str, Any]) -> str:

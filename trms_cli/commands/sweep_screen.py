@@ -141,6 +141,8 @@ def say_outcome(document: Mapping[str, Any]) -> None:
         if counts.get(state)
     ]
     print(f"sweep      {', '.join([str(counts['done']) + of + ' runs done', *troubles])}")
+    for line in document["told"]:
+        print(f"  {line}")
     if document["state"] != "done":
         words = "going on" if document["driven"] else "stopped before its end"
         print(f"           {words}")

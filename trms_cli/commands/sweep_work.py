@@ -36,6 +36,7 @@ from trms_cli.sweeps.status import SCHEMA, SIGN_EVERY, RunFolder, now, result_of
 
 #: Lines of a run's standard error that are kept.
 _MOST_NOTES = 20
+_LONGEST_LINE = 400  # of what a run says of itself
 #: A worker with several threads makes one run after another: they share compiled functions.
 _ONE_AT_A_TIME = threading.Lock()
 _LOOK = 0.5  # s between two looks whether the sweep is to stop
@@ -120,7 +121,7 @@ class MakeRun:
         """Keys of the status that the run ends with."""
         point = attempt.point
         told: dict[str, Any] = {}
-        errors = io.StringIO()
+        said, errors = io.StringIO(), io.StringIO()
         for package in self.allowed:
             allow_for_now(package)
         try:
@@ -132,7 +133,7 @@ class MakeRun:
                 told["choices"] = composition.choices
                 composition.config["out"] = str(run.path.resolve())
                 with (
-                    contextlib.redirect_stdout(io.StringIO()),
+                    contextlib.redirect_stdout(said),
                     contextlib.redirect_stderr(errors),
                     known_revision(self.git),
                     called_as(shlex.join(["trms", self.primary, *point.overrides])),
@@ -150,6 +151,8 @@ class MakeRun:
         state: State = "done" if outcome.exit_code == EXIT_OK else "failed"
         told |= {"state": state, "exit_code": outcome.exit_code, "objective": outcome.objective}
         told["figures"] = _figures(run.path)
+        lines = [line.strip() for line in said.getvalue().splitlines() if line.strip()]
+        told["told"] = lines[-1][:_LONGEST_LINE] if lines else ""
         return told | _notes(errors)
 
     def _outcome(self, composition: Composition) -> Outcome:
