@@ -214,4 +214,5 @@ def _closed(diagnosis: Diagnosis, channel: str, told: str) -> str:
 def _console() -> Any:
     from rich.console import Console
 
-    return Console()
+    # in a notebook too by way of standard output, where whoever calls from Python hears it
+    return Console(force_jupyter=False)

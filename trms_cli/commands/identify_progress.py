@@ -155,7 +155,7 @@ def _bar() -> tuple[Any, Any]:
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(compact=True),
-        console=Console(file=sys.stderr),
+        console=Console(file=sys.stderr, force_jupyter=False),
         transient=True,
     )
     return bar, bar.add_task("", total=1.0, cost="", what="")

@@ -280,7 +280,7 @@ def _bar(duration: float, stream: TextIO) -> tuple[Any, Any]:
         TextColumn("{task.fields[speed]}"),
         TextColumn("{task.fields[error]}"),
         TimeRemainingColumn(compact=True),
-        console=Console(file=stream),
+        console=Console(file=stream, force_jupyter=False),
         transient=True,
     )
     return bar, bar.add_task("", total=duration, speed="", error="")

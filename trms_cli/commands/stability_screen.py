@@ -40,7 +40,9 @@ def say_finished(
     from rich.console import Console
 
     # Into a file or a pipe: as wide as the tables like it.
-    console = Console() if sys.stdout.isatty() else Console(width=_WIDTH)
+    # in a notebook too by way of standard output, where whoever calls from Python hears it
+    width = None if sys.stdout.isatty() else _WIDTH
+    console = Console(width=width, force_jupyter=False)
 
     def say(text: str, style: str = "") -> None:
         console.print(text, style=style, highlight=False, markup=False, soft_wrap=False)

@@ -162,4 +162,5 @@ def _in_short(document: Mapping[str, Any]) -> str:
 def _console() -> Any:
     from rich.console import Console
 
-    return Console()
+    # in a notebook too by way of standard output, where whoever calls from Python hears it
+    return Console(force_jupyter=False)
