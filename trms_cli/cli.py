@@ -184,9 +184,11 @@ def _folded(text: str, *, indent: int = 7, width: int = 92) -> str:
     """Lines of at most `width`, later ones under the first; lines that are set stay as they are."""
     import textwrap
 
+    from trms_cli.core.printable import printable
+
     margin = " " * indent
     folded: list[str] = []
-    for line in text.splitlines() or [""]:
+    for line in printable(text).splitlines() or [""]:
         if line.startswith(" "):
             folded.append(line)
             continue

@@ -26,8 +26,8 @@ _LONGEST = 2**20  # bytes of the file
 
 def allowed_file() -> Path:
     """Where what is allowed for good is kept (``XDG_CONFIG_HOME``)."""
-    base = os.environ.get("XDG_CONFIG_HOME")
-    return (Path(base) if base else Path.home() / ".config") / "trms" / "allowed.json"
+    base = os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config")
+    return Path(base) / "trms" / "allowed.json"
 
 
 def allowed_for_now() -> frozenset[str]:
@@ -57,6 +57,8 @@ def allowed_for_good() -> dict[str, Path | None]:
         If the file is there and is not what ``trms allow`` writes.
     """
     file = allowed_file()
+    if not file.is_absolute():  # no home: nothing that lies in the working folder counts
+        return {}
     try:
         with file.open("rb") as content:
             document = json.loads(content.read(_LONGEST))
@@ -87,6 +89,8 @@ def write_allowed(packages: Mapping[str, Path | None]) -> None:
         If the folder cannot be written.
     """
     file = allowed_file()
+    if not file.is_absolute():
+        raise OSError("you have no home folder, and XDG_CONFIG_HOME names none")
     file.parent.mkdir(parents=True, exist_ok=True)
     places = {name: None if at is None else str(at) for name, at in sorted(packages.items())}
     text = json.dumps({"schema": SCHEMA, "packages": places}, indent=2, ensure_ascii=False)

@@ -8,6 +8,7 @@ result to rounding.
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import functools
 import hashlib
@@ -42,7 +43,18 @@ def cache_folder() -> Path:
     if chosen:
         return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "trms" / "functions"
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "trms" / "functions"
+    except RuntimeError:  # a user without a name and a home, as in many containers
+        return _folder_of_process() / "functions"
+
+
+@functools.cache
+def _folder_of_process() -> Path:
+    """A cache for this process alone; one that others may know the name of, they could fill."""
+    folder = tempfile.mkdtemp(prefix="trms-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 @functools.cache

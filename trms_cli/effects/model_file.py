@@ -18,6 +18,7 @@ A trained network stands for a model too; see :mod:`trms_cli.models.narx_file` f
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -29,6 +30,9 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.models.model import Model
 from trms_cli.models.narx_file import is_network_file, narx_of, read_narx_file
 from trms_cli.models.parameters import ParameterFile, ParameterSet, parameter_file
+
+#: Of an option: what leads elsewhere names no file of ours.
+_PLAIN_NAME = re.compile(r"[\w+-]{1,100}")
 
 
 def load_model(
@@ -217,16 +221,16 @@ def _effect(name: str, sizes: Mapping[str, Any], where: str) -> Effect:
 
 def _option(group: str, name: str, where: str) -> dict[str, Any]:
     """The content of a built-in YAML, as plain data."""
-    import yaml
+    from trms_cli.core.yaml_data import load_yaml
 
     folder = config_folder() / group
     path = folder / f"{name}.yaml"
-    if name == "from_file" or not path.is_file():
+    if name == "from_file" or not _PLAIN_NAME.fullmatch(name) or not path.is_file():
         options = {option.stem for option in folder.glob("*.yaml")} - {"from_file"}
         raise ModelError(
             f"there is no {group} {name!r}", where=where, remedy=nearest(name, options)
         )
-    return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
+    return dict(load_yaml(path.read_bytes()))
 
 
 def _parametric_models() -> list[str]:

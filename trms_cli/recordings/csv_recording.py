@@ -16,6 +16,7 @@ import numpy as np
 
 from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, read_bytes
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.printable import printable
 from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name
 from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import (
@@ -153,7 +154,7 @@ def _preamble(path: Path, lines: list[str]) -> tuple[dict[str, str], int]:
             key, colon, value = text[1:].partition(":")
             if not colon:
                 key, value = "comment", f"{metadata.get('comment', '')} {key.strip()}"
-            metadata[key.strip()] = value.strip()
+            metadata[printable(key.strip())] = printable(value.strip())
         elif text:
             return metadata, index
     raise RecordingError(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.printable import printable
 from trms_cli.recordings.log_head import LogHead, read_log_head
 from trms_cli.runs.columns import COLUMNS, figures_of
 
@@ -19,6 +20,7 @@ LOG_NAME = "run.mcap"
 _GROUPS = ("controller", "observer", "ref", "model", "plant", "supervisor", "experiment")
 _ENDINGS = frozenset({"completed", "interrupted", "failed"})
 _LARGEST = 2**63 - 1  # of the database's whole numbers
+_PATHS = ("log", "path")  # kept as they are: a command opens what they name
 _LONGEST_TEXT = 20_000  # of a cell
 
 
@@ -221,7 +223,8 @@ def _cell(name: str, value: Any) -> Any:
         return None
     kind = COLUMNS[name].kind
     if kind == "text":
-        return str(value)[:_LONGEST_TEXT]
+        text = str(value)[:_LONGEST_TEXT]
+        return text if name in _PATHS else printable(text)
     if kind == "truth":
         return bool(value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -27,6 +28,8 @@ from trms_cli.gap.blind.recording import Timing, csv_of, record
 
 KEY_SCHEMA, COMMITMENT_SCHEMA = "trms.blind.key/1", "trms.blind.commitment/1"
 RECORDINGS, COMMITMENT = "recordings", "commitment.json"
+#: Of a recording, which is a file of this name.
+_NAME = re.compile(r"[\w-][\w.-]{0,99}")
 KEY, FRESH = "key.json", "fresh"
 
 
@@ -156,6 +159,8 @@ def _opened(
     document: Mapping[str, Any], told: Mapping[str, Any], file: Path, folder: Path
 ) -> OpenedKey:
     content = document["key"]
+    if any(not _NAME.fullmatch(name) for name in (*content["files"], *content["cases"])):
+        raise ValueError("a recording's name leads elsewhere")
     commitment = _commitment(document["salt"], content)
     if commitment != told["sha256"]:
         raise RecordingError(

@@ -18,6 +18,7 @@ from typing import Any
 
 from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.printable import printable
 from trms_cli.scoring.comparison.compared_run import ComparedRun, State
 from trms_cli.scoring.comparison.coordinates import (
     choices_of,
@@ -243,7 +244,7 @@ def _as_text(coordinates: Mapping[str, Any]) -> dict[str, str]:
 
     def text(value: Any) -> str:
         if isinstance(value, (list, tuple)):
-            return "+".join(map(str, value)) or "none"
-        return "none" if value is None else str(value)
+            return printable("+".join(map(str, value))) or "none"
+        return "none" if value is None else printable(str(value))
 
     return {str(key): text(value) for key, value in coordinates.items()}

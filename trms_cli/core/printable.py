@@ -1,0 +1,17 @@
+"""Text from a file that is shown on a terminal: signs that steer the terminal are shown, not sent.
+
+A name in a stranger's log may hold an escape sequence, which can move the cursor, change what was
+printed before, or write to the clipboard.
+"""
+
+from __future__ import annotations
+
+#: Control characters but the tab and the line end (C0, DEL, C1), and those that turn the direction.
+_STEERING = {
+    code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if code not in (9, 10)
+} | {code: f"\\u{code:04x}" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
+
+
+def printable(text: str) -> str:
+    """The text with such signs written out, as ``\\x1b``."""
+    return text.translate(_STEERING)
