@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from docs.figures import validation
+from docs.figures import plots, validation
 from trms_cli.reporting import effect_figures
 
 HERE = Path(__file__).parent
@@ -43,6 +43,7 @@ def main() -> None:
                 [command[0], "excite", *words, f"out={designed}"], capture_output=True, **told
             )
             shutil.copyfile(designed / "excitation.png", HERE / f"{name}.png")
+        plots.draw(HERE, command[0], Path(scratch))
     before, _, rest = README.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
     if not end:

@@ -267,9 +267,7 @@ def _draw(
                 timed.append(axes)
     _share_time(timed, logs)
     figure.align_ylabels([axes for axes in figure.axes if axes.get_ylabel()])
-    if words:
-        figure.suptitle("\n".join(words), x=0.01, ha="left", fontweight="bold")
-    _legend(figure, width, style)
+    _legend(figure, width, style, "\n".join(words))
     return figure
 
 
@@ -313,13 +311,15 @@ def _interval(time: Any) -> float:
     return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
-def _legend(figure: Figure, width: float, style: Variant) -> None:
-    """One legend for all panels, over them; each curve once."""
+def _legend(figure: Figure, width: float, style: Variant, title: str) -> None:
+    """One legend for all panels, over them, under the title; each curve once."""
     handles: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
     if not handles:
+        if title:
+            figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         return
     size = letter_size(style)
     line = width / _INCH * 72
@@ -329,6 +329,7 @@ def _legend(figure: Figure, width: float, style: Variant) -> None:
     figure.legend(
         list(handles.values()), wrapped, loc="outside upper left", ncols=min(columns, len(wrapped)),
         handlelength=2.4, columnspacing=1.2, borderaxespad=0.1, borderpad=0.1, labelspacing=0.25,
+        title=title or None, alignment="left", title_fontproperties={"weight": "bold"},
     )  # fmt: skip
 
 

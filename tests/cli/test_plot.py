@@ -1,0 +1,225 @@
+"""``trms plot``: figures in which all can be read, equal for equal logs; reasons for the rest."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+from trms_cli.cli import main
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.recordings.log_reader import read_log
+from trms_cli.reporting.plot import KINDS, absences, plot, size_of
+from trms_cli.reporting.plot_logs import names_of
+from trms_cli.reporting.style import house_style, thinned_to_extremes
+
+ALL = [kind for kind in KINDS if kind != "comparison"]
+LONG = "plant.prior_seed=3"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Two runs that differ in their controller and seed, of six seconds each."""
+    place = tmp_path_factory.mktemp("plot")
+    usual = ("run", "sim.duration=6", "picture=false", "sim.scene_every=0")
+    assert main([*usual, "controller=newton_mpc", f"out={place / 'mpc'}"]) == 0
+    assert main([*usual, "controller=lqr", "seed=4", LONG, f"out={place / 'lqr'}"]) == 0
+    return place
+
+
+@pytest.fixture(scope="module")
+def logs(folder):
+    return [read_log(folder / name / "run.mcap") for name in ("mpc", "lqr")]
+
+
+def texts_of(figure) -> list[tuple[str, object]]:
+    """Words that are seen, with their extents in pixels."""
+    renderer = figure.canvas.get_renderer()
+    beyond = set()  # matplotlib keeps words of ticks that lie outside of a panel, and draws none
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            edge = 1e-9 * (high - low)
+            for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()]:
+                if not low - edge <= tick.get_loc() <= high + edge:
+                    beyond |= {tick.label1, tick.label2}
+    return [
+        (text.get_text(), text.get_window_extent(renderer))
+        for text in figure.findobj(Text)
+        if text.get_visible() and text.get_text().strip() and text not in beyond
+    ]
+
+
+@pytest.mark.parametrize("width", ["89mm", "183mm"])
+@pytest.mark.parametrize(
+    ("kinds", "count"), [(ALL, 1), (["tracking", "inputs", "comparison"], 2), (["phase"], 1)]
+)
+def test_no_words_are_cut_or_overlap(logs, width, kinds, count):
+    figure = plot(logs[:count], kinds, width=width, title="A square, followed with little delay")
+    with house_style("paper"):
+        figure.canvas.draw()
+        seen = texts_of(figure)
+    page = figure.bbox
+    assert len(seen) > 10
+    for words, box in seen:
+        assert page.x0 - 1 <= box.x0 and box.x1 <= page.x1 + 1, words
+        assert page.y0 - 1 <= box.y0 and box.y1 <= page.y1 + 1, words
+    for (one, a), (other, b) in itertools.combinations(seen, 2):
+        across = min(a.x1, b.x1) - max(a.x0, b.x0)
+        down = min(a.y1, b.y1) - max(a.y0, b.y0)
+        assert not (across > 1 and down > 1), (one, other)
+
+
+@pytest.mark.parametrize("style", ["slides", "screen"])
+def test_nor_in_the_other_styles(logs, style):
+    figure = plot(logs, ["tracking", "inputs"], style=style)
+    with house_style(style):
+        figure.canvas.draw()
+        seen = texts_of(figure)
+    for words, box in seen:
+        assert box.x0 >= -1 and box.x1 <= figure.bbox.x1 + 1, words
+    for (one, a), (other, b) in itertools.combinations(seen, 2):
+        across = min(a.x1, b.x1) - max(a.x0, b.x0)
+        down = min(a.y1, b.y1) - max(a.y0, b.y0)
+        assert not (across > 1 and down > 1), (one, other)
+
+
+def test_letters_of_a_column_are_seven_to_nine_points(logs):
+    figure = plot(logs[:1], ["tracking", "inputs"], width="89mm")
+    sizes = {text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()}
+    assert sizes and min(sizes) >= 7 and max(sizes) <= 9
+    assert figure.get_figwidth() * 25.4 == pytest.approx(89)
+
+
+def test_every_axis_has_its_unit(logs):
+    figure = plot(logs[:1], ALL)
+    for axes in figure.axes:
+        label = axes.get_ylabel()
+        assert re.search(r"\[.+\]", label) or label == "iterations", label
+
+
+@pytest.mark.parametrize("format_", ["png", "svg", "pdf"])
+def test_equal_logs_give_equal_bytes_and_nothing_is_overwritten(folder, tmp_path, capsys, format_):
+    log, out = str(folder / "mpc"), tmp_path / f"a.{format_}"
+    again = tmp_path / f"b.{format_}"
+    words = ("plot", log, "--what", "tracking,phase", "--dpi", "60", "--out")
+    assert main([*words, str(out)]) == main([*words, str(again)]) == 0
+    assert out.read_bytes() == again.read_bytes()
+    assert main([*words, str(out)]) == 2
+    assert "nothing is overwritten" in capsys.readouterr().err
+    assert main([*words, str(out), "--force"]) == 0
+
+
+def test_fonts_are_embedded_in_a_pdf(folder, tmp_path):
+    out = tmp_path / "a.pdf"
+    assert main(["plot", str(folder / "mpc"), "--out", str(out)]) == 0
+    content = out.read_bytes()
+    assert b"/FontFile2" in content and b"/Type3" not in content  # Type 42: TrueType outlines
+
+
+def test_letters_of_an_svg_are_outlines_or_text(folder, tmp_path):
+    one, other = tmp_path / "one.svg", tmp_path / "other.svg"
+    assert main(["plot", str(folder / "mpc"), "--out", str(one)]) == 0
+    assert main(["plot", str(folder / "mpc"), "--out", str(other), "--svg-text"]) == 0
+    assert "<text" not in one.read_text(encoding="utf-8")
+    assert "pitch [rad]" in other.read_text(encoding="utf-8")
+
+
+def test_several_logs_are_named_by_what_they_differ_in(logs):
+    one, other = names_of(logs)
+    assert "newton_mpc" in one and "lqr" in other
+    assert "seed 4" in other and "prior_seed 3" in other
+    figure = plot(logs, "tracking")
+    told = [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()]
+    assert one in told and other in told and "reference" in told
+
+
+def test_logs_of_one_kind_are_named_by_their_folders(folder):
+    log = read_log(folder / "mpc" / "run.mcap")
+    assert names_of([log]) == ["mpc"]
+
+
+def test_what_a_log_lacks_is_told(folder, logs, tmp_path, capsys):
+    reasons = absences(logs[1:], ["prediction", "comparison", "tracking"])
+    assert set(reasons) == {"prediction", "comparison"}
+    out = tmp_path / "some.svg"
+    words = ["plot", str(folder / "lqr"), "--what", "prediction,inputs", "--out", str(out)]
+    assert main([*words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "trms.plot/1" and document["files"] == [str(out)]
+    assert "controllers that plan ahead" in document["absent"]["prediction"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--what", "prediction"], "nothing to be drawn"),
+        (["--what", "trakcing"], "there is no plot"),
+        (["--width", "3km"], "is no size"),
+        (["--width", "5mm"], "from 30 to 1200 mm"),
+        (["--from", "9"], "from 0 to 6 s"),
+        (["--from", "3", "--to", "2"], "is empty"),
+        (["--out", "a.jpg"], "a figure is no .jpg"),
+        (["--format", "gif"], "is no gif"),
+        (["--names", "a,b"], "2 names for 1 logs"),
+        (["--what", "scene,tracking"], "a figure of its own"),
+    ],
+)
+def test_wrong_words_are_answered(folder, capsys, words, told):
+    assert main(["plot", str(folder / "lqr"), *words]) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_folder_takes_a_file_a_kind_or_none(folder, tmp_path):
+    words = ["plot", str(folder / "lqr"), "--what", "tracking,errors", "--format", "svg"]
+    out = tmp_path / "figures"
+    assert main([*words, "--out", str(out)]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["errors.svg", "tracking.svg"]
+    (out / "tracking.svg").unlink()
+    assert main([*words, "--out", str(out)]) == 2  # one is there: the other is not written
+    assert sorted(path.name for path in out.iterdir()) == ["errors.svg"]
+
+
+def test_a_scene_is_drawn_still_and_moving(folder, tmp_path):
+    still, moving = tmp_path / "scene.png", tmp_path / "scene.gif"
+    words = ["plot", str(folder / "mpc"), "--what", "scene"]
+    assert main([*words, "--from", "2", "--out", str(still), "--dpi", "60"]) == 0
+    assert main([*words, "--from", "1", "--to", "1.2", "--out", str(moving)]) == 0
+    from PIL import Image
+
+    assert Image.open(still).size[0] > 200
+    assert Image.open(moving).n_frames == 3  # type: ignore[attr-defined]
+
+
+def test_thinning_keeps_extremes_and_gaps():
+    time = np.arange(200_000) / 100.0
+    values = np.sin(time)
+    values[123_456] = 7.0
+    values[55_555] = -9.0
+    values[100_000:120_000] = np.nan
+    kept_time, kept = thinned_to_extremes(time, values, 500)
+    assert len(kept) <= 5 * 500
+    assert np.nanmax(kept) == 7.0 and np.nanmin(kept) == -9.0
+    gap = (kept_time >= 1000.0) & (kept_time < 1200.0)
+    assert np.isnan(kept[gap]).all() and gap.any()
+    short = thinned_to_extremes(time[:100], values[:100])
+    np.testing.assert_array_equal(short[1], values[:100])
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [("89mm", (89, None)), ("12cm", (120, None)), ("120x80mm", (120, 80)), ("7in", (177.8, None))],
+)
+def test_sizes(text, size):
+    across, high = size_of(text, "paper")
+    assert across == pytest.approx(size[0]) and high == (size[1] and pytest.approx(size[1]))
+
+
+def test_too_many_logs_are_refused(logs):
+    with pytest.raises(ConfigurationError, match="told apart"):
+        plot(logs * 10, "tracking")
