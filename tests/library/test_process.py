@@ -137,3 +137,14 @@ def test_the_second_run_is_that_of_a_fresh_process(here):
     subprocess.run([sys.executable, "-c", code], check=True)
     fresh = trms_cli.read_log("fresh")
     assert fresh["/plant/state"].equals(second["/plant/state"])
+
+
+def test_in_a_notebook_nothing_is_displayed_beside_the_result(here, monkeypatch):
+    """Tables that a terminal gets would be displayed past standard output."""
+    from trms_cli import stability
+
+    shown: list[object] = []
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    monkeypatch.setattr("rich.jupyter.display", lambda *what: shown.append(what))
+    found = stability("equilibria", model="newtonian_vertical", page=False)
+    assert not shown and "stability.json" in found.text

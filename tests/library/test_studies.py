@@ -56,6 +56,7 @@ def test_a_fit_is_what_its_folder_says_and_goes_wherever_a_model_goes(fit, rig, 
         run(model=rig)
 
 
+@pytest.mark.slow
 def test_models_are_validated_side_by_side(fit, rig, here):
     judged = validate(
         real=rig, model=["newtonian", fit], horizons=[0.5, 2.0], windows={"stride": 2.0}, page=False
@@ -67,6 +68,7 @@ def test_models_are_validated_side_by_side(fit, rig, here):
     assert alone.errors[0.5].between(0, 5).all()
 
 
+@pytest.mark.slow
 def test_a_study_answers_in_sentences_also_of_objects(here):
     named = stability("margins", controller="lqr", page=False)
     given = stability("margins", controller=build("controller", "lqr"), page=False)
