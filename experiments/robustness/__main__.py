@@ -1,0 +1,96 @@
+"""``python -m experiments.robustness``: the two sweeps, their pictures, the tables of their pages."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from experiments.command_line import ended, one_thread_each, refuse_part
+from experiments.page_tables import write_tables
+from experiments.robustness.tables import table_of
+from experiments.study_file import read_as
+from trms_cli.commands import sweep_summary
+from trms_cli.commands.run import perform
+from trms_cli.commands.sweep import Swept, go_on, make_sweep
+from trms_cli.commands.sweep_outcome import outcome_of
+
+ROOT = Path(__file__).resolve().parents[2]
+STUDY = Path(__file__).with_name("study.yaml")
+#: Where the pictures of the pages lie.
+PICTURES = ROOT / "docs" / "figures" / "robustness"
+
+
+class OneSweep(msgspec.Struct, forbid_unknown_fields=True):
+    """A sweep of the study.
+
+    Attributes
+    ----------
+    page : str
+        That shows its table and pictures.
+    figures : list of str
+        Names of its pictures.
+    words : list of str
+        What is typed after ``trms run -m``.
+    quick : list of str
+        What is typed after that for a small part.
+    """
+
+    page: str
+    figures: list[str]
+    words: list[str]
+    quick: list[str]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run what is left of the study, and print its tables."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.robustness", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a part of it, in seconds")
+    parser.add_argument("--out", type=Path, help="folder of the runs (outputs/robustness)")
+    parser.add_argument("--update", action="store_true", help="write the pages' tables, pictures")
+    parser.add_argument("--jobs", type=int, help="processes (one for each core)")
+    parser.add_argument("--only", help="one of the sweeps: draws, tuning")
+    given = parser.parse_args(argv)
+    one_thread_each()
+    return ended(lambda: _study(given))
+
+
+def _study(given: argparse.Namespace) -> int:
+    if given.quick:
+        refuse_part(given)
+    sweeps = read_as(dict[str, OneSweep], STUDY, str(STUDY))  # type: ignore[type-var]
+    out = given.out or ROOT / "outputs" / "robustness"
+    failed = 0
+    for name, sweep in sweeps.items():
+        if given.only not in (None, name):
+            continue
+        swept = _made(sweep, out / name, given)
+        failed += not swept.all_done
+        document = outcome_of(swept.folder)
+        table = table_of(document)
+        sys.stdout.write(f"{table}\n\n")
+        drawn = sweep_summary.draw(swept.folder, document["summary"])
+        if given.update:
+            PICTURES.mkdir(parents=True, exist_ok=True)
+            for picture in drawn:
+                if picture.name in sweep.figures:
+                    shutil.copy(picture, PICTURES / picture.name)
+            write_tables(ROOT / sweep.page, {name: table})
+    return int(failed > 0)
+
+
+def _made(sweep: OneSweep, folder: Path, given: argparse.Namespace) -> Swept:
+    """The sweep, begun or gone on with."""
+    workers = [f"launcher.workers={given.jobs}"] if given.jobs else []
+    if (folder / "sweep.json").is_file():
+        return go_on(folder, settings=workers)
+    words = [*sweep.words, *(sweep.quick if given.quick else []), *workers, f"out={folder}"]
+    return make_sweep(words, "run", perform)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
