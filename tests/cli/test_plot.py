@@ -55,9 +55,20 @@ def texts_of(figure) -> list[tuple[str, object]]:
     ]
 
 
-@pytest.mark.parametrize("width", ["89mm", "183mm"])
+COMMON = ["estimate", "prediction"]
+COMPARED = ["tracking", "inputs", "comparison"]
+
+
 @pytest.mark.parametrize(
-    ("kinds", "count"), [(ALL, 1), (["tracking", "inputs", "comparison"], 2), (["phase"], 1)]
+    ("width", "kinds", "count"),
+    [
+        ("89mm", COMMON, 1),
+        ("89mm", COMPARED, 2),
+        pytest.param("89mm", ALL, 1, marks=pytest.mark.slow),
+        pytest.param("183mm", ALL, 1, marks=pytest.mark.slow),
+        pytest.param("183mm", COMPARED, 2, marks=pytest.mark.slow),
+        pytest.param("89mm", ["phase"], 1, marks=pytest.mark.slow),
+    ],
 )
 def test_no_words_are_cut_or_overlap(logs, width, kinds, count):
     figure = plot(logs[:count], kinds, width=width, title="A square, followed with little delay")
@@ -97,7 +108,7 @@ def test_letters_of_a_column_are_seven_to_nine_points(logs):
 
 
 def test_every_axis_has_its_unit(logs):
-    figure = plot(logs[:1], ALL)
+    figure = plot(logs[:1], ["rates", "torques", "solver", "phase", "errors"])
     for axes in figure.axes:
         label = axes.get_ylabel()
         assert re.search(r"\[.+\]", label) or label == "iterations", label
@@ -107,12 +118,11 @@ def test_every_axis_has_its_unit(logs):
 def test_equal_logs_give_equal_bytes_and_nothing_is_overwritten(folder, tmp_path, capsys, format_):
     log, out = str(folder / "mpc"), tmp_path / f"a.{format_}"
     again = tmp_path / f"b.{format_}"
-    words = ("plot", log, "--what", "tracking,phase", "--dpi", "60", "--out")
+    words = ("plot", log, "--what", "errors", "--width", "89mm", "--dpi", "60", "--out")
     assert main([*words, str(out)]) == main([*words, str(again)]) == 0
     assert out.read_bytes() == again.read_bytes()
     assert main([*words, str(out)]) == 2
     assert "nothing is overwritten" in capsys.readouterr().err
-    assert main([*words, str(out), "--force"]) == 0
 
 
 def test_fonts_are_embedded_in_a_pdf(folder, tmp_path):
