@@ -53,6 +53,7 @@ class TestNotebook:
         assert all(cell.execution_count is None for cell in code)
         errors = [o for cell in code for o in cell.outputs if o.output_type == "error"]
         assert not errors
+        assert max(len(cell.outputs) for cell in code) <= 2  # what is printed, and the value
         assert "assert " in "".join(cell.source for cell in code)
 
 
