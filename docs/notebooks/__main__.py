@@ -23,6 +23,7 @@ _OWN = (
         re.compile(r"outputs/\d{4}-\d\d-\d\d/\d\d-\d\d-\d\d-([a-z-]+?)(-\d+)?(?=\W)"),
         r"outputs/…-\1",
     ),
+    (re.compile(r"\b\d\d-\d\d-\d\d-(?=[a-z])"), "…-"),
     (re.compile(r" at 0x[0-9a-f]+"), ""),
 )
 _KEPT = ("text/plain", "text/html", "image/png")
@@ -63,6 +64,7 @@ def without_machine(notebook: Any) -> Any:
         if cell.cell_type != "code":
             continue
         cell.execution_count = None
+        cell.outputs = _joined(cell.outputs)
         for output in cell.outputs:
             if "text" in output:
                 output.text = _plain(output.text)
@@ -76,6 +78,18 @@ def without_machine(notebook: Any) -> Any:
             if "execution_count" in output:
                 output.execution_count = None
     return notebook
+
+
+def _joined(outputs: list[Any]) -> list[Any]:
+    """Outputs with what was printed in one piece: where it is cut is up to the clock."""
+    joined: list[Any] = []
+    for output in outputs:
+        last = joined[-1] if joined else {}
+        if output.output_type == "stream" and last.get("name") == output.name:
+            last.text += output.text
+        else:
+            joined.append(output)
+    return joined
 
 
 def _plain(text: str) -> str:
