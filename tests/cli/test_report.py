@@ -130,6 +130,34 @@ class TestWhatItIsOf:
         assert "the least rmse_yaw, the least effort" in section
         assert set(re.findall(r'<tr><th scope="row">(\d)</th>', section)) == {"0", "2"}
 
+    def test_a_search_under_several_conditions_shows_its_trials(self, here):
+        trials = [
+            {
+                "trial": n,
+                "values": {"gain": 0.5 * n},
+                "figures": {"rmse": 1.0 - 0.1 * n, "effort": n},
+                "allowed": True,
+            }
+            for n in range(3)
+        ] + [{"trial": 3, "figures": {}, "problem": "it fell", "allowed": False}]
+        summary = {
+            "objectives": [
+                {"name": "rmse", "direction": "minimise"},
+                {"name": "effort", "direction": "maximise"},
+            ],
+            "pareto": [2],
+            "trials": trials,
+            "history": [None, 0.5, 0.75],
+        }
+        plan = {"schema": "trms.sweep/1", "sampler": {"objectives": ["rmse"]}, "summary": summary}
+        Path("sweep/sweep.json").write_text(json.dumps(plan))
+        assert report("sweep") == 0
+        text = (here / "sweep/report.html").read_text(encoding="utf-8")
+        section = text.partition(">Objectives</h2>")[2].partition("</section>")[0]
+        assert "the least rmse, the largest effort" in section and "the best so far" in section
+        rows = re.findall(r'<tr><th scope="row">(\d)</th><td class=" number">(.*?)</td>', section)
+        assert rows == [("2", "0.8")]
+
     @pytest.mark.parametrize(
         "plan",
         [
@@ -218,9 +246,9 @@ class TestWhatIsBroken:
         assert "c.mcap" in capsys.readouterr().out
 
     def test_a_giant_is_refused_before_it_is_read(self, here, capsys, monkeypatch):
-        monkeypatch.setattr("trms_cli.commands.report_logs.LARGEST_LOG", 1000)
+        monkeypatch.setenv("TRMS_LARGEST_FILE", "0.01")
         assert report("first") == 2
-        assert "MB are drawn" in capsys.readouterr().err
+        assert "are read" in capsys.readouterr().err
 
     def test_an_imported_recording_is_drawn(self, here, capsys):
         Path("mine.csv").write_text(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from trms_cli.commands.invocation import program
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.printable import printable
 
 if TYPE_CHECKING:
     from trms_cli.commands.report_pages import Report
@@ -107,15 +108,15 @@ def document(report: Report, path: Path) -> dict[str, Any]:
 
 def _say(report: Report, path: Path) -> None:
     """What it is of, in its own sentences, where it is, and what to do next."""
-    print(report.page.title)
+    print(printable(report.page.title))
     for paragraph in report.page.lead:
-        print(f"  {paragraph.replace('**', '').replace('`', '')}")
+        print(f"  {printable(paragraph.replace('**', '').replace('`', ''))}")
     print()
     count = len(report.runs)
     of = "a run" if report.kind == "run" else f"{count} runs"
     print(f"report     {path}  ({report.kind}: {of}, {path.stat().st_size / 1e6:.1f} MB)")
     for file, why in report.left_out[:5]:
-        print(f"left out   {file}: {why}")
+        print(f"left out   {printable(file)}: {printable(why)}")
     if len(report.left_out) > 5:
         print(f"           and {len(report.left_out) - 5} more (--json has all)")
     print()

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
     from trms_cli.reporting.reported import ReportedRun, RunEvent
 
-#: A log that is larger than this is not drawn: reading it takes some ten times its size in memory.
-LARGEST_LOG = 512 * 2**20  # bytes
 _MOST_TEXT = 2_000  # characters of a fact
 #: Packages whose versions are named on a page.
 _EVENT_FIELDS = ("value", "kind", "source", "message")
@@ -38,12 +36,11 @@ def read_run(path: Path, *, name: str = "") -> ReportedRun:
     Raises
     ------
     RecordingError
-        If it cannot be read, is no log of a run, or is too large to be drawn.
+        If it cannot be read, is no log of a run, or is larger than what is read.
     """
     from trms_cli.recordings.log_reader import read_log
     from trms_cli.reporting.reported import ReportedRun
 
-    _refuse_giant(path)
     log = read_log(path)
     texts = {key: str(value) for key, value in log.run.items()}
     limits = _limits(log)
@@ -71,19 +68,6 @@ def name_of(path: Path) -> str:
     if path.name == LOG_NAME:
         return path.resolve().parent.name or path.stem
     return path.stem
-
-
-def _refuse_giant(path: Path) -> None:
-    try:
-        size = path.stat().st_size
-    except OSError:
-        return  # the reader says why
-    if size > LARGEST_LOG:
-        raise RecordingError(
-            f"the log has {size / 2**20:.0f} MB, and {LARGEST_LOG / 2**20:.0f} MB are drawn",
-            where=str(path),
-            remedy="export a part of it and import that: trms export LOG",
-        )
 
 
 def _limits(log: LoggedRun) -> dict[str, tuple[float, float]]:

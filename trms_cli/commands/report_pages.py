@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from trms_cli.commands.report_logs import name_of, read_run
 from trms_cli.commands.report_ranking import compared, ranking_of
+from trms_cli.commands.report_search import search_of
 from trms_cli.commands.report_sweeps import (
     PAGE_NAME,
     SWEEP_NAME,
@@ -101,7 +102,7 @@ def report_page(
         return _of_scores(given, found, folder, title)
     rows = [str(row["log"]) for row in found.runs]
     overlaid = all(log.endswith(".mcap") for log in rows) and len(rows) <= MOST_OVERLAID
-    if overlaid and not any(sweep_document(path).get("objectives") for path in given):
+    if overlaid and not any(search_of(sweep_document(path)) for path in given):
         return _of_logs([Path(log) for log in rows], folder, title, found.unreadable)
     page_folder = (out.parent if out is not None else folder).resolve()
     return _of_sweep(given, found, folder, page_folder, title)
@@ -143,7 +144,8 @@ def _of_sweep(
     from trms_cli.reporting.report_sweep import sweep_page
 
     sweep = read_sweep(given, found, page_folder)
-    ranking, rule = ranking_of(compared(found))
+    # A search tries each set of weights once or a few times: its own objectives say which is best.
+    ranking, rule = ([], "") if sweep.objectives else ranking_of(compared(found))
     page = sweep_page(sweep, ranking=ranking, rule=rule, title=title)
     runs = tuple(str(row["path"]) for row in found.runs)
     return Report(page, "sweep", runs, folder, tuple(found.unreadable))
@@ -182,6 +184,7 @@ def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
     """Options and settings in which the runs differ, a value each."""
     import yaml
 
+    from trms_cli.core.yaml_data import load_yaml
     from trms_cli.scoring.comparison.coordinates import differences
 
     options = dict.fromkeys(key for run in runs for key in run.choices)
@@ -190,12 +193,11 @@ def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
     found = [(key, values) for key, values in rows if len(set(values)) > 1]
     told = {key for key, _ in rows}
     below = tuple(f"{key}." for key, _ in found)
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     configs = []
     for run in runs:
         try:
-            config = yaml.load(run.config, Loader=loader)
-        except (yaml.YAMLError, RecursionError, ValueError):
+            config = load_yaml(run.config)
+        except yaml.YAMLError:
             config = None
         configs.append(config if isinstance(config, dict) else {})
     settings: dict[str, dict[int, str]] = {}

@@ -10,6 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.commands.report_search import (
+    history_of,
+    objectives_of,
+    pareto_of,
+    search_of,
+    trials_of,
+)
+
 if TYPE_CHECKING:
     from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun, Value
     from trms_cli.runs.finding import Found
@@ -73,7 +81,8 @@ def read_sweep(folders: Sequence[Path], found: Found, page_folder: Path) -> Repo
 
     rows = found.runs
     plan = sweep_document(folders[0]) if len(folders) == 1 else {}
-    objectives, pareto = _objectives(plan)
+    words = search_of(plan)
+    objectives = objectives_of(words)
     typed = [typed_of(row) for row in rows]
     keys = keys_of(rows, typed)
     by = _entrant_keys(keys)
@@ -90,7 +99,9 @@ def read_sweep(folders: Sequence[Path], found: Found, page_folder: Path) -> Repo
         keys=keys,
         figures=figures,
         objectives=objectives,
-        pareto=pareto,
+        pareto=pareto_of(words),
+        trials=trials_of(words),
+        history=history_of(words),
         left_out=[*found.unreadable],
         facts=_facts(folders, plan, rows),
     )
@@ -150,29 +161,6 @@ def sweep_document(folder: Path) -> Mapping[str, Any]:
     if not isinstance(document, Mapping):
         return {}
     return document if str(document.get("schema", "")).startswith(_SWEEP_SCHEMA) else {}
-
-
-def _objectives(plan: Mapping[str, Any]) -> tuple[list[Objective], list[int]]:
-    """What an optimisation seeks, wherever its document has it: names, or mappings with a name."""
-    from trms_cli.reporting.reported_sweep import Objective
-    from trms_cli.runs.columns import ALIASES
-
-    inner = [plan, *(value for value in plan.values() if isinstance(value, Mapping))]
-    holder = next(
-        (each for each in inner if isinstance(each.get("objectives"), (list, Mapping))), {}
-    )
-    given = holder.get("objectives", ())
-    said = {meant: name for name, meant in ALIASES.items() if name in _FIGURES}
-    found = []
-    for each in given:
-        words: Mapping[str, Any] = each if isinstance(each, Mapping) else {"figure": each}
-        name = next((str(words[k]) for k in ("figure", "name", "key") if words.get(k)), "")
-        direction = str(words.get("direction") or words.get("goal") or words.get("sense") or "")
-        if name:
-            found.append(Objective(said.get(name, name), direction.startswith("max")))
-    pareto = holder.get("pareto", ())
-    numbers = [n for n in pareto if isinstance(n, int)] if isinstance(pareto, list) else []
-    return found, numbers
 
 
 def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective]) -> dict[str, str]:

@@ -82,10 +82,10 @@ def _lead(sweep: ReportedSweep, ranking: Sequence[RankedEntrant]) -> list[str]:
         f"{completed} of {len(sweep.runs)} runs completed{'; ' + others if others else ''}."
     ]
     first = next((entrant for entrant in ranking if entrant.rank == 1), None)
-    if first is not None and len(ranking) > 1:
-        second = next((e for e in ranking if e.rank == 2), None)
+    second = next((entrant for entrant in ranking if entrant.rank == 2), None)
+    if first is not None and second is not None:
         sentence = f"**{first.name}** tracks best"
-        if second is not None and second.against_first:
+        if second.against_first:
             sentence += f"; {second.name} misses by {second.against_first:.3g} times as much"
             if second.different is False:
                 sentence += ", which these runs cannot tell from equal"
@@ -94,7 +94,7 @@ def _lead(sweep: ReportedSweep, ranking: Sequence[RankedEntrant]) -> list[str]:
     if best is not None:
         run, value, name = best
         sentences.append(
-            f"The least {name} of a run is {value:.3g}: {run.name}{_where(sweep, run)}."
+            f"The least {name} of a {_kind(sweep)} is {value:.3g}: {run.name}{_where(sweep, run)}."
         )
     return sentences
 
@@ -106,7 +106,7 @@ def _best(sweep: ReportedSweep) -> tuple[SweptRun, float, str] | None:
     if name is None:
         return None
     # A run that ended early has had less time to err.
-    known = [run for run in sweep.runs if run.outcome == "completed" and name in run.figures]
+    known = [r for r in sweep.tried if r.outcome == "completed" and name in r.figures]
     if not known:
         return None
     run = min(known, key=lambda each: each.figures[name])
@@ -138,8 +138,13 @@ def _objectives(page: Page, sweep: ReportedSweep) -> None:
         figures = [run.figures.get(name) for name in names]
         rows.append([run.name, *figures, *(_cell(run.values.get(key)) for key in keys)])
     if rows:
-        what = "Runs that none beats in all objectives." if len(names) > 1 else "The best run."
-        page.table(["run", *map(sweep.title, names), *keys], rows, what)
+        kind = _kind(sweep)
+        what = f"Each {kind} that none beats in all objectives." if len(names) > 1 else "The best."
+        page.table([kind, *map(sweep.title, names), *keys], rows, what)
+
+
+def _kind(sweep: ReportedSweep) -> str:
+    return "trial" if sweep.trials else "run"
 
 
 def _sought(objective: Objective) -> str:

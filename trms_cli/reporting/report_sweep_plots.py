@@ -14,6 +14,7 @@ from trms_cli.reporting.interactive import (
     Plot,
     Variant,
     curve_style,
+    line,
     packed,
     plot_text,
     significant,
@@ -68,7 +69,8 @@ def key_plots(sweep: ReportedSweep, figures: Sequence[str]) -> list[Plot]:
     if not figures:
         return []
     numeric = sweep.numeric_keys
-    chosen = [key for key in numeric if not key.endswith("seed")] or numeric
+    varied = [key for key in numeric if _distinct(sweep, key) > 1]
+    chosen = [key for key in varied if not key.endswith("seed")] or varied
     others = [
         key
         for key in sweep.keys
@@ -87,14 +89,34 @@ def pareto_plots(sweep: ReportedSweep) -> list[Plot]:
     """Each pair of objectives: all runs, and those that nothing beats."""
     pairs = list(itertools.combinations(sweep.objectives, 2))[:6]
     front = sweep.front()
-    return [_pareto(sweep, front, one, other, len(pairs) > 1) for one, other in pairs]
+    plots = [_pareto(sweep, front, one, other, len(pairs) > 1) for one, other in pairs]
+    return plots + _history(sweep)
+
+
+def _history(sweep: ReportedSweep) -> list[Plot]:
+    """The best so far over the trials: whether more of them would have helped."""
+    if sum(value is not None for value in sweep.history) < 2:
+        return []
+    several = len(sweep.objectives) > 1
+    words = "volume dominated by the front" if several else sweep.title(sweep.objectives[0].figure)
+    plot = Plot("the best so far", height=240)
+    numbers = range(1, len(sweep.history) + 1)
+    values = [math.nan if value is None else float(value) for value in sweep.history]
+    plot.traces.append(line(numbers, values, "best so far", "@blue", steps=True))
+    plot.layout = {
+        "xaxis": {"title": {"text": "trials"}},
+        "yaxis": {"title": {"text": plot_text(words)}},
+    }
+    return [plot]
 
 
 def _pareto(
     sweep: ReportedSweep, front: Sequence[SweptRun], one: Objective, other: Objective, half: bool
 ) -> Plot:
     plot = Plot(f"{other.figure} against {one.figure}", height=400, half=half)
-    known = [r for r in sweep.runs if not r.failed and {one.figure, other.figure} <= set(r.figures)]
+    known = [
+        r for r in sweep.tried if not r.failed and {one.figure, other.figure} <= set(r.figures)
+    ]
     best = sorted(
         (r for r in front if {one.figure, other.figure} <= set(r.figures)),
         key=lambda run: run.figures[one.figure],
@@ -102,7 +124,7 @@ def _pareto(
     # With three objectives the front is a surface, and a line over it would say nothing.
     joined = "lines+markers" if len(sweep.objectives) == 2 else "markers"
     for runs, name, colour, size, mode in (
-        (known, "runs", GREY, 6, "markers"),
+        (known, "trials" if sweep.trials else "runs", GREY, 6, "markers"),
         (best, "Pareto front", "@vermilion", 9, joined),
     ):  # fmt: skip
         plot.traces.append(
@@ -320,7 +342,7 @@ def _word(value: Any) -> str:
 
 
 def _distinct(sweep: ReportedSweep, key: str) -> int:
-    return len({run.values.get(key) for run in sweep.runs})
+    return len({v for run in sweep.runs if (v := run.values.get(key)) not in (None, "")})
 
 
 def _spans_decades(values: Sequence[Any]) -> bool:

@@ -84,7 +84,14 @@ class ReportedSweep:
     objectives : sequence of Objective
         Of an optimisation; empty for other sweeps.
     pareto : sequence of int
-        Numbers of the runs of which none is better in all objectives; empty: worked out here.
+        Numbers of the trials, or runs, of which none is better in all objectives; empty: worked out
+        here.
+    trials : sequence of SweptRun
+        What an optimisation tried, each under several conditions, with figures over all of them;
+        empty: each run is a trial.
+    history : sequence of float or None
+        After each trial the best value so far; of several objectives the volume that the front
+        dominates.
     left_out : sequence of (str, str)
         Files that could not be read, with the reason.
     facts : dict of str to str
@@ -96,6 +103,8 @@ class ReportedSweep:
     figures: Mapping[str, str] = field(default_factory=dict)
     objectives: Sequence[Objective] = ()
     pareto: Sequence[int] = ()
+    trials: Sequence[SweptRun] = ()
+    history: Sequence[float | None] = ()
     left_out: Sequence[tuple[str, str]] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
 
@@ -124,12 +133,17 @@ class ReportedSweep:
         """Runs of an entrant that ended well, or go on."""
         return [run for run in self.runs if run.entrant == entrant and not run.failed]
 
+    @property
+    def tried(self) -> Sequence[SweptRun]:
+        """What an optimisation chooses between: trials, or runs where each is one."""
+        return self.trials or self.runs
+
     def front(self) -> list[SweptRun]:
-        """Runs of which no other is as good in all objectives and better in one.
+        """Trials, or runs, of which no other is as good in all objectives and better in one.
 
         As the sweep names them, of those that are here; else worked out.
         """
-        named = {run.number: run for run in self.runs if run.number is not None}
+        named = {run.number: run for run in self.tried if run.number is not None}
         told = [named[number] for number in self.pareto if number in named]
         return told or self._worked_out()
 
@@ -137,7 +151,7 @@ class ReportedSweep:
         signs = [-1.0 if objective.largest else 1.0 for objective in self.objectives]
         known = [
             run
-            for run in self.runs
+            for run in self.tried
             if not run.failed and all(o.figure in run.figures for o in self.objectives)
         ]
         if not known or not signs:

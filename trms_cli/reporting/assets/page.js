@@ -23,6 +23,7 @@
     showSendToCloud: false,
     plotlyServerURL: "",
     doubleClick: "reset",
+    showTips: false, // the page says it in its own words
     displayModeBar: coarse.matches ? false : "hover", // under a finger it would hide the names
     modeBarButtonsToRemove: ["sendChartToCloud", "select2d", "lasso2d", "autoScale2d"],
     toImageButtonOptions: { format: "svg", filename: "plot" },
