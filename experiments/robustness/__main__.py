@@ -1,4 +1,4 @@
-"""``python -m experiments.robustness``: the two sweeps, their pictures, the tables of their pages."""
+"""``python -m experiments.robustness``: two sweeps, their pictures, the tables of their pages."""
 
 from __future__ import annotations
 

@@ -26,6 +26,8 @@ def table_of(document: Mapping[str, Any]) -> str:
     lines = [f"{counts['done']} runs done, {counts['failed'] + counts['lost']} failed or lost.", ""]
     summary = document["summary"]
     told = _search(summary) if summary["kind"] == "optimisation" else _draws(summary)
+    # Which controller: in a study of one choice its value is enough.
+    told = [line.replace("| controller=", "| ") for line in told]
     return "\n".join([*lines, *told])
 
 

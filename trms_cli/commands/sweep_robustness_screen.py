@@ -29,6 +29,9 @@ def say_robustness(summary: Mapping[str, Any]) -> None:
     print(f"drawn      {named}{more}")
     out.print(Padding(_distributions(summary), (1, 0, 0, 2)))
     out.print(Padding(_failures(summary), (1, 0, 0, 2)))
+    limits = ", ".join(f"{name} ≤ {bound:g}" for name, bound in summary["limits"].items())
+    if limits:
+        out.print(Padding(f"limits: {limits}", (0, 0, 0, 2)), highlight=False)
     table = _sensitivities(summary)
     if table.row_count:
         out.print(Padding(table, (1, 0, 1, 2)))
@@ -62,8 +65,7 @@ def _distributions(summary: Mapping[str, Any]) -> Table:
 
 
 def _failures(summary: Mapping[str, Any]) -> Table:
-    limits = ", ".join(f"{name} ≤ {bound:g}" for name, bound in summary["limits"].items())
-    what = f"failed runs, or not {limits}" if limits else "failed runs"
+    what = "failed, or beyond a limit" if summary["limits"] else "failed"
     table = _table(what, "", "draws", "failures", "share", "95 %")
     for group in summary["groups"]:
         told = group["failures"]
