@@ -24,8 +24,7 @@ from .markdown import blocks
 ROOT = Path(__file__).parents[2]
 #: Pages whose commands are typed here.
 TYPED = ["README.md", "docs/getting-started.md", "docs/tutorial.md", "docs/writing-a-plugin.md"]
-TYPED += [f"docs/how-to/{name}.md" for name in ("own-controller", "own-effect", "own-rig-from-csv")]
-TYPED += ["docs/how-to/real-time-export.md"]
+TYPED += sorted(page.relative_to(ROOT).as_posix() for page in ROOT.glob("docs/how-to/*.md"))
 PAGES = sorted(
     [
         ROOT / "README.md",

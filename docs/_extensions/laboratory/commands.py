@@ -30,18 +30,21 @@ def _page(name: str, summary: str) -> str:
     module = load_command(name)
     parts = [f"# trms {name}\n", f"{plain(summary[:1].upper() + summary[1:])}.\n"]
     parts.append(f"```text\n{str(module.HELP).strip()}\n```\n")
-    for primary in _primaries(name, getattr(module, "COMPOSES", None)):
+    sweeps = "--multirun" in module.HELP
+    for primary in _primaries(name, getattr(module, "COMPOSES", None), sweeps=sweeps):
         parts.append(_composition(primary, alone=primary == name.replace("-", "_")))
     return "\n".join(parts)
 
 
-def _primaries(name: str, composes: str | None) -> list[str]:
-    """The primary configurations of a command; `blind` has one for each of its three words."""
+def _primaries(name: str, composes: str | None, *, sweeps: bool) -> list[str]:
+    """The primary configurations of a command: `blind` has one for each of its three words, and
+    what takes many values at once (``-m``) has that of sweeps too."""
     from trms_cli.core.resources import config_folder
 
     word = name.replace("-", "_")
     inner = sorted(file.stem for file in config_folder().glob(f"{word}_*.yaml"))
-    return [composes] if composes else inner
+    own = [composes] if composes else inner
+    return [*own, "sweep"] if sweeps and "sweep" not in own else own
 
 
 def _composition(primary: str, *, alone: bool) -> str:

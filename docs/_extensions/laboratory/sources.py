@@ -11,7 +11,7 @@ import os
 import re
 from pathlib import Path
 
-_LINK = re.compile(r"(?<!!)\]\((?![a-z]+:|#|/)([^)\s#]+)(#[^)\s]*)?\)")
+_LINK = re.compile(r"\]\((?![a-z]+:|#|/)([^)\s#]+)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"(^```.*?^```[ \t]*$)", re.MULTILINE | re.DOTALL)
 _LANGUAGES = {".py": "python", ".yaml": "yaml", ".json": "json", ".md": "markdown", ".c": "c",
               ".toml": "toml", ".sh": "bash", ".csv": "text", ".yml": "yaml"}  # fmt: skip
@@ -22,7 +22,7 @@ def pages(docs: Path) -> dict[str, str]:
     """A page for every file and folder that a page of the docs links, and those in the folders."""
     wanted: dict[str, Path] = {}
     for page in _markdown(docs):
-        for target, _ in _LINK.findall(_without_code(page.read_text(encoding="utf-8"))):
+        for target in _targets(page):
             file = _source(target, page.parent, docs)
             if file is not None:
                 wanted[_name(file, docs)] = file
@@ -39,7 +39,7 @@ def relink(text: str, name: str, docs: Path) -> str:
     folder = (docs / name).parent
 
     def replaced(match: re.Match[str]) -> str:
-        file = _source(match[1], folder, docs)
+        file = None if _is_image(match) else _source(match[1], folder, docs)
         if file is None:
             return match[0]
         return f"](/source/{_name(file, docs)}.md)"
@@ -57,13 +57,25 @@ def _linked_by(file: Path, docs: Path) -> list[Path]:
     """What a Markdown file from elsewhere links, as far as it is no page of the site."""
     if file.suffix != ".md":
         return []
-    targets = _LINK.findall(_without_code(file.read_text(encoding="utf-8")))
-    found = [_source(target, file.parent, docs) for target, _ in targets]
+    found = [_source(target, file.parent, docs) for target in _targets(file)]
     return [inner for inner in found if inner is not None]
 
 
-def _without_code(text: str) -> str:
-    return "".join(part for part in _FENCE.split(text) if not part.startswith("```"))
+def _targets(page: Path) -> list[str]:
+    """What a page links, images and code left out."""
+    parts = _FENCE.split(page.read_text(encoding="utf-8"))
+    text = "".join(part for part in parts if not part.startswith("```"))
+    return [match[1] for match in _LINK.finditer(text) if not _is_image(match)]
+
+
+def _is_image(match: re.Match[str]) -> bool:
+    """Whether a link's bracket was opened behind an exclamation mark."""
+    depth, text = 0, match.string
+    for place in range(match.start(), -1, -1):
+        depth += {"]": 1, "[": -1}.get(text[place], 0)
+        if depth == 0:
+            return text[place - 1 : place] == "!"
+    return False
 
 
 def _source(target: str, folder: Path, docs: Path) -> Path | None:
@@ -112,6 +124,8 @@ def _as_page(text: str, file: Path, docs: Path) -> str:
 
     def replaced(match: re.Match[str]) -> str:
         target = Path(os.path.normpath(file.parent / match[1]))
+        if _is_image(match):
+            return f"]({os.path.relpath(target, (docs / 'source' / _name(file, docs)).parent)})"
         if target.suffix == ".md" and docs in target.parents:
             return f"](/{target.relative_to(docs).as_posix()}{match[2] or ''})"
         return "]" if not target.exists() else f"](/source/{_name(target, docs)}.md)"
