@@ -134,7 +134,7 @@ def animated(
     *,
     pixels: int = 380,
     pause: float = 0.1,
-    colours: int = 48,
+    colours: int = 200,
 ) -> bytes:
     """A GIF of moments, `pause` seconds apart; equal scenes give equal bytes."""
     from PIL import Image
