@@ -20,7 +20,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export REASON
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test slow package docs docs-links lint format check bench regression regression-update \
+.PHONY: help setup run test slow package docs docs-links notebook lint format check bench regression regression-update \
 	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
@@ -57,6 +57,9 @@ docs: $(READY) ## build the documentation site into build/site; a broken link fa
 
 docs-links: $(READY) ## ask for every address outside that the documentation names (needs a network)
 	@$(BIN)/python -m sphinx -q -b linkcheck docs build/links
+
+notebook: $(READY) ## execute the tour in docs/notebooks and keep its outputs
+	@$(BIN)/python -m docs.notebooks
 
 lint: $(READY) ## formatting, lint and types
 	@$(BIN)/ruff format --check .
