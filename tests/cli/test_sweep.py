@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -226,7 +227,10 @@ def test_a_killed_worker_costs_one_attempt(started, tmp_path, begun):
 
 @pytest.mark.parametrize(
     "how",
-    [signal.SIGKILL, signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
+    [
+        signal.SIGKILL,
+        *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGINT, signal.SIGTERM)),
+    ],
 )
 def test_resumed_after_its_driver_has_gone(started, trms, tmp_path, begun, how):
     sweep = tmp_path / "s"
@@ -366,18 +370,23 @@ def test_bad_input_of_the_command(trms, argv, hint):
 
 
 class TestResuming:
-    @pytest.fixture
-    def stopped(self, trms, tmp_path) -> Path:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def made(cls, executable, tmp_path_factory):
         """A sweep of three, as a driver leaves it that was killed at once."""
-        assert (
-            trms("run", "-m", *SHORT, "seed=1,2,3", "out=s", "launcher.workers=0").returncode == 0
-        )
-        sweep = tmp_path / "s"
+        folder = tmp_path_factory.mktemp("lab")
+        words = [*SHORT, "seed=1,2,3", "out=s", "launcher.workers=0"]
+        subprocess.run([str(executable), "run", "-m", *words], cwd=folder, check=True)
+        sweep = folder / "s"
         record = json.loads((sweep / "sweep.json").read_text())
         (sweep / "sweep.json").write_text(json.dumps(record | {"state": "running"}))
         for name in (".attempt-1", "status.json", "score.json", "run.mcap"):
             (sweep / "2" / name).unlink()
         return sweep
+
+    @pytest.fixture
+    def stopped(self, made, tmp_path) -> Path:
+        return Path(shutil.copytree(made, tmp_path / "s"))
 
     def test_from_another_folder(self, stopped, executable, tmp_path_factory):
         elsewhere = tmp_path_factory.mktemp("elsewhere")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import signal
 import socket
@@ -113,6 +114,8 @@ class SlurmLauncher:
                 where="launcher",
                 remedy=f"{INSTALL}, or launcher=local for the cores of this machine",
             ) from error
+        # Without SLURM's accounting it warns again and again; ended jobs are found all the same.
+        logging.getLogger("submitit").setLevel(logging.CRITICAL)
         folder = Path(self.logs).absolute()
         try:
             executor = submitit.AutoExecutor(folder=folder, cluster=self.cluster)
