@@ -351,6 +351,12 @@ def test_bad_input_is_answered_before_anything_is_made(trms, tmp_path, words, hi
     assert not (tmp_path / "s").exists()
 
 
+@pytest.mark.parametrize("word", ["sampler=random", "launcher.workers=2", "retries=3"])
+def test_what_steers_a_sweep_is_refused_without_one(trms, word):
+    result = trms("run", "controller=pid", word)
+    assert result.returncode == 2 and "add -m" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("argv", "hint"),
     [

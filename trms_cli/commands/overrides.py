@@ -29,6 +29,9 @@ PATH_KEYS = ("out", "file", "path", "real", "resume")
 #: What one command draws is a picture, and what another writes is a page with pictures.
 _SAME = {"picture": "page", "page": "picture"}
 
+#: First names of the keys of a sweep itself, which ``-m`` takes off (``configs/sweep.yaml``).
+_OF_SWEEPS = ("sampler", "launcher", "retries")
+
 #: All options of the composing command; ``--from`` is taken off before.
 _OPTIONS = ("--allow", "--cfg", "--config-dir", "--from", "--multirun", "--help", "--debug")
 _PLAIN_NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*")
@@ -207,6 +210,12 @@ def _check_first_name(override: Override, primary: Primary, groups: Groups) -> N
             f"there is no key {first!r}",
             where=override.key,
             remedy=f"the key is {other}: {override._replace(key=str(other))}",
+        )
+    if first not in allowed and first in _OF_SWEEPS:
+        raise ConfigurationError(
+            f"{override} steers a sweep, and this is a single run",
+            where=override.key,
+            remedy="add -m for a sweep (`trms help sweep`), or leave it out",
         )
     if first not in allowed and override.key in groups:
         raise ConfigurationError(
