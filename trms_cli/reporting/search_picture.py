@@ -17,6 +17,7 @@ from trms_cli.reporting.style import (
     GREY,
     INK,
     PALETTE,
+    PAPER,
     house_style,
     legend_above,
     new_figure,
@@ -118,7 +119,7 @@ def _again(panel: Axes, trials: Sequence[Mapping[str, Any]], x: str, y: str) -> 
         then, now = each["figures"], each["confirmed"]["figures"]
         panel.plot([then[x], now[x]], [then[y], now[y]], color=GREY, lw=0.6, zorder=1.5)
         panel.plot(
-            now[x], now[y], "o", ms=5, mfc="white", mec=PALETTE["green"], ls="none",
+            now[x], now[y], "o", ms=5, mfc=PAPER, mec=PALETTE["green"], ls="none",
             label="front, fresh conditions" if i == 0 else None,
         )  # fmt: skip
 
