@@ -20,19 +20,38 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from trms_cli import __version__
+from trms_cli.core.scene import Ring, Scene
+from trms_cli.recordings.foxglove.added_scene import write_with_scene
+from trms_cli.recordings.foxglove.messages import SceneEncoder
+from trms_cli.recordings.foxglove.scene_log import Sources, find_sources
+from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic
 
 
-@pytest.fixture(params=["full", "empty"])
+@pytest.fixture(params=["full", "empty", "viewed"])
 def log_path(
     request: pytest.FixtureRequest, tmp_path: Path, write_run: Callable[..., Path]
 ) -> Path:
     if request.param == "full":
         return write_run(tmp_path / "run.mcap")
+    if request.param == "viewed":
+        return viewed(write_run(tmp_path / "run.mcap"), tmp_path / "viewed.mcap")
     path = tmp_path / "empty.mcap"
     RunLog(path, [Topic("/t", (Field("x"),))], {"seed": "1"}).close("failed")
     return path
+
+
+def viewed(path: Path, out: Path) -> Path:
+    """The same log with the 3D view added: topics that share a schema, encoded by others."""
+    log = read_log(path)
+    fields = {topic: list(table.columns) for topic, table in log.tables.items()}
+    sources = find_sources(fields, {"u_v": 2.5})
+    assert sources is not None
+    body = Scene((Ring("guard", "beam", (0.2, 0, 0), (0, 0, 1), 0.1, 0.01, "main"),), (), 0.4, 0, 1)
+    arrows = Sources(sources.attitudes, ())
+    write_with_scene(log, SceneEncoder(body, sources.ghosts), arrows, 4, out)
+    return out
 
 
 def test_records_and_summary_agree(log_path: Path) -> None:
