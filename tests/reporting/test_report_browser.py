@@ -15,6 +15,7 @@ from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun
 
 #: What a stranger may have written anywhere.
 ATTACKS = (
+    "<a href='https://example.org'>plotly knows links</a>",
     "<script>window.harmed = 1</script>",
     "</script><script>window.harmed = 1</script>",
     '"><img src=x onerror="window.harmed = 1">',
@@ -243,7 +244,7 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
             plot.hover(force=True)
         assert page("window.harmed") is None
         # no element that strangers wrote came to be, in the page or in its plots
-        strange = "main img, a[href^=javascript], [onload], [onerror]"
+        strange = "main img, a[href^=javascript], [onload], [onerror], div.plot a"
         assert page(f"document.querySelectorAll('{strange}').length") == 0
         assert page("document.querySelectorAll('script').length") == 2 + page(
             "document.querySelectorAll('script.plot-data').length"
