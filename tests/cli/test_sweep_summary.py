@@ -36,7 +36,7 @@ class TestSearch:
         say(document(tmp_path, summary))
         printed = capsys.readouterr().out
         assert "30 trials by tpe, mean of 2 conditions each" in printed
-        assert "as it was" in printed and "fresh" in printed and "pareto.png" in printed
+        assert "before" in printed and "fresh" in printed and "pareto.png" in printed
         for number in summary["pareto"][:1] + summary["pareto"][-1:]:
             assert any(line.split()[:1] == [str(number)] for line in printed.splitlines())
         assert all(len(line) <= 100 for line in printed.splitlines() if "trms run" not in line)

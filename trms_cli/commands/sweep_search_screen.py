@@ -58,8 +58,10 @@ def say_search(summary: Mapping[str, Any]) -> None:
     if not best:
         print("           no trial ran to its end within the limits")
         return
-    rows = _few(best)
+    rows = _few(best, chosen_trial(summary))
     out.print(Padding(_table(summary, rows, before), (1, 0, 0, 0)))
+    if any("confirmed" in each for each in best):
+        print("* under fresh conditions: an estimate, while the score of the best was chosen")
     if len(rows) < len(best):
         print(f"  {len(best)} trials are on the front; --json has all")
     for line in _gains(summary, best, before):
@@ -76,20 +78,21 @@ def _table(
     names = short_keys(keys)
     confirmed = any("confirmed" in each for each in rows)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
-    table.add_column("trial", justify="right")
+    table.add_column("trial", justify="right", no_wrap=True)
     for objective in objectives:
-        sign = "most" if objective["direction"] == "maximise" else "least"
-        unit = f"\n{objective['unit']}, {sign}" if objective["unit"] else f"\n{sign}"
-        table.add_column(objective["name"] + unit, justify="right")
+        sign = "↑" if objective["direction"] == "maximise" else "↓"
+        table.add_column(
+            f"{_broken(objective['name'])}\n{objective['unit']} {sign}", justify="right"
+        )
         if confirmed:
-            table.add_column("under fresh\nconditions", justify="right", style="dim")
+            table.add_column("again*", justify="right", style="dim")
     for key in keys:
-        table.add_column(names[key].replace(".", "\n"), justify="right", style="cyan")
+        table.add_column(_broken(names[key]), justify="right", style="cyan", no_wrap=True)
     shown = [each for each in rows if before is None or each["trial"] != before["trial"]]
     for each in shown:
         table.add_row(str(each["trial"]), *_cells(summary, each, keys, confirmed))
     if before is not None:
-        table.add_row("as it was", *_cells(summary, before, keys, confirmed), style="bold")
+        table.add_row("before", *_cells(summary, before, keys, confirmed), style="bold")
     return table
 
 
@@ -162,9 +165,16 @@ def _losses(summary: Mapping[str, Any], trial: Mapping[str, Any]) -> list[float]
     ]
 
 
-def _few(best: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """At most a screenful, evenly along the front."""
+def _few(
+    best: Sequence[Mapping[str, Any]], chosen: Mapping[str, Any] | None
+) -> list[Mapping[str, Any]]:
+    """At most a screenful, evenly along the front, with the one that is to be told of."""
     if len(best) <= _MOST_ROWS:
         return list(best)
-    at = np.unique(np.linspace(0, len(best) - 1, _MOST_ROWS).round().astype(int))
-    return [best[i] for i in at]
+    at = set(np.linspace(0, len(best) - 1, _MOST_ROWS).round().astype(int).tolist())
+    return [each for i, each in enumerate(best) if i in at or each is chosen]
+
+
+def _broken(name: str) -> str:
+    """A name over several lines, where a table has many columns."""
+    return name.replace(".", "\n").replace("_weights", "\nweights").replace("_variation", "\nvar.")

@@ -108,6 +108,10 @@ def _front(panel: Axes, summary: Mapping[str, Any], pair: Sequence[Mapping[str, 
             before[0]["figures"][x], before[0]["figures"][y], "D", ms=7, color=PALETTE["vermilion"],
             ls="none", label="as it was",
         )  # fmt: skip
+        if _confirmed(before[0], x) and _confirmed(before[0], y):
+            then, now = before[0]["figures"], before[0]["confirmed"]["figures"]
+            panel.plot([then[x], now[x]], [then[y], now[y]], color=GREY, lw=0.6, zorder=1.5)
+            panel.plot(now[x], now[y], "D", ms=6, mfc=PAPER, mec=PALETTE["vermilion"], ls="none")
     _stay_near(panel, front + before, x, y)
     panel.set_xlabel(figure_label(x, pair[0]["unit"]))
     panel.set_ylabel(figure_label(y, pair[1]["unit"]))
