@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _study(given: argparse.Namespace) -> int:
     if given.quick:
         refuse_part(given)
-    sweeps = read_as(dict[str, OneSweep], STUDY, str(STUDY))  # type: ignore[type-var]
+    sweeps = read_as(dict[str, OneSweep], STUDY, str(STUDY))
     out = given.out or ROOT / "outputs" / "robustness"
     failed = 0
     for name, sweep in sweeps.items():
