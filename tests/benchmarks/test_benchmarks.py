@@ -24,6 +24,7 @@ from benchmarks.subjects import (
     objective,
     parts,
     peers,
+    run_overhead,
     tracking,
 )
 from trms_cli.controllers.nmpc import Nmpc
@@ -151,3 +152,16 @@ def test_publishing_replaces_what_stands_between_the_marks(tmp_path: Path) -> No
     page.write_text("no marks")
     with pytest.raises(ValueError, match="figures: begin"):
         publish([table], describe(), tmp_path, page)
+
+
+def test_what_a_run_costs_besides_its_loop_adds_up_to_the_run(quick: Options) -> None:
+    (table,) = run_overhead.run(quick)
+    time = {str(row["part"]): float(str(row["time"])) for row in table.rows}
+    parts = list(time)[:5]
+    assert all(math.isfinite(value) for value in time.values())
+    # Medians of few short runs do not add up exactly.
+    assert sum(time[part] for part in parts) == pytest.approx(time["a run in all"], rel=0.5)
+    assert [row["part"] for row in table.rows if "met" in row] == [
+        "all but loop and log",
+        "a run in all",
+    ]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
 
+from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.process_cache import kept
 from trms_cli.models.model import FloatArray, Model
 
@@ -19,7 +19,8 @@ def noise_of_states(model: Model, parameters: FloatArray, step: float) -> FloatA
     step : float
         s.
     """
-    return np.asarray(kept(_noise_function, model, step)(parameters)).ravel()
+    added = BufferedFunction(kept(_noise_function, model, step), compile=False)
+    return added.evaluate(parameters)[0].copy()
 
 
 def _noise_function(model: Model, step: float) -> ca.Function:

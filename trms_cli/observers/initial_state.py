@@ -59,7 +59,8 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
         x = model.rest()
         for name, value in known.items():
             x[model.state_index(name)] = value
-    return np.array(equations.state(x[rows], command))[:, 0]
+    whole = BufferedFunction(equations.state, compile=False)
+    return whole.evaluate(x[rows], command)[0].copy()
 
 
 def _linear_rates(model: Model) -> ca.Function:
