@@ -36,9 +36,9 @@ def test_a_run_killed_at_any_time_leaves_a_log_that_opens(tmp_path: Path) -> Non
     draw = random.Random(7)
     read = lost = 0
     for number in range(_KILLS):
-        log = tmp_path / str(number) / "run.mcap"
+        log = tmp_path / f"run-{number}" / "run.mcap"
         words = _command(
-            "run", "controller=pid", f"sim.duration={_LONG}", "picture=false", f"out={number}"
+            "run", "controller=pid", f"sim.duration={_LONG}", "picture=false", f"out=run-{number}"
         )
         with subprocess.Popen(
             words, cwd=tmp_path, env=_environment(), stdout=subprocess.DEVNULL,

@@ -14,11 +14,15 @@ from trms_cli.core.data_file import MEBIBYTE, largest
 if TYPE_CHECKING:
     from mcap.records import Chunk
 
-#: What is unpacked of one log: some four hours at 50 Hz.
+#: Messages of one log that are kept, and what one chunk unpacks to, however small the file is.
 USUAL_MOST = 256 * MEBIBYTE
+#: A long run has a large log, which unpacks to some four times its size.
+_UNPACKED_TO_FILE = 8
+#: All chunks of a log together, of which one is in the memory at a time.
+_TOGETHER = 16
 #: Numbers in the tables of one log, 8 bytes each. A table of a run is as long as its messages say,
 #: but a schema may name any number of columns, and the messages leave them out.
-USUAL_MOST_CELLS = 32 * MEBIBYTE
+_USUAL_MOST_CELLS = 32 * MEBIBYTE
 #: Memory that a compressor may ask for beside the content.
 _WINDOW = 64 * MEBIBYTE
 
@@ -27,14 +31,19 @@ class TooMuch(ValueError):
     """There is no room for what a log would unpack to."""
 
 
-def most_unpacked() -> int:
-    """Bytes that the chunks of one log may unpack to."""
-    return largest(USUAL_MOST)
+def most_kept(size: int = 0) -> int:
+    """Bytes of messages that are kept of a log in a file of `size` bytes."""
+    return max(largest(USUAL_MOST), _UNPACKED_TO_FILE * size)
 
 
-def most_cells() -> int:
-    """Numbers that the tables of one log may hold."""
-    return max(USUAL_MOST_CELLS, largest(USUAL_MOST) // 8)
+def most_unpacked(size: int = 0) -> int:
+    """Bytes that all chunks of such a log may unpack to, one after another."""
+    return _TOGETHER * most_kept(size)
+
+
+def most_cells(size: int = 0) -> int:
+    """Numbers that the tables of such a log may hold."""
+    return max(_USUAL_MOST_CELLS, most_kept(size) // 8)
 
 
 def content_of(chunk: Chunk, room: int) -> bytes:
@@ -55,8 +64,8 @@ def content_of(chunk: Chunk, room: int) -> bytes:
         checksum is the caller's.
     """
     size = chunk.uncompressed_size
-    if size > room:
-        raise TooMuch(f"{size / MEBIBYTE:,.0f} MiB of samples in one log")
+    if size > min(room, most_kept()):
+        raise TooMuch(f"it unpacks to more than {min(room, most_kept()) / MEBIBYTE:,.0f} MiB")
     if chunk.compression == "zstd":
         data = _unpacked_zstd(chunk.data, size)
     elif chunk.compression == "lz4":

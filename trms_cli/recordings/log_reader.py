@@ -34,6 +34,7 @@ from trms_cli.recordings.chunk_content import (
     content_of,
     is_damaged,
     most_cells,
+    most_kept,
     most_unpacked,
 )
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, RUN_SCHEMA, SCORE_METADATA
@@ -41,9 +42,9 @@ from trms_cli.recordings.topics import VIEWER_SCHEMAS
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-#: Of a file, compressed: what is longer unpacks to more than is read.
-_USUAL_MOST = 256 * MEBIBYTE
-#: Bytes that a message takes unpacked, at least; most have a hundred.
+#: Of a file, compressed: some four hours of a run at 50 Hz.
+_USUAL_MOST = 512 * MEBIBYTE
+#: Bytes that a message takes in the memory at least, however short it is.
 _LEAST_MESSAGE = 64
 _EMPTY_RUN = "it holds no sample: the run ended before its first flush"
 
@@ -143,9 +144,9 @@ class _Content:
     """What has been gathered from the records so far."""
 
     topics: Collection[str] | None
-    where: str = ""
-    room: int = field(default_factory=most_unpacked)  # bytes that chunks may still unpack to
-    message_room: int = field(default_factory=lambda: most_unpacked() // _LEAST_MESSAGE)
+    where: str
+    room: int  # bytes that chunks may still unpack to
+    kept_room: int  # bytes of messages that may still be kept
     library: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -173,8 +174,11 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
         When the file cannot be read, is no MCAP file, is of another program or is empty.
     """
     path = Path(path)
-    content = _Content(topics, str(path))
-    _walk(_read_bytes(path), content)
+    data = _read_bytes(path)
+    content = _Content(topics, str(path), most_unpacked(len(data)), most_kept(len(data)))
+    cells = most_cells(len(data))
+    _walk(data, content)
+    del data
     run = content.metadata.get(RUN_METADATA, {})
     _refuse_newer(run, path)
     if not run and not content.library.startswith("trms"):
@@ -191,7 +195,7 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
         content.problems.append(_EMPTY_RUN)
     score = content.metadata.get(SCORE_METADATA, {})
     with not_as_written(str(path)):
-        tables = _tables(content, path)
+        tables = _tables(content, path, cells)
     return LoggedRun(
         path=path,
         complete=not content.problems,
@@ -260,9 +264,7 @@ def _walk(data: bytes, content: _Content) -> None:
                 _take(opcode, body, content)
         except TooMuch as error:
             raise RecordingError(
-                f"{error}, and {most_unpacked() / MEBIBYTE:,.0f} MiB are read",
-                where=content.where,
-                remedy=how_to_raise(2 * most_unpacked()),
+                str(error), where=content.where, remedy=how_to_raise(2 * most_kept())
             ) from error
         except Exception as error:  # damage shows as any error of the decoders
             content.problems.append(f"a damaged record was left out ({error})")
@@ -295,9 +297,9 @@ def _take(opcode: int, body: memoryview, content: _Content) -> None:
     if opcode == Opcode.MESSAGE:
         channel_id, _, log_time, _ = _MESSAGE.unpack_from(body)
         if channel_id in content.times:
-            content.message_room -= 1
-            if content.message_room < 0:
-                raise TooMuch("more messages than there is room for")
+            content.kept_room -= max(len(body), _LEAST_MESSAGE)
+            if content.kept_room < 0:
+                raise TooMuch("its messages take more memory than a log of its size has")
             content.times[channel_id].append(log_time)
             content.messages[channel_id].append(bytes(body[_MESSAGE.size :]))
     elif opcode == Opcode.SCHEMA:
@@ -314,16 +316,15 @@ def _take(opcode: int, body: memoryview, content: _Content) -> None:
             content.messages.setdefault(channel.id, [])
 
 
-def _tables(content: _Content, path: Path) -> dict[str, Table]:
+def _tables(content: _Content, path: Path, room: int) -> dict[str, Table]:
     tables: dict[str, Table] = {}
-    room = most_cells()
     for channel_id, times in content.times.items():
         channel = content.channels[channel_id]
         try:
             schema = orjson.loads(content.schemas[channel.schema_id].data)
             room -= len(times) * len(schema["properties"])
             if room < 0:
-                raise ValueError(f"more than {most_cells()} numbers in one log")
+                raise ValueError("more numbers than a log of its size has")
             rows = orjson.loads(b"[" + b",".join(content.messages[channel_id]) + b"]")
             tables[channel.topic] = _table(np.array(times, dtype=np.int64), rows, schema)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
