@@ -23,8 +23,8 @@ class Random:
     Attributes
     ----------
     samples : int
-        Draws; each is run with every combination of the choices. A sweep that is resumed with more
-        keeps those that it has: the first hundred of two hundred are the hundred.
+        Draws; each is run with every combination of the choices. The first
+        hundred of two hundred are the hundred.
     seed : int
         Of the draws; the runs' own ``seed`` is another.
     figures : tuple of str

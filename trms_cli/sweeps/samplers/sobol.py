@@ -24,7 +24,7 @@ class Sobol:
     Attributes
     ----------
     samples : int
-        Draws; best a power of two. A sweep that is resumed with more keeps those that it has.
+        Draws; best a power of two. The first 64 of 128 are the 64.
     seed : int
         Of the scrambling; the runs' own ``seed`` is another.
     figures : tuple of str
