@@ -160,7 +160,15 @@ def _hydra_compose(primary: str, overrides: Sequence[str], config_dirs: Sequence
         hydra.initialize_config_dir(
             str(config_folder()), job_name=primary, version_base=HYDRA_VERSION_BASE
         )
-        composed = hydra.compose(primary, overrides=list(overrides), return_hydra_config=True)
+        try:
+            composed = hydra.compose(primary, overrides=list(overrides), return_hydra_config=True)
+        except (TypeError, AttributeError, KeyError, IndexError, AssertionError) as error:
+            # Hydra's own surprise at a YAML of an unexpected form
+            raise ConfigurationError(
+                f"the configuration cannot be composed ({type(error).__name__}: {error})",
+                where="the configuration",
+                remedy="`trms list` shows what options look like",
+            ) from error
     content = OmegaConf.to_container(composed)
     assert isinstance(content, dict)
     check_interpolations({str(key): content[key] for key in content if key != "hydra"})

@@ -15,6 +15,7 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.version import VersionBase
+from omegaconf import ListConfig
 
 from trms_cli.commands.catalogue import yaml_error
 from trms_cli.commands.interpolations import refuse_outward
@@ -62,6 +63,12 @@ class UserFolder(FileConfigSource):
         if package.split(".")[0] == "hydra" or "hydra" in found.config:
             raise _steers_hydra(where)
         defaults = found.config._get_node("defaults") if "defaults" in found.config else None
+        if defaults is not None and not isinstance(defaults, ListConfig):
+            raise ConfigurationError(
+                "defaults is no list",
+                where=where,
+                remedy="write each choice on a line of its own: - override /ref: sine",
+            )
         refuse_outward(str(defaults), f"{where}, defaults")
         return found
 
