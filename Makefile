@@ -21,7 +21,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test slow package docs docs-links notebook lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
+	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -109,6 +109,9 @@ chapter8: $(READY) ## study: robust MPC by linear matrix inequalities
 
 tournament: $(READY) ## all controllers, observers, references and rigs crossed, 1882 runs, ranked (twenty minutes)
 	@$(BIN)/python -m experiments.tournament $(ARGS)
+
+robustness: $(READY) ## study: three controllers on 200 rigs drawn from the priors, a tuned newton_mpc
+	@$(BIN)/python -m experiments.robustness $(ARGS)
 
 coverage: $(READY) ## study: do the intervals of a fit hold the truth? (half an hour)
 	@$(BIN)/python -m experiments.coverage $(ARGS)
