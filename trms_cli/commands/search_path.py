@@ -58,7 +58,14 @@ class UserFolder(FileConfigSource):
             check_yaml(read_bytes(Path(where), MOST_BYTES))
         except yaml.YAMLError as error:
             raise yaml_error(error, Path(where)) from None
-        found = super().load_config(config_path)
+        try:
+            found = super().load_config(config_path)
+        except ValueError as error:  # a header that is none, a value that is no plain data
+            raise ConfigurationError(
+                f"it cannot be read ({str(error).splitlines()[0][:200]})",
+                where=where,
+                remedy="a header is a line of its own: # @package _global_",
+            ) from error
         package = str(found.header.get("package") or "")
         if package.split(".")[0] == "hydra" or "hydra" in found.config:
             raise _steers_hydra(where)
