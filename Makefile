@@ -20,7 +20,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export REASON
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test slow package docs docs-links notebook lint format check bench regression regression-update \
+.PHONY: help setup run test slow package docs docs-links notebook fuzz lint format check bench regression regression-update \
 	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
 
 help: ## tell what each target does
@@ -60,6 +60,10 @@ docs-links: $(READY) ## ask for every address outside that the documentation nam
 
 notebook: $(READY) ## execute the tour in docs/notebooks and keep its outputs
 	@$(BIN)/python -m docs.notebooks
+
+fuzz: $(READY) ## attack the readers of files: make fuzz TARGET=log MINUTES=10 (TARGET=all)
+	@$(BIN)/python -m pip install --quiet 'atheris>=2.3'
+	@OMP_NUM_THREADS=1 TRMS_RUNS=off $(BIN)/python -m tests.fuzz $(or $(TARGET),all) --minutes $(or $(MINUTES),10)
 
 lint: $(READY) ## formatting, lint and types
 	@$(BIN)/ruff format --check .

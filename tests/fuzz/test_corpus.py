@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fuzz.target import CORPUS, Target, all_targets
+from tests.fuzz.target import CORPUS, Target, all_targets
 
 TARGETS = {target.name: target for target in all_targets()}
 KEPT = [(name, path) for name, target in TARGETS.items() for path in target.kept()]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from fuzz import targets
+from tests.fuzz import targets
 from trms_cli.core.errors import TrmsError
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -22,8 +22,8 @@ class Target:
     Attributes
     ----------
     name : str
-        Of the module in :mod:`fuzz.targets`: it has ``seeds(folder)``, which yields inputs that
-        the reader takes, and ``read(data, folder)``, which has the reader read one.
+        Of the module in :mod:`tests.fuzz.targets`: it has ``seeds(folder)``, which yields inputs
+        that the reader takes, and ``read(data, folder)``, which has the reader read one.
     module : module
     """
 

@@ -1,4 +1,4 @@
-"""One target under libFuzzer, in a process of its own: ``python -m fuzz.hunt TARGET FOLDER …``.
+"""One target under libFuzzer in its own process: ``python -m tests.fuzz.hunt TARGET FOLDER …``.
 
 Any failure that is no complaint of ours is counted and its input kept in ``FOLDER/found``, once
 for each place in the code, and the hunt goes on. An input that takes more than five seconds of
@@ -30,7 +30,7 @@ class TooSlow(Exception):
 def hunt(name: str, folder: Path, arguments: list[str]) -> None:
     """Feed one target until libFuzzer's arguments say that it is enough."""
     with atheris.instrument_imports(include=_INSTRUMENTED, enable_loader_override=False):
-        from fuzz.target import all_targets
+        from tests.fuzz.target import all_targets
 
         target = next(target for target in all_targets() if target.name == name)
         scratch = Path(tempfile.mkdtemp(prefix=f"fuzz-{name}-"))

@@ -1,4 +1,4 @@
-"""``python -m fuzz TARGET [--minutes M]``: attack a reader, and tell what came of it."""
+"""``python -m tests.fuzz TARGET [--minutes M]``: attack a reader, and tell what came of it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from fuzz.target import Target, all_targets
+from tests.fuzz.target import Target, all_targets
 
 _MEMORY = 1024  # MiB; libFuzzer ends the hunt above
 _ENDLESS = 60  # s of wall time for one input; processor time is watched more closely
@@ -19,7 +19,7 @@ _ENDLESS = 60  # s of wall time for one input; processor time is watched more cl
 def main() -> int:
     """Run the targets that were named, one after another."""
     targets = {target.name: target for target in all_targets()}
-    parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("target", nargs="*", help="what to attack; `all` for everything")
     parser.add_argument("--minutes", type=float, default=10.0, help="for each target")
     parser.add_argument("--folder", type=Path, default=Path("outputs/fuzz"))
@@ -48,7 +48,7 @@ def _attacked(target: Target, folder: Path, minutes: float) -> bool:
     ]
     begin = time.monotonic()
     with (folder / "log").open("w", encoding="utf-8") as log:
-        command = [sys.executable, "-m", "fuzz.hunt", target.name, str(folder), *options]
+        command = [sys.executable, "-m", "tests.fuzz.hunt", target.name, str(folder), *options]
         code = subprocess.run(command, stdout=log, stderr=log, check=False).returncode
     text = (folder / "log").read_text(encoding="utf-8", errors="replace")
     coverage = [int(number) for number in re.findall(r"cov: (\d+)", text)] or [0]

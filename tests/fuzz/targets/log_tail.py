@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from fuzz.targets.log import seeds as _logs
+from tests.fuzz.targets.log import seeds as _logs
 
 
 def seeds(folder: Path) -> Iterator[bytes]:
