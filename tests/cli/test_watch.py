@@ -34,6 +34,7 @@ from trms_cli.runs.followed import FollowedRun
 from trms_cli.runs.latest import latest_run
 from trms_cli.runs.moment import Axis, Event, Input, Moment, Solver
 from trms_cli.runs.sweep_progress import FollowedSweep, _values
+from trms_cli.sweeps.record import driven
 
 ALTERNATE, NORMAL = b"\x1b[?1049h", b"\x1b[?1049l"
 
@@ -612,6 +613,35 @@ class TestSweep:
         seen = FollowedSweep(folder).now()
         assert seen.count("gone") == 1 and seen.ended
         assert "died" in text_of(sweep_frame(seen, 80, 24))
+
+    def test_a_sweep_whose_driver_has_gone(self, folder):
+        record = {"schema": "trms.sweep/1", "overrides": [], "state": "running"}
+        (folder / "sweep.json").write_text(json.dumps(record))
+        self.say(folder, 0, 100.0, state="done", objective=1.0)
+        self.say(folder, 1, 110.0, state="interrupted")
+        self.say(folder, 2, 120.0, state="interrupted")
+        sweep = FollowedSweep(folder)
+        with driven(folder):
+            assert sweep.now().state == "running" and not sweep.now().ended
+            (folder / "sweep.json").write_text(json.dumps(record | {"total": 200}))
+        seen = sweep.now()
+        assert seen.stopped and seen.ended and seen.total == 200
+        text = text_of(sweep_frame(seen, 80, 24))
+        for words in (
+            "stopped before its end", "0 running  2 interrupted  197 not begun", "sweep resume",
+        ):  # fmt: skip
+            assert words in text
+        assert "left" not in text
+        assert "stopped before its end" in sweep_line(seen) and "left" not in sweep_line(seen)
+
+    @pytest.mark.parametrize(
+        ("state", "words"), [("done", "ended"), ("interrupted", "stopped before its end")]
+    )
+    def test_the_end_is_what_the_record_says(self, folder, state, words):
+        record = {"schema": "trms.sweep/1", "overrides": [], "state": state, "total": 1}
+        (folder / "sweep.json").write_text(json.dumps(record))
+        self.say(folder, 0, 100.0, state="done", objective=1.0)
+        assert words in text_of(sweep_frame(FollowedSweep(folder).now(), 80, 24))
 
     def test_what_has_changed_is_seen(self, folder):
         sweep = FollowedSweep(folder)

@@ -11,8 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.runs.driving import is_driven
 from trms_cli.sweeps.point import Point
-from trms_cli.sweeps.record import POINTS_NAME, Plan, Record, driven, is_driven
+from trms_cli.sweeps.record import POINTS_NAME, Plan, Record, driven
 from trms_cli.sweeps.space import Choice, Prior, Range, Space
 from trms_cli.sweeps.status import Claim, RunFolder, is_alive, lost
 

@@ -8,7 +8,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from trms_cli.sweeps.record import Record, is_driven
+from trms_cli.runs.driving import is_driven
+from trms_cli.sweeps.record import Record
 from trms_cli.sweeps.status import RunFolder, is_alive, result_of
 
 SCHEMA = "trms.sweep-status/1"

@@ -166,7 +166,7 @@ def _watch_sweep(sweep: FollowedSweep, given: Any) -> int:
         return EXIT_OK
     show(shown)
     now = shown.now
-    return EXIT_WORSE if now.ended and now.failures else EXIT_OK
+    return EXIT_WORSE if now.ended and (now.failures or now.stopped) else EXIT_OK
 
 
 def _plain(given: Any) -> bool:

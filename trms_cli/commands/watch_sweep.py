@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import shlex
 from pathlib import Path
 
 from rich.text import Text
 
+from trms_cli.commands.invocation import program
 from trms_cli.commands.watch_frame import between, fitted, tail_of
 from trms_cli.runs.sweep_progress import Job, Sweep
 
+#: Of a sweep whose process has gone; ``trms sweep status`` says the same.
+STOPPED = "stopped before its end"
 _SILENT = 30.0  # s without a word from a job, after which that is told
 _COLUMNS = {
     "done": "green",
@@ -23,6 +27,9 @@ _COLUMNS = {
 def sweep_frame(sweep: Sweep, width: int, height: int, *, plain: bool = False) -> list[Text]:
     """The lines of the picture: at most `height` of at most `width` columns each."""
     lines = [_title(sweep, width), _progress(sweep, width, plain), _speed(sweep), Text("")]
+    if sweep.stopped:
+        folder = shlex.quote(str(sweep.folder))
+        lines[3:3] = [Text(f"to go on  {program()} sweep resume {folder}")]
     room = max(1, (height - len(lines) - 4) // 3)
     lines += _running(sweep, room)
     lines += _best(sweep, room)
@@ -34,10 +41,10 @@ def sweep_line(sweep: Sweep) -> str:
     """The picture in one line, for a file or a pipe."""
     of = "" if sweep.total is None else f" of {sweep.total}"
     parts = [f"{sweep.count('done')}{of} done", *_troubles(sweep)]
-    parts.append(f"{sweep.count('running')} running")
+    parts.append(STOPPED if sweep.stopped else f"{sweep.count('running')} running")
     if not math.isnan(sweep.rate):
         parts.append(_per_time(sweep.rate))
-    if sweep.count("running") and not math.isnan(sweep.left_s):
+    if sweep.count("running") and not sweep.ended and not math.isnan(sweep.left_s):
         parts.append(f"{_duration(sweep.left_s)} left")
     if sweep.best:
         parts.append(f"best {sweep.best[0].objective:.4g} ({_what(sweep, sweep.best[0])})")
@@ -46,7 +53,9 @@ def sweep_line(sweep: Sweep) -> str:
 
 def _title(sweep: Sweep, width: int) -> Text:
     words, style = "running", "bold green"
-    if sweep.count("gone") and not sweep.count("running"):
+    if sweep.stopped:
+        words, style = STOPPED, "bold red"
+    elif sweep.count("gone") and not sweep.count("running"):
         words, style = "died: the process of a running job is gone", "bold red"
     elif sweep.ended:
         words, style = "ended", "bold cyan"
@@ -58,8 +67,11 @@ def _progress(sweep: Sweep, width: int, plain: bool) -> Text:
     of = "" if sweep.total is None else f" / {sweep.total}"
     begin = f"{sweep.count('done')}{of} done "
     line = Text(begin)
+    left = 0 if sweep.total is None else sweep.total - len(sweep.jobs)
+    words = [f"{sweep.count('running')} running", *_troubles(sweep)]
+    words += [f"{left} not begun"] if sweep.stopped and left > 0 else []
     if sweep.total:
-        cells = max(8, min(60, width - len(begin) - 24))
+        cells = max(4, min(60, width - len(begin) - sum(len(each) + 2 for each in words)))
         signs = {"done": "=", "failed": "!", "running": ">"} if plain else {}
         used = 0
         for states, name, style in (
@@ -72,8 +84,8 @@ def _progress(sweep: Sweep, width: int, plain: bool) -> Text:
             line.append(signs.get(name, "━") * part, style)
             used += part
         line.append(("-" if plain else "─") * (cells - used), "dim")
-    for words in (f"{sweep.count('running')} running", *_troubles(sweep)):
-        line.append(f"  {words}", "red" if words[-7:] != "running" else "")
+    for each in words:
+        line.append(f"  {each}", "" if each.endswith("running") else "red")
     return line
 
 

@@ -12,10 +12,11 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import RecordingError
+from trms_cli.runs.driving import is_driven
 from trms_cli.runs.status import STATUS_NAME
 
 _SCHEMA = "trms.status/1"
@@ -73,6 +74,9 @@ class Sweep:
         Jobs that ended per second, of late; NaN before two have.
     now : float
         Seconds since the epoch.
+    state : str
+        What its record says: ``running`` while a process drives it, ``done``, or ``interrupted``
+        where that process has gone before the end; empty for a sweep without a record.
     """
 
     folder: Path
@@ -81,6 +85,7 @@ class Sweep:
     jobs: tuple[Job, ...]
     rate: float
     now: float
+    state: str = ""
 
     def count(self, *states: str) -> int:
         """The number of jobs in any of some states."""
@@ -88,10 +93,17 @@ class Sweep:
 
     @property
     def ended(self) -> bool:
-        """Nothing more will come: nothing runs, and all there is to be has ended, or a job died."""
+        """Nothing more will come: nobody drives it, or nothing runs and all has ended or died."""
+        if self.state:
+            return self.state != "running"
         if self.count("running"):
             return False
         return self.count("gone") > 0 or (self.total is not None and len(self.jobs) >= self.total)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the process that drove it has gone before the end."""
+        return self.state == "interrupted"
 
     @property
     def left_s(self) -> float:
@@ -109,8 +121,17 @@ class Sweep:
     @property
     def failures(self) -> list[Job]:
         """Jobs that did not end well, the latest first."""
-        failed = [job for job in self.jobs if job.state in ("failed", "lost", "interrupted", "gone")]
+        states = ("failed", "lost", "interrupted", "gone")
+        failed = [job for job in self.jobs if job.state in states]
         return sorted(failed, key=lambda job: -job.changed)
+
+
+class _Plan(NamedTuple):
+    """What the record of a sweep says."""
+
+    overrides: tuple[str, ...]
+    total: int | None
+    state: str = ""  #: as it was written; empty without a record
 
 
 @dataclass
@@ -124,12 +145,15 @@ class FollowedSweep:
 
     folder: Path
     _jobs: dict[str, tuple[int, Job]] = field(default_factory=dict)
-    _plan: tuple[tuple[str, ...], int | None] | None = None
+    _plan: _Plan | None = None
+    _planned: int = 0
 
     def now(self) -> Sweep:
         """The sweep as it is."""
-        if self._plan is None:
-            self._plan = _plan(self.folder)
+        # The lock is looked at first: who drives the sweep writes its end before he lets go.
+        driven = is_driven(self.folder)
+        self._look_at_plan()
+        assert self._plan is not None
         for file, changed in _status_files(self.folder):
             known = self._jobs.get(file)
             if known is None or known[0] != changed or known[1].state in ("running", "gone"):
@@ -137,10 +161,21 @@ class FollowedSweep:
                 if job is not None:
                     self._jobs[file] = changed, job
         jobs = tuple(job for _, (_, job) in sorted(self._jobs.items(), key=_by_number))
-        overrides, total = self._plan
+        overrides, total, state = self._plan
         if total is not None and len(jobs) > total:
             total = None  # not the sweep that the plan is of
-        return Sweep(self.folder, overrides, total, jobs, _rate(jobs), time.time())
+        if state:
+            state = "running" if driven else "done" if state == "done" else "interrupted"
+        return Sweep(self.folder, overrides, total, jobs, _rate(jobs), time.time(), state)
+
+    def _look_at_plan(self) -> None:
+        """Read the plan where it is new: what there is to be is written after it has begun."""
+        try:
+            changed = (self.folder / _RECORD_NAME).stat().st_mtime_ns
+        except OSError:
+            changed = 0
+        if self._plan is None or changed != self._planned:
+            self._planned, self._plan = changed, _plan(self.folder)
 
 
 def is_sweep(folder: Path) -> bool:
@@ -227,28 +262,29 @@ def _rate(jobs: tuple[Job, ...]) -> float:
     return (len(times) - 1) / (times[-1] - times[0])
 
 
-def _plan(folder: Path) -> tuple[tuple[str, ...], int | None]:
+def _plan(folder: Path) -> _Plan:
     """What was typed for a sweep, and how many jobs that makes, from the record of the sweep."""
     if (folder / _RECORD_NAME).exists():
         return _recorded_plan(folder / _RECORD_NAME)
     return _plan_of_hydra(folder)
 
 
-def _recorded_plan(file: Path) -> tuple[tuple[str, ...], int | None]:
+def _recorded_plan(file: Path) -> _Plan:
     try:
         document = json.loads(read_bytes(file, _LONGEST_RECORD))
     except (OSError, RecordingError, ValueError, RecursionError):
-        return (), None
+        return _Plan((), None)
     if not isinstance(document, Mapping) or document.get("schema") != _RECORD_SCHEMA:
-        return (), None
+        return _Plan((), None)
     overrides, total = document.get("overrides"), document.get("total")
-    return (
+    return _Plan(
         tuple(map(str, overrides)) if isinstance(overrides, list) else (),
         total if isinstance(total, int) and not isinstance(total, bool) else None,
+        str(document.get("state", "interrupted")),
     )
 
 
-def _plan_of_hydra(folder: Path) -> tuple[tuple[str, ...], int | None]:
+def _plan_of_hydra(folder: Path) -> _Plan:
     """The same of a sweep that Hydra made, as earlier versions did."""
     import yaml
 
@@ -257,7 +293,7 @@ def _plan_of_hydra(folder: Path) -> tuple[tuple[str, ...], int | None]:
     try:
         text = read_bytes(folder / "multirun.yaml", MOST_BYTES).decode()
     except (OSError, RecordingError, UnicodeDecodeError):
-        return (), None
+        return _Plan((), None)
     # The sweep's own settings stand at the top; the experiment below is not looked at.
     block = re.match(r"hydra:\n(?:[ \n].*\n?|\n)*", text)
     try:
@@ -265,12 +301,12 @@ def _plan_of_hydra(folder: Path) -> tuple[tuple[str, ...], int | None]:
         overrides = tuple(str(word) for word in hydra["overrides"]["task"])
         sweeper = str(hydra["sweeper"]["_target_"])
     except (yaml.YAMLError, TypeError, KeyError):
-        return (), None
+        return _Plan((), None)
     if not sweeper.endswith("BasicSweeper") or hydra["sweeper"].get("params"):
-        return overrides, None
+        return _Plan(overrides, None)
     counts = [_values(word.partition("=")[2]) for word in overrides]
     known = [count for count in counts if count is not None]
-    return overrides, math.prod(known) if len(known) == len(counts) else None
+    return _Plan(overrides, math.prod(known) if len(known) == len(counts) else None)
 
 
 def _values(text: str) -> int | None:

@@ -19,13 +19,14 @@ from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.whole_file import replace_whole
+from trms_cli.runs.driving import LOCK_NAME
 from trms_cli.sweeps.point import Point
 from trms_cli.sweeps.space import Choice, Prior, Range, Space
 from trms_cli.sweeps.status import now
 
 SCHEMA = "trms.sweep/1"
 RECORD_NAME, POINTS_NAME = "sweep.json", "points.jsonl"
-LOCK_NAME, STOP_NAME = ".lock", ".stop"
+STOP_NAME = ".stop"
 _LONGEST = 2**28  # bytes of a file of the record
 
 
@@ -265,23 +266,6 @@ def driven(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def is_driven(folder: Path) -> bool:
-    """Whether a process drives the sweep at present."""
-    try:
-        descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CLOEXEC)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    finally:
-        os.close(descriptor)
-    return False
 
 
 def explained(error: OSError, file: Path) -> RecordingError:
