@@ -33,7 +33,10 @@ examples
   trms blind score in=sets/small diagnoses=sets/found
   trms blind score in=sets/small 'diagnoses=[full=sets/found,quick=sets/quick]' oracle=full
 
-Each of the three takes --cfg job, which prints its keys with their values and stops.
+options of each of the three
+  --cfg job          print its keys with their values and stop
+  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
+  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
 """
 
 #: Values that are paths, or hold some: quoted, so that an ``=`` in them is not read as a key.

@@ -41,7 +41,7 @@ examples
   trms diagnose real=rig.csv 'candidates=[yaw_*,main_*]'       some suspects
   trms diagnose real=rig.csv 'candidates=[all,"!ground_effect"]'   all but one
   trms diagnose real=rig.csv effect=yaw_coulomb_friction       on top of an effect that is known
-  trms diagnose real=rig.csv --config-dir mylab                with the effects in mylab/effect
+  trms diagnose real=rig.csv --config-dir mylab --allow my_lab   effects in mylab/effect too
   trms diagnose real=rig.csv 'data.channels=[alpha_v,alpha_h]' two angles alone
   trms diagnose resume=outputs/…-diagnose                      a stopped diagnosis goes on
   trms validate model=DIR/corrected_model.yaml real=other.csv  on a recording it has not seen
@@ -51,6 +51,7 @@ options
   -m, --multirun     one diagnosis for each combination of the values that commas part
   --cfg job          print the composed configuration and stop
   --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
+  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
 """
 
 

@@ -36,11 +36,11 @@ examples
   trms run 'effect=[tail_dead_zone,main_input_delay]'       what the model does not know
   trms run plant.parameters.k_g=0.1 plant.prior_seed=3      a rig that differs from the model
   trms run disturbance@plant.disturbances=yaw_push          a push that nobody announces
-  trms run -m controller=pid,lqr,newton_mpc seed=1,2,3      nine runs, one after another
+  trms run -m controller=pid,lqr,newton_mpc seed=1,2,3      nine runs, on all cores
   trms run controller=pid --cfg job                         every key with its value, no run
   trms run --from outputs/…/run.mcap                        that run again, bit for bit
   trms run --from outputs/…/run.mcap controller=lqr         the same, but for the controller
-  trms run --config-dir mylab/configs controller=mine       a plugin of your own
+  trms run --config-dir mylab/configs --allow my_lab controller=mine   a plugin of your own
   trms run plant=replay plant.file=rig.csv model=tras       an observer over a recording
 
 keys that are changed most
@@ -55,6 +55,7 @@ options
   -m, --multirun     one run for each combination of the values that commas part
   --cfg job          print the composed configuration and stop
   --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
+  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
 """
 
 

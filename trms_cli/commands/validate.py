@@ -42,6 +42,7 @@ options
   -m, --multirun     one validation for each combination of the values that commas part
   --cfg job          print the composed configuration and stop
   --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
+  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
 """
 
 
