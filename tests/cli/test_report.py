@@ -91,6 +91,17 @@ class TestWhatItIsOf:
         assert report("two") == 0
         assert title(here / "two/report.html") == "Comparison of a and b"
 
+    def test_few_runs_of_a_sweep_are_a_sweep(self, here, capsys):
+        os.mkdir("few")
+        shutil.copytree("sweep/0", "few/0")
+        shutil.copytree("sweep/4", "few/1")
+        Path("few/sweep.json").write_text(json.dumps({"schema": "trms.sweep/1", "total": 5}))
+        assert report("few", "--json") == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["kind"] == "sweep" and title(here / "few/report.html") == "Sweep few"
+        # what was asked counts, not what came of it
+        assert told["lead"][0].startswith("2 of 5 runs completed; 3 not begun")
+
     def test_a_sweep_with_failures(self, here, capsys):
         assert report("first", "--out", "sweep/0/report.html") == 0
         assert report("sweep") == 0

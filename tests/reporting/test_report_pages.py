@@ -237,6 +237,27 @@ class TestComparison:
 class TestSweep:
     """Many runs."""
 
+    def test_a_sweep_that_stopped_says_what_was_asked(self, sweep):
+        lead = sweep_page(replace(sweep, asked=50)).lead
+        assert lead[0].startswith("20 of 50 runs completed; **1 failed**, **29 not begun**")
+        assert sweep_page(replace(sweep, asked=5)).lead[0].startswith("20 of 21 runs")
+
+    @pytest.mark.parametrize(
+        ("ratio", "words"),
+        [
+            (1.0, "misses by as much"),
+            (1.0001, "by 1.0001 times as much"),
+            (1 + 1e-9, "by as much, to six digits"),
+            (1.2345, "by 1.23 times as much"),
+        ],
+    )
+    def test_the_second_never_misses_by_one_times_as_much(self, sweep, ratio, words):
+        ranking = [
+            RankedEntrant(name="pid", rank=1, ratio=1.0, figures={}),
+            RankedEntrant(name="lqr", rank=2, ratio=ratio, against_first=ratio, figures={}),
+        ]
+        assert words in sweep_page(sweep, ranking=ranking).lead[1]
+
     def test_lead_counts_and_names_the_best(self, sweep):
         lead = sweep_page(sweep).lead
         assert lead[0] == "20 of 21 runs completed; **1 failed**."

@@ -24,8 +24,8 @@ Usage: trms report LOG…|FOLDER… [--out FILE.html] [--title TEXT] [--force] [
 Writes one page that stands alone: it opens from the disk, fetches nothing, and can be sent to
 anybody. One run: its signals with linked time axes, events, predictions, phase plots, the times of
 the solver, its score and configuration. Up to eight runs: over one another, with their scores side
-by side. More, or a sweep with failed jobs: the ranking, how figures spread and on what they
-depend, what failed and why, and a table of all runs to sort and filter.
+by side. More, or the folder of a sweep: the ranking, how figures spread and on what they depend,
+what failed and why, and a table of all runs to sort and filter.
 Logs of runs that died are drawn as far as they go.
 
   LOG, FOLDER            MCAP logs of trms, folders of a run, of sweeps, of scores, however deep

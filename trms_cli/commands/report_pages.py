@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from trms_cli.commands.report_logs import name_of, read_run
 from trms_cli.commands.report_ranking import compared, ranking_of
-from trms_cli.commands.report_search import search_of
 from trms_cli.commands.report_sweeps import (
     PAGE_NAME,
     SWEEP_NAME,
@@ -102,7 +101,8 @@ def report_page(
         return _of_scores(given, found, folder, title)
     rows = [str(row["log"]) for row in found.runs]
     overlaid = all(log.endswith(".mcap") for log in rows) and len(rows) <= MOST_OVERLAID
-    if overlaid and not any(search_of(sweep_document(path)) for path in given):
+    # Few runs of a sweep are a sweep still: each may be of another drawn rig, or a trial.
+    if overlaid and not any(map(sweep_document, given)):
         return _of_logs([Path(log) for log in rows], folder, title, found.unreadable)
     page_folder = (out.parent if out is not None else folder).resolve()
     return _of_sweep(given, found, folder, page_folder, title)

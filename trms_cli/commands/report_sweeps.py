@@ -102,6 +102,7 @@ def read_sweep(folders: Sequence[Path], found: Found, page_folder: Path) -> Repo
         pareto=pareto_of(words),
         trials=trials_of(words),
         history=history_of(words),
+        asked=asked_of(plan),
         left_out=[*found.unreadable],
         facts=_facts(folders, plan, rows),
     )
@@ -161,6 +162,12 @@ def sweep_document(folder: Path) -> Mapping[str, Any]:
     if not isinstance(document, Mapping):
         return {}
     return document if str(document.get("schema", "")).startswith(_SWEEP_SCHEMA) else {}
+
+
+def asked_of(plan: Mapping[str, Any]) -> int | None:
+    """How many runs a sweep was to have; None where it does not say."""
+    total = plan.get("total")
+    return total if isinstance(total, int) and not isinstance(total, bool) else None
 
 
 def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective]) -> dict[str, str]:

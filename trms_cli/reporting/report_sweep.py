@@ -78,15 +78,18 @@ def _lead(sweep: ReportedSweep, ranking: Sequence[RankedEntrant]) -> list[str]:
     outcomes = Counter(run.outcome for run in sweep.runs)
     completed = outcomes.pop("completed", 0)
     others = ", ".join(f"**{count} {outcome}**" for outcome, count in outcomes.most_common())
-    sentences = [
-        f"{completed} of {len(sweep.runs)} runs completed{'; ' + others if others else ''}."
-    ]
+    wanted = max(sweep.asked or 0, len(sweep.runs))
+    never = wanted - len(sweep.runs)
+    if never:
+        begun = f"**{never} not begun**: the sweep stopped before its end"
+        others = f"{others}, {begun}" if others else begun
+    sentences = [f"{completed} of {wanted} runs completed{'; ' + others if others else ''}."]
     first = next((entrant for entrant in ranking if entrant.rank == 1), None)
     second = next((entrant for entrant in ranking if entrant.rank == 2), None)
     if first is not None and second is not None:
         sentence = f"**{first.name}** tracks best"
         if second.against_first:
-            sentence += f"; {second.name} misses by {second.against_first:.3g} times as much"
+            sentence += f"; {second.name} misses by {_times(second.against_first)}"
             if second.different is False:
                 sentence += ", which these runs cannot tell from equal"
         sentences.append(sentence + ".")
@@ -97,6 +100,14 @@ def _lead(sweep: ReportedSweep, ranking: Sequence[RankedEntrant]) -> list[str]:
             f"The least {name} of a {_kind(sweep)} is {value:.3g}: {run.name}{_where(sweep, run)}."
         )
     return sentences
+
+
+def _times(ratio: float) -> str:
+    """How many times as much, with the digits that tell it from one."""
+    if ratio == 1:
+        return "as much"
+    digits = next((d for d in range(3, 7) if f"{ratio:.{d}g}" != "1"), 0)
+    return f"{ratio:.{digits}g} times as much" if digits else "as much, to six digits"
 
 
 def _best(sweep: ReportedSweep) -> tuple[SweptRun, float, str] | None:

@@ -92,6 +92,8 @@ class ReportedSweep:
     history : sequence of float or None
         After each trial the best value so far; of several objectives the volume that the front
         dominates.
+    asked : int or None
+        How many runs there were to be; None where nobody said.
     left_out : sequence of (str, str)
         Files that could not be read, with the reason.
     facts : dict of str to str
@@ -105,6 +107,7 @@ class ReportedSweep:
     pareto: Sequence[int] = ()
     trials: Sequence[SweptRun] = ()
     history: Sequence[float | None] = ()
+    asked: int | None = None
     left_out: Sequence[tuple[str, str]] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
 
