@@ -15,7 +15,7 @@ from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.sweeps.driver import Driver
 from trms_cli.sweeps.launchers.dask import DaskLauncher
 from trms_cli.sweeps.launchers.local import LocalLauncher
-from trms_cli.sweeps.launchers.slurm import SlurmLauncher
+from trms_cli.sweeps.launchers.slurm import SlurmLauncher, _said_by_slurm
 from trms_cli.sweeps.point import Point, Result
 from trms_cli.sweeps.record import Record
 from trms_cli.sweeps.status import RunFolder
@@ -123,10 +123,16 @@ def test_a_scheduler_that_goes(tmp_path):
     assert "sweep resume" in told.value.remedy
 
 
+def test_what_slurm_says_is_told_without_the_command_line():
+    told = "sbatch failed\nsbatch --array=0-7 x.sh\nsbatch: error: Unable to contact the controller"
+    assert _said_by_slurm(RuntimeError(told)) == "sbatch: error: Unable to contact the controller"
+
+
 @pytest.mark.slow
-def test_jobs_of_slurm_played_on_this_machine(tmp_path):
+def test_jobs_of_slurm_played_on_this_machine(tmp_path, capfd):
     launcher = SlurmLauncher(workers=2, cluster="local", logs=str(tmp_path / "logs"))
     progress, begun, _ = drive(tmp_path, launcher, [DEADLY])
+    assert "Traceback" not in capfd.readouterr().err
     assert progress.counts == {"done": RUNS}
     assert begun == Counter(range(RUNS)) + Counter([DEADLY])
 

@@ -113,6 +113,8 @@ def cluster(workers: int, **more: Any) -> Iterator[Any]:
             processes=True,
             memory_limit=0,
             dashboard_address=None,
+            # Any free port: another scheduler of this machine may have the usual one.
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             silence_logs=logging.CRITICAL,
             **more,
         )

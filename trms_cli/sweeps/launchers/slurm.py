@@ -15,6 +15,7 @@ import logging
 import os
 import signal
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -67,8 +68,9 @@ class SlurmLauncher:
         Further parameters of submitit: ``slurm_account``, ``slurm_qos``, …
     host : str or None
         Name or address of this machine as the jobs reach it; None: by its host name.
-    logs : str
-        Folder for what the jobs print, seen by all machines.
+    logs : str or None
+        Folder for what the jobs print, seen by all machines; None: ``slurm-logs`` in the sweep's
+        own folder.
     patience : float
         Time that the first job may wait in the queue, s.
     """
@@ -82,7 +84,7 @@ class SlurmLauncher:
     parallelism: Annotated[int, Meta(ge=1)] | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
     host: str | None = None
-    logs: str = "slurm-logs"
+    logs: str | None = None
     patience: Annotated[float, Meta(gt=0)] = 86400.0
 
     @contextmanager
@@ -92,12 +94,17 @@ class SlurmLauncher:
             yield InProcess(work)
             return
         distributed = require_distributed("slurm")
-        executor = self._executor()
+        executor = self._executor(self._logs(work))
         host = self.host or ("127.0.0.1" if self.cluster == "local" else _own_address())
         with contextlib.ExitStack() as stack:
             started = stack.enter_context(cluster(0, host=host))
             client = stack.enter_context(connected(distributed, started, 30.0))
-            jobs = _Jobs(executor, started.scheduler_address, self.workers)
+            jobs = _Jobs(
+                executor,
+                started.scheduler_address,
+                self.workers,
+                played=self.cluster == "local",
+            )
             stack.callback(jobs.cancel)
             jobs.submit(self.workers)
             jobs.wait_for_first(client, self.patience)
@@ -105,7 +112,13 @@ class SlurmLauncher:
             stack.callback(crew.end)
             yield crew
 
-    def _executor(self) -> Any:
+    def _logs(self, work: Work) -> Path:
+        """Where the jobs print to: with the runs, unless it is typed."""
+        if self.logs is not None:
+            return Path(self.logs).absolute()
+        return Path(getattr(work, "folder", "")).absolute() / "slurm-logs"
+
+    def _executor(self, folder: Path) -> Any:
         try:
             import submitit
         except ImportError as error:
@@ -116,7 +129,6 @@ class SlurmLauncher:
             ) from error
         # Without SLURM's accounting it warns again and again; ended jobs are found all the same.
         logging.getLogger("submitit").setLevel(logging.CRITICAL)
-        folder = Path(self.logs).absolute()
         try:
             executor = submitit.AutoExecutor(folder=folder, cluster=self.cluster)
         except RuntimeError as error:
@@ -148,10 +160,23 @@ class SlurmLauncher:
 
 
 class _Jobs:
-    """The jobs, and those that take the place of jobs that have ended."""
+    """The jobs, and those that take the place of jobs that have ended.
 
-    def __init__(self, executor: Any, address: str, wanted: int) -> None:
+    Parameters
+    ----------
+    executor : submitit.AutoExecutor
+    address : str
+        Of the scheduler.
+    wanted : int
+        Jobs that there are to be at once.
+    played : bool
+        They are processes on this machine. Submitit ends those by SIGINT, as a terminal's Ctrl-C
+        also does, and each prints a traceback; so they do not hear it, and are told by SIGTERM.
+    """
+
+    def __init__(self, executor: Any, address: str, wanted: int, *, played: bool = False) -> None:
         self._executor, self._address, self._wanted = executor, address, wanted
+        self._played = played
         self._jobs: list[Any] = []
         self._looked = time.monotonic()
         self._in_vain = 0  # jobs that have ended since a run was finished
@@ -165,14 +190,15 @@ class _Jobs:
             If SLURM does not take them.
         """
         try:
-            with self._executor.batch():
+            with _deaf_to_interrupts(self._played), self._executor.batch():
                 new = [self._executor.submit(serve, self._address) for _ in range(count)]
         except Exception as error:
             raise TrmsError(
-                f"the jobs cannot be submitted: {error}",
+                f"the jobs cannot be submitted: {_said_by_slurm(error)}",
                 where="launcher",
-                remedy="mend launcher.partition, launcher.timeout_min, launcher.mem_gb or "
-                "launcher.parameters",
+                remedy="if SLURM answers (`sinfo`), mend launcher.partition, launcher.timeout_min, "
+                "launcher.mem_gb or launcher.parameters; else go on without it: "
+                "trms sweep resume FOLDER launcher=local",
             ) from error
         self._jobs += new
 
@@ -225,7 +251,15 @@ class _Jobs:
         """End all jobs."""
         for job in self._jobs:
             with contextlib.suppress(Exception):
-                job.cancel()
+                if self._played:
+                    os.kill(int(job.job_id), signal.SIGTERM)
+                else:
+                    job.cancel()
+        until = time.monotonic() + _GRACE
+        while self._played and time.monotonic() < until:
+            if all(job.done() for job in self._jobs):
+                return
+            time.sleep(0.1)
 
     def _failed(self) -> TrmsError:
         words = ""
@@ -255,6 +289,26 @@ class _SlurmCrew(DaskCrew):
             self._jobs.finished_one()
         self._jobs.replace()
         return found
+
+
+@contextmanager
+def _deaf_to_interrupts(wanted: bool) -> Iterator[None]:
+    """Processes that are started inside do not hear Ctrl-C."""
+    if not wanted or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _said_by_slurm(error: Exception) -> str:
+    """What a program of SLURM printed, without the command line that submitit quotes."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    told = [line for line in lines if line.startswith(("sbatch: error:", "srun: error:"))]
+    return told[-1] if told else lines[0] if lines else type(error).__name__
 
 
 def serve(address: str) -> None:
