@@ -30,6 +30,8 @@ _EFFECTS = "effect"
 #: Choices of these can change what a prior is: an option may have another table.
 _DECIDING = ("model", "plant", "effect", "experiment", "parameters")
 _DECIDING_KEYS = ("parameter_set", "path", "prior_scale")
+#: Significant digits of the bounds of a prior.
+_DIGITS = 12
 
 
 class PriorTables:
@@ -186,9 +188,14 @@ def _prior(key: str, parameter: Parameter, scale: float, known: Sequence[str]) -
         key,
         parameter.value,
         sd,
-        max(parameter.value - DRAW_LIMIT_SD * sd, parameter.lower),
-        min(parameter.value + DRAW_LIMIT_SD * sd, parameter.upper),
+        max(_cut(parameter.value - DRAW_LIMIT_SD * sd), parameter.lower),
+        min(_cut(parameter.value + DRAW_LIMIT_SD * sd), parameter.upper),
     )
+
+
+def _cut(bound: float) -> float:
+    """Where a tail is cut, without the digits that a product leaves: 0.06290000000000001."""
+    return float(f"{bound:.{_DIGITS}g}")
 
 
 def _span(key: str, parameter: Parameter) -> Range:

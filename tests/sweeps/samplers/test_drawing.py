@@ -94,6 +94,26 @@ class TestMarginals:
         [value] = quantiles(varied, np.array([share]))
         assert varied.low <= value <= varied.high
 
+    @pytest.mark.parametrize(
+        "varied",
+        [
+            PRIOR,
+            Prior("m", 0.0740000123456, 0.00444, 0.06290000000000001, 0.0851000123456),
+            Range("w", 1.23456789, 9.87654321),
+            Range("l", 1.23456789e-5, 9.87654321, logarithmic=True),
+            Range("negative", -9.87654321, -1.23456789),
+        ],
+        ids=lambda varied: varied.key,
+    )
+    def test_what_is_drawn_has_six_digits_also_at_the_bounds(self, varied):
+        drawn = quantiles(varied, np.linspace(0, 1, 41))
+        assert all(float(f"{value:.6g}") == value for value in drawn)
+        assert all(varied.low <= value <= varied.high for value in drawn)
+
+    def test_bounds_between_which_no_number_has_six_digits(self):
+        narrow = Range("w", 1.23456781, 1.23456789)
+        assert all(narrow.low <= v <= narrow.high for v in quantiles(narrow, np.linspace(0, 1, 5)))
+
 
 class TestCrossing:
     @pytest.mark.parametrize("sampler", DRAWING)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any
 
 import numpy as np
@@ -56,9 +57,20 @@ def _uniform(varied: Range, low: float, high: float, shares: FloatArray) -> Floa
 
 
 def rounded(varied: Range | Prior, value: float) -> float:
-    """A value with few digits, within the bounds."""
-    short = value if isinstance(varied, Range) and varied.whole else float(f"{value:.{DIGITS}g}")
+    """A value with few digits, within the bounds: at a bound of more digits, just inside of it."""
+    if isinstance(varied, Range) and varied.whole:
+        return min(max(value, varied.low), varied.high)
+    short = float(f"{value:.{DIGITS}g}")
+    if short < varied.low:
+        short = _short(varied.low, ROUND_CEILING)
+    elif short > varied.high:
+        short = _short(varied.high, ROUND_FLOOR)
+    # Bounds may lie so close that no number of few digits is between them.
     return min(max(short, varied.low), varied.high)
+
+
+def _short(bound: float, towards: str) -> float:
+    return float(Context(DIGITS, towards).create_decimal(repr(bound)))
 
 
 def as_data(varied: Range | Prior, value: float) -> float | int:
