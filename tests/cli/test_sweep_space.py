@@ -13,6 +13,7 @@ from trms_cli.commands.sweep_space import first_of, space_of
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.models.parameters import DRAW_LIMIT_SD
+from trms_cli.sweeps.samplers.drawing import quantiles
 from trms_cli.sweeps.samplers.latin_hypercube import LatinHypercube
 from trms_cli.sweeps.space import Choice, Prior, Range, Space
 
@@ -42,6 +43,10 @@ class TestChoices:
             ("effect=glob(*_dead_zone)", ("main_dead_zone", "tail_dead_zone")),
             ("plant.initial={alpha_h:0.1},{alpha_h:0.2}", ("{alpha_h:0.1}", "{alpha_h:0.2}")),
             ("controller.sample_time=null,0.1", ("null", "0.1")),
+            ("seed=1,2,1,1", ("1", "2")),
+            ("seed=1,1,1", ("1",)),
+            ("controller=pid,lqr,pid", ("pid", "lqr")),
+            ("controller=pid,pid", ("pid",)),
         ],
     )
     def test_values_stand_as_they_would_be_typed(self, word, values):
@@ -104,6 +109,11 @@ class TestPriors:
         assert isinstance(found, Prior)
         assert (found.mean, found.sd) == (0.0123, pytest.approx(0.3 * 0.0123))
         assert found.low == pytest.approx(0.0123 * (1 - 0.3 * DRAW_LIMIT_SD))
+
+    def test_all_that_is_drawn_has_six_digits_also_where_tails_are_cut(self):
+        varied = space("plant.parameters=prior").continuous
+        edges = [v for each in varied for v in quantiles(each, np.array([0.0, 0.3, 1.0]))]
+        assert all(float(f"{value:.6g}") == value for value in edges)
 
     def test_of_all_that_have_one_and_no_value(self):
         found = space(

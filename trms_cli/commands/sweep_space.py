@@ -186,7 +186,7 @@ def _read(text: str, declared: Primary, groups: Groups) -> _Typed:
     if override.key in declared.defaults and _PLAIN_NAMES.fullmatch(value):
         # Names and paths: these may hold what Hydra's grammar forbids.
         items = tuple(item.strip() for item in _ITEMS.findall(value) if item.strip())
-        return _Typed(text, override, items if len(items) > 1 else ())
+        return _Typed(text, override, _each_once(items) if len(items) > 1 else ())
     if override.key.split(".")[-1] in PATH_KEYS and "," not in value and "(" not in value:
         return _Typed(text, override)
     return _swept(text, override, declared, groups)
@@ -239,7 +239,12 @@ def _swept(text: str, override: Override, declared: Primary, groups: Groups) -> 
     if getattr(sweep, "shuffle", False):
         # The order is a function of the key, so that a sweep can be repeated.
         random.Random(zlib.crc32(key.encode())).shuffle(values)
-    return _Typed(text, override, tuple(values))
+    return _Typed(text, override, _each_once(values))
+
+
+def _each_once(values: Sequence[str]) -> tuple[str, ...]:
+    """A value that is typed twice would make the same run twice."""
+    return tuple(dict.fromkeys(values))
 
 
 def _typed_number(value: float) -> str:
