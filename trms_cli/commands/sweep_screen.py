@@ -62,11 +62,14 @@ class SweepScreen:
             return
         if isinstance(error, (KeyboardInterrupt, TrmsError)):
             words = "interrupted" if isinstance(error, KeyboardInterrupt) else "not completed"
+            folder = shlex.quote(str(self._folder))
             sys.stderr.write(
                 f"\n{words}; nothing that is done is lost\n"
-                f"  how it stands  {program()} sweep status {shlex.quote(str(self._folder))}\n"
-                f"  to go on       {program()} sweep resume {shlex.quote(str(self._folder))}\n"
+                f"  how it stands  {program()} sweep status {folder}\n"
             )
+            # What is asked of the sampler stands; going on would end with the same error.
+            if not getattr(error, "where", "").startswith("sampler"):
+                sys.stderr.write(f"  to go on       {program()} sweep resume {folder}\n")
 
     def say_begun(self, folder: Path) -> None:
         """The record stands; from here on the sweep can be resumed."""

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
 from trms_cli.runs.columns import ALIASES, COLUMNS, FIGURE_STEMS
 from trms_cli.sweeps.point import Result
 
@@ -14,6 +13,8 @@ from trms_cli.sweeps.point import Result
 MERIT = "merit"
 #: Likeness from which on a name is rather another one misspelt than that of an unknown channel.
 _MISSPELT = 0.85
+#: Likeness from which on a figure may have been meant, and how many of those are told.
+_NEAR, _MOST_NEAR = 0.6, 3
 _MERIT_ABOUT = "the command's own figure of merit"
 
 
@@ -29,14 +30,37 @@ def canonical(name: str, where: str) -> str:
     column = COLUMNS.get(found)
     if found == MERIT or (column is not None and column.is_number):
         return found
-    numbers = [n for n, each in COLUMNS.items() if each.is_number]
-    said = [n for n, meant in ALIASES.items() if meant in numbers]
+    said = _all_names()
     of_channel = column is None and any(found.startswith(f"{stem}_") for stem in FIGURE_STEMS)
-    if of_channel and not get_close_matches(found, [*numbers, *said], n=1, cutoff=_MISSPELT):
+    if of_channel and not get_close_matches(found, said, n=1, cutoff=_MISSPELT):
         return found  # of a channel that the twin rotor does not have
     raise ConfigurationError(
-        f"runs have no figure {name!r}", where=where, remedy=nearest(name, [*numbers, *said, MERIT])
+        f"runs have no figure {name!r}", where=where, remedy=near_figures(name, said)
     )
+
+
+def near_figures(name: str, known: Iterable[str]) -> str:
+    """A remedy: the few figures that may have been meant, and where all of them are told.
+
+    Parameters
+    ----------
+    known : iterable of str
+        Figures that there are, by any of their names.
+    """
+    close = get_close_matches(name, sorted({*known}), n=_MOST_NEAR, cutoff=_NEAR)
+    hint = f"did you mean {' or '.join(close)}? " if close else ""
+    return f"{hint}all figures: trms runs --help"
+
+
+def said_as(name: str, typed: Iterable[str]) -> str:
+    """A figure as it was typed, ``rmse_yaw``, given the name that scores have for it."""
+    return next((each for each in typed if ALIASES.get(each, each) == name), name)
+
+
+def _all_names() -> list[str]:
+    """Figures by all of their names."""
+    numbers = [n for n, each in COLUMNS.items() if each.is_number]
+    return [*numbers, *(n for n, meant in ALIASES.items() if meant in numbers), MERIT]
 
 
 def canonical_all(names: Iterable[str], where: str) -> tuple[str, ...]:

@@ -181,4 +181,4 @@ class TestBadInput:
     def test_figures_that_do_not_exist(self):
         with pytest.raises(ConfigurationError, match="rmse_yw") as caught:
             LatinHypercube(figures=("rmse_yw",)).start(SPACE)
-        assert "did you mean rmse_yaw?" in caught.value.remedy
+        assert "did you mean rmse_yaw" in caught.value.remedy

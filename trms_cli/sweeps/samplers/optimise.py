@@ -119,4 +119,7 @@ class Optimise:
                     remedy=f"objectives: {', '.join(objectives)}",
                 )
         limits = canonical_limits(self.limits, "sampler.limits")
-        return Aims(objectives, frozenset(maximised), limits, self.over_conditions == "worst")
+        typed = (*self.objectives, *self.limits)
+        return Aims(
+            objectives, frozenset(maximised), limits, self.over_conditions == "worst", typed
+        )

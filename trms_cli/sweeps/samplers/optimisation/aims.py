@@ -9,14 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
-from trms_cli.sweeps.figures import figure_of
+from trms_cli.runs.columns import ALIASES
+from trms_cli.sweeps.figures import figure_of, near_figures, said_as
 from trms_cli.sweeps.point import Result
 
 FloatArray = npt.NDArray[np.float64]
 
 #: The reference of a hypervolume lies so far beyond the worst of the front, in its own spans.
 _MARGIN = 0.1
+_UNSETTLED = ", which exists where there are steps and every one settles"
 
 
 @dataclass(frozen=True)
@@ -54,15 +55,22 @@ class Aims:
         Largest allowed value of figures, in each condition.
     worst : bool
         An objective is that of the worst condition, not the mean.
+    typed : tuple of str
+        Objectives and limited figures as they were typed, for messages.
     """
 
     objectives: tuple[str, ...]
     maximised: frozenset[str] = frozenset()
     limits: Mapping[str, float] = field(default_factory=dict)
     worst: bool = False
+    typed: tuple[str, ...] = ()
 
     def tried(self, results: Sequence[Result]) -> Tried:
-        """A trial by the results of its conditions: one that failed makes the trial fail."""
+        """A trial by the results of its conditions.
+
+        One that failed makes the trial fail, and so does one without a figure to judge it by (the
+        settling time of a step that never settled): either is worse than all that have it.
+        """
         for result in results:
             if result.state != "done":
                 return Tried(problem=result.problem or result.state)
@@ -71,7 +79,7 @@ class Aims:
             values = [figure_of(result, name) for result in results]
             present = [value for value in values if value is not None]
             if len(present) < len(values):
-                return Tried(problem=f"a run has no {name}")
+                return Tried(problem=f"a run has no {said_as(name, self.typed)}")
             if name in self.objectives:
                 figures[name] = self._over_conditions(name, present)
             if name in self.limits:
@@ -99,23 +107,40 @@ class Aims:
         """Whether a trial did not fail and holds all limits."""
         return not tried.failed and all(excess <= 0 for excess in self.excess(tried))
 
-    def check_figures(self, results: Iterable[Result]) -> None:
-        """Refuse objectives that none of the runs has.
+    def check_figures(self, results: Iterable[Result], of: str, remedy: str = "") -> None:
+        """Refuse objectives and limited figures that none of these runs has.
+
+        Parameters
+        ----------
+        results : iterable of Result
+            Nothing is said of figures where none of them is done.
+        of : str
+            Whose runs these are, for the message.
+        remedy : str
+            What else helps than another figure.
 
         Raises
         ------
         ConfigurationError
-            It tells which figures the runs have.
+            It tells the figure as it was typed, and those of the runs that are near.
         """
         done = [result for result in results if result.state == "done"]
         for name in (*self.objectives, *self.limits):
             if done and all(figure_of(result, name) is None for result in done):
+                said = said_as(name, self.typed)
                 known = {n for result in done for n in result.figures}
+                reason = _UNSETTLED if name.startswith("settling_time") else ""
                 raise ConfigurationError(
-                    f"none of {len(done)} runs has a figure {name!r}",
-                    where="sampler.limits" if name in self.limits else "sampler.objectives",
-                    remedy=nearest(name, known),
+                    f"none of the {len(done)} runs of {of} has a figure {said!r}{reason}",
+                    where="sampler.objectives" if name in self.objectives else "sampler.limits",
+                    remedy="; ".join(filter(None, (near_figures(said, _all_names(known)), remedy))),
                 )
+
+
+def _all_names(known: Iterable[str]) -> set[str]:
+    """Figures by their names in scores, and by those that are typed for them."""
+    names = set(known)
+    return names | {said for said, meant in ALIASES.items() if meant in names}
 
 
 def _limited(name: str) -> str:

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 #: Another stream of random numbers than those of the search.
 _STARTUP = 0x53544152
+#: Trials by which figures that none of them has are known not to exist.
+_ENOUGH = 4
+_SEARCH_ALL_THE_SAME = "to search all the same: sampler.baseline=false"
 
 
 class Trials:
@@ -61,6 +64,7 @@ class Trials:
         self._results: dict[int, Result] = {}
         self._told = 0  # batches
         self._confirming = False
+        self._checked = False  # that the runs have the figures
 
     @property
     def total(self) -> int | None:
@@ -74,6 +78,7 @@ class Trials:
     def more(self, results: Sequence[Result], wanted: int) -> list[Point]:
         """The next points: the rest of a batch at once, nothing while one is at work."""
         self._results |= {r.number: r for r in results if r.state != "interrupted"}
+        self._check_figures()
         while not self._confirming and self._all_ended():
             if self._told < self._batches_proposed():
                 self._tell()
@@ -158,8 +163,27 @@ class Trials:
             )
         self._points.append(point)
 
+    def _check_figures(self) -> None:
+        """End a search for what runs do not have before all are made.
+
+        By the first trial where that is the configuration as it is. Otherwise, or if all of its
+        runs failed, some trials are waited for: one of random values may lack what others have.
+        """
+        if self._checked:
+            return
+        ended = [own for n in range(len(self.parts)) if (own := self._ended(self._results, n))]
+        working = [own for own in ended if any(r.state == "done" for r in own)]
+        first = self._ended(self._results, 0) if self._config.baseline else []
+        if any(r.state == "done" for r in first):
+            self.aims.check_figures(first, "the configuration as it is", _SEARCH_ALL_THE_SAME)
+        elif len(working) >= min(_ENOUGH, self._config.trials):
+            runs = [result for own in working for result in own]
+            self.aims.check_figures(runs, f"{len(working)} trials")
+        else:
+            return
+        self._checked = True
+
     def _tell(self) -> None:
-        self.aims.check_figures(self._results.values())
         tried = self._tried(self._results)
         begin = sum(self._sizes[: self._told])
         batch = range(begin, begin + self._sizes[self._told])
@@ -169,13 +193,15 @@ class Trials:
 
     def _tried(self, results: Mapping[int, Result]) -> list[Tried | None]:
         """What came of each trial, None of those whose runs have not all ended."""
+        ended = [self._ended(results, number) for number in range(len(self.parts))]
+        return [self.aims.tried(own) if own else None for own in ended]
+
+    def _ended(self, results: Mapping[int, Result], trial: int) -> list[Result]:
+        """Results of a trial's runs; none as long as they have not all ended."""
         width = len(self.conditions)
-        found: list[Tried | None] = []
-        for number in range(len(self.parts)):
-            own = [results.get(number * width + i) for i in range(width)]
-            ended = [r for r in own if r is not None and r.state != "interrupted"]
-            found.append(self.aims.tried(ended) if len(ended) == width else None)
-        return found
+        own = [results.get(trial * width + i) for i in range(width)]
+        ended = [r for r in own if r is not None and r.state != "interrupted"]
+        return ended if len(ended) == width else []
 
     def _candidates(self, results: Mapping[int, Result]) -> list[int]:
         """Trials that are run again: the best, and the first to compare with."""
