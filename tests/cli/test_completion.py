@@ -82,7 +82,7 @@ class TestBash:
         assert set(replies("trms import rec")) == {"recording.csv", "records/"}
 
     def test_words_of_an_option(self, replies):
-        assert replies("trms export run.mcap --format ") == ["csv", "parquet", "mat"]
+        assert replies("trms export run.mcap --format ") == ["csv", "parquet", "mat", "foxglove"]
 
     def test_list(self, replies):
         assert replies("trms list mod") == ["model"]

@@ -76,7 +76,8 @@ def test_a_study_leaves_sentences_tables_figures_and_numbers(trms, tmp_path, fol
     assert document["charts"][0]["panels"][0]["marks"][0]["kind"] == "points"
     page = (found / "stability.html").read_text(encoding="utf-8")
     assert "<b>modes" not in page and "&lt;b&gt;modes" in page  # what it shows is escaped
-    assert "http" not in page.replace("http://www.w3.org", "")  # nothing is fetched
+    assert "http:" not in page.replace("http://www.w3.org", "")  # nothing is fetched
+    assert "https:" not in page
 
 
 def test_without_a_page(trms, tmp_path, folder):

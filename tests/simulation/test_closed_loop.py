@@ -15,6 +15,7 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.full_state import FullState
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
+from trms_cli.recordings.topics import CONTROLLER_TOPIC
 from trms_cli.references.constant import Constant
 from trms_cli.references.square import Square
 from trms_cli.references.trajectory import ReferenceTrajectory
@@ -101,6 +102,15 @@ def test_a_command_that_is_not_finite_never_reaches_the_plant(value: float) -> N
 def test_commands_that_are_not_finite_are_told_once_a_spell() -> None:
     loop = run(Scripted(lambda k: (math.nan if k in (3, 4, 9) else 0.5, 0.0)))
     assert kinds(loop) == [("fault", "controller"), ("fault_end", "controller")] * 2
+
+
+def test_commands_that_are_not_finite_count_as_failures() -> None:
+    script = Scripted(lambda k: (math.nan if k in (3, 4, 9) else 0.5, 0.0))
+    words = dict.fromkeys(CONTROLLER_TOPIC.field_names, "")
+    loop = Loop.start(experiment(script), lambda plant: History({"/controller": words}, None))
+    loop.run()
+    acted = np.flatnonzero(loop.history.columns("/controller")["fallback"])
+    assert acted.tolist() == [3, 4, 9]
 
 
 def test_the_limits_are_the_rig_s_and_each_saturation_has_begin_and_end() -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
@@ -296,6 +296,8 @@ class Loop:
         )
         spent = perf_counter() - begin
         u = self._gate.applied(command, sample.previous_command)
+        if self._gate.holds:  # whatever the controller says of it, it has failed
+            command = replace(command, fallback="held")
         self._supervisor.heard(command)
         self._tell_control(
             now_ns,

@@ -36,6 +36,11 @@ class CommandGate:
         self._saturated: set[str] = set()
         self._not_finite: set[str] = set()
 
+    @property
+    def holds(self) -> bool:
+        """Whether the last command had a value that is no number, and an older one is applied."""
+        return bool(self._not_finite)
+
     def applied(self, command: Command, previous: FloatArray) -> FloatArray:
         """The command (n_u,) as applied after ``previous``, V.
 
