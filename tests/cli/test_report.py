@@ -102,6 +102,21 @@ class TestWhatItIsOf:
         # what was asked counts, not what came of it
         assert told["lead"][0].startswith("2 of 5 runs completed; 3 not begun")
 
+    def test_drawn_rigs_are_conditions_and_no_entrants(self, here, capsys):
+        drawn = ("plant=simulated", "plant.parameters.k_g=prior", "plant.parameters.k_m=prior")
+        sampler = ("sampler=random", "sampler.samples=3", "sampler.limits.rmse_yaw=0.001")
+        argv = ("-m", "controller=lqr,pid", *drawn, *sampler, "sim.duration=2", "picture=false")
+        assert main(["run", *argv, "observer=full_state", "out=drawn"]) == 0
+        capsys.readouterr()
+        assert report("drawn", "--json") == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["kind"] == "sweep"
+        assert "lqr 3 of 3 (100.0 %" in told["lead"][2] and "rmse_yaw ≤ 0.001" in told["lead"][2]
+        text = (here / "drawn/report.html").read_text(encoding="utf-8")
+        ranking = text.partition(">Ranking</h2>")[2].partition("</section>")[0]
+        assert "on the same draw;" in ranking and "k_g" not in ranking
+        assert ranking.count('<tr><th scope="row">') == 2
+
     def test_a_sweep_with_failures(self, here, capsys):
         assert report("first", "--out", "sweep/0/report.html") == 0
         assert report("sweep") == 0

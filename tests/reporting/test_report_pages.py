@@ -19,7 +19,15 @@ from trms_cli.reporting.report_comparison import RankedEntrant, comparison_page
 from trms_cli.reporting.report_run import run_page
 from trms_cli.reporting.report_sweep import sweep_page
 from trms_cli.reporting.reported import ReportedRun
-from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun, undominated
+from trms_cli.reporting.reported_sweep import (
+    Correlation,
+    Draws,
+    FailureShare,
+    Objective,
+    ReportedSweep,
+    SweptRun,
+    undominated,
+)
 
 
 def plots_of(page):
@@ -59,6 +67,38 @@ def sweep() -> ReportedSweep:
         runs=runs,
         keys=["controller", "plant.parameters.k_g"],
         figures={"rmse": "rad", "effort": "V² s"},
+    )
+
+
+@pytest.fixture
+def drawn() -> ReportedSweep:
+    """Two controllers on the same twelve drawn values each; `k_9` is the strongest."""
+    keys = [f"k_{i}" for i in (9, 8, 7, 6, 5, 4, 3, 2, 11, 10, 1, 0)]
+    values = np.random.default_rng(1).normal(1.0, 0.1, (60, 12))
+    runs = [
+        SweptRun(
+            name=str(2 * i + j),
+            entrant=who,
+            values={"controller": who, **dict(zip(keys, map(float, values[i]), strict=True))},
+            figures={"rmse": 0.1 + 0.01 * i + 0.001 * j},
+        )
+        for i in range(60)
+        for j, who in enumerate(("pid", "lqr"))
+    ]
+    return ReportedSweep(
+        name="drawn",
+        runs=runs,
+        keys=["controller", *keys],
+        figures={"rmse": "rad"},
+        draws=Draws(
+            keys=keys,
+            limits={"rmse": 0.2},
+            failures=[FailureShare(who="lqr", draws=4, count=1, share=0.25, low=0.006, high=0.8)],
+            correlations=[
+                Correlation(who="lqr", key="k_9", figure="rmse", rho=-0.9, p=0.001),
+                Correlation(who="pid", key="k_8", figure="rmse", rho=0.8, p=0.002),
+            ],
+        ),
     )
 
 
@@ -236,6 +276,32 @@ class TestComparison:
 
 class TestSweep:
     """Many runs."""
+
+    def test_draws_show_failures_correlations_and_limits(self, drawn):
+        text = sweep_page(drawn).html()
+        failures = text.partition("Failures among the draws</h2>")[2].partition("</section>")[0]
+        assert "rmse ≤ 0.2" in failures and "25.0 %" in failures and "0.6" in failures
+        table = text.partition("Sensitivities</h2>")[2].partition("</section>")[0]
+        assert table.index("-0.90") < table.index("+0.80") and "k_9" in table
+        assert "lqr **1 of 4** (25.0 %" in sweep_page(drawn).lead[1]
+
+    def test_of_many_drawn_values_the_strongest_are_plotted_and_it_says_so(self, drawn):
+        page = sweep_page(drawn)
+        found = plots_of(page)
+        assert "against k_9" in found and "against k_0" not in found
+        assert "Of 12 values that were varied 8 are here: those with the largest" in page.html()
+        assert "12 drawn values" in page.lead[-1] and "k_9" not in page.lead[-1]
+        heads = re.findall(r"<th[^>]*>(.*?)</th>", page.html().partition("All runs</h2>")[2])
+        told = re.sub("<.*?>", "", " ".join(heads))
+        assert told.index("rmse") < told.index("k_9")  # what came of it before what was drawn
+
+    def test_equal_draws_of_two_entrants_are_both_seen(self, drawn):
+        [(_, spec)] = [(k, v) for k, v in plots_of(sweep_page(drawn)).items() if "over " in k]
+        marker = spec["traces"][0]["marker"]
+        assert set(zip(marker["symbol"], marker["size"], strict=True)) == {
+            ("circle", 8),
+            ("circle-open", 14),
+        }
 
     def test_a_sweep_that_stopped_says_what_was_asked(self, sweep):
         lead = sweep_page(replace(sweep, asked=50)).lead

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from trms_cli.commands.report_draws import drawn_keys
 from trms_cli.commands.report_logs import name_of, read_run
 from trms_cli.commands.report_ranking import compared, ranking_of
 from trms_cli.commands.report_sweeps import (
@@ -145,7 +146,8 @@ def _of_sweep(
 
     sweep = read_sweep(given, found, page_folder)
     # A search tries each set of weights once or a few times: its own objectives say which is best.
-    ranking, rule = ([], "") if sweep.objectives else ranking_of(compared(found))
+    drawn = drawn_keys(sweep_document(given[0])) if len(given) == 1 else []
+    ranking, rule = ([], "") if sweep.objectives else ranking_of(compared(found, drawn))
     page = sweep_page(sweep, ranking=ranking, rule=rule, title=title)
     runs = tuple(str(row["path"]) for row in found.runs)
     return Report(page, "sweep", runs, folder, tuple(found.unreadable))

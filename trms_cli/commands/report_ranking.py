@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from trms_cli.scoring.comparison.compared_run import ComparedRun
 
 #: Coordinates that every ranking looks at, also where runs do not differ in them.
+_DRAW = "draw"
 _RANKED = ("controller", "observer", "ref", "model", "plant", "seed")
 
 
@@ -23,22 +24,38 @@ def ranking_of(runs: Sequence[ComparedRun]) -> tuple[list[RankedEntrant], str]:
     from trms_cli.scoring.comparison.grouping import group
     from trms_cli.scoring.comparison.ranking import rank
 
-    ranking = rank(group(runs))
+    contest = group(runs)
+    # Who differs from the others in draws or seeds alone is luckier, not better.
+    if contest.by and set(contest.by) <= {_DRAW, "seed"}:
+        return [], ""
+    ranking = rank(contest)
     if not ranking.best:
         return [], ""
     return [_entrant(s, ranking.metric) for s in ordered(ranking, "rank")], rule(ranking)
 
 
-def compared(found: Found) -> list[ComparedRun]:
-    """Rows of the index as a ranking takes them, without reading a log again."""
+def compared(found: Found, drawn: Sequence[str] = ()) -> list[ComparedRun]:
+    """Rows of the index as a ranking takes them, without reading a log again.
+
+    All that was `drawn` for a run is one coordinate, its draw: a condition, and no entrant's.
+    """
     from trms_cli.scoring.comparison.compared_run import ComparedRun
 
     typed = [typed_of(row) for row in found.runs]
-    keys = keys_of(found.runs, typed)
+    keys = [key for key in keys_of(found.runs, typed) if key not in drawn]
+    draws: dict[tuple[str, ...], str] = {}
+
+    def coordinates(row: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, str]:
+        told = {key: _coordinate(row, values, key) for key in (*_RANKED, *keys)}
+        if drawn:
+            place = tuple(str(values.get(key)) for key in drawn)
+            told[_DRAW] = draws.setdefault(place, str(len(draws) + 1))
+        return told
+
     return [
         ComparedRun(
             path=str(row["path"]),
-            coordinates={key: _coordinate(row, values, key) for key in (*_RANKED, *keys)},
+            coordinates=coordinates(row, values),
             state=_state(row),
             score=_score(row),
             message=str(row.get("problem") or ""),

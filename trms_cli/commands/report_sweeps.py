@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.commands.report_draws import drawn_keys, draws_of, short_names
 from trms_cli.commands.report_search import (
     history_of,
     objectives_of,
@@ -84,25 +85,29 @@ def read_sweep(folders: Sequence[Path], found: Found, page_folder: Path) -> Repo
     words = search_of(plan)
     objectives = objectives_of(words)
     typed = [typed_of(row) for row in rows]
-    keys = keys_of(rows, typed)
-    by = _entrant_keys(keys)
+    keys = keys_of(rows, typed, drawn_keys(plan))
+    drawn = [key for key in drawn_keys(plan) if key in keys]
+    others = [key for key in keys if key not in drawn]
+    by = _entrant_keys(others)
+    named = short_names(drawn, others)
     root = _root(rows, folders)
     figures = _figures(rows, objectives)
     runs = [
-        _swept(row, values, keys, by, figures, root, page_folder)
+        _renamed(_swept(row, values, keys, by, figures, root, page_folder), named)
         for row, values in zip(rows, typed, strict=True)
     ]
     runs.sort(key=lambda run: (run.number is None, run.number or 0))
     return ReportedSweep(
         name=root.name or str(root),
         runs=runs,
-        keys=keys,
+        keys=[*others, *named.values()],
         figures=figures,
         objectives=objectives,
         pareto=pareto_of(words),
         trials=trials_of(words),
         history=history_of(words),
         asked=asked_of(plan),
+        draws=draws_of(plan, named),
         left_out=[*found.unreadable],
         facts=_facts(folders, plan, rows),
     )
@@ -183,8 +188,16 @@ def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective])
     return found
 
 
-def keys_of(rows: Sequence[Mapping[str, Any]], typed: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Options and typed keys in which runs differ."""
+def _renamed(run: SweptRun, names: Mapping[str, str]) -> SweptRun:
+    return replace(run, values={names.get(key, key): v for key, v in run.values.items()})
+
+
+def keys_of(
+    rows: Sequence[Mapping[str, Any]],
+    typed: Sequence[Mapping[str, Any]],
+    last: Sequence[str] = (),
+) -> list[str]:
+    """Options and typed keys in which runs differ; `last` behind the others, in their order."""
     found = [o for o in _OPTIONS if len({row.get(o) or "" for row in rows}) > 1]
     every = dict.fromkeys(key for values in typed for key in values)
     for key in every:
@@ -196,7 +209,8 @@ def keys_of(rows: Sequence[Mapping[str, Any]], typed: Sequence[Mapping[str, Any]
             found.append(key)
     if len({row.get("seed") for row in rows}) > 1:
         found.append("seed")
-    return found[:_MOST_KEYS]
+    places = {key: i for i, key in enumerate(last, start=1)}
+    return sorted(found, key=lambda key: places.get(key, 0))[:_MOST_KEYS]
 
 
 def _entrant_keys(keys: Sequence[str]) -> list[str]:

@@ -16,12 +16,22 @@ import numpy as np
 from trms_cli.reporting.page import Cell, Marked, Page
 from trms_cli.reporting.page_rows import MOST_ROWS, Linked, RowCell, RowColumn
 from trms_cli.reporting.report_comparison import RankedEntrant, add_ranking
-from trms_cli.reporting.report_sweep_plots import key_plots, pareto_plots, spread_plots
+from trms_cli.reporting.report_draws import (
+    add_correlations,
+    add_failure_shares,
+    failures_sentence,
+)
+from trms_cli.reporting.report_sweep_plots import (
+    chosen_words,
+    key_plots,
+    pareto_plots,
+    spread_plots,
+)
 from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun
 
 _MOST_REASONS, _LONGEST_REASON = 50, 300
 _MOST_OF_A_FRONT = 100
-_MOST_NAMES = 6
+_MOST_NAMES = _MOST_NAMED = 6
 #: Figures that the reader can choose for the plots.
 _MOST_CHOICES = 14
 
@@ -50,13 +60,19 @@ def sweep_page(
         _objectives(page, sweep)
     if len(ranking) > 1:
         add_ranking(page, ranking, rule)
+    if sweep.draws:
+        add_failure_shares(page, sweep.draws)
+        add_correlations(page, sweep.draws)
     spread = spread_plots(sweep, figures)
     if spread:
         page.section("How figures spread", "Of the runs that ended.")
         page.plots(spread)
     keys = key_plots(sweep, figures)
     if keys:
-        page.section("What they depend on", "Each dot is a run; pointing at it tells which.")
+        page.section(
+            "What they depend on",
+            f"Each dot is a run; pointing at it tells which.{chosen_words(sweep)}",
+        )
         page.plots(keys)
     _failures(page, sweep)
     _all_runs(page, sweep)
@@ -93,6 +109,9 @@ def _lead(sweep: ReportedSweep, ranking: Sequence[RankedEntrant]) -> list[str]:
             if second.different is False:
                 sentence += ", which these runs cannot tell from equal"
         sentences.append(sentence + ".")
+    failed = failures_sentence(sweep.draws) if sweep.draws else ""
+    if failed:
+        sentences.append(failed)
     best = _best(sweep)
     if best is not None:
         run, value, name = best
@@ -125,11 +144,13 @@ def _best(sweep: ReportedSweep) -> tuple[SweptRun, float, str] | None:
 
 
 def _where(sweep: ReportedSweep, run: SweptRun) -> str:
-    parts = [
-        f"{key} {_shown(run.values[key])}"
-        for key in sweep.keys[:6]
-        if run.values.get(key) not in (None, "")
-    ]
+    told = [key for key in sweep.keys if run.values.get(key) not in (None, "")]
+    chosen = [key for key in told if key not in sweep.drawn_keys]
+    parts = [f"{key} {_shown(run.values[key])}" for key in chosen[:_MOST_NAMED]]
+    if len(chosen) > _MOST_NAMED:
+        parts.append(f"and {len(chosen) - _MOST_NAMED} more")
+    if len(told) > len(chosen):
+        parts.append(f"{len(told) - len(chosen)} drawn values")
     return f" ({', '.join(parts)})" if parts else ""
 
 
@@ -191,13 +212,17 @@ def _failures(page: Page, sweep: ReportedSweep) -> None:
 
 def _all_runs(page: Page, sweep: ReportedSweep) -> None:
     page.section("All runs", _how_to_filter(sweep))
-    keys, (figures, alike) = list(sweep.keys), _apart(sweep)
+    figures, alike = _apart(sweep)
+    keys = [key for key in sweep.keys if key not in sweep.drawn_keys]
+    drawn = [key for key in sweep.keys if key in sweep.drawn_keys]
     has_entrants = len(sweep.entrants) > 1 and not _said_by_a_key(sweep)
     columns = [RowColumn("run", "run")]
     columns += [RowColumn("who", "who")] if has_entrants else []
     columns += [RowColumn(key, key.lower(), number=key in sweep.numeric_keys) for key in keys]
     columns += [RowColumn("outcome", "outcome")]
     columns += [RowColumn(sweep.title(name), name.lower(), number=True) for name in figures]
+    # They are many, and would push what came of them off the screen.
+    columns += [RowColumn(key, key.lower(), number=key in sweep.numeric_keys) for key in drawn]
     told = any(run.problem for run in sweep.runs)
     columns += [RowColumn("why it failed", "problem")] if told else []
     rows: list[list[RowCell]] = []
@@ -206,6 +231,7 @@ def _all_runs(page: Page, sweep: ReportedSweep) -> None:
         row += [run.entrant] if has_entrants else []
         row += [run.values.get(key) for key in keys]
         row += [run.outcome, *(run.figures.get(name) for name in figures)]
+        row += [run.values.get(key) for key in drawn]
         row += [run.problem] if told else []
         rows.append(row)
     caption = "A click on a head sorts. On paper stand the first 200 rows."

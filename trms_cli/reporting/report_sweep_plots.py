@@ -26,6 +26,8 @@ _MOST_COLOURS, _MOST_BOXES = 8, 60
 _MOST_KEYS, _MOST_CATEGORIES, _MOST_CELLS = 8, 40, 60
 #: Runs of a box that are drawn as dots too.
 _MOST_DOTS = 300
+#: Entrants that are told apart by rings around one another.
+_MOST_RINGS = 4
 _OTHER = "all runs"
 
 
@@ -68,9 +70,7 @@ def key_plots(sweep: ReportedSweep, figures: Sequence[str]) -> list[Plot]:
     """A figure against each key that was varied: dots over numbers, boxes over options."""
     if not figures:
         return []
-    numeric = sweep.numeric_keys
-    varied = [key for key in numeric if _distinct(sweep, key) > 1]
-    chosen = [key for key in varied if not key.endswith("seed")] or varied
+    numeric, chosen = sweep.numeric_keys, _numeric(sweep)
     others = [
         key
         for key in sweep.keys
@@ -83,6 +83,26 @@ def key_plots(sweep: ReportedSweep, figures: Sequence[str]) -> list[Plot]:
     if len(chosen) >= 2:
         plots.append(_map(sweep, chosen[0], chosen[1], figures))
     return plots
+
+
+def chosen_words(sweep: ReportedSweep) -> str:
+    """Which of many varied keys are drawn, as a sentence; "" where all are."""
+    count = len(_numeric(sweep))
+    if count <= _MOST_KEYS:
+        return ""
+    by = "the first in the order in which they were typed"
+    if sweep.draws and sweep.draws.correlations:
+        by = "those with the largest rank correlation with a figure, whatever its sign"
+    return (
+        f" Of {count} values that were varied {_MOST_KEYS} are here: {by}. The others stand in the "
+        "table of all runs."
+    )
+
+
+def _numeric(sweep: ReportedSweep) -> list[str]:
+    """Numbers that were varied; seeds, which have no order, only where there is nothing else."""
+    varied = [key for key in sweep.numeric_keys if _distinct(sweep, key) > 1]
+    return [key for key in varied if not key.endswith("seed")] or varied
 
 
 def pareto_plots(sweep: ReportedSweep) -> list[Plot]:
@@ -267,7 +287,7 @@ def _map(sweep: ReportedSweep, across: str, up: str, figures: Sequence[str]) -> 
                 "hovertemplate": "%{text}: %{marker.color:.4g}<extra></extra>",
             }
         ]  # fmt: skip
-        plot.caption = "Colour: the figure; dark is large."
+        plot.caption = "Colour: the figure; dark is large." + _ringed(plot, sweep, runs)
     plot.layout = {**titles, "showlegend": False}
 
     def changed(name: str) -> list[dict[str, Any]]:
@@ -277,6 +297,21 @@ def _map(sweep: ReportedSweep, across: str, up: str, figures: Sequence[str]) -> 
 
     plot.variants = _variants(sweep, figures, changed, "")
     return plot
+
+
+def _ringed(plot: Plot, sweep: ReportedSweep, runs: Sequence[SweptRun]) -> str:
+    """Draw entrants at equal draws as a dot and rings around it, so that all are seen; in words."""
+    entrants = [name for name in sweep.entrants if any(run.entrant == name for run in runs)]
+    if not 1 < len(entrants) <= _MOST_RINGS:
+        return ""
+    places = [entrants.index(run.entrant) for run in runs]
+    plot.traces[0]["marker"] |= {
+        "size": [8 + 6 * place for place in places],
+        "symbol": ["circle-open" if place else "circle" for place in places],
+        "line": {"width": [2.5 if place else 0 for place in places]},
+    }
+    plot.traces[0]["text"] = [plot_text(f"{run.name}, {run.entrant}") for run in runs]
+    return f" Dot: {entrants[0]}; rings, from the inside: {', '.join(entrants[1:])}."
 
 
 def _cells(

@@ -70,6 +70,68 @@ class Objective:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FailureShare:
+    """How often the draws of an entrant failed.
+
+    Attributes
+    ----------
+    who : str
+    draws, count : int
+        How many there were, and how many of them failed or did not hold a limit.
+    share, low, high : float or None
+        Their share, and its interval of 95 %.
+    """
+
+    who: str
+    draws: int
+    count: int
+    share: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correlation:
+    """How a figure of an entrant hangs on a drawn value.
+
+    Attributes
+    ----------
+    who, key, figure : str
+    rho : float
+        Spearman's rank correlation.
+    p : float or None
+        How likely chance gives as much, adjusted for the number of correlations.
+    """
+
+    who: str
+    key: str
+    figure: str
+    rho: float
+    p: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draws:
+    """What a sweep over drawn values says.
+
+    Attributes
+    ----------
+    keys : sequence of str
+        What was drawn, the most strongly correlated first.
+    limits : dict of str to float
+        Bounds that a figure was to hold.
+    failures : sequence of FailureShare
+    correlations : sequence of Correlation
+        The strongest first.
+    """
+
+    keys: Sequence[str]
+    limits: Mapping[str, float] = field(default_factory=dict)
+    failures: Sequence[FailureShare] = ()
+    correlations: Sequence[Correlation] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class ReportedSweep:
     """Many runs.
 
@@ -94,6 +156,8 @@ class ReportedSweep:
         dominates.
     asked : int or None
         How many runs there were to be; None where nobody said.
+    draws : Draws or None
+        Of a sweep over drawn values.
     left_out : sequence of (str, str)
         Files that could not be read, with the reason.
     facts : dict of str to str
@@ -108,6 +172,7 @@ class ReportedSweep:
     trials: Sequence[SweptRun] = ()
     history: Sequence[float | None] = ()
     asked: int | None = None
+    draws: Draws | None = None
     left_out: Sequence[tuple[str, str]] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
 
@@ -121,6 +186,11 @@ class ReportedSweep:
         """Keys whose values are numbers, seeds (which have no order) last."""
         found = [key for key in self.keys if self._is_numeric(key)]
         return sorted(found, key=lambda key: key.endswith("seed"))
+
+    @cached_property
+    def drawn_keys(self) -> frozenset[str]:
+        """Keys whose values were drawn."""
+        return frozenset(self.draws.keys if self.draws else ())
 
     def names_entrants(self, key: str) -> bool:
         """Whether one key alone tells who ran."""
