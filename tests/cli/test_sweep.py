@@ -340,6 +340,17 @@ class TestFailures:
         (["retries=much"], ["retries"]),
         (["controller=pid,lqrr"], ["did you mean lqr?"]),
         (["controller.k_q=1,2"], ["controller"]),
+        (["sim.duration=3,abc"], ["sim.duration", "in the runs with sim.duration=abc"]),
+        (
+            [
+                "controller=lqr,pid",
+                "controller.output_weights.alpha_v=interval(1,10)",
+                "sampler=random",
+                "sampler.samples=15",
+            ],
+            ["output_weights", "in the runs with controller=pid"],
+        ),
+        (["controller=pid", "controller.sample_time=0.1,-1"], ["controller.sample_time=-1"]),
     ],
     ids=lambda value: " ".join(value),
 )

@@ -167,6 +167,7 @@ def make_sweep(
     import shutil
 
     from trms_cli.commands.run_folder import new_folder
+    from trms_cli.commands.sweep_check import check_choices
     from trms_cli.commands.sweep_settings import built, divided, settings_of
     from trms_cli.sweeps.record import Record, driven
 
@@ -175,6 +176,7 @@ def make_sweep(
     sampler, launcher = built(settings)
     space, _ = _checked(mine.runs, primary, tuple(config_dirs))
     proposals = sampler.start(space)
+    check_choices(space, primary, tuple(config_dirs))
     folder = new_folder(mine.out, f"{primary}-sweep").resolve()
     record = Record(folder)
     with driven(folder):
