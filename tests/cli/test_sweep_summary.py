@@ -63,6 +63,33 @@ class TestSearch:
         draw(tmp_path, summary)
         assert Image.open(tmp_path / "pareto.png").width > 1200
 
+    @pytest.mark.parametrize("objectives", [TWO, ("rmse_yaw",)])
+    def test_trials_that_are_not_shown_are_counted(self, tmp_path, monkeypatch, objectives):
+        from trms_cli.reporting import search_picture
+
+        figures = []
+        monkeypatch.setattr(search_picture, "save_png", lambda figure, path: figures.append(figure))
+        summary = summary_of(trials=20, objectives=objectives)
+        seldom = [t for t in summary["trials"][1:] if t["trial"] not in summary["pareto"]]
+        for trial in seldom[:3]:
+            trial["figures"]["rmse_alpha_h"] = 1e6
+        seldom[3]["figures"] = {}
+        draw(tmp_path, summary)
+        [figure] = figures
+        [panel] = figure.axes
+        names = [each["name"] for each in summary["objectives"]]
+        outside = 0
+        for trial in summary["trials"]:
+            if trial["figures"]:
+                at = [trial["figures"][name] for name in names]
+                x, y = at if len(at) == 2 else (trial["trial"], at[0])
+                limits = (*panel.get_xlim(), *panel.get_ylim())
+                outside += not (limits[0] <= x <= limits[1] and limits[2] <= y <= limits[3])
+        assert outside >= 3
+        first, second = figure.get_suptitle().splitlines()
+        assert first.startswith("20 trials by tpe")
+        assert second == f"not shown: {outside} outside the frame, 1 failed"
+
     def test_nothing_worked(self, tmp_path, capsys):
         summary = summary_of(trials=15, objectives=TWO, limits={"effort": -1})
         assert draw(tmp_path, summary) == []

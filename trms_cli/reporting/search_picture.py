@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from trms_cli.reporting.figure_labels import figure_label
 from trms_cli.reporting.style import (
@@ -30,6 +31,8 @@ _TRIED: dict[str, Any] = {"marker": "o", "ms": 3.6, "mew": 0, "color": FAINT}
 _BEYOND: dict[str, Any] = {"marker": "x", "ms": 4.5, "color": ALARM}
 #: Share of the width beside the front and the baseline in which tried ones are shown.
 _ROOM = 0.6
+#: Share of the height above the highest and below the lowest of a search.
+_MARGIN = 0.05
 
 
 def draw_pareto(summary: Mapping[str, Any], path: Path) -> bool:
@@ -56,19 +59,46 @@ def draw_pareto(summary: Mapping[str, Any], path: Path) -> bool:
         for panel, pair in zip(panels, pairs, strict=True):
             _front(panel, summary, pair)
         volumes = [v for v in summary["history"] if v is not None]
-        figure.suptitle(
-            f"{len(summary['trials'])} trials by {summary['method']}, "
-            f"{len(summary['pareto'])} on the front"
-            + (f", hypervolume {volumes[-1]:.3f} of 1.21" if _is_plane(summary, volumes) else ""),
-            x=0.01,
-            ha="left",
-            fontsize=10,
-            fontweight="bold",
-            color=INK,
-        )
+        words = [f"{len(summary['pareto'])} on the front"]
+        if _is_plane(summary, volumes):
+            words.append(f"hypervolume {volumes[-1]:.3f} of 1.21")
+        names = [[each["name"] for each in pair] for pair in pairs]
+        outside = {
+            trial["trial"]
+            for panel, (x, y) in zip(panels, names, strict=True)
+            for trial in _ran(summary)
+            if not _is_inside(panel, trial["figures"][x], trial["figures"][y])
+        }
+        _title(figure, summary, words, len(outside))
         legend_above(panels[0], 5)
         save_png(figure, path)
     return True
+
+
+def _title(figure: Figure, summary: Mapping[str, Any], words: Sequence[str], outside: int) -> None:
+    """How many trials there are, and how many of them are not to be seen."""
+    trials = summary["trials"]
+    unseen = [f"{outside} outside the frame"] * bool(outside)
+    failed = len(trials) - len(_ran(summary))
+    unseen += [f"{failed} failed"] * bool(failed)
+    first = ", ".join([f"{len(trials)} trials by {summary['method']}", *words])
+    figure.suptitle(
+        "\n".join([first, *([f"not shown: {', '.join(unseen)}"] if unseen else [])]),
+        x=0.01,
+        ha="left",
+        fontsize=10,
+        fontweight="bold",
+        color=INK,
+    )
+
+
+def _ran(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [trial for trial in summary["trials"] if trial["figures"]]
+
+
+def _is_inside(panel: Axes, x: float, y: float) -> bool:
+    (left, right), (low, high) = panel.get_xlim(), panel.get_ylim()
+    return left <= x <= right and low <= y <= high
 
 
 def _is_plane(summary: Mapping[str, Any], volumes: Sequence[float]) -> bool:
@@ -77,7 +107,7 @@ def _is_plane(summary: Mapping[str, Any], volumes: Sequence[float]) -> bool:
 
 def _front(panel: Axes, summary: Mapping[str, Any], pair: Sequence[Mapping[str, Any]]) -> None:
     x, y = (each["name"] for each in pair)
-    ran = [t for t in summary["trials"] if t["figures"]]
+    ran = _ran(summary)
     on_front = set(summary["pareto"])
     baseline = summary.get("baseline")
     for trials, look in (
@@ -190,8 +220,10 @@ def draw_search(summary: Mapping[str, Any], path: Path) -> bool:
                 0, before["figures"][name], "D", ms=7, color=PALETTE["vermilion"], ls="none",
                 label="as it was",
             )  # fmt: skip
-        values = np.array([t["figures"][name] for t in trials if t["figures"]])
+        values = np.array([t["figures"][name] for t in _ran(summary)])
         _without_outliers(panel, values, objective["direction"] == "maximise")
+        shown = sum(_is_inside(panel, t["trial"], t["figures"][name]) for t in _ran(summary))
+        _title(figure, summary, (), len(values) - shown)
         panel.set_xlabel("trial")
         panel.set_ylabel(figure_label(name, objective["unit"]))
         legend_above(panel, 4)
@@ -204,6 +236,9 @@ def _without_outliers(panel: Axes, values: np.ndarray, maximised: bool) -> None:
     low, high = float(values.min()), float(values.max())
     middle = float(np.median(values))
     if maximised:
-        panel.set_ylim(max(low, middle - 3 * (high - middle)), None)
-    elif high - low > 0:
-        panel.set_ylim(None, min(1.02 * high - 0.02 * low, middle + 3 * (middle - low)))
+        low = max(low, middle - 3 * (high - middle))
+    else:
+        high = min(high, middle + 3 * (middle - low))
+    if high > low:
+        room = _MARGIN * (high - low)
+        panel.set_ylim(low - room, high + room)
