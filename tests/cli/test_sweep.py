@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from trms_cli.commands.sweep_outcome import outcome_of
+from trms_cli.commands.sweep_screen import say_outcome
 from trms_cli.recordings.log_reader import read_log
 
 SHORT = ["controller=pid", "observer=full_state", "plant=ideal", "sim.duration=0.5"]
@@ -384,6 +386,50 @@ def test_what_steers_a_sweep_is_refused_without_one(trms, word):
 def test_bad_input_of_the_command(trms, argv, hint):
     result = trms("sweep", *argv)
     assert result.returncode == 2 and hint in " ".join(result.stderr.split())
+
+
+def swept_folder(folder: Path, statuses: list[dict], **words) -> Path:
+    """A sweep's folder, as one that has ended leaves it."""
+    folder.mkdir()
+    record = {
+        "schema": "trms.sweep/1", "primary": "run", "overrides": [], "state": "done",
+        "total": len(statuses), "space": {"fixed": ["controller=pid"]},
+    }  # fmt: skip
+    (folder / "sweep.json").write_text(json.dumps(record | words))
+    points = []
+    for number, status in enumerate(statuses):
+        overrides = status.get("overrides", [])
+        points.append({"number": number, "overrides": overrides, "values": {}, "trial": None})
+        (folder / str(number)).mkdir()
+        status = {"schema": "trms.status/1", "job": number, "overrides": overrides} | status
+        (folder / str(number) / "status.json").write_text(json.dumps(status))
+    (folder / "points.jsonl").write_text("".join(json.dumps(each) + "\n" for each in points))
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["ConfigurationError", "TrmsError"])
+def test_one_cause_with_many_values_is_one_reason(tmp_path, capsys, kind):
+    failed = [
+        {
+            "state": "failed",
+            "error": {
+                "problem": f"there is no key 'output_weights' (given: {{'alpha_v': {value}}})",
+                "where": "controller.output_weights",
+                "remedy": "mend it",
+                "type": kind,
+            },
+        }
+        for value in (1.5, 2.25, 3)
+    ]
+    other = {"problem": "there is no key 'weights' (given: 3)", "where": "controller.weights"}
+    failed.append({"state": "failed", "error": other | {"type": kind}})
+    document = outcome_of(swept_folder(tmp_path / "s", failed))
+    assert [each["runs"] for each in document["failures"]] == [[0, 1, 2], [3]]
+    assert "1.5" in document["failures"][0]["problem"]
+    say_outcome(document)
+    told = capsys.readouterr().out
+    assert ("--retry-failed" in told) == (kind == "TrmsError")
+    assert ("make the sweep anew" in told) == (kind == "ConfigurationError")
 
 
 class TestResuming:

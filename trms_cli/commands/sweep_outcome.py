@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.runs.driving import is_driven
 from trms_cli.sweeps.record import Record
 from trms_cli.sweeps.status import RunFolder, is_alive, result_of
 
 SCHEMA = "trms.sweep-status/1"
+#: A number, or what a message says was given: one cause is not many because values differ.
+_GIVEN = re.compile(r"\(given: [^)]*\)|(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\w)")
 _MOST_LINES = 30  # a line for each run of a sweep that has no more
+
+
+class _Failure(NamedTuple):
+    """Runs that failed of one reason."""
+
+    reason: tuple[str, ...]  #: of the first of them
+    runs: list[int]
+    bad_input: bool  #: to try again cannot help
 
 
 def outcome_of(folder: Path) -> dict[str, Any]:
@@ -23,7 +35,8 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     -------
     dict
         ``counts`` by state, among them ``running`` and ``left`` (proposed, and not begun or left
-        by a worker that died); ``failures``: state, problem, where, remedy, count and runs;
+        by a worker that died); ``failures``: state, problem, where, remedy (of the first of those
+        that differ in values only), count, runs and whether what was typed is the reason;
         ``rate`` in runs per second of late; ``best``: the run with the smallest objective;
         ``told``: what each run says of itself, for a sweep of few.
 
@@ -36,7 +49,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     document = record.document()
     points = record.points()
     counts = dict.fromkeys(("done", "failed", "lost", "interrupted", "running", "left"), 0)
-    failures: dict[tuple[str, ...], list[int]] = {}
+    failures: dict[tuple[str, ...], _Failure] = {}
     ends: list[float] = []
     retried = 0
     best: tuple[float, int] | None = None
@@ -48,7 +61,10 @@ def outcome_of(folder: Path) -> dict[str, Any]:
         counts[state] += 1
         retried += max(0, int(status.get("attempt", 1)) - 1) if status else 0
         if state in ("failed", "lost"):
-            failures.setdefault(_reason(state, status), []).append(point.number)
+            reason = _reason(state, status)
+            alike = tuple(_GIVEN.sub("…", words) for words in reason)
+            failures.setdefault(alike, _Failure(reason, [], _of_input(status)))
+            failures[alike].runs.append(point.number)
         result = result_of(status, point.number)
         if state == "done":
             ends.append(_seconds(status.get("end")))
@@ -73,9 +89,9 @@ def outcome_of(folder: Path) -> dict[str, Any]:
         "retried": retried,
         "rate": _rate(ends),
         "failures": [
-            dict(zip(("state", "problem", "where", "remedy"), reason, strict=True))
-            | {"count": len(runs), "runs": runs}
-            for reason, runs in sorted(failures.items(), key=lambda item: -len(item[1]))
+            dict(zip(("state", "problem", "where", "remedy"), each.reason, strict=True))
+            | {"count": len(each.runs), "runs": each.runs, "bad_input": each.bad_input}
+            for each in sorted(failures.values(), key=lambda each: -len(each.runs))
         ],
         "best": None
         if best is None
@@ -119,6 +135,12 @@ def _reason(state: str, status: Mapping[str, Any]) -> tuple[str, ...]:
         str(error.get("where") or ""),
         str(error.get("remedy") or ""),
     )
+
+
+def _of_input(status: Mapping[str, Any]) -> bool:
+    """Whether the run failed of what was typed."""
+    error = status.get("error")
+    return isinstance(error, Mapping) and error.get("type") == ConfigurationError.__name__
 
 
 def _seconds(moment: Any) -> float:

@@ -174,8 +174,13 @@ def say_outcome(document: Mapping[str, Any]) -> None:
         print(f"next       {trms} sweep resume {quoted}")
     elif document["driven"]:
         print(f"next       {trms} watch {quoted}")
-    elif counts.get("failed") or counts.get("lost"):
+    elif any(not failure.get("bad_input") for failure in document["failures"]):
         print(f"next       {trms} sweep resume {quoted} --retry-failed")
+    elif document["failures"]:
+        print(
+            "next       mend what was typed and make the sweep anew: each of these runs would fail"
+        )
+        print("           again of the same")
     elif document["primary"] == "run":
         print(f"next       {trms} compare {quoted}")
         print(f"           {trms} runs --in {quoted} --sort rmse")

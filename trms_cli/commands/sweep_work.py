@@ -258,7 +258,12 @@ def _notes(errors: io.StringIO) -> dict[str, list[str]]:
 
 def _described(error: Exception) -> dict[str, str]:
     if isinstance(error, TrmsError):
-        return {"problem": error.problem, "where": error.where, "remedy": error.remedy}
+        return {
+            "problem": error.problem,
+            "where": error.where,
+            "remedy": error.remedy,
+            "type": type(error).__name__,
+        }
     return {
         "problem": f"{type(error).__name__}: {error}",
         "trace": "".join(traceback.format_exception(error)),
