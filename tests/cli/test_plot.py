@@ -149,6 +149,47 @@ def test_several_logs_are_named_by_what_they_differ_in(logs):
     assert one in told and other in told and "reference" in told
 
 
+def looks(figure) -> dict[str, set[tuple[str, str]]]:
+    """Colours and dashes by the words of the legend."""
+    found: dict[str, set[tuple[str, str]]] = {}
+    for axes in figure.axes:
+        for line in axes.lines:
+            if not line.get_label().startswith("_"):
+                look = (str(line.get_color()), str(line.get_linestyle()))
+                found.setdefault(line.get_label(), set()).add(look)
+    return found
+
+
+def test_each_word_of_a_legend_has_one_look_and_no_other_has_it(logs):
+    found = looks(plot(logs[:1], ["tracking", "errors", "rates", "estimate", "torques"]))
+    assert {"rig", "estimate", "estimate − true"} <= set(found)
+    seen = [found[word] for word in ("rig", "estimate", "estimate − true", "reference")]
+    assert all(len(each) == 1 for each in seen)
+    assert len(set.union(*seen)) == len(seen)
+
+
+def test_panels_of_the_estimate_say_that_they_show_errors(logs):
+    for axes in plot(logs[:1], "estimate").axes:
+        assert re.search(r"\n(error|innovation) \[", axes.get_ylabel()), axes.get_ylabel()
+
+
+def test_each_log_is_held_against_its_own_deadline(logs):
+    figure = plot(logs, "solver", names=["slow", "fast"])
+    lines = [line for line in figure.axes[0].lines if "deadline" in line.get_label()]
+    told = {line.get_label(): line.get_ydata()[0] for line in lines}
+    periods = {
+        name: 1e3 * np.median(np.diff(log.tables["/controller"].time))
+        for name, log in zip(["slow", "fast"], logs, strict=True)
+    }
+    assert periods["slow"] > periods["fast"]
+    assert told == {
+        f"deadline of {name}, {period:.4g} ms": pytest.approx(period, rel=1e-3)
+        for name, period in periods.items()
+    }
+    [line] = [k for k in plot(logs[:1], "solver").axes[0].lines if "deadline" in k.get_label()]
+    assert line.get_label() == "deadline"
+
+
 def test_logs_of_one_kind_are_named_by_their_folders(folder):
     log = read_log(folder / "mpc" / "run.mcap")
     assert names_of([log]) == ["mpc"]

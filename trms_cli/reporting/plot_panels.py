@@ -7,7 +7,7 @@ Each kind of plot is a function from logs to panels; where no log has what it sh
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,8 @@ from trms_cli.reporting.torques import estimated_torques
 
 #: Of the reference: dark and dashed in every figure.
 _ASKED: dict[str, Any] = {"color": INK, "linestyle": (0, (4, 2))}
+#: Of what an estimate is off by: neither the rig's colour nor the estimate's.
+_OFF: dict[str, Any] = {"color": PALETTE["green"], "linestyle": "-", "zorder": 4}
 _BAND = 0.22  # opacity of a band of two standard deviations
 _BAND_POINTS = 1000
 
@@ -231,7 +233,8 @@ def _draw_rate(axes: Axes, log: Plotted, name: str, place: int, alone: bool) -> 
         signal = log.signal("/estimate", name, "estimate") or signal
     if signal is None:
         return ""
-    _curve(axes, signal.time, rate_of(signal), signal.source if alone else log.name, place)
+    look = _look_of(signal, place, alone)
+    _line(axes, signal.time, rate_of(signal), signal.source if alone else log.name, look)
     return f"{LABELS.get(name, name)} rate\n[{signal.unit}/s]"
 
 
@@ -239,8 +242,14 @@ def _draw_speed(axes: Axes, log: Plotted, name: str, place: int, alone: bool) ->
     signal = log.truth(name)
     if signal is None:
         return ""
-    _curve(axes, signal.time, signal.values, signal.source if alone else log.name, place)
+    look = _look_of(signal, place, alone)
+    _line(axes, signal.time, signal.values, signal.source if alone else log.name, look)
     return f"{LABELS.get(name, name)}\n[{signal.unit}]"
+
+
+def _look_of(signal: Signal, place: int, alone: bool) -> dict[str, Any]:
+    """Of a log alone an estimate has one look in all panels, and the rig another: one legend."""
+    return curve_look(1 if alone and signal.source == "estimate" else place) | {"zorder": 4}
 
 
 def _uncertain(log: Plotted) -> list[str]:
@@ -270,9 +279,10 @@ def _draw_estimate(axes: Axes, log: Plotted, name: str, place: int, alone: bool)
         settled = slice(len(sd.time) // 20, None)  # one that finds its feet hides the rest
         band = 2 * scale * sd.values[settled]
         _band(axes, sd.time[settled], -band, band, place, alone)
-    _curve(axes, off.time, scale * off.values, what if alone else log.name, place)
+    look = _OFF if alone else curve_look(place) | {"zorder": 4}
+    _line(axes, off.time, scale * off.values, what if alone else log.name, look)
     _zero(axes)
-    return f"{_symbol(name)}\n[{unit}]"
+    return f"{_symbol(name)}\n{'error' if what != 'innovation' else what} [{unit}]"
 
 
 def _draw_torque(axes: Axes, log: Plotted, name: str, place: int, alone: bool) -> str:
@@ -283,14 +293,15 @@ def _draw_torque(axes: Axes, log: Plotted, name: str, place: int, alone: bool) -
         settled = slice(len(sd.time) // 20, None)  # one that finds its feet hides the rest
         time, middle, wide = torque.time[settled], 1e3 * torque.values[settled], 2e3 * sd.values
         _band(axes, time, middle - wide[settled], middle + wide[settled], place, alone)
-    _curve(axes, torque.time, 1e3 * torque.values, "estimate" if alone else log.name, place)
+    look = _look_of(replace(torque, source="estimate"), place, alone)
+    _line(axes, torque.time, 1e3 * torque.values, "estimate" if alone else log.name, look)
     _zero(axes)
     return f"{name.replace('_', ' ')}\n[mN m]"
 
 
 def _draw_times(axes: Axes, logs: Sequence[Plotted]) -> None:
     alone = len(logs) == 1
-    deadline = np.nan
+    deadlines: dict[float, list[int]] = {}  # ms, and whose
     for i, log in enumerate(logs):
         spent = log.signal("/controller", "solve_time_s")
         if spent is None:
@@ -303,13 +314,23 @@ def _draw_times(axes: Axes, logs: Sequence[Plotted]) -> None:
         axes.plot(time, values, marker, color=look["color"], markersize=1.4, markeredgewidth=0,
                   label="time of a step" if alone else log.name)  # fmt: skip
         if len(spent.time) > 1:
-            deadline = np.nanmin([deadline, 1e3 * float(np.median(np.diff(spent.time)))])
+            period = float(f"{1e3 * float(np.median(np.diff(spent.time))):.4g}")
+            deadlines.setdefault(period, []).append(i)
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(numticks=5))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    if np.isfinite(deadline):
-        axes.axhline(deadline, color=ALARM, linestyle=":", label="deadline")
+    for deadline, whose in deadlines.items():
+        if len(deadlines) == 1:
+            axes.axhline(deadline, color=ALARM, linestyle=":", label="deadline")
+        else:
+            named = ", ".join(logs[i].name for i in whose)
+            axes.axhline(
+                deadline,
+                color=curve_look(whose[0])["color"],
+                linestyle=":",
+                label=f"deadline of {named}, {deadline:g} ms",
+            )
     _label(axes, "step time", "ms")
 
 
