@@ -14,6 +14,8 @@ from trms_cli.gap.shrinkage import Measured
 
 #: s. The horizon that a sentence tells.
 _TOLD_AT = "2.0"
+#: Times the floor from which on a refitted model is said to leave something unexplained.
+_MUCH = 5.0
 
 
 def sentence(
@@ -39,6 +41,7 @@ def sentence(
         return (
             "No effect is missing: other values of the parameters explain these recordings, with "
             f"probability {top.probability:.2f}; {', '.join(moved[:3])} moved most."
+            + _left_over(measured)
         )
     if believed.verdict == "none_of_these":
         return (
@@ -71,6 +74,27 @@ def sentence(
     if others:
         text += f". These recordings do not tell it from {_joined(others, 'or')}"
     return text + "."
+
+
+def _left_over(measured: Measured) -> str:
+    """What the refitted model still lacks on the sealed part, where that is much.
+
+    The verdict compares causes on the part that was fitted. A short recording can be fitted by
+    parameters that do not hold afterwards; who reads "parameters" has to be told.
+    """
+    shares = {
+        channel: (gaps[_TOLD_AT].refit / gaps[_TOLD_AT].floor, gaps[_TOLD_AT])
+        for channel, gaps in measured.gap.items()
+        if _TOLD_AT in gaps and gaps[_TOLD_AT].floor > 0
+    }
+    worst = max(shares, key=lambda channel: shares[channel][0], default="")
+    if not worst or shares[worst][0] < _MUCH:
+        return ""
+    ratio, gap = shares[worst]
+    return (
+        f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at 2 s, "
+        f"{ratio:.0f} times what the noise explains: do not rely on this, and record longer."
+    )
 
 
 def why_not_testable(raced: Contest, suspect: Suspect) -> str:
