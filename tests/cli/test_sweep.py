@@ -432,6 +432,16 @@ def test_one_cause_with_many_values_is_one_reason(tmp_path, capsys, kind):
     assert ("make the sweep anew" in told) == (kind == "ConfigurationError")
 
 
+def test_the_line_of_a_run_with_many_parameters_tells_its_figures(tmp_path):
+    drawn = [f"plant.parameters.k_{i}=0.06290000000000001" for i in range(25)]
+    words = ["controller=pid", *drawn, "seed=1"]
+    told = f"0  {' '.join(words)}  RMSE alpha_v 0.7 rad"
+    folder = swept_folder(tmp_path / "s", [{"state": "done", "overrides": words, "told": told}])
+    (line,) = outcome_of(folder)["told"]
+    assert line.endswith("… and 22 more  RMSE alpha_v 0.7 rad") and len(line) < 120
+    assert "k_0=0.0629 " in line and "controller=pid" not in line
+
+
 class TestResuming:
     @pytest.fixture(scope="class")
     @classmethod

@@ -17,6 +17,8 @@ from trms_cli.sweeps.status import RunFolder, is_alive, result_of
 SCHEMA = "trms.sweep-status/1"
 #: A number, or what a message says was given: one cause is not many because values differ.
 _GIVEN = re.compile(r"\(given: [^)]*\)|(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\w)")
+#: Overrides of a run that are shown of it.
+MOST_WORDS = 4
 _MOST_LINES = 30  # a line for each run of a sweep that has no more
 
 
@@ -106,12 +108,41 @@ def outcome_of(folder: Path) -> dict[str, Any]:
 
 
 def _line(folder: Path, number: int, document: Mapping[str, Any]) -> str:
-    """What a run says of itself, without what all runs share."""
-    line = str(RunFolder(folder, number).status().get("told") or "")
+    """What a run says of itself, without what all runs share, on a line of a screen."""
+    status = RunFolder(folder, number).status()
+    line = str(status.get("told") or "")
     space = document.get("space")
-    for word in space.get("fixed", ()) if isinstance(space, Mapping) else ():
+    fixed = set(space.get("fixed", ()) if isinstance(space, Mapping) else ())
+    overrides = [str(word) for word in status.get("overrides", ())]
+    own = [word for word in overrides if word not in fixed]
+    typed = " ".join(overrides)
+    if typed and typed in line:
+        return line.replace(typed, few(own), 1)
+    for word in fixed:
         line = line.replace(f" {word}", "", 1)
     return line
+
+
+def few(words: Sequence[str]) -> str:
+    """Overrides for reading: the first few, numbers with six digits, long keys by their end.
+
+    What is to be typed again stands in full in ``status.json`` and in ``points.jsonl``.
+    """
+    if len(words) <= MOST_WORDS:
+        return " ".join(map(_readable, words))
+    shown = [_readable(word) for word in words[:MOST_WORDS]]
+    return f"{' '.join(shown)} … and {len(words) - MOST_WORDS} more"
+
+
+def _readable(word: str) -> str:
+    key, sign, value = word.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        return word
+    short = key.removeprefix("plant.parameters.")
+    whole = re.fullmatch(r"[-+]?\d+", value) is not None
+    return f"{short}{sign}{value if whole or not math.isfinite(number) else f'{number:.6g}'}"
 
 
 def _state(run: RunFolder, status: Mapping[str, Any]) -> str:

@@ -187,9 +187,11 @@ def say_outcome(document: Mapping[str, Any]) -> None:
 
 
 def _say_best(document: Mapping[str, Any]) -> None:
+    from trms_cli.commands.sweep_outcome import few
+
     best = document["best"]
     if best is not None and document["counts"]["done"] > 1:
-        words = " ".join(best["overrides"])
+        words = few(best["overrides"])
         print(f"best       run {best['run']}  {best['objective']:.4g}  {words}")
 
 

@@ -36,7 +36,7 @@ from trms_cli.sweeps.status import SCHEMA, SIGN_EVERY, RunFolder, now, result_of
 
 #: Lines of a run's standard error that are kept.
 _MOST_NOTES = 20
-_LONGEST_LINE = 400  # of what a run says of itself
+_LONGEST_LINE = 400  # of what a run says of itself, beside its overrides
 #: A worker with several threads makes one run after another: they share compiled functions.
 _ONE_AT_A_TIME = threading.Lock()
 _LOOK = 0.5  # s between two looks whether the sweep is to stop
@@ -152,7 +152,9 @@ class MakeRun:
         told |= {"state": state, "exit_code": outcome.exit_code, "objective": outcome.objective}
         told["figures"] = _figures(run.path)
         lines = [line.strip() for line in said.getvalue().splitlines() if line.strip()]
-        told["told"] = lines[-1][:_LONGEST_LINE] if lines else ""
+        room = _LONGEST_LINE + len(" ".join(point.overrides))
+        last = lines[-1] if lines else ""
+        told["told"] = last if len(last) <= room else f"{last[: room - 1]}…"
         return told | _notes(errors)
 
     def _outcome(self, composition: Composition) -> Outcome:
