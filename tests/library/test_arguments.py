@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trms_cli import compare, plot, report, run, score
 from trms_cli.commands.composition import compose
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.library.arguments import arguments_of, text_of
+from trms_cli.library.time_function import TimeFunction
 
 from .own_parts import Steady
 
@@ -104,3 +106,39 @@ def test_what_cannot_be_is_told(typed, keys, words):
     with pytest.raises(ConfigurationError) as caught:
         arguments_of("run", typed, keys)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "where", "remedy"),
+    [
+        ({"ref": lambda t: 0.1}, "ref", "name the axis: ref={'alpha_h'"),
+        ({"ref": {"alpha_h": np.zeros(5)}}, "ref.alpha_h", "np.interp"),
+        ({"controller": lambda t: 0.1}, "controller", "writing-a-plugin"),
+        ({"out": 5}, "out", "path"),
+        ({"config_dir": 5}, "config_dir", "path"),
+    ],
+)
+def test_what_cannot_be_that_part_is_answered_with_what_can(keys, where, remedy):
+    with pytest.raises(ConfigurationError) as told:
+        run(**keys)
+    assert told.value.where == where and remedy in told.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("function", "problem"),
+    [
+        (lambda t: 0.2 if t < 0.5 else 1 / 0, "at 0.50 s: ZeroDivisionError"),
+        (lambda t: "text", "'text' at 0.00 s, which is no number"),
+    ],
+)
+def test_a_signal_that_fails_is_told_with_its_line_and_time(function, problem):
+    with pytest.raises(SimulationError) as told:
+        TimeFunction(function).sample(np.arange(10) / 10)
+    assert problem in told.value.problem
+    assert told.value.where.startswith(f"{__file__}, line {function.__code__.co_firstlineno}")
+
+
+@pytest.mark.parametrize("judge", [compare, score, plot, report])
+def test_what_is_no_run_is_refused(judge):
+    with pytest.raises(ConfigurationError, match="3 given"):
+        judge(3)

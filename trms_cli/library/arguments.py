@@ -18,6 +18,7 @@ from typing import Any
 from trms_cli.commands.catalogue import Groups, Primary, read_groups, read_primary
 from trms_cli.commands.overrides import parse, quoted
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.library.paths import folders_of, path_of
 from trms_cli.library.result import Result
 
 #: Words that need no quotes: they cannot be read as a number, a truth value or Hydra's grammar.
@@ -89,8 +90,7 @@ def arguments_of(
     ConfigurationError
         For what cannot be an argument.
     """
-    folders = (config_dir,) if isinstance(config_dir, (str, PathLike)) else tuple(config_dir)
-    places = tuple(Path(folder).expanduser().resolve() for folder in folders)
+    places = folders_of(config_dir, "config_dir")
     for word in typed:
         _require_word(word)
     layout = _Layout(read_primary(primary, places), read_groups(places))
@@ -98,7 +98,7 @@ def arguments_of(
         if value is not None:
             layout.lay(key, value)
     if out is not None:
-        layout.lay("out", str(Path(out).expanduser()))
+        layout.lay("out", str(path_of(out, "out")))
     words = (*layout.words, *typed)
     _refuse_keys_of_objects(words, layout.objects)
     return Arguments(words, layout.objects, places)
@@ -166,6 +166,7 @@ class _Layout:
             for name, inner in value.items():
                 self._lay_value(f"{key}.{name}", inner)
             return
+        _refuse_samples(key, value)
         try:
             self.words.append(f"{key}={text_of(value, key)}")
         except TypeError:
@@ -176,6 +177,21 @@ class _Layout:
                     remedy=f"an object goes to its place: {key.partition('@')[2]}",
                 ) from None
             self.objects[key] = _instance(value, key)
+
+
+def _refuse_samples(key: str, value: Any) -> None:
+    """Numbers where a signal is asked for: they lack their times."""
+    from trms_cli.references.trajectory import AXES
+
+    group, _, axis = key.partition(".")
+    several = isinstance(value, list | tuple | range) or type(value).__name__ == "ndarray"
+    if group == "ref" and axis in AXES and several:
+        raise ConfigurationError(
+            f"{len(value)} values given, and no times",
+            where=key,
+            remedy=f"give a function of time: "
+            f"ref={{'{axis}': lambda t: np.interp(t, times, values)}}",
+        )
 
 
 def _items(value: Any) -> Iterator[tuple[str, Any]]:
@@ -193,7 +209,7 @@ def _items(value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _instance(value: Any, where: str) -> Any:
-    """The object; a function of time as a signal, a class refused."""
+    """The object; a function of time as a signal of one axis, a class refused."""
     if isinstance(value, type):
         raise ConfigurationError(
             f"the class {value.__name__} given",
@@ -201,6 +217,14 @@ def _instance(value: Any, where: str) -> Any:
             remedy=f"give an instance: {value.__name__}(…)",
         )
     if inspect.isroutine(value):
+        if "." not in where:
+            raise ConfigurationError(
+                f"the function {getattr(value, '__name__', value)!s} given",
+                where=where,
+                remedy="name the axis: ref={'alpha_h': …}"
+                if where == "ref"
+                else "give an object with the methods of its kind (docs/writing-a-plugin.md)",
+            )
         from trms_cli.library.time_function import TimeFunction
 
         return TimeFunction(value)

@@ -164,7 +164,6 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
 
 
 def _folders(config_dir: Paths) -> tuple[Path, ...]:
-    from pathlib import Path as Place
+    from trms_cli.library.paths import folders_of
 
-    several = (config_dir,) if isinstance(config_dir, (str, PathLike)) else tuple(config_dir)
-    return tuple(Place(folder).expanduser().resolve() for folder in several)
+    return folders_of(config_dir, "config_dir")

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.library import html
 from trms_cli.library.findings import Diagnosis, Excitation, Fit, Stability, Validation
 from trms_cli.library.frames import frame_of
+from trms_cli.library.paths import path_of, run_paths
 from trms_cli.library.result import Result
 from trms_cli.library.run_result import run_in
 
@@ -57,11 +57,11 @@ def score(*runs: RunPath, baseline: str | PathLike[str] | None = None) -> dict[s
 
     if not runs:
         raise RecordingError("no run given", where="score", remedy='score("outputs/…/run.mcap")')
-    file = None if baseline is None else Path(baseline).expanduser()
+    file = None if baseline is None else path_of(baseline, "baseline")
     reference = None if file is None else read_baseline(file)
     scored = []
-    for run in runs:
-        found = score_log(read_log(log_of(Path(run).expanduser())))
+    for run in run_paths(runs):
+        found = score_log(read_log(log_of(run)))
         scored.append((found, held_against(found, reference) if reference else None))
     return document_of(scored, file)
 
@@ -157,7 +157,7 @@ def compare(
     ):
         if value not in allowed:
             raise ConfigurationError(f"{value!r} given", where=key, remedy=nearest(value, allowed))
-    paths = [Path(run).expanduser() for run in _several(runs)]
+    paths = list(run_paths(runs))
     asked = {key: _texts(value) for key, value in (where or {}).items()}
     gathered = command.gathered_from(paths, asked)
     keys = [by] if isinstance(by, str) else list(by)
@@ -226,7 +226,7 @@ def load(path: str | PathLike[str]) -> Result:
     --------
     >>> fit = load("outputs/2025-01-31/12-00-00-identify")
     """
-    folder = Path(path).expanduser()
+    folder = path_of(path, "path")
     kinds: tuple[type[Result], ...] = (Fit, Validation, Stability, Diagnosis, Excitation)
     for kind in kinds:
         if (folder / kind.DOCUMENT).is_file():
@@ -243,14 +243,6 @@ def load(path: str | PathLike[str]) -> Result:
         remedy="name the folder that run, identify, validate, stability, diagnose or excite "
         "wrote into",
     )
-
-
-def _several(runs: Sequence[Any]) -> Iterator[RunPath]:
-    for run in runs:
-        if isinstance(run, str | PathLike):
-            yield run
-        else:
-            yield from _several(list(run))
 
 
 def _texts(value: Any) -> list[str]:

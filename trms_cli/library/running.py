@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.library.arguments import Arguments, arguments_of
 from trms_cli.library.calling import called, finished, perform, words_of
+from trms_cli.library.paths import path_of
 from trms_cli.library.run_result import Run, run_in
 
 if TYPE_CHECKING:
@@ -210,6 +210,6 @@ def read_log(path: str | PathLike[str]) -> Run:
     >>> old = read_log("outputs/2025-01-31/12-00-00-run")
     >>> old["/command"].plot()
     """
-    found = run_in(Path(path).expanduser())
+    found = run_in(path_of(path, "path"))
     _ = found.logged  # a file that is no log is told here, not at the first question
     return found

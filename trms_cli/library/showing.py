@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.library.calling import called
+from trms_cli.library.paths import path_of, run_paths
 
 if TYPE_CHECKING:
     from trms_cli.reporting.notebook_figure import NotebookFigure
@@ -54,8 +55,8 @@ def report(
     from trms_cli.commands.report import write_report
 
     with called("Python: report", verbose=verbose):
-        page = None if out is None else Path(out).expanduser()
-        return write_report(list(_paths(runs)), out=page, title=title, force=force)[1]
+        page = None if out is None else path_of(out, "out")
+        return write_report(list(run_paths(runs)), out=page, title=title, force=force)[1]
 
 
 def plot(
@@ -105,17 +106,9 @@ def plot(
     from trms_cli.reporting.notebook_figure import shown
     from trms_cli.reporting.plot import plot as drawn
 
-    logs = [read_log(log_of(path)) for path in _paths(runs)]
+    logs = [read_log(log_of(path)) for path in run_paths(runs)]
     variant: Any = style
     return shown(
         drawn(logs, what, width=width, style=variant, start=start, end=end, title=title,
               names=names)
     )  # fmt: skip
-
-
-def _paths(runs: Sequence[Any]) -> Iterator[Path]:
-    for run in runs:
-        if isinstance(run, str | PathLike):
-            yield Path(run).expanduser()
-        else:
-            yield from _paths(list(run))

@@ -8,11 +8,12 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.library import html
 from trms_cli.library.arguments import Arguments, arguments_of, text_of
 from trms_cli.library.calling import called, words_of
 from trms_cli.library.judging import Comparison, compare
+from trms_cli.library.paths import path_of
 from trms_cli.library.result import Result
 from trms_cli.library.run_result import Run, run_in
 
@@ -64,7 +65,20 @@ class Sweep(Result):
         return None if best is None else self[best["run"]]
 
     def __getitem__(self, number: int) -> Run:
-        """A run by its number, from 0 on."""
+        """A run by its number, from 0 on.
+
+        Raises
+        ------
+        RecordingError
+            If there is no such run; it names those there are.
+        """
+        if not (self.folder / str(number)).is_dir():
+            there = sorted(int(p.name) for p in self.folder.iterdir() if p.name.isdecimal())
+            raise RecordingError(
+                f"there is no run {number!r}",
+                where=str(self.folder),
+                remedy=f"runs that have a folder: {_spans(there)}" if there else "none is made yet",
+            )
         return run_in(self.folder / str(number))
 
     def __len__(self) -> int:
@@ -182,7 +196,7 @@ def sweep(
     steering = {"sampler": sampler, "launcher": launcher, "retries": retries}
     asked = _asked(overrides, keys, steering, workers, config_dir)
     if out is not None:
-        words = (*asked.words, f"out={text_of(str(Path(out).expanduser()))}")
+        words = (*asked.words, f"out={text_of(str(path_of(out, 'out')))}")
         asked = Arguments(words, {}, asked.config_dirs)
     line = words_of("run", Arguments(("-m", *asked.words), {}, asked.config_dirs))
     with called(line, verbose=verbose) as heard, _Screen(verbose) as screen:
@@ -296,6 +310,17 @@ def _refuse_objects(objects: Mapping[str, Any]) -> None:
             remedy="runs of a sweep are made in other processes: give the class a YAML "
             "(docs/writing-a-plugin.md) and its folder as config_dir, or call run() in a loop",
         )
+
+
+def _spans(numbers: Sequence[int]) -> str:
+    """``0–3, 5``: ascending numbers, those in a row together."""
+    rows: list[list[int]] = []
+    for number in numbers:
+        if rows and rows[-1][-1] == number - 1:
+            rows[-1].append(number)
+        else:
+            rows.append([number])
+    return ", ".join(f"{row[0]}–{row[-1]}" if len(row) > 1 else str(row[0]) for row in rows)
 
 
 def _number(value: Any) -> Any:

@@ -1,0 +1,58 @@
+"""Paths among the arguments of a call: of runs, of folders; anything else refused in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from trms_cli.core.errors import ConfigurationError
+
+
+def path_of(value: Any, where: str) -> Path:
+    """A path that was given, with ``~`` as the home folder.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is no path.
+    """
+    if not isinstance(value, str | PathLike):
+        raise ConfigurationError(
+            f"{value!r} given", where=where, remedy=f'give a path: {where}="FOLDER"'
+        )
+    return Path(value).expanduser()
+
+
+def folders_of(value: Any, where: str) -> tuple[Path, ...]:
+    """One folder or several, from the root.
+
+    Raises
+    ------
+    ConfigurationError
+        If one is no path.
+    """
+    several = list(value) if isinstance(value, list | tuple | set) else [value]
+    return tuple(path_of(one, where).resolve() for one in several)
+
+
+def run_paths(runs: Iterable[Any]) -> Iterator[Path]:
+    """Paths of runs, given one by one or in sequences.
+
+    Raises
+    ------
+    ConfigurationError
+        For what is neither a path nor a run.
+    """
+    for run in runs:
+        if isinstance(run, str | PathLike):
+            yield Path(run).expanduser()
+        elif isinstance(run, Iterable):
+            yield from run_paths(run)
+        else:
+            raise ConfigurationError(
+                f"{run!r} given",
+                where="the runs",
+                remedy="give logs, folders of runs, or what run() gave back",
+            )
