@@ -226,6 +226,29 @@ def test_wrong_words_are_answered(folder, capsys, words, told):
     assert told in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["--what", "trakcing"], "in  --what"),
+        (["--width", "3km"], "in  --width"),
+        (["--from", "3", "--to", "2"], "in  --from, --to"),
+        (["--names", "a,b"], "in  --names"),
+    ],
+)
+def test_what_is_wrong_is_named_as_it_is_typed(folder, capsys, words, option):
+    assert main(["plot", str(folder / "lqr"), *words]) == 2
+    said = capsys.readouterr().err
+    assert option in said and ("--what" not in option or "scene" in said)
+
+
+def test_a_folder_that_is_no_runs_is_answered_with_what_to_type(folder, tmp_path, capsys):
+    assert main(["plot", str(folder)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "the folder of 2 runs" in said and f"report {folder}" in said
+    assert main(["plot", str(tmp_path)]) == 2
+    assert "there is no run.mcap in this folder" in " ".join(capsys.readouterr().err.split())
+
+
 def test_a_folder_takes_a_file_a_kind_or_none(folder, tmp_path):
     words = ["plot", str(folder / "lqr"), "--what", "tracking,errors", "--format", "svg"]
     out = tmp_path / "figures"

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.commands.invocation import program
 from trms_cli.commands.plain_options import PlainOptions
-from trms_cli.commands.run_folder import log_of
-from trms_cli.core.errors import EXIT_OK, ConfigurationError
+from trms_cli.commands.run_folder import LOG_NAME, log_of
+from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
@@ -62,14 +64,34 @@ examples
 """
 
 SCENE = "scene"
+#: Options by the arguments of what draws.
+_TYPED = {
+    "what": "--what",
+    "start, end": "--from, --to",
+    "width": "--width",
+    "names": "--names",
+    "style": "--style",
+    "logs": "LOG",
+}
 
 
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     given = _options(argv)
+    try:
+        return _main(given)
+    except ConfigurationError as error:
+        # What draws names its arguments; at a terminal they are options.
+        error.where = _TYPED.get(error.where, error.where)
+        if error.where == "--what" and SCENE not in error.remedy:
+            error.remedy += f", {SCENE}"
+        raise
+
+
+def _main(given: Any) -> int:
     from trms_cli.recordings.log_reader import read_log
 
-    paths = [log_of(path) for path in given.logs]
+    paths = [_log_of(path) for path in given.logs]
     kinds = [word.strip() for word in given.what.split(",") if word.strip()]
     if SCENE in kinds:
         from trms_cli.commands.plot_scene import plot_scene
@@ -97,6 +119,33 @@ def main(argv: list[str]) -> int:
     for path in files:
         print(path)
     return EXIT_OK
+
+
+def _log_of(path: Path) -> Path:
+    """The log that is meant.
+
+    Raises
+    ------
+    RecordingError
+        For a folder that is not a run's.
+    """
+    log = log_of(path)
+    if not log.is_dir():
+        return log
+    below = sorted(each for each in path.glob(f"*/{LOG_NAME}"))
+    if below:
+        some = " ".join(shlex.quote(str(each.parent)) for each in below[:2])
+        raise RecordingError(
+            f"it is the folder of {len(below)} runs, and a plot is of logs",
+            where=str(path),
+            remedy=f"name the runs: {program()} plot {some}; or draw all of them on a page: "
+            f"{program()} report {shlex.quote(str(path))}",
+        )
+    raise RecordingError(
+        f"there is no {LOG_NAME} in this folder",
+        where=str(path),
+        remedy=f"name a log or the folder of a run; {program()} runs lists them",
+    )
 
 
 def _options(argv: Sequence[str]) -> Any:
