@@ -84,6 +84,7 @@ def perform(composition: Composition) -> Outcome:
         return run_replay.perform_replay(composition)
     from trms_cli.commands import run_assembly as assembly
     from trms_cli.commands.git_revision import GitRevision
+    from trms_cli.commands.never_begun import tell_of_never_begun
     from trms_cli.commands.run_scene import RunScene
     from trms_cli.commands.run_screen import RunScreen
     from trms_cli.simulation.closed_loop import Loop
@@ -93,6 +94,7 @@ def perform(composition: Composition) -> Outcome:
     assembly.check_files(composition.config)
     experiment = assembly.experiment_of(composition.config)
     _tell_of_missing_compiler(composition)
+    tell_of_never_begun(composition, experiment)
     revision = GitRevision.ask()
     logs: list[Any] = []
 
