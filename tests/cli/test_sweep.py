@@ -342,6 +342,17 @@ class TestFailures:
         (["retries=much"], ["retries"]),
         (["controller=pid,lqrr"], ["did you mean lqr?"]),
         (["controller.k_q=1,2"], ["controller"]),
+        (["seed=range(3"], ["'seed=range(3'", "bracket or a quote is not closed"]),
+        (["out=/dev/null"], ["'/dev/null' is a file", "out=FOLDER"]),
+        (
+            [
+                "controller=pid",
+                "plant.parameters=prior",
+                "sampler=random",
+                "sampler.limits.rmsee_yaw=1",
+            ],
+            ["did you mean rmse_yaw", "trms runs --help"],
+        ),
         (["sim.duration=3,abc"], ["sim.duration", "in the runs with sim.duration=abc"]),
         (
             [

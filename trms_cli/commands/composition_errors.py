@@ -126,6 +126,13 @@ def _refused(
         where = name.lstrip("+~")
         cause = error.__context__ or error.__cause__
         return _cannot_be_set(where, value, cause, overrides, declared, compose)
+    if message.startswith(("no viable alternative", "missing ", "mismatched input")):
+        return ConfigurationError(
+            f"cannot read {' '.join(overrides)!r}: a bracket or a quote is not closed, or a sign "
+            "stands where none can",
+            where="the command line",
+            remedy="write KEY=VALUE, or 'KEY=range(3)' with -m",
+        )
     cause = error.__cause__
     detail = f": {_first_line(str(cause))}" if cause and str(cause) not in message else ""
     return ConfigurationError(

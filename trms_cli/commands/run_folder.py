@@ -55,6 +55,12 @@ def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
             )
         if not os.access(folder, os.W_OK):
             raise PermissionError(13, "Permission denied", str(folder))
+    except (FileExistsError, NotADirectoryError) as error:
+        raise TrmsError(
+            f"{str(error.filename or out)!r} is a file, and a folder is written here",
+            where="out",
+            remedy="name a new folder: out=FOLDER",
+        ) from error
     except OSError as error:
         place = error.filename or out or "outputs"
         raise TrmsError(
