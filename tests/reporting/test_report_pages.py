@@ -131,6 +131,12 @@ class TestRun:
         } <= set(plots_of(page))
         assert "trms run --from first/run.mcap" in text and "duration: 20" in text
 
+    def test_s_is_told_from_the_rate_of_its_axis(self, run):
+        said = "S is the rate less what the other rotor"
+        assert said not in run_page(run).html()
+        state = {**run.columns["/plant/state"], "S_h": np.zeros(len(run.times["/plant/state"]))}
+        assert said in run_page(replace(run, columns={**run.columns, "/plant/state": state})).html()
+
     def test_lead_tells_tracking_misses_and_faults(self, run):
         lead = run_page(run).lead[0]
         assert "**newton_mpc** followed pitch to 0.1 rad and yaw to 0.1 rad" in lead

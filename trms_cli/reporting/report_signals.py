@@ -115,6 +115,8 @@ def state_plots(run: ReportedRun) -> list[Plot]:
             seen += _draw_state(plot, run, name, colour)
         if any(trace["mode"] == "lines" for trace in plot.traces):
             _frame(plot, seen)
+            if any(name.startswith("S_") for name in members):
+                plot.caption = "S is the rate less what the other rotor's momentum gives the axis."
             plots.append(plot)
     return plots
 
