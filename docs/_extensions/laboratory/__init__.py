@@ -30,6 +30,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("env-get-outdated", navigation.always_read)
     app.connect("source-read", _complete)
     app.connect("doctree-read", navigation.mark_cards)
+    app.connect("autodoc-process-docstring", interface.hide_colon, priority=400)
+    app.connect("autodoc-process-docstring", interface.show_colon, priority=600)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
 
 

@@ -72,11 +72,32 @@ SUBJECTS: dict[str, Subject] = {
 }
 
 
+#: The functions of the library in the order of the table in docs/library.md.
+FUNCTIONS = (
+    "run", "sweep", "compare", "runs", "score", "identify", "validate", "diagnose", "stability",
+    "excite", "report", "plot", "read_log", "load", "options", "build",
+)  # fmt: skip
+#: Members of results that serve the program itself.
+INTERNAL = ("DOCUMENT", "FILES", "PAGE", "headline", "file_for")
+
+
 def library_names() -> list[str]:
-    """The functions and classes that ``trms_cli`` itself exports, in its order."""
+    """What ``trms_cli`` itself exports: functions as in docs/library.md, results, errors last."""
     import trms_cli
 
-    return [name for name in getattr(trms_cli, "__all__", []) if not name.startswith("_")]
+    names = [name for name in getattr(trms_cli, "__all__", []) if not name.startswith("_")]
+    return sorted(names, key=lambda name: (_kind_of(getattr(trms_cli, name)), _rank(name)))
+
+
+def _kind_of(thing: object) -> int:
+    """Functions, then results, then errors and warnings."""
+    if not inspect.isclass(thing):
+        return 0
+    return 2 if issubclass(thing, BaseException) else 1
+
+
+def _rank(name: str) -> int:
+    return FUNCTIONS.index(name) if name in FUNCTIONS else len(FUNCTIONS)
 
 
 def pages() -> dict[str, str]:
@@ -116,7 +137,8 @@ def _library() -> str:
     for name in library_names():
         thing = getattr(trms_cli, name)
         if inspect.isclass(thing):
-            parts.append(_class("trms_cli", name))
+            hidden = f"\n   :exclude-members: {', '.join(INTERNAL)}"
+            parts.append(_class("trms_cli", name) + hidden)
         elif callable(thing):
             parts.append(f".. autofunction:: trms_cli.{name}")
     return "\n\n".join(parts) + "\n"
@@ -138,3 +160,18 @@ def _public_classes(module: ModuleType) -> list[str]:
 
 def _title(text: str, line: str) -> str:
     return f"{text}\n{line * len(text)}"
+
+
+#: Stands for the first colon of a property's sentence, whose beginning napoleon takes for a type.
+_COLON = "\ue000"
+
+
+def hide_colon(app: object, what: str, name: str, thing: object, opts: object, lines: list[str]):
+    """Before napoleon."""
+    if what in ("property", "attribute", "data") and lines:
+        lines[0] = lines[0].replace(":", _COLON)
+
+
+def show_colon(app: object, what: str, name: str, thing: object, opts: object, lines: list[str]):
+    """After napoleon."""
+    lines[:] = [line.replace(_COLON, ":") for line in lines]
