@@ -309,3 +309,9 @@ def test_options_that_a_log_holds_are_not_followed(tmp_path: Path) -> None:
         with pytest.raises(TrmsError, match="what was typed"):
             repeat(log, [], "run", lambda composition: 0)
         assert "evil" not in allowed_for_now()
+
+
+def test_a_module_that_trms_lacks_is_not_to_be_allowed() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        locate("trms_cli.x.os.system", "controller")
+    assert "--allow" not in caught.value.remedy and "trms list" in caught.value.remedy

@@ -76,6 +76,8 @@ def locate(target: str, where: str) -> Any:
 
 def _how_to_find(error: ModuleNotFoundError) -> str:
     missing = (error.name or "").partition(".")[0]
+    if missing == "trms_cli":
+        return "of trms only its plugins can be named: `trms list` tells which there are"
     return (
         "install the package, or name its folder by --config-dir or PYTHONPATH; a module that it "
         f"imports from the same folder is allowed as well: --allow {missing}"
