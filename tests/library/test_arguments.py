@@ -142,3 +142,8 @@ def test_a_signal_that_fails_is_told_with_its_line_and_time(function, problem):
 def test_what_is_no_run_is_refused(judge):
     with pytest.raises(ConfigurationError, match="3 given"):
         judge(3)
+
+
+def test_a_scene_is_left_to_the_command_line(lqr):
+    with pytest.raises(ConfigurationError, match="trms plot LOG --what scene"):
+        plot(lqr, what="scene")

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.library.calling import called
 from trms_cli.library.paths import path_of, run_paths
 
@@ -106,6 +107,12 @@ def plot(
     from trms_cli.reporting.notebook_figure import shown
     from trms_cli.reporting.plot import plot as drawn
 
+    if "scene" in ([what] if isinstance(what, str) else what):
+        raise ConfigurationError(
+            "a scene is drawn on the command line only",
+            where="what",
+            remedy="trms plot LOG --what scene",
+        )
     logs = [read_log(log_of(path)) for path in run_paths(runs)]
     variant: Any = style
     return shown(
