@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import gc
 import io
 import json
 import os
@@ -74,7 +75,7 @@ class MakeRun:
 
     def __call__(self, attempt: Attempt) -> Result | None:
         """Make the run; every failure is told in the result, and in the run's ``status.json``."""
-        with _ONE_AT_A_TIME:
+        with _ONE_AT_A_TIME, _collected_after():
             return self._called(attempt)
 
     def _called(self, attempt: Attempt) -> Result | None:
@@ -160,6 +161,19 @@ class MakeRun:
     def _outcome(self, composition: Composition) -> Outcome:
         outcome = self.task(composition)
         return outcome if isinstance(outcome, Outcome) else Outcome(outcome)
+
+
+@contextlib.contextmanager
+def _collected_after() -> Iterator[None]:
+    """Look for unused objects once, after the run: amid it, what is young stays in use."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.collect(1)
+        if was:
+            gc.enable()
 
 
 @contextlib.contextmanager

@@ -178,14 +178,10 @@ def _kill(pool: Any) -> None:
 
 def prepare_process() -> None:
     """Make a process of its own into a worker: Ctrl-C is its parent's, output is nobody's."""
-    import gc
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
-    # What stays for good is not looked through again and again for what can be freed.
-    gc.set_threshold(100_000, 50, 1000)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
 
 
