@@ -366,6 +366,8 @@ def _needs_quotes(value: str) -> bool:
 
 
 def quoted(value: str) -> str:
-    """`value` as a quoted string of Hydra's grammar."""
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+    """`value` as a quoted string of Hydra's grammar: a backslash counts as one before a quote."""
+    escaped = re.sub(
+        r'(\\*)("|\Z)', lambda found: found[1] * 2 + found[2].replace('"', '\\"'), value
+    )
     return f'"{escaped}"'
