@@ -52,7 +52,8 @@ def test_the_steps_pass_where_nothing_has_changed(repository):
     for step in steps():
         done = bash(step, repository)
         assert done.returncode == 0, f"{step}\n{done.stdout}\n{done.stderr}"
-    assert (repository / "tracking" / "report.html").is_file()
+    for reference in ("square", "sine"):
+        assert (repository / "tracking" / "runs" / reference / "report.html").is_file()
 
 
 def test_a_worse_controller_fails(repository):
@@ -65,6 +66,17 @@ def test_a_worse_controller_fails(repository):
     finally:
         option.write_text(before)
     assert done.returncode == 1 and "worse" in done.stdout + done.stderr
+
+
+def test_a_baseline_that_is_missing_is_told(repository):
+    baseline = repository / "tracking" / "sine.json"
+    kept = baseline.read_bytes()
+    baseline.unlink()
+    try:
+        done = bash("sed 's/^references=.*/references=(sine)/' tracking.sh | bash -s", repository)
+    finally:
+        baseline.write_bytes(kept)
+    assert done.returncode == 2 and './tracking.sh --update "why"' in done.stderr
 
 
 def test_an_update_wants_a_reason(repository):

@@ -166,6 +166,10 @@ def _chosen(found: Found, told: Sequence[str]) -> list[str]:
     return list(chosen.values())
 
 
+#: What nobody typed: a sweep gives it to its runs.
+_SET_BY_SWEEPS = ("picture", "sim.scene_every")
+
+
 def _settings(found: Found, names: Sequence[str]) -> list[str]:
     """Keys that were typed, and in which the runs differ: else the runs of a sweep look alike."""
     from trms_cli.runs.entry import typed
@@ -175,7 +179,12 @@ def _settings(found: Found, names: Sequence[str]) -> list[str]:
     for key in dict.fromkeys(key for keys in given for key in keys):
         own = ALIASES.get(key, key)
         values = {str(keys.get(key)) for keys in given}
-        if ("." in key or "@" in key) and own not in found.columns and len(values) > 1:
+        if (
+            key not in _SET_BY_SWEEPS
+            and ("." in key or "@" in key)
+            and own not in found.columns
+            and len(values) > 1
+        ):
             settings.append(key)
             found.columns[key] = Column(key, "any")
             for run, keys in zip(found.runs, given, strict=True):

@@ -19,6 +19,10 @@ fi
 mkdir -p tracking
 worse=0
 for reference in "${references[@]}"; do
+  if [ -z "$reason" ] && [ ! -f "tracking/$reference.json" ]; then
+    echo "there is no baseline tracking/$reference.json yet: ./tracking.sh --update \"why\"" >&2
+    exit 2
+  fi
   rm -rf "tracking/runs/$reference"
   trms run --config-dir configs --allow "$package" "controller=$controller" "ref=$reference" \
     "sim.duration=$duration" "${rig[@]}" "out=tracking/runs/$reference"
