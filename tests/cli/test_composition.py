@@ -288,7 +288,8 @@ class TestSweep:
         assert list(seen["effect"]) == ["sticky"]
         assert seen["out"] == str(tmp_path / "swept" / "1")
         error = self.status(tmp_path / "swept" / "2")["error"]
-        assert error == {"problem": "two is bad", "where": "seed", "remedy": "take three"}
+        told = {"problem": "two is bad", "where": "seed", "remedy": "take three"}
+        assert error == told | {"type": "ConfigurationError"}
         assert "ZeroDivisionError" in self.status(tmp_path / "swept" / "5")["error"]["trace"]
         output = capsys.readouterr()
         assert "2 of 6 runs done" in output.out

@@ -61,10 +61,13 @@ def distributions(tmp_path_factory) -> Distributions:
 
 
 @pytest.fixture(scope="session")
-def environment_with(distributions, tmp_path_factory) -> Callable[[str, list[str]], Environment]:
-    """Makes an environment of a Python, with the wheel under some constraints."""
+def environment_with(
+    distributions, tmp_path_factory
+) -> Callable[[str, tuple[str, ...]], Environment]:
+    """Makes an environment of a Python, with the wheel under some constraints; each once."""
 
-    def make(python: str, constraints: list[str]) -> Environment:
+    @cache
+    def make(python: str, constraints: tuple[str, ...]) -> Environment:
         folder = tmp_path_factory.mktemp("environment")
         subprocess.run([python, "-m", "venv", str(folder / "venv")], check=True)
         environment = Environment(folder / "venv" / "bin" / "python", folder / "work")
@@ -87,14 +90,14 @@ def tracked() -> tuple[str, ...]:
     return tuple(name for name in said.split("\0") if name and (ROOT / name).is_file())
 
 
-def lowest() -> list[str]:
+def lowest() -> tuple[str, ...]:
     """The lowest version that the project says it works with, of each of its dependencies."""
     found = []
     for text in PROJECT["dependencies"]:
         requirement = Requirement(text)
         (bound,) = (s.version for s in requirement.specifier if s.operator == ">=")
         found.append(f"{requirement.name}=={bound}")
-    return found
+    return tuple(found)
 
 
 def pythons() -> dict[str, str]:

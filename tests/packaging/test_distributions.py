@@ -70,7 +70,7 @@ def test_the_source_distribution_can_be_tested(distributions):
 def test_it_works_outside_of_its_checkout(environment_with, bounds, version):
     if bounds == "lowest" and version != min(pythons(), key=lambda v: int(v.partition(".")[2])):
         pytest.skip("the lowest versions of dependencies are those of the lowest Python")
-    environment = environment_with(pythons()[version], lowest() if bounds == "lowest" else [])
+    environment = environment_with(pythons()[version], lowest() if bounds == "lowest" else ())
     installed = environment.run("python", "-m", "pip", "list", "--format", "json")
     versions = {package["name"]: package["version"] for package in json.loads(installed)}
     assert environment.run("trms", "--version").strip() == f"trms {versions['trms-cli']}"
@@ -91,7 +91,7 @@ def test_it_works_outside_of_its_checkout(environment_with, bounds, version):
 
 
 def test_its_types_reach_a_user(environment_with, tmp_path):
-    environment = environment_with(pythons()[min(pythons())], [])
+    environment = environment_with(pythons()[min(pythons())], ())
     environment.run("python", "-m", "pip", "install", "--quiet", "mypy")
     script = environment.work / "mine.py"
     script.write_text(TYPED, encoding="utf-8")

@@ -98,4 +98,5 @@ def test_the_page_tells_errors_doubts_and_recordings(document, trace):
         "yaw_coulomb_friction", "abababab",
     ):  # fmt: skip
         assert words in html, words
-    assert "<b>.csv" not in html and "http" not in html.replace("http://www.w3.org", "")
+    assert "<b>.csv" not in html and "http:" not in html.replace("http://www.w3.org", "")
+    assert "https:" not in html
