@@ -49,7 +49,7 @@ slow: $(READY) ## the long tests
 	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m slow -q $(ARGS)
 
 package: $(READY) ## wheel and source distribution, built, installed under lowest and newest dependencies, used
-	@$(BIN)/python -m pytest -q -m slow tests/packaging $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -q -m slow tests/packaging $(ARGS)
 
 docs: $(READY) ## build the documentation site into build/site; a broken link fails
 	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site

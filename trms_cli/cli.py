@@ -21,7 +21,7 @@ PICTURE = """\
                       ▲                                                    │
                       └────────────────────────────────────────────────────┘
   every sample of r, u, y, x, x̂ and the solver's own words ──▶ one MCAP log
-  log ──▶ score · export · identify · validate
+  log ──▶ score · report · identify · validate · diagnose
 """
 
 #: The commands in the order in which a newcomer meets them, each with its module's ``SUMMARY``

@@ -77,7 +77,7 @@ def test_do_mpc_goes_the_same_way() -> None:
     np.testing.assert_allclose(newton, peer, atol=2e-3)  # V
 
 
-@pytest.mark.parametrize("subject", [newton_time, parts, growth], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("subject", [newton_time, parts], ids=lambda s: s.__name__)
 def test_a_subject_runs(subject: object, quick: Options) -> None:
     for table in subject.run(quick):  # type: ignore[attr-defined]
         assert table.rows
@@ -90,7 +90,9 @@ def test_a_subject_runs(subject: object, quick: Options) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "subject", [objective, peers, tracking, identification, exported], ids=lambda s: s.__name__
+    "subject",
+    [objective, peers, tracking, identification, exported, growth],
+    ids=lambda s: s.__name__,
 )
 def test_a_long_subject_runs(subject: object, quick: Options) -> None:
     for table in subject.run(quick):  # type: ignore[attr-defined]

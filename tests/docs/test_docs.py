@@ -24,6 +24,8 @@ from .markdown import blocks
 ROOT = Path(__file__).parents[2]
 #: Pages whose commands are typed here.
 TYPED = ["README.md", "docs/getting-started.md", "docs/tutorial.md", "docs/writing-a-plugin.md"]
+#: What others of them type in much the same words.
+LONG = {"docs/getting-started.md", "docs/how-to/real-time-export.md"}
 TYPED += sorted(page.relative_to(ROOT).as_posix() for page in ROOT.glob("docs/how-to/*.md"))
 PAGES = sorted(
     [
@@ -72,7 +74,9 @@ def says(expected: str, output: str) -> bool:
     return re.fullmatch(rf"\s*{pattern}\s*", " ".join(output.split()), re.DOTALL) is not None
 
 
-@pytest.mark.parametrize("name", TYPED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in TYPED]
+)
 def test_what_a_page_tells_to_type_works(name: str, tmp_path: Path) -> None:
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     count = 0

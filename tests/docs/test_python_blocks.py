@@ -19,7 +19,7 @@ ELSEWHERE = {"docs/log-format.md"}
 #: Folders that the documentation site is made in.
 MADE = {"_build", "source"}
 #: Pages that fit models and sweep.
-LONG = {"docs/library.md"}
+LONG = {"docs/library.md", "docs/sweeps.md"}
 
 
 def _sessions() -> list[str]:

@@ -66,7 +66,10 @@ def test_the_source_distribution_can_be_tested(distributions):
 
 
 @pytest.mark.parametrize("version", list(pythons()))
-@pytest.mark.parametrize("bounds", ["lowest", "newest"])
+@pytest.mark.parametrize(
+    "bounds",  # two at once, and what uses an environment where it is made
+    [pytest.param(b, marks=pytest.mark.xdist_group(b)) for b in ("lowest", "newest")],
+)
 def test_it_works_outside_of_its_checkout(environment_with, bounds, version):
     if bounds == "lowest" and version != min(pythons(), key=lambda v: int(v.partition(".")[2])):
         pytest.skip("the lowest versions of dependencies are those of the lowest Python")
@@ -90,6 +93,7 @@ def test_it_works_outside_of_its_checkout(environment_with, bounds, version):
     assert "Traceback" not in said
 
 
+@pytest.mark.xdist_group("newest")
 def test_its_types_reach_a_user(environment_with, tmp_path):
     environment = environment_with(pythons()[min(pythons())], ())
     environment.run("python", "-m", "pip", "install", "--quiet", "mypy")

@@ -286,10 +286,13 @@ _READ_ALL_THE_SAME = {
     "a chunk of lz4 that unpacks to 2.5 GiB and claims 1 KiB",
     "a chunk of zstd that unpacks to 2.5 GiB and claims 1 KiB",
 }
+_LONG = ("mat", "log")  # ten seconds and more
 _SLOWEST = 15.0  # s of processor time for a file, on a machine that does other things too
 
 
-@pytest.mark.parametrize("reader", _READERS)
+@pytest.mark.parametrize(
+    "reader", [pytest.param(r, marks=pytest.mark.slow) if r in _LONG else r for r in _READERS]
+)
 def test_hostile_files_are_refused_in_bounded_memory(reader: str, tmp_path: Path) -> None:
     cases = {what: content for what, (its, content) in _HOSTILE.items() if its == reader}
     suffix = {"csv": ".csv", "signal": ".csv", "mat": ".mat", "log": ".mcap"}.get(reader, ".yaml")
