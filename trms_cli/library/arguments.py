@@ -22,7 +22,7 @@ from trms_cli.library.paths import folders_of, path_of
 from trms_cli.library.result import Result
 
 #: Words that need no quotes: they cannot be read as a number, a truth value or Hydra's grammar.
-_PLAIN = re.compile(r"[A-Za-z_][\w/-]*(\.[A-Za-z_][\w/-]*)*")
+_PLAIN = re.compile(r"[A-Za-z_][\w/-]*(\.[A-Za-z_][\w/-]*)*", re.ASCII)
 _OTHER_MEANING = {"true", "false", "null", "none", "inf", "nan", "yes", "no", "on", "off"}
 
 
