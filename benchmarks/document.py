@@ -16,23 +16,12 @@ Value = str | float | int | bool | None
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """A column of a table."""
 
-    Attributes
-    ----------
-    key : str
-        In the JSON document.
-    title : str
-        In the printed table; the unit stands behind it.
-    unit : str
-    digits : int
-        Significant digits printed; the document has them all.
-    """
-
-    key: str
-    title: str
+    key: str  #: In the JSON document
+    title: str  #: In the printed table; the unit stands behind it
     unit: str = ""
-    digits: int = 3
+    digits: int = 3  #: Significant digits printed; the document has them all
 
 
 @dataclass

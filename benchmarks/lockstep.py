@@ -38,23 +38,14 @@ WARM_UP = 5
 
 @dataclass
 class Entrant:
-    """A controller in its own closed loop with the full state, one control period a sample.
-
-    Attributes
-    ----------
-    times : list of float
-        s per sample.
-    states : list of (n_x,) arrays
-        At the samples, the one after the last command included.
-    commands : list of (n_u,) arrays
-    answers : list of Command
-    """
+    """A controller in its own closed loop with the full state, one control period a sample."""
 
     name: str
     experiment: Experiment
-    times: list[float] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)  #: s per sample
+    #: list of (n_x,) arrays; at the samples, the one after the last command included
     states: list[FloatArray] = field(default_factory=list)
-    commands: list[FloatArray] = field(default_factory=list)
+    commands: list[FloatArray] = field(default_factory=list)  #: list of (n_u,) arrays
     answers: list[Command] = field(default_factory=list)
 
     def __post_init__(self) -> None:

@@ -8,18 +8,10 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Options:
-    """Choices of a run.
+    """Choices of a run."""
 
-    Attributes
-    ----------
-    quick : bool
-        Few samples, to see that everything works; the figures mean nothing.
-    out : Path
-        Folder of the document and the figures.
-    """
-
-    quick: bool = False
-    out: Path = Path("outputs/bench")
+    quick: bool = False  #: Few samples, to see that everything works; the figures mean nothing
+    out: Path = Path("outputs/bench")  #: Folder of the document and the figures
 
     def duration(self, seconds: float) -> float:
         """Simulated time of a closed loop, s."""

@@ -121,10 +121,7 @@ def _dispatch(arguments: list[str]) -> int:
 def load_command(name: str) -> ModuleType:
     """Import the module of a command.
 
-    Raises
-    ------
-    TrmsError
-        If there is no such command; it names the nearest.
+    Raises TrmsError if there is no such command; it names the nearest.
     """
     if name not in COMMANDS:
         raise TrmsError(

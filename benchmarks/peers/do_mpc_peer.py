@@ -23,14 +23,9 @@ from trms_cli.models.model import names
 
 @dataclass(frozen=True, kw_only=True)
 class DoMpc:
-    """do-mpc on the problem of a ``newton_mpc``.
+    """do-mpc on the problem of a ``newton_mpc``."""
 
-    Attributes
-    ----------
-    problem : NewtonMpc
-        Without input blocks, soft limits and preview, which do-mpc states otherwise or not.
-    """
-
+    #: Without input blocks, soft limits and preview, which do-mpc states otherwise or not
     problem: NewtonMpc
 
     @property

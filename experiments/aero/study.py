@@ -26,18 +26,10 @@ _CHANNELS = ("alpha_v", "alpha_h")
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit of the study.
-
-    Attributes
-    ----------
-    problem : FitProblem
-    model : QuanserAero
-        With the fitted values.
-    result : FitResult
-    """
+    """A fit of the study."""
 
     problem: FitProblem
-    model: QuanserAero
+    model: QuanserAero  #: With the fitted values
     result: FitResult
 
 

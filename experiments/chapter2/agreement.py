@@ -16,41 +16,22 @@ from trms_cli.models.newtonian import Newtonian
 
 @dataclass(frozen=True)
 class Agreement:
-    """Two models that are the same where they are compared.
-
-    Attributes
-    ----------
-    what : str
-    largest : float
-        Difference of an angle over all cases, rad.
-    moved : float
-        By how much that angle moved, rad.
-    """
+    """Two models that are the same where they are compared."""
 
     what: str
-    largest: float
-    moved: float
+    largest: float  #: Difference of an angle over all cases, rad
+    moved: float  #: By how much that angle moved, rad
 
 
 @dataclass(frozen=True)
 class TermStudy:
-    """How much each term matters in one case; RMS differences of the angles, rad.
-
-    Attributes
-    ----------
-    name : str
-    newtonian : dict of str to float
-        All terms as in the Newtonian model, the beam on the axis.
-    left_wrong : dict of str to dict of str to float
-        One term as in the Newtonian model, by term and angle.
-    arm : dict of str to float
-        The beam on the axis instead of h beside it.
-    """
+    """How much each term matters in one case; RMS differences of the angles, rad."""
 
     name: str
-    newtonian: dict[str, float]
+    newtonian: dict[str, float]  #: All terms as in the Newtonian model, the beam on the axis
+    #: One term as in the Newtonian model, by term and angle
     left_wrong: dict[str, dict[str, float]]
-    arm: dict[str, float]
+    arm: dict[str, float]  #: The beam on the axis instead of h beside it
 
 
 def study_agreement(study: Study) -> tuple[list[Agreement], list[TermStudy]]:

@@ -23,23 +23,13 @@ _PERIODS, _LEAST = 3.0, 20.0  # of a case with one axis; s
 
 @dataclass(frozen=True)
 class Comparison:
-    """One case by both models.
-
-    Attributes
-    ----------
-    name : str
-    why : str
-        What it is there for, or its signal in words.
-    newtonian, lagrangian : Response
-    differences : dict of str to Difference
-        Of the Newtonian from the Lagrangian model, by output.
-    """
+    """One case by both models."""
 
     name: str
-    why: str
+    why: str  #: What it is there for, or its signal in words
     newtonian: Response
     lagrangian: Response
-    differences: dict[str, Difference]
+    differences: dict[str, Difference]  #: Of the Newtonian from the Lagrangian model, by output
 
 
 def _compared(name: str, why: str, newtonian: Response, lagrangian: Response) -> Comparison:

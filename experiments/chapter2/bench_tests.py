@@ -34,22 +34,14 @@ _ROTORS = {"main": ("v", "mr"), "tail": ("h", "tr")}
 
 @dataclass(frozen=True)
 class Found:
-    """A parameter by its test.
-
-    Attributes
-    ----------
-    name, unit, test : str
-    true : float
-    mean, sd : float
-        Over the repetitions, in the parameter's unit.
-    """
+    """A parameter by its test."""
 
     name: str
     unit: str
     test: str
     true: float
-    mean: float
-    sd: float
+    mean: float  #: Over the repetitions, in the parameter's unit
+    sd: float  #: Over the repetitions, in the parameter's unit
 
     @property
     def bias_percent(self) -> float:
@@ -62,21 +54,14 @@ class Found:
 
 @dataclass(frozen=True)
 class BenchRecords:
-    """One repetition as its figure shows it; SI.
+    """One repetition as its figure shows it; SI."""
 
-    Attributes
-    ----------
-    static : dict of str to (ω, kφ i, F) arrays
-        By rotor, measured.
-    run_down : dict of str to (time, ω measured, ω fitted) arrays
-    cable : (α_h, moment) arrays
-    swing : (time, α_v measured, α_v fitted) arrays
-    """
-
+    #: dict of str to (ω, kφ i, F) arrays; by rotor, measured
     static: dict[str, tuple[FloatArray, FloatArray, FloatArray]]
+    #: dict of str to (time, ω measured, ω fitted) arrays
     run_down: dict[str, tuple[FloatArray, FloatArray, FloatArray]]
-    cable: tuple[FloatArray, FloatArray]
-    swing: tuple[FloatArray, FloatArray, FloatArray]
+    cable: tuple[FloatArray, FloatArray]  #: (α_h, moment) arrays
+    swing: tuple[FloatArray, FloatArray, FloatArray]  #: (time, α_v measured, α_v fitted) arrays
 
 
 def study_bench_tests(study: Study, seed: int = 0) -> tuple[list[Found], BenchRecords]:

@@ -17,38 +17,23 @@ _SETTLED = 12.0
 
 @dataclass(frozen=True)
 class RotorStudy:
-    """What one rotor does.
+    """What one rotor does."""
 
-    Attributes
-    ----------
-    axis : str
-        ``v`` or ``h``.
-    commands, speeds, thrusts : (n,) arrays
-        The static curve: V, rad/s, N.
-    steps : dict of float to Response
-        By size, V.
-    rises, settles, falls : dict of float to float
-        10 to 90 % of the final speed, the last time outside 2 % of it, and the time from the
-        final speed to 10 % of it with no voltage; s.
-    sines : dict of float to Response
-        By frequency, Hz.
-    gains, lags : dict of float to float
-        Of the speed's first harmonic by frequency: (rad/s)/V, degrees.
-    current_effect : float
-        Largest difference in speed that the armature's inductance makes in a full step, rad/s.
-    """
-
-    axis: str
-    commands: FloatArray
-    speeds: FloatArray
-    thrusts: FloatArray
-    steps: dict[float, Response]
+    axis: str  #: ``v`` or ``h``
+    commands: FloatArray  #: (n,) arrays; the static curve: V, rad/s, N
+    speeds: FloatArray  #: (n,) arrays; the static curve: V, rad/s, N
+    thrusts: FloatArray  #: (n,) arrays; the static curve: V, rad/s, N
+    steps: dict[float, Response]  #: By size, V
+    #: ``rises``, ``settles``, ``falls``: 10 to 90 % of the final speed, the last time outside 2 %
+    #: of it, and the time from the final speed to 10 % of it with no voltage; s
     rises: dict[float, float]
     settles: dict[float, float]
     falls: dict[float, float]
-    sines: dict[float, Response]
+    sines: dict[float, Response]  #: By frequency, Hz
+    #: ``gains``, ``lags``: Of the speed's first harmonic by frequency: (rad/s)/V, degrees
     gains: dict[float, float]
     lags: dict[float, float]
+    #: Largest difference in speed that the armature's inductance makes in a full step, rad/s
     current_effect: float
 
 

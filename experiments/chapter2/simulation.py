@@ -20,40 +20,21 @@ _TOUCHED = 0.999
 
 @dataclass(frozen=True)
 class Response:
-    """A model's answer to commands.
+    """A model's answer to commands."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        s.
-    commands : (n, n_u) array
-        V.
-    outputs : dict of str to (n,) array
-        By name, in SI.
-    stopped : bool
-        Whether a mechanical stop was reached.
-    """
-
-    time: FloatArray
-    commands: FloatArray
-    outputs: dict[str, FloatArray]
-    stopped: bool
+    time: FloatArray  #: (n,) array; s
+    commands: FloatArray  #: (n, n_u) array; V
+    outputs: dict[str, FloatArray]  #: dict of str to (n,) array; by name, in SI
+    stopped: bool  #: Whether a mechanical stop was reached
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Of one output of a model from that of another, which is the measure.
+    """Of one output of a model from that of another, which is the measure."""
 
-    Attributes
-    ----------
-    rms, largest : float
-        In the output's unit.
-    fit : float
-        ``100 (1 − ‖difference‖/‖output − its mean‖)``, percent; NaN where the output rests.
-    """
-
-    rms: float
-    largest: float
+    rms: float  #: In the output's unit
+    largest: float  #: In the output's unit
+    #: ``100 (1 − ‖difference‖/‖output − its mean‖)``, percent; NaN where the output rests
     fit: float
 
 

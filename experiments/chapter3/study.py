@@ -34,26 +34,13 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass(frozen=True)
 class Study:
-    """What came out of a study.
+    """What came out of a study."""
 
-    Attributes
-    ----------
-    tables : dict of str to list of Trained
-        The trainings of each system.
-    members : dict of str to list of Trained
-        The members of each system.
-    excitations : list of Trained
-        The same network fitted to two kinds of commands.
-    structures : list of Assessed
-    seconds : dict of str to float
-        Wall time of each part.
-    """
-
-    tables: dict[str, list[Trained]]
-    members: dict[str, list[Trained]]
-    excitations: list[Trained]
+    tables: dict[str, list[Trained]]  #: The trainings of each system
+    members: dict[str, list[Trained]]  #: The members of each system
+    excitations: list[Trained]  #: The same network fitted to two kinds of commands
     structures: list[Assessed]
-    seconds: dict[str, float]
+    seconds: dict[str, float]  #: Wall time of each part
 
 
 def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None) -> Study:

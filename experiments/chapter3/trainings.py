@@ -28,50 +28,21 @@ PARTS = ("fitted", "validation", "test")
 
 @dataclass(frozen=True)
 class Job:
-    """What is trained.
+    """What is trained."""
 
-    Attributes
-    ----------
-    system : str
-        Key of ``systems`` in the settings.
-    label : str
-        Of the training in tables.
-    method, training : str
-        Options of ``configs/method`` and ``configs/training``.
-    seed : int
-        Of the first weights.
-    changes : dict
-        Keys of the method.
-    excitation : dict or None
-        Another one for the fitted recording.
-    """
-
-    system: str
-    label: str
+    system: str  #: Key of ``systems`` in the settings
+    label: str  #: Of the training in tables
+    #: ``method``, ``training``: Options of ``configs/method`` and ``configs/training``
     method: str
     training: str
-    seed: int
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    excitation: Mapping[str, Any] | None = None
+    seed: int  #: Of the first weights
+    changes: Mapping[str, Any] = field(default_factory=dict)  #: Keys of the method
+    excitation: Mapping[str, Any] | None = None  #: Another one for the fitted recording
 
 
 @dataclass(frozen=True)
 class Trained:
-    """What came out.
-
-    Attributes
-    ----------
-    job : Job
-    epochs, kept_epoch, weights : int
-    seconds : float
-    outcome : str
-    one_step, free_run : dict of str to dict of str to float
-        By part and output: RMS error in the output's unit; infinite after a divergence.
-    losses, times : list of float
-        Normalised loss after each epoch, and the time until then, s.
-    structure, network : dict
-        Plain data of the trained network.
-    """
+    """What came out."""
 
     job: Job
     epochs: int
@@ -79,12 +50,13 @@ class Trained:
     weights: int
     seconds: float
     outcome: str
-    one_step: dict[str, dict[str, float]]
-    free_run: dict[str, dict[str, float]]
+    one_step: dict[str, dict[str, float]]  #: By part and output: RMS error in the output's unit
+    free_run: dict[str, dict[str, float]]  #: infinite after a divergence
+    #: ``losses``, ``times``: Normalised loss after each epoch, and the time until then, s
     losses: list[float]
     times: list[float]
-    structure: dict[str, Any]
-    network: dict[str, Any]
+    structure: dict[str, Any]  #: Plain data of the trained network
+    network: dict[str, Any]  #: Plain data of the trained network
 
 
 @cache

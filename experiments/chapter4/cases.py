@@ -17,45 +17,24 @@ CASES = Path(__file__).with_name("cases.yaml")
 
 @dataclass(frozen=True)
 class Case:
-    """One rig, its recordings, what is fitted.
+    """One rig, its recordings, what is fitted."""
 
-    Attributes
-    ----------
-    number : int
-        From 1.
-    name : str
-    fit, held_out : tuple of str
-        Overrides of ``trms run`` that make the recordings.
-    identify : tuple of str
-        Overrides of ``trms identify``, without recordings and method.
-    """
-
-    number: int
+    number: int  #: From 1
     name: str
+    #: ``fit``, ``held_out``: Overrides of ``trms run`` that make the recordings
     fit: tuple[str, ...]
     held_out: tuple[str, ...]
-    identify: tuple[str, ...]
+    identify: tuple[str, ...]  #: Overrides of ``trms identify``, without recordings and method
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is to be done.
-
-    Attributes
-    ----------
-    cases : list of Case
-    methods : dict of str to tuple of str
-        Overrides by name, for white against grey.
-    compared : list of Case
-    comparison : dict of str to tuple of str
-        Methods that are compared on them.
-    seeds : tuple of int
-    """
+    """What is to be done."""
 
     cases: list[Case]
-    methods: dict[str, tuple[str, ...]]
+    methods: dict[str, tuple[str, ...]]  #: Overrides by name, for white against grey
     compared: list[Case]
-    comparison: dict[str, tuple[str, ...]]
+    comparison: dict[str, tuple[str, ...]]  #: Methods that are compared on them
     seeds: tuple[int, ...]
 
 

@@ -20,59 +20,34 @@ from trms_cli.identification.method import FitResult, Unwatched
 
 @dataclass
 class Fitted:
-    """One fit.
-
-    Attributes
-    ----------
-    method : str
-    errors : dict
-        By output: ``rmse``, … on the recording that was held out.
-    cost : float
-        The common cost of all methods at the fitted values, nats; see
-        :class:`trms_cli.identification.population.simulation_cost.SimulationCost`.
-    seconds : float
-        Processor time of the fit, one thread.
-    simulations : int
-    history : list of (simulations, s, cost)
-        Of methods that minimise the common cost.
-    values : dict of str to float
-    trace : dict of str to (n,) array
-        Simulated over the held-out recording.
-    """
+    """One fit."""
 
     method: str
-    errors: Mapping[str, Any]
+    errors: Mapping[str, Any]  #: By output: ``rmse``, … on the recording that was held out
+    #: The common cost of all methods at the fitted values, nats; see
+    #: :class:`trms_cli.identification.population.simulation_cost.SimulationCost`
     cost: float
-    seconds: float
+    seconds: float  #: Processor time of the fit, one thread
     simulations: int
+    #: list of (simulations, s, cost); of methods that minimise the common cost
     history: list[tuple[int, float, float]] = field(default_factory=list)
     values: Mapping[str, float] = field(default_factory=dict)
+    #: dict of str to (n,) array; simulated over the held-out recording
     trace: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
 class CaseOutcome:
-    """What came out of a case.
-
-    Attributes
-    ----------
-    case : Case
-    free : int
-        Number of free parameters.
-    white : dict
-        Errors of the model with its own values, by output.
-    fits : list of Fitted
-    measured : dict of str to (n,) array
-        The held-out recording, and ``time`` (s).
-    white_trace : dict of str to (n,) array
-    """
+    """What came out of a case."""
 
     case: Case
-    free: int = 0
+    free: int = 0  #: Number of free parameters
+    #: Errors of the model with its own values, by output
     white: Mapping[str, Any] = field(default_factory=dict)
     fits: list[Fitted] = field(default_factory=list)
+    #: dict of str to (n,) array; the held-out recording, and ``time`` (s)
     measured: dict[str, Any] = field(default_factory=dict)
-    white_trace: dict[str, Any] = field(default_factory=dict)
+    white_trace: dict[str, Any] = field(default_factory=dict)  #: dict of str to (n,) array
 
 
 def run_case(

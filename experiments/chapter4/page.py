@@ -27,21 +27,11 @@ _ANGLES = {"alpha_v": "pitch", "alpha_h": "yaw"}
 
 @dataclass
 class Findings:
-    """All that came out.
+    """All that came out."""
 
-    Attributes
-    ----------
-    cases : list of CaseOutcome
-        White against grey.
-    compared : list of CaseOutcome
-        Every method with every seed.
-    seconds : float
-        Of the whole study, s.
-    """
-
-    cases: list[CaseOutcome]
-    compared: list[CaseOutcome]
-    seconds: float
+    cases: list[CaseOutcome]  #: White against grey
+    compared: list[CaseOutcome]  #: Every method with every seed
+    seconds: float  #: Of the whole study, s
 
 
 def tables(found: Findings) -> dict[str, list[list[str]]]:

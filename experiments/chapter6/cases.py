@@ -20,50 +20,30 @@ ANGLES = ("alpha_v", "alpha_h")
 
 @dataclass(frozen=True)
 class Run:
-    """A case under a controller.
-
-    Attributes
-    ----------
-    case, controller : str
-    score : dict
-        ``trms.score/1``.
-    traces : dict of str to (n,) array
-        ``time`` (s), references ``r_…`` and angles (rad), inputs (V).
-    control_time, objective, residual : (m,) arrays
-        Per control sample; the residual is the terminal one.
-    statuses : dict of str to int
-        Samples by status.
-    """
+    """A case under a controller."""
 
     case: str
     controller: str
-    score: dict[str, Any]
+    score: dict[str, Any]  #: ``trms.score/1``
+    #: dict of str to (n,) array; ``time`` (s), references ``r_…`` and angles (rad), inputs (V)
     traces: dict[str, FloatArray]
+    #: ``control_time``, ``objective``, ``residual``: (m,) arrays; per control sample; the residual
+    #: is the terminal one
     control_time: FloatArray
     objective: FloatArray
     residual: FloatArray
-    statuses: dict[str, int]
+    statuses: dict[str, int]  #: Samples by status
 
 
 @dataclass(frozen=True)
 class Plans:
-    """What was planned at some samples after a step of the references.
+    """What was planned at some samples after a step of the references."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        s after the step, of the rig's trajectory.
-    x, u : arrays
-        (n, n_x) and (n, n_u): what came of it.
-    objective : (n,) array
-    predictions : dict of int to (times, states, inputs)
-        By sample.
-    """
-
-    time: FloatArray
-    x: FloatArray
-    u: FloatArray
-    objective: FloatArray
+    time: FloatArray  #: (n,) array; s after the step, of the rig's trajectory
+    x: FloatArray  #: (n, n_x) and (n, n_u): what came of it
+    u: FloatArray  #: (n, n_x) and (n, n_u): what came of it
+    objective: FloatArray  #: (n,) array
+    #: dict of int to (times, states, inputs); by sample
     predictions: dict[int, tuple[FloatArray, FloatArray, FloatArray]]
 
 

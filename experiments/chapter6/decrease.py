@@ -18,38 +18,17 @@ from experiments.chapter6.study import Decrease, Mode, drawn
 
 @dataclass(frozen=True)
 class Claim:
-    """What became of it in one mode.
-
-    Attributes
-    ----------
-    mode : str
-    samples : int
-        All of them.
-    held : float
-        Share of samples whose plan ended where it must.
-    kept : float
-        Share of these after which J fell by ℓ, within the tolerance.
-    kept_with_move : float
-        The same with the last move allowed for.
-    worst : float
-        Largest J(k+1) − J(k) + ℓ(k) after them, relative to J(k).
-    converged : float
-        Share of samples whose iterations converged.
-    shifted : float
-        Largest terminal residual of a shifted plan after a held sample.
-    arrived : float
-        Largest error of an angle at the end, rad.
-    """
+    """What became of it in one mode."""
 
     mode: str
-    samples: int
-    held: float
-    kept: float
-    kept_with_move: float
-    worst: float
-    converged: float
-    shifted: float
-    arrived: float
+    samples: int  #: All of them
+    held: float  #: Share of samples whose plan ended where it must
+    kept: float  #: Share of these after which J fell by ℓ, within the tolerance
+    kept_with_move: float  #: The same with the last move allowed for
+    worst: float  #: Largest J(k+1) − J(k) + ℓ(k) after them, relative to J(k)
+    converged: float  #: Share of samples whose iterations converged
+    shifted: float  #: Largest terminal residual of a shifted plan after a held sample
+    arrived: float  #: Largest error of an angle at the end, rad
 
 
 def study_decrease(study: Decrease, seed: int) -> tuple[list[Claim], dict[str, list[Record]]]:

@@ -25,43 +25,25 @@ _AT_REST = 5
 
 @dataclass
 class Found:
-    """Feasible states of one set of points.
+    """Feasible states of one set of points."""
 
-    Attributes
-    ----------
-    states : list of (n_x,) arrays
-    feasible : dict of (str, int) to bool array
-        By terminal constraint and horizon, one entry a state.
-    alone : dict of (str, int) to bool array
-        The same as found from the steady-state input alone, as the controller begins.
-    """
-
-    states: list[FloatArray]
+    states: list[FloatArray]  #: list of (n_x,) arrays
+    #: By terminal constraint and horizon, one entry a state
     feasible: dict[tuple[str, int], BoolArray] = field(default_factory=dict)
+    #: The same as found from the steady-state input alone, as the controller begins
     alone: dict[tuple[str, int], BoolArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Arrivals:
-    """Closed loops from states of the box.
-
-    Attributes
-    ----------
-    terminal : str
-    horizon : int
-    feasible : float
-        Share of these states whose first plan meets the terminal constraint; NaN without one.
-    arrived : float
-        Share of the loops that come to rest at the target.
-    cost : float
-        Mean of what the loops cost, in the objective's unit.
-    """
+    """Closed loops from states of the box."""
 
     terminal: str
     horizon: int
+    #: Share of these states whose first plan meets the terminal constraint; NaN without one
     feasible: float
-    arrived: float
-    cost: float
+    arrived: float  #: Share of the loops that come to rest at the target
+    cost: float  #: Mean of what the loops cost, in the objective's unit
 
 
 class _Finder:

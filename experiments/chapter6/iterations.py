@@ -12,26 +12,14 @@ from experiments.chapter6.study import Iterations, Mode
 
 @dataclass(frozen=True)
 class Economy:
-    """A closed loop with a number of iterations.
-
-    Attributes
-    ----------
-    reference, horizon : str
-    count : int
-        Iterations a sample at the most.
-    cost : float
-        Sum of the stage costs of the loop, in the objective's unit.
-    mean_iterations : float
-    seconds : float
-        Median time of a sample's computation, s; of this machine at this hour.
-    """
+    """A closed loop with a number of iterations."""
 
     reference: str
     horizon: str
-    count: int
-    cost: float
+    count: int  #: Iterations a sample at the most
+    cost: float  #: Sum of the stage costs of the loop, in the objective's unit
     mean_iterations: float
-    seconds: float
+    seconds: float  #: Median time of a sample's computation, s; of this machine at this hour
 
 
 def square_wave(given: dict[str, float], duration: float, period: float) -> FloatArray:

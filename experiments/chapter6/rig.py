@@ -26,32 +26,22 @@ RATES = {"rate_v": ("alpha_v", "S_v"), "rate_h": ("alpha_h", "S_h")}
 
 @dataclass
 class Record:
-    """A run; one row a control sample, ``x`` one more.
+    """A run; one row a control sample, ``x`` one more."""
 
-    Attributes
-    ----------
-    x, u : arrays
-        (n + 1, n_x) and (n, n_u).
-    objective, stage, residual, shifted, last_move : (n,) arrays
-        J of the plan, the stage cost that was paid, the terminal residual of the plan, that of the
-        last plan shifted in time before any iteration, and what a move from the plan's end to the
-        steady-state input costs.
-    iterations : (n,) array
-    converged : (n,) bool array
-    seconds : (n,) array
-        Of a sample's computation, s.
-    """
-
-    x: FloatArray
-    u: FloatArray
+    x: FloatArray  #: (n + 1, n_x) and (n, n_u)
+    u: FloatArray  #: (n + 1, n_x) and (n, n_u)
+    #: ``objective``, ``stage``, ``residual``, ``shifted``, ``last_move``: (n,) arrays; J of the
+    #: plan, the stage cost that was paid, the terminal residual of the plan, that of the last plan
+    #: shifted in time before any iteration, and what a move from the plan's end to the steady-state
+    #: input costs
     objective: FloatArray
     stage: FloatArray
     residual: FloatArray
     shifted: FloatArray
     last_move: FloatArray
-    iterations: FloatArray
-    converged: npt.NDArray[np.bool_]
-    seconds: FloatArray
+    iterations: FloatArray  #: (n,) array
+    converged: npt.NDArray[np.bool_]  #: (n,) bool array
+    seconds: FloatArray  #: (n,) array; of a sample's computation, s
 
 
 @dataclass

@@ -9,19 +9,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Deviation:
-    """A figure that is not what was expected.
+    """A figure that is not what was expected."""
 
-    Attributes
-    ----------
-    key : str
-        Run and figure.
-    expected, now : float or None
-        None where there is none.
-    """
-
-    key: str
-    expected: float | None
-    now: float | None
+    key: str  #: Run and figure
+    expected: float | None  #: None where there is none
+    now: float | None  #: None where there is none
 
 
 def deviations(

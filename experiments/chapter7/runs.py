@@ -21,24 +21,15 @@ _THINNING = 5  #: every how many samples a figure keeps one
 
 @dataclass
 class Outcome:
-    """What became of a run.
-
-    Attributes
-    ----------
-    job : Job
-    figures : dict
-        By name; angles in rad. Empty if the run failed.
-    traces : dict of str to array
-        Thinned: ``time`` (s), angles, references ``r_…`` (rad), inputs (V), the estimated torques
-        ``d_…`` with deviations ``sd_…`` (N m).
-    problem : str
-        Why it failed.
-    """
+    """What became of a run."""
 
     job: Job
+    #: By name; angles in rad. Empty if the run failed.
     figures: dict[str, Any] = field(default_factory=dict)
+    #: Thinned: ``time`` (s), angles, references ``r_…`` (rad), inputs (V), the estimated torques
+    #: ``d_…`` with deviations ``sd_…`` (N m)
     traces: dict[str, FloatArray] = field(default_factory=dict)
-    problem: str = ""
+    problem: str = ""  #: Why it failed
 
 
 def run_job(job: Job, last: float) -> Outcome:

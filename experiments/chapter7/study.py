@@ -44,19 +44,12 @@ class Study(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Job:
-    """One run.
-
-    Attributes
-    ----------
-    part, case, pair : str
-    overrides : tuple of str
-        What follows ``trms run``.
-    """
+    """One run."""
 
     part: str
     case: str
     pair: str
-    overrides: tuple[str, ...]
+    overrides: tuple[str, ...]  #: What follows ``trms run``
 
     @property
     def key(self) -> str:

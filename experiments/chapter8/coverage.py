@@ -15,57 +15,29 @@ from trms_cli.controllers.robust.polytope import box, independent_cube
 
 @dataclass(frozen=True)
 class Contained:
-    """One polytope against independent points.
+    """One polytope against independent points."""
 
-    Attributes
-    ----------
-    size : float
-        Half-width of its region, in typical sizes.
-    components : int
-    spread : float
-        Largest width of a coefficient, in units of the scales.
-    inside : float
-        Share of the points whose components are inside.
-    outside_bound : float
-        Upper bound on the share outside that holds with the stated confidence (binomial tail).
-    median, largest : float
-        Remainder, spectral norm.
-    residual : float
-        Largest that the coefficients leave of the step itself, in units of the scales.
-    """
-
-    size: float
+    size: float  #: Half-width of its region, in typical sizes
     components: int
-    spread: float
-    inside: float
+    spread: float  #: Largest width of a coefficient, in units of the scales
+    inside: float  #: Share of the points whose components are inside
+    #: Upper bound on the share outside that holds with the stated confidence (binomial tail)
     outside_bound: float
-    median: float
-    largest: float
+    median: float  #: Remainder, spectral norm
+    largest: float  #: Remainder, spectral norm
+    #: Largest that the coefficients leave of the step itself, in units of the scales
     residual: float
 
 
 @dataclass(frozen=True)
 class Gain:
-    """A treatment of the standing tail rotor.
-
-    Attributes
-    ----------
-    name : str
-    weakest : float
-        Least yaw gain over the largest, among the coefficients.
-    gamma : float
-        Certified cost of the yaw deviation, NaN without a law.
-    neglected : float
-        Torque on yaw that the treatment leaves out, N m.
-    yaw : float
-        What that torque holds off against the cable alone, rad.
-    """
+    """A treatment of the standing tail rotor."""
 
     name: str
-    weakest: float
-    gamma: float
-    neglected: float
-    yaw: float
+    weakest: float  #: Least yaw gain over the largest, among the coefficients
+    gamma: float  #: Certified cost of the yaw deviation, NaN without a law
+    neglected: float  #: Torque on yaw that the treatment leaves out, N m
+    yaw: float  #: What that torque holds off against the cable alone, rad
 
 
 def study_coverage(study: Study) -> tuple[list[Contained], dict[float, FloatArray]]:

@@ -17,18 +17,11 @@ from trms_cli.observers.observer import Estimate
 
 @dataclass(frozen=True)
 class Map:
-    """Which starts of the grid are held.
+    """Which starts of the grid are held."""
 
-    Attributes
-    ----------
-    yaw, pitch : (n,) arrays
-        rad.
-    held : dict of str to (n_yaw, n_pitch) array of bool
-        By controller and how the main rotor starts.
-    """
-
-    yaw: FloatArray
-    pitch: FloatArray
+    yaw: FloatArray  #: (n,) arrays; rad
+    pitch: FloatArray  #: (n,) arrays; rad
+    #: dict of str to (n_yaw, n_pitch) array of bool; by controller and how the main rotor starts
     held: dict[str, FloatArray]
 
     @property

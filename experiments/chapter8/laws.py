@@ -16,44 +16,19 @@ from trms_cli.models.newtonian import Newtonian
 
 @dataclass(frozen=True)
 class Switching:
-    """A run on the polytope.
+    """A run on the polytope."""
 
-    Attributes
-    ----------
-    cost : float
-        Spent, relative to the certified bound.
-    rise : float
-        Largest V(k+1) + stage cost over V(k): at most 1.
-    inputs, states : float
-        Largest |v_i| and |z_i| relative to their bounds.
-    values : (steps,) array
-        V relative to its start.
-    """
-
-    cost: float
-    rise: float
+    cost: float  #: Spent, relative to the certified bound
+    rise: float  #: Largest V(k+1) + stage cost over V(k): at most 1
+    #: ``inputs``, ``states``: Largest |v_i| and |z_i| relative to their bounds
     inputs: float
     states: float
-    values: FloatArray
+    values: FloatArray  #: (steps,) array; V relative to its start
 
 
 @dataclass(frozen=True)
 class LawResult:
-    """One law.
-
-    Attributes
-    ----------
-    start : (float, float)
-    kind, region : str
-    vertices : int
-    certificate : Certificate or None
-    slack : float
-    covered : bool
-        Whether the ellipsoid lies in the region of the polytope.
-    decreasing : float
-        Share of independent coefficients of the nonlinear model under which V falls.
-    greedy, random : Switching or None
-    """
+    """One law."""
 
     start: tuple[float, float]
     kind: str
@@ -61,7 +36,8 @@ class LawResult:
     vertices: int
     certificate: Certificate | None
     slack: float
-    covered: bool
+    covered: bool  #: Whether the ellipsoid lies in the region of the polytope
+    #: Share of independent coefficients of the nonlinear model under which V falls
     decreasing: float
     greedy: Switching | None
     random: Switching | None

@@ -23,62 +23,31 @@ INPUTS = ("u_v", "u_h")
 
 @dataclass(frozen=True)
 class Case:
-    """One run.
+    """One run."""
 
-    Attributes
-    ----------
-    controller, observer : str
-        Names in the study.
-    start : (float, float)
-        Yaw and pitch, rad.
-    overrides : tuple of str
-    settled : float
-        rad.
-    """
-
-    controller: str
-    observer: str
-    start: tuple[float, float]
+    controller: str  #: Names in the study
+    observer: str  #: Names in the study
+    start: tuple[float, float]  #: Yaw and pitch, rad
     overrides: tuple[str, ...]
-    settled: float
+    settled: float  #: rad
 
 
 @dataclass(frozen=True)
 class Ran:
-    """What became of it.
-
-    Attributes
-    ----------
-    case : Case
-    ise : dict of str to float
-        ∫ error² dt by angle, rad² s.
-    settling : dict of str to float
-        s; NaN where an axis has not settled.
-    effort : dict of str to float
-        Sum of the changes of an input, V.
-    largest : float
-        Largest command, V.
-    relaxed, failed : float
-        Shares of the control samples.
-    median_ms, worst_ms : float
-        A step, ms.
-    time : (n,) array
-        s.
-    angles, commands : dict of str to (n,) array
-    """
+    """What became of it."""
 
     case: Case
-    ise: dict[str, float]
-    settling: dict[str, float]
-    effort: dict[str, float]
-    largest: float
-    relaxed: float
-    failed: float
-    median_ms: float
-    worst_ms: float
-    time: FloatArray
-    angles: dict[str, FloatArray]
-    commands: dict[str, FloatArray]
+    ise: dict[str, float]  #: ∫ error² dt by angle, rad² s
+    settling: dict[str, float]  #: s; NaN where an axis has not settled
+    effort: dict[str, float]  #: Sum of the changes of an input, V
+    largest: float  #: Largest command, V
+    relaxed: float  #: Shares of the control samples
+    failed: float  #: Shares of the control samples
+    median_ms: float  #: A step, ms
+    worst_ms: float  #: A step, ms
+    time: FloatArray  #: (n,) array; s
+    angles: dict[str, FloatArray]  #: dict of str to (n,) array
+    commands: dict[str, FloatArray]  #: dict of str to (n,) array
 
 
 def cases(study: Study, *, quick: bool = False) -> list[Case]:

@@ -27,19 +27,11 @@ RIG_STEP = 0.005
 
 
 class Recorded(NamedTuple):
-    """A recording with what is hidden behind it.
-
-    Attributes
-    ----------
-    dataset : Dataset
-    truth : ParameterSet
-    travel : float
-        Largest share of the range of any angle that was used; near 1 a stop was hit.
-    """
+    """A recording with what is hidden behind it."""
 
     dataset: Dataset
     truth: ParameterSet
-    travel: float
+    travel: float  #: Largest share of the range of any angle that was used; near 1 a stop was hit
 
 
 def recorded(model: Model, seed: int, duration: float, sample_time: float = 0.02) -> Recorded:

@@ -30,29 +30,14 @@ LEARNT = 0.9
 
 @dataclass(frozen=True)
 class Coverage:
-    """Errors of fits over their reported standard deviations.
-
-    Attributes
-    ----------
-    names : tuple of str
-    errors : (rigs, n_f) array
-        Estimate less truth, in reported standard deviations.
-    remaining : (rigs, n_f) array
-        Reported deviation over the prior's.
-    seconds : (rigs,) array
-        Of each fit.
-    unsettled : int
-        Fits that did not say that they converged; they are counted all the same.
-    left_out : int
-        Rigs that hit a mechanical stop, which the fitted model does not have.
-    """
+    """Errors of fits over their reported standard deviations."""
 
     names: tuple[str, ...]
-    errors: FloatArray
-    remaining: FloatArray
-    seconds: FloatArray
-    unsettled: int
-    left_out: int
+    errors: FloatArray  #: (rigs, n_f) array; estimate less truth, in reported standard deviations
+    remaining: FloatArray  #: (rigs, n_f) array; reported deviation over the prior's
+    seconds: FloatArray  #: (rigs,) array; of each fit
+    unsettled: int  #: Fits that did not say that they converged; they are counted all the same
+    left_out: int  #: Rigs that hit a mechanical stop, which the fitted model does not have
 
     @property
     def inside(self) -> FloatArray:

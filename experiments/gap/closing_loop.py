@@ -38,73 +38,41 @@ _RECORDING_SEED, _RUN_SEED = 11, 12
 
 @dataclass(frozen=True)
 class Tracking:
-    """One controlled run.
-
-    Attributes
-    ----------
-    rig, effect, task, model : str
-    seed : int
-    rmse : dict of str to float
-        Measured angle less reference, by axis, rad.
-    settled : dict of str to float
-        The same where the reference stood still for some seconds, rad; NaN without such samples.
-    effort : dict of str to float
-        Root mean square of the command, by axis, V.
-    movement : dict of str to float
-        Sum of the absolute changes of the command over time, by axis, V/s.
-    """
+    """One controlled run."""
 
     rig: str
     effect: str
     seed: int
     task: str
     model: str
-    rmse: Mapping[str, float]
+    rmse: Mapping[str, float]  #: Measured angle less reference, by axis, rad
+    #: The same where the reference stood still for some seconds, rad; NaN without such samples
     settled: Mapping[str, float]
-    effort: Mapping[str, float]
+    effort: Mapping[str, float]  #: Root mean square of the command, by axis, V
+    #: Sum of the absolute changes of the command over time, by axis, V/s
     movement: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis said of a rig.
-
-    Attributes
-    ----------
-    rig, effect, verdict : str
-    effects : tuple of str
-        The first cause.
-    probability : float
-        Of the first cause.
-    seconds : float
-        That the diagnosis took.
-    """
+    """What a diagnosis said of a rig."""
 
     rig: str
     effect: str
     verdict: str
-    effects: tuple[str, ...]
-    probability: float
-    seconds: float
+    effects: tuple[str, ...]  #: The first cause
+    probability: float  #: Of the first cause
+    seconds: float  #: That the diagnosis took
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How large an effect is.
-
-    Attributes
-    ----------
-    rig, effect : str
-    own : dict of str to float
-        The rig's, by the name of the size.
-    fitted : dict of str to dict of str to float
-        By model; without those that a model does not have.
-    """
+    """How large an effect is."""
 
     rig: str
     effect: str
-    own: Mapping[str, float]
-    fitted: Mapping[str, Mapping[str, float]]
+    own: Mapping[str, float]  #: The rig's, by the name of the size
+    fitted: Mapping[str, Mapping[str, float]]  #: By model; without those that a model does not have
 
 
 def rigs_of(study: Mapping[str, Any]) -> list[Rig]:

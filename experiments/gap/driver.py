@@ -38,14 +38,7 @@ NOISE_SD = dict(
 
 @dataclass(frozen=True)
 class Loop:
-    """What closes a loop around a rig.
-
-    Attributes
-    ----------
-    observer : Observer
-    controller : Controller
-    reference : ReferenceTrajectory
-    """
+    """What closes a loop around a rig."""
 
     observer: Observer
     controller: Controller

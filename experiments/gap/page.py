@@ -26,23 +26,13 @@ _WIDE = 30.0
 
 @dataclass
 class Findings:
-    """All that came out.
-
-    Attributes
-    ----------
-    runs : list of Tracking
-    verdicts : list of Verdict
-    sizes : list of Sizes
-    separations : list of Separation
-    seconds : float
-        Of the processor, without what had been done before.
-    """
+    """All that came out."""
 
     runs: list[Tracking]
     verdicts: list[Verdict]
     sizes: list[Sizes] = field(default_factory=list)
     separations: list[Separation] = field(default_factory=list)
-    seconds: float = 0.0
+    seconds: float = 0.0  #: Of the processor, without what had been done before
 
 
 def tables(found: Findings) -> dict[str, list[list[str]]]:

@@ -30,19 +30,10 @@ INPUTS = ("u_v", "u_h")
 
 @dataclass(frozen=True)
 class Rig:
-    """A rig and what is hidden in it.
-
-    Attributes
-    ----------
-    effect : str
-    sizes : dict of str to float
-        Of the effect.
-    seed : int
-    parameters : ParameterSet
-    """
+    """A rig and what is hidden in it."""
 
     effect: str
-    sizes: Mapping[str, float]
+    sizes: Mapping[str, float]  #: Of the effect
     seed: int
     parameters: ParameterSet
 

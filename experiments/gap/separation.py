@@ -34,44 +34,27 @@ _LINES = 8
 
 @dataclass(frozen=True)
 class Standing:
-    """What a diagnosis holds of the pair.
-
-    Attributes
-    ----------
-    verdict : str
-    true, rival, both : float
-        Probabilities of the true effect alone, of its rival alone, of the two together.
-    confusable : bool
-        Whether the two stand in one group of ``confusable``.
-    first : tuple of str
-        The likeliest cause.
-    """
+    """What a diagnosis holds of the pair."""
 
     verdict: str
+    #: ``true``, ``rival``, ``both``: Probabilities of the true effect alone, of its rival alone, of
+    #: the two together
     true: float
     rival: float
     both: float
-    confusable: bool
-    first: tuple[str, ...]
+    confusable: bool  #: Whether the two stand in one group of ``confusable``
+    first: tuple[str, ...]  #: The likeliest cause
 
 
 @dataclass(frozen=True)
 class Separation:
-    """A rig before and after the advised experiment; without an advice both are the same.
-
-    Attributes
-    ----------
-    rig, true, rival : str
-    why, command : str
-        Of the advice; empty where there was none.
-    before, after : Standing
-    """
+    """A rig before and after the advised experiment; without an advice both are the same."""
 
     rig: str
     true: str
     rival: str
-    why: str
-    command: str
+    why: str  #: Of the advice
+    command: str  #: empty where there was none
     before: Standing
     after: Standing
 

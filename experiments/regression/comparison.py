@@ -25,22 +25,15 @@ RunVerdict = Literal["same", "better", "worse", "failed", "new"]
 
 @dataclass
 class Recorded:
-    """A baseline file.
+    """A baseline file."""
 
-    Attributes
-    ----------
-    reason, date, git : str
-        Why, when (ISO 8601) and at which revision it was recorded.
-    runs : dict of str to dict
-        By name of the case: ``overrides`` and ``score``.
-    history : list of dict
-        Reason, date and git of those before it, newest first.
-    """
-
+    #: ``reason``, ``date``, ``git``: Why, when (ISO 8601) and at which revision it was recorded
     reason: str = ""
     date: str = ""
     git: str = ""
+    #: By name of the case: ``overrides`` and ``score``
     runs: dict[str, dict[str, Any]] = field(default_factory=dict)
+    #: Reason, date and git of those before it, newest first
     history: list[dict[str, str]] = field(default_factory=list)
 
     def document(self) -> dict[str, Any]:
@@ -50,19 +43,12 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A case beside its baseline.
-
-    Attributes
-    ----------
-    outcome : Outcome
-    rows : list of Row
-        Every figure that is held; empty if the run failed or there is no baseline for it.
-    verdict : str
-        "worse" if a figure got worse, "failed" if the run did, "new" if the baseline lacks it.
-    """
+    """A case beside its baseline."""
 
     outcome: Outcome
+    #: Every figure that is held; empty if the run failed or there is no baseline for it
     rows: list[Row]
+    #: "worse" if a figure got worse, "failed" if the run did, "new" if the baseline lacks it
     verdict: RunVerdict
 
     @property

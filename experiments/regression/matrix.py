@@ -21,20 +21,11 @@ MATRIX = HERE / "matrix.yaml"
 
 @dataclass(frozen=True)
 class Case:
-    """One run of the matrix.
+    """One run of the matrix."""
 
-    Attributes
-    ----------
-    name : str
-        ``controller/reference/rig``.
-    overrides : tuple of str
-        What follows ``trms run``.
-    tolerances : dict of str to Tolerance
-        Of the figures that decide, by name (``rmse``) or by key (``estimate.rmse.alpha_v``).
-    """
-
-    name: str
-    overrides: tuple[str, ...]
+    name: str  #: ``controller/reference/rig``
+    overrides: tuple[str, ...]  #: What follows ``trms run``
+    #: Of the figures that decide, by name (``rmse``) or by key (``estimate.rmse.alpha_v``)
     tolerances: Mapping[str, Tolerance]
 
 

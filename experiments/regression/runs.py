@@ -25,25 +25,13 @@ _THINNING = 5
 
 @dataclass
 class Outcome:
-    """What became of a case.
-
-    Attributes
-    ----------
-    case : Case
-    score : dict or None
-        ``trms.score/1``; None if the run failed.
-    problem : str
-        Why it failed.
-    seconds : float
-        Wall time, s.
-    traces : dict of str to (n,) array
-        Thinned ``time`` (s), angles and references ``r_…`` (rad).
-    """
+    """What became of a case."""
 
     case: Case
-    score: dict[str, Any] | None = None
-    problem: str = ""
-    seconds: float = 0.0
+    score: dict[str, Any] | None = None  #: ``trms.score/1``; None if the run failed
+    problem: str = ""  #: Why it failed
+    seconds: float = 0.0  #: Wall time, s
+    #: dict of str to (n,) array; thinned ``time`` (s), angles and references ``r_…`` (rad)
     traces: dict[str, Any] = field(default_factory=dict)
 
 

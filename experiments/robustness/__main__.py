@@ -26,24 +26,12 @@ PICTURES = ROOT / "docs" / "figures" / "robustness"
 
 
 class OneSweep(msgspec.Struct, forbid_unknown_fields=True):
-    """A sweep of the study.
+    """A sweep of the study."""
 
-    Attributes
-    ----------
-    page : str
-        That shows its table and pictures.
-    figures : list of str
-        Names of its pictures.
-    words : list of str
-        What is typed after ``trms run -m``.
-    quick : list of str
-        What is typed after that for a small part.
-    """
-
-    page: str
-    figures: list[str]
-    words: list[str]
-    quick: list[str]
+    page: str  #: That shows its table and pictures
+    figures: list[str]  #: Names of its pictures
+    words: list[str]  #: What is typed after ``trms run -m``
+    quick: list[str]  #: What is typed after that for a small part
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -48,20 +48,12 @@ class Published(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Beside:
-    """A published figure and ours.
-
-    Attributes
-    ----------
-    published : Published
-    found : dict of str to (float or None, str)
-        Our figures with their units, by words; None for what did not happen.
-    problem : str
-        Why our run failed; "" if it did not.
-    """
+    """A published figure and ours."""
 
     published: Published
+    #: Our figures with their units, by words; None for what did not happen
     found: dict[str, tuple[float | None, str]]
-    problem: str = ""
+    problem: str = ""  #: Why our run failed; "" if it did not
 
 
 def read_published(path: Path = PUBLISHED) -> list[Published]:

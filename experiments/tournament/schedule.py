@@ -25,33 +25,19 @@ FAULT_CLASS = "fault"
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One run of the tournament.
+    """One run of the tournament."""
 
-    Attributes
-    ----------
-    controller, observer, ref, rig : str
-        Names in the tournament's YAML.
-    rig_class : str
-        What kind of rig: nominal, sensor, draw, effect, fault.
-    blocks : tuple of str
-        Which tables it is in.
-    entrant_words, ref_words, rig_words, every : tuple of str
-        What follows ``trms run``, by what it is of.
-    outside : str
-        Why it is not ranked; "" if it is.
-    """
-
-    controller: str
-    observer: str
-    ref: str
-    rig: str
-    rig_class: str
-    blocks: tuple[str, ...]
-    entrant_words: tuple[str, ...]
-    ref_words: tuple[str, ...]
-    rig_words: tuple[str, ...]
-    every: tuple[str, ...]
-    outside: str = ""
+    controller: str  #: Names in the tournament's YAML
+    observer: str  #: Names in the tournament's YAML
+    ref: str  #: Names in the tournament's YAML
+    rig: str  #: Names in the tournament's YAML
+    rig_class: str  #: What kind of rig: nominal, sensor, draw, effect, fault
+    blocks: tuple[str, ...]  #: Which tables it is in
+    entrant_words: tuple[str, ...]  #: What follows ``trms run``, by what it is of
+    ref_words: tuple[str, ...]  #: What follows ``trms run``, by what it is of
+    rig_words: tuple[str, ...]  #: What follows ``trms run``, by what it is of
+    every: tuple[str, ...]  #: What follows ``trms run``, by what it is of
+    outside: str = ""  #: Why it is not ranked; "" if it is
 
     @property
     def name(self) -> str:
@@ -122,26 +108,14 @@ class _Quick(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Criteria(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What the summary holds the results against.
+    """What the summary holds the results against."""
 
-    Attributes
-    ----------
-    champion, slower_peer : str
-        Entrants by name: ``newton_mpc + ukf``.
-    nominal_class : str
-    disturbed_classes : list of str
-    within : float
-        Error over the best's that is allowed on each disturbed rig.
-    faster_by : float
-        Median time of a step of the peer over the champion's.
-    """
-
-    champion: str
+    champion: str  #: Entrants by name: ``newton_mpc + ukf``
     nominal_class: str
     disturbed_classes: list[str]
-    within: float
-    slower_peer: str
-    faster_by: float
+    within: float  #: Error over the best's that is allowed on each disturbed rig
+    slower_peer: str  #: Entrants by name: ``newton_mpc + ukf``
+    faster_by: float  #: Median time of a step of the peer over the champion's
 
 
 class Plan(msgspec.Struct, forbid_unknown_fields=True):

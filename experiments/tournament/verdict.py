@@ -24,71 +24,37 @@ CLASS, RIG, REF = "class", "rig", "ref"
 
 @dataclass(frozen=True, kw_only=True)
 class Aim:
-    """A criterion and what came out.
+    """A criterion and what came out."""
 
-    Attributes
-    ----------
-    words : str
-        What was asked.
-    met : bool or None
-        None where the runs do not tell.
-    figures : str
-        What was found.
-    """
-
-    words: str
-    met: bool | None
-    figures: str
+    words: str  #: What was asked
+    met: bool | None  #: None where the runs do not tell
+    figures: str  #: What was found
 
 
 @dataclass(frozen=True, kw_only=True)
 class Behind:
-    """A rig and reference on which the champion is not within the limit.
-
-    Attributes
-    ----------
-    rig_class, rig, ref : str
-    ratio : float
-        Its error over the best's.
-    best : str
-        Who tracks best there.
-    error, best_error : float
-        Of both, rad.
-    """
+    """A rig and reference on which the champion is not within the limit."""
 
     rig_class: str
     rig: str
     ref: str
-    ratio: float
-    best: str
-    error: float
-    best_error: float
+    ratio: float  #: Its error over the best's
+    best: str  #: Who tracks best there
+    error: float  #: Of both, rad
+    best_error: float  #: Of both, rad
 
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
-    """All that came out.
+    """All that came out."""
 
-    Attributes
-    ----------
-    gathered : dict of str to Gathered
-        Runs by block.
-    main : Ranking
-    faults, observers : Ranking or None
-    classes, references : dict of str to Ranking
-        Of the main block, in parts.
-    behind : tuple of Behind
-        Worst first.
-    aims : tuple of Aim
-    """
-
-    gathered: dict[str, Gathered]
+    gathered: dict[str, Gathered]  #: Runs by block
     main: Ranking
     faults: Ranking | None
     observers: Ranking | None
-    classes: dict[str, Ranking]
-    references: dict[str, Ranking]
-    behind: tuple[Behind, ...]
+    classes: dict[str, Ranking]  #: Of the main block, in parts
+    references: dict[str, Ranking]  #: Of the main block, in parts
+    behind: tuple[Behind, ...]  #: Worst first
     aims: tuple[Aim, ...]
 
     @property

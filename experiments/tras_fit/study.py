@@ -34,18 +34,10 @@ KINDS = ("estimated", "moving_horizon", "fitted")
 
 @dataclass(frozen=True)
 class Fitted:
-    """One fit of the study.
-
-    Attributes
-    ----------
-    problem : FitProblem
-    model : Model
-        With the fitted values.
-    result : FitResult
-    """
+    """One fit of the study."""
 
     problem: FitProblem
-    model: Model
+    model: Model  #: With the fitted values
     result: FitResult
 
 

@@ -20,31 +20,18 @@ _STEP = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class MakeOptions:
-    """The keys of ``configs/blind_make.yaml``.
+    """The keys of ``configs/blind_make.yaml``."""
 
-    Attributes
-    ----------
-    set, out : str
-        What the set holds; folder of the recordings.
-    seed : int
-    cases : int or None
-        None: as many as the set has.
-    duration, sample_time, fresh : float
-        s; ``fresh`` is the length of the second recordings.
-    jobs : int
-    key : str or None
-        Folder of the key.
-    """
-
-    set: str
-    out: str
+    set: str  #: What the set holds
+    out: str  #: folder of the recordings
     seed: Annotated[int, Meta(ge=0)] = 0
-    cases: Annotated[int, Meta(ge=1)] | None = None
+    cases: Annotated[int, Meta(ge=1)] | None = None  #: None: as many as the set has
+    #: ``duration``, ``sample_time``, ``fresh``: s; ``fresh`` is the length of the second recordings
     duration: Annotated[float, Meta(ge=1, le=3600)] = 120.0
     sample_time: Annotated[float, Meta(ge=0.002, le=0.1)] = 0.02
     fresh: Annotated[float, Meta(ge=0, le=3600)] = 60.0
     jobs: Annotated[int, Meta(ge=1)] = 2
-    key: str | None = None
+    key: str | None = None  #: Folder of the key
 
 
 def perform(composition: Composition) -> int:

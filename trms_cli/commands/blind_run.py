@@ -31,27 +31,15 @@ EXIT_SOME_FAILED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """The keys of ``configs/blind_run.yaml``.
+    """The keys of ``configs/blind_run.yaml``."""
 
-    Attributes
-    ----------
-    source, out : str
-        Folders of the set (``in``) and of the diagnoses.
-    overrides : tuple of str
-        Of each diagnosis (``with``).
-    effort : {"quick", "normal", "thorough"}
-    jobs : int
-        Recordings at once.
-    cases : int or None
-        None: all.
-    """
-
+    #: ``source``, ``out``: Folders of the set (``in``) and of the diagnoses
     source: str
     out: str
-    overrides: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()  #: Of each diagnosis (``with``)
     effort: Literal["quick", "normal", "thorough"] = "normal"
-    jobs: Annotated[int, Meta(ge=1)] = 2
-    cases: Annotated[int, Meta(ge=1)] | None = None
+    jobs: Annotated[int, Meta(ge=1)] = 2  #: Recordings at once
+    cases: Annotated[int, Meta(ge=1)] | None = None  #: None: all
 
 
 def perform(composition: Composition) -> int:
@@ -80,10 +68,7 @@ def perform(composition: Composition) -> int:
 def recordings_of(folder: Path) -> list[Path]:
     """The recordings of a set, by name.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is none.
+    Raises ConfigurationError if there is none.
     """
     from trms_cli.gap.blind.sealing import RECORDINGS
 

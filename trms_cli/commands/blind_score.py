@@ -21,29 +21,13 @@ DOCUMENT_NAME, PAGE_NAME = "score.json", "score.md"
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreOptions:
-    """The keys of ``configs/blind_score.yaml``.
+    """The keys of ``configs/blind_score.yaml``."""
 
-    Attributes
-    ----------
-    source : str
-        Folder of the set (``in``).
-    diagnoses : str or tuple of str
-        FOLDER or NAME=FOLDER.
-    key : str or None
-    oracle : str or None
-        Name of the one that was told the effects.
-    fresh : bool
-        Whether models run on the second recordings.
-    bootstrap, seed : int
-    jobs : int
-    out : str or None
-    """
-
-    source: str
-    diagnoses: str | tuple[str, ...]
+    source: str  #: Folder of the set (``in``)
+    diagnoses: str | tuple[str, ...]  #: FOLDER or NAME=FOLDER
     key: str | None = None
-    oracle: str | None = None
-    fresh: bool = True
+    oracle: str | None = None  #: Name of the one that was told the effects
+    fresh: bool = True  #: Whether models run on the second recordings
     bootstrap: Annotated[int, Meta(ge=100)] = 2000
     seed: Annotated[int, Meta(ge=0)] = 0
     jobs: Annotated[int, Meta(ge=1)] = 2
@@ -93,10 +77,7 @@ def perform(composition: Composition) -> int:
 def methods_of(diagnoses: str | Sequence[str]) -> dict[str, Path]:
     """Folders of diagnoses by name; a folder without one is called by its own.
 
-    Raises
-    ------
-    ConfigurationError
-        If a folder does not exist, or two have one name.
+    Raises ConfigurationError if a folder does not exist, or two have one name.
     """
     found: dict[str, Path] = {}
     for text in [diagnoses] if isinstance(diagnoses, str) else diagnoses:

@@ -57,10 +57,7 @@ def take_config_dirs(argv: Sequence[str]) -> tuple[tuple[Path, ...], list[str]]:
 def take_allowed(argv: Sequence[str]) -> list[str]:
     """Take every ``--allow PACKAGE`` (or ``--allow=PACKAGE``) off `argv`, and allow it for now.
 
-    Raises
-    ------
-    ConfigurationError
-        If it names no package.
+    Raises ConfigurationError if it names no package.
     """
     from trms_cli.core.allowed import allow_for_now
 

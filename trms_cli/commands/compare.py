@@ -70,10 +70,7 @@ def main(argv: list[str]) -> int:
 def gathered_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> Gathered:
     """The runs in files and folders, those alone that have certain values of their keys.
 
-    Raises
-    ------
-    RecordingError
-        If there is nothing to compare.
+    Raises RecordingError if there is nothing to compare.
     """
     from trms_cli.scoring.comparison.gathering import Gathered, gather
     from trms_cli.scoring.comparison.grouping import matching
@@ -95,10 +92,7 @@ def ranking_of(
 ) -> Ranking:
     """Everybody held against the best on the same reference, rig and seed.
 
-    Raises
-    ------
-    RecordingError
-        If nobody has a tracking error.
+    Raises RecordingError if nobody has a tracking error.
     """
     from trms_cli.scoring.comparison.grouping import group
     from trms_cli.scoring.comparison.ranking import rank

@@ -30,28 +30,15 @@ from trms_cli.core.plugins import TARGET, nearest
 
 @dataclass(frozen=True)
 class Composition:
-    """A composed experiment.
+    """A composed experiment."""
 
-    Attributes
-    ----------
-    config : dict
-        Plain data, interpolations resolved, every mandatory value given. Top-level keys and the
-        keys of mappings that are no plugin are checked; a plugin's own are checked when built.
-    overrides : tuple of str
-        What was typed; for a job of a sweep, the job's own.
-    choices : dict
-        The option chosen in each group (a list where several can be).
-    config_dirs : tuple of Path
-        The user's folders, already importable.
-    job : int or None
-        The number of the job in a sweep; None for a single run.
-    """
-
+    #: Plain data, interpolations resolved, every mandatory value given. Top-level keys and the keys
+    #: of mappings that are no plugin are checked; a plugin's own are checked when built.
     config: dict[str, Any]
-    overrides: tuple[str, ...]
-    choices: dict[str, Any]
-    config_dirs: tuple[Path, ...] = ()
-    job: int | None = None
+    overrides: tuple[str, ...]  #: What was typed; for a job of a sweep, the job's own
+    choices: dict[str, Any]  #: The option chosen in each group (a list where several can be)
+    config_dirs: tuple[Path, ...] = ()  #: The user's folders, already importable
+    job: int | None = None  #: The number of the job in a sweep; None for a single run
 
     def folder(self, what: str) -> Path:
         """The folder to write into: a job's own in a sweep, else a new one (``out``, or dated)."""

@@ -20,20 +20,11 @@ _GROUP, _ALL = "effect", "all"
 
 @dataclass(frozen=True)
 class Suspects:
-    """Effects that may be the cause.
+    """Effects that may be the cause."""
 
-    Attributes
-    ----------
-    effects : dict of str to Effect
-        At the sizes of their options.
-    nodes : dict of str to dict
-        What the options say: class and arguments.
-    left_out : dict of str to str
-        Effects that were asked for by a pattern and that the model cannot carry, and why.
-    """
-
-    effects: Mapping[str, Effect]
-    nodes: Mapping[str, Mapping[str, Any]]
+    effects: Mapping[str, Effect]  #: At the sizes of their options
+    nodes: Mapping[str, Mapping[str, Any]]  #: What the options say: class and arguments
+    #: Effects that were asked for by a pattern and that the model cannot carry, and why
     left_out: Mapping[str, str]
 
 

@@ -35,26 +35,13 @@ _FEWEST_SAMPLES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnoseOptions:
-    """The keys of ``configs/diagnose.yaml`` that are no group.
-
-    Attributes
-    ----------
-    real : str or tuple of str
-    candidates : str or tuple of str
-    effort : {"quick", "normal", "thorough"}
-    block : float or None
-        s.
-    sealed_share : float
-    seed, jobs : int
-    out : str or None
-    page : bool
-    """
+    """The keys of ``configs/diagnose.yaml`` that are no group."""
 
     real: str | tuple[str, ...]
     candidates: str | tuple[str, ...] = ("all",)
     effort: Literal["quick", "normal", "thorough"] = "normal"
-    block: Annotated[float, Meta(gt=0)] | None = None
-    sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25
+    block: Annotated[float, Meta(gt=0)] | None = None  #: s
+    sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25  #: kept aside for the verdict
     seed: Annotated[int, Meta(ge=0)] = 0
     jobs: Annotated[int, Meta(ge=1)] = 2
     out: str | None = None
@@ -63,21 +50,12 @@ class DiagnoseOptions:
 
 @dataclass(frozen=True)
 class Asked:
-    """All that a diagnosis needs.
-
-    Attributes
-    ----------
-    options : DiagnoseOptions
-    problem : GapProblem
-    suspects : Suspects
-    remarks : tuple of str
-        What was found in the recordings and what was done to them.
-    """
+    """All that a diagnosis needs."""
 
     options: DiagnoseOptions
     problem: GapProblem
     suspects: Suspects
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...]  #: What was found in the recordings and what was done to them
 
     @property
     def fingerprint(self) -> str:
@@ -99,10 +77,7 @@ class Asked:
 def diagnosis_asked(composition: Composition) -> Asked:
     """Build what a configuration asks for.
 
-    Raises
-    ------
-    TrmsError
-        For the first key, recording or effect that is wrong.
+    Raises TrmsError for the first key, recording or effect that is wrong.
     """
     config = composition.config
     own = {key: value for key, value in config.items() if key not in _GROUPS}

@@ -41,10 +41,7 @@ def node_of(number: int, plugin: Any) -> dict[str, Any]:
 def taken(*, number: int, kind: str, words: str) -> Any:
     """The object that a node stands for.
 
-    Raises
-    ------
-    ConfigurationError
-        Once the call that it was given to is over.
+    Raises ConfigurationError once the call that it was given to is over.
     """
     objects = _given.get()
     if number < len(objects) and kind_of(objects[number]) == kind:

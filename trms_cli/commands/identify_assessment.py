@@ -22,19 +22,13 @@ _TOLD, _ELSEWHERE = ("identifiability", "outputs", "profiles"), ("on_bounds",)
 
 @dataclass
 class Assessment:
-    """A fit with all that is told of it.
-
-    Attributes
-    ----------
-    result : FitResult
-    statistics : dict
-        Of the parameters, as JSON has it; empty for a network.
-    before, after : dict of str to list of Judged
-        Free runs of the model as it was and as fitted, over ``fit`` and ``held_out``.
-    """
+    """A fit with all that is told of it."""
 
     result: FitResult
+    #: Of the parameters, as JSON has it; empty for a network
     statistics: dict[str, Any] = field(default_factory=dict)
+    #: ``before``, ``after``: Free runs of the model as it was and as fitted, over ``fit`` and
+    #: ``held_out``
     before: dict[str, list[Judged]] = field(default_factory=dict)
     after: dict[str, list[Judged]] = field(default_factory=dict)
 

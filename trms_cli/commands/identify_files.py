@@ -47,10 +47,7 @@ def write_config(composition: Composition, folder: Path) -> None:
 def origin_of(composition: Composition) -> ModelOrigin | None:
     """What the fitted model's file says besides values; None where the method writes its own.
 
-    Raises
-    ------
-    ConfigurationError
-        If a model file has no place for something that the model was given.
+    Raises ConfigurationError if a model file has no place for something that the model was given.
     """
     node = composition.config["model"]
     effects = {name: dict(n) for name, n in (composition.config.get("effect") or {}).items()}

@@ -37,60 +37,28 @@ _FEWEST_SAMPLES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class WindowKeys:
-    """``windows``.
+    """``windows``."""
 
-    Attributes
-    ----------
-    length : float
-        s.
-    stride : float or None
-        s.
-    """
-
-    length: _Positive = 10.0
-    stride: _Positive | None = None
+    length: _Positive = 10.0  #: s
+    stride: _Positive | None = None  #: s
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOut:
-    """``validation``: what is kept from the fit.
+    """``validation``: what is kept from the fit."""
 
-    Attributes
-    ----------
-    share : float
-        Of each recording, its end.
-    real : tuple of str or None
-        Other recordings instead.
-    """
-
-    share: Annotated[float, Meta(ge=0, lt=1)] = 0.25
-    real: str | tuple[str, ...] | None = None
+    share: Annotated[float, Meta(ge=0, lt=1)] = 0.25  #: Of each recording, its end
+    real: str | tuple[str, ...] | None = None  #: Other recordings instead
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions:
-    """The keys of ``configs/identify.yaml`` that are no group.
-
-    Attributes
-    ----------
-    real : str or tuple of str
-    free : str or tuple of str
-    priors, bounds : mapping
-        By parameter; the size of an effect may stand nested.
-    driven : str or tuple of str
-    windows : WindowKeys
-    validation : HeldOut
-    robust : float or None
-    discrepancy : {"estimate", "none"}
-    substeps : int or None
-    seed, jobs : int
-    out : str or None
-    picture : bool
-    """
+    """The keys of ``configs/identify.yaml`` that are no group."""
 
     real: str | tuple[str, ...]
     free: str | tuple[str, ...] = "priors"
-    priors: Mapping[str, Any] = field(default_factory=dict)
+    priors: Mapping[str, Any] = field(default_factory=dict)  #: By parameter
+    #: the size of an effect may stand nested
     bounds: Mapping[str, Any] = field(default_factory=dict)
     driven: str | tuple[str, ...] = ()
     windows: WindowKeys = field(default_factory=WindowKeys)
@@ -106,29 +74,16 @@ class IdentifyOptions:
 
 @dataclass(frozen=True)
 class Identification:
-    """All that a fit needs.
-
-    Attributes
-    ----------
-    options : IdentifyOptions
-    model : Model
-        With its effects, before any of its states was prescribed: what is written in the end.
-    problem : FitProblem
-    method : Method
-    recordings : tuple of Dataset
-        Whole, as they were loaded, driven as the problem's.
-    idle : tuple of str
-        Parameters that were asked for and have no part in the equations.
-    admission : Admission
-        What was found in the recordings.
-    """
+    """All that a fit needs."""
 
     options: IdentifyOptions
+    #: With its effects, before any of its states was prescribed: what is written in the end
     model: Model
     problem: FitProblem
     method: Method
-    recordings: tuple[Dataset, ...]
-    idle: tuple[str, ...] = ()
+    recordings: tuple[Dataset, ...]  #: Whole, as they were loaded, driven as the problem's
+    idle: tuple[str, ...] = ()  #: Parameters that were asked for and have no part in the equations
+    #: What was found in the recordings
     admission: Admission = field(default_factory=lambda: Admission(()))
 
     @property
@@ -140,10 +95,7 @@ class Identification:
 def identification_of(composition: Composition) -> Identification:
     """Build what a configuration asks for.
 
-    Raises
-    ------
-    TrmsError
-        For the first key, recording or parameter that is wrong.
+    Raises TrmsError for the first key, recording or parameter that is wrong.
     """
     config = composition.config
     options = _options(config)

@@ -48,10 +48,7 @@ def check_interpolations(config: Mapping[str, Any]) -> None:
 def refuse_outward(text: str, where: str) -> None:
     """Refuse a text with a reference that is no key of the configuration.
 
-    Raises
-    ------
-    ConfigurationError
-        With what may stand there.
+    Raises ConfigurationError with what may stand there.
     """
     rest = _PLAIN.sub("", _SELECT.sub("", text))
     if "${" in rest:

@@ -86,10 +86,7 @@ def _refuse_options(words: Sequence[str]) -> None:
 def find_group(groups: Groups, name: str) -> dict[str, Option]:
     """The options of a group.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no such group; it names the nearest.
+    Raises ConfigurationError if there is no such group; it names the nearest.
     """
     from trms_cli.core.plugins import nearest
 
@@ -103,10 +100,7 @@ def find_group(groups: Groups, name: str) -> dict[str, Option]:
 def find_option(groups: Groups, group: str, name: str) -> Option:
     """An option of a group.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is none; it names the nearest.
+    Raises ConfigurationError if there is none; it names the nearest.
     """
     from trms_cli.core.plugins import nearest
 

@@ -21,10 +21,8 @@ def with_model_files(overrides: Sequence[str], primary: Primary, groups: Groups)
 
     A name that is an option stays one, whatever folders there are.
 
-    Raises
-    ------
-    ConfigurationError
-        For a folder without a model, and for a file that is none; it tells which is near.
+    Raises ConfigurationError for a folder without a model, and for a file that is none; it tells
+    which is near.
     """
     options = groups.get(_GROUP, {})
     if _GROUP not in primary.defaults or "from_file" not in options:
@@ -64,10 +62,7 @@ def _with_files(text: str, options: Container[str]) -> str:
 def model_file(name: str) -> str:
     """The file that a name stands for, or the name where it is none.
 
-    Raises
-    ------
-    ConfigurationError
-        For a folder without a model, and for a file that is none.
+    Raises ConfigurationError for a folder without a model, and for a file that is none.
     """
     path = Path(name.strip("'\"")).expanduser()
     if path.is_dir() and name:

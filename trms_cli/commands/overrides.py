@@ -62,10 +62,7 @@ class Override(NamedTuple):
 def read_request(argv: Sequence[str]) -> Request:
     """Split `argv` into overrides and the options that every composing command has.
 
-    Raises
-    ------
-    ConfigurationError
-        For an unknown option; a command takes its own options off before.
+    Raises ConfigurationError for an unknown option; a command takes its own options off before.
     """
     config_dirs, rest = take_config_dirs(argv)
     overrides: list[str] = []
@@ -95,10 +92,8 @@ def read_request(argv: Sequence[str]) -> Request:
 def parse(text: str, groups: Groups) -> Override:
     """Take one override apart.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is no ``key=value``; an option's bare name is answered with its group.
+    Raises ConfigurationError if it is no ``key=value``; an option's bare name is answered with its
+    group.
     """
     body = text.lstrip("+") if text.startswith("+") else text.removeprefix("~")
     prefix = text[: len(text) - len(body)]
@@ -120,10 +115,7 @@ def parse(text: str, groups: Groups) -> Override:
 def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
     """The overrides in Hydra's words.
 
-    Raises
-    ------
-    ConfigurationError
-        For an unknown key or option.
+    Raises ConfigurationError for an unknown key or option.
     """
     request = request._replace(overrides=with_model_files(request.overrides, primary, groups))
     prepared: list[str] = []

@@ -124,10 +124,7 @@ def _main(given: Any) -> int:
 def _log_of(path: Path) -> Path:
     """The log that is meant.
 
-    Raises
-    ------
-    RecordingError
-        For a folder that is not a run's.
+    Raises RecordingError for a folder that is not a run's.
     """
     log = log_of(path)
     if not log.is_dir():
@@ -225,10 +222,7 @@ def write_all(drawn: Sequence[tuple[Path, bytes]], *, force: bool) -> None:
 def ending_of(out: Path | None) -> str:
     """The format that a file's name asks for; empty for a folder's.
 
-    Raises
-    ------
-    ConfigurationError
-        For an ending that is no format.
+    Raises ConfigurationError for an ending that is no format.
     """
     if out is None or out.is_dir() or not out.suffix:
         return ""

@@ -19,10 +19,7 @@ _METHODS = {
 def check_contract(plugin: Any, key: str) -> None:
     """Refuse a plugin that lacks a method.
 
-    Raises
-    ------
-    ConfigurationError
-        It names the class and what it lacks.
+    Raises ConfigurationError: it names the class and what it lacks.
     """
     needed = _METHODS[key]
     lacking = [name for name in needed if not callable(getattr(plugin, name, None))]

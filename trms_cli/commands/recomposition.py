@@ -53,30 +53,17 @@ class _Unusual(Exception):
 
 @dataclass
 class _Base:
-    """What a choice of options composes to, without the values that are typed.
+    """What a choice of options composes to, without the values that are typed."""
 
-    Attributes
-    ----------
-    config : dict
-        Unresolved, plain.
-    choices : dict
-        Hydra's record of them.
-    keys : DeclaredKeys
-        Tells which mappings are open.
-    fixed_keys : frozenset of str
-        Keys that a choice sets by itself (the path of ``model=fit.yaml``).
-    replaced : dict of str to set of str
-        Places where another option than the usual one is chosen, with the keys of that option:
-        whether others stay there depends on what is typed.
-    prepared : dict
-        Override in Hydra's words, without its value, by the key as typed.
-    """
-
-    config: dict[str, Any]
-    choices: Mapping[Any, Any]
-    keys: DeclaredKeys
+    config: dict[str, Any]  #: Unresolved, plain
+    choices: Mapping[Any, Any]  #: Hydra's record of them
+    keys: DeclaredKeys  #: Tells which mappings are open
+    #: Keys that a choice sets by itself (the path of ``model=fit.yaml``)
     fixed_keys: frozenset[str]
+    #: Places where another option than the usual one is chosen, with the keys of that option:
+    #: whether others stay there depends on what is typed
     replaced: dict[str, set[str]]
+    #: Override in Hydra's words, without its value, by the key as typed
     prepared: dict[str, str] = field(default_factory=dict)
 
 

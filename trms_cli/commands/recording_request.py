@@ -16,10 +16,7 @@ from trms_cli.models.model import Model
 def several(value: Any, where: str) -> tuple[str, ...]:
     """One name or several, as several.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is neither; ``where`` is the key that it was given by.
+    Raises ConfigurationError if it is neither; ``where`` is the key that it was given by.
     """
     items = [value] if isinstance(value, str) else value
     if not isinstance(items, list | tuple) or not all(
@@ -34,10 +31,7 @@ def several(value: Any, where: str) -> tuple[str, ...]:
 def model_of(config: Mapping[str, Any]) -> Model:
     """The model of a composed configuration, with its effects.
 
-    Raises
-    ------
-    TrmsError
-        For a plugin that cannot be built, and for one that is no model.
+    Raises TrmsError for a plugin that cannot be built, and for one that is no model.
     """
     model = build(config["model"], "model")
     if not isinstance(model, Model):
@@ -55,10 +49,7 @@ def model_of(config: Mapping[str, Any]) -> Model:
 def driven_model(model: Model, driven: Sequence[str]) -> Model:
     """The model whose states ``driven`` are prescribed; itself for none.
 
-    Raises
-    ------
-    TrmsError
-        For what is no state that can be prescribed.
+    Raises TrmsError for what is no state that can be prescribed.
     """
     if not driven:
         return model

@@ -72,10 +72,8 @@ def write_report(
 ) -> tuple[Report, Path]:
     """Write the page of logs and folders; the report, and where it is.
 
-    Raises
-    ------
-    RecordingError
-        If there is nothing to report, or the file exists and is not to be replaced.
+    Raises RecordingError if there is nothing to report, or the file exists and is not to be
+    replaced.
     """
     from trms_cli.commands.report_pages import PAGE_NAME, report_page
     from trms_cli.recordings.output_file import refuse_overwrite, whole_file

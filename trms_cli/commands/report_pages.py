@@ -41,27 +41,13 @@ _MOST_DIFFERENCES = 60
 
 @dataclass(frozen=True)
 class Report:
-    """A page, and what it is of.
+    """A page, and what it is of."""
 
-    Attributes
-    ----------
-    page : Page
-        Ready to be written.
-    kind : str
-        ``run``, ``comparison`` or ``sweep``.
-    runs : tuple of str
-        Logs or folders of the runs in it.
-    folder : Path
-        Where it is written if nobody says otherwise.
-    left_out : tuple of (str, str)
-        Files that could not be read, with the reason.
-    """
-
-    page: Page
-    kind: Literal["run", "comparison", "sweep"]
-    runs: tuple[str, ...]
-    folder: Path
-    left_out: tuple[tuple[str, str], ...] = ()
+    page: Page  #: Ready to be written
+    kind: Literal["run", "comparison", "sweep"]  #: ``run``, ``comparison`` or ``sweep``
+    runs: tuple[str, ...]  #: Logs or folders of the runs in it
+    folder: Path  #: Where it is written if nobody says otherwise
+    left_out: tuple[tuple[str, str], ...] = ()  #: Files that could not be read, with the reason
 
 
 def report_page(

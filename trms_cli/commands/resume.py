@@ -21,39 +21,21 @@ _KEY = "resume="
 
 @dataclass(frozen=True)
 class Resumption:
-    """How one command goes on.
+    """How one command goes on."""
 
-    Attributes
-    ----------
-    noun : str
-        What it leaves: ``fit``, ``diagnosis``.
-    verb : str
-        What one does instead: ``fit``, ``diagnose``.
-    command : str
-        ``identify``, which composes from the configuration of that name.
-    may_change : tuple of str
-        Beginnings of overrides that leave it the same search.
-    only : str
-        The same in words.
-    check : callable
-        ``(folder, text)``: raises where there is nothing to go on from; ``text`` is the folder as
-        it was typed.
-    """
-
-    noun: str
-    verb: str
-    command: str
-    may_change: tuple[str, ...]
-    only: str
+    noun: str  #: What it leaves: ``fit``, ``diagnosis``
+    verb: str  #: What one does instead: ``fit``, ``diagnose``
+    command: str  #: ``identify``, which composes from the configuration of that name
+    may_change: tuple[str, ...]  #: Beginnings of overrides that leave it the same search
+    only: str  #: The same in words
+    #: ``(folder, text)``: raises where there is nothing to go on from; ``text`` is the folder as it
+    #: was typed
     check: Callable[[Path, str], None]
 
     def take_folder(self, argv: Sequence[str]) -> tuple[Path | None, list[str]]:
         """Take ``resume=FOLDER`` off `argv`.
 
-        Raises
-        ------
-        ConfigurationError
-            If that folder holds nothing to go on from.
+        Raises ConfigurationError if that folder holds nothing to go on from.
         """
         given = [word for word in argv if word.startswith(_KEY)]
         rest = [word for word in argv if not word.startswith(_KEY)]
@@ -79,10 +61,8 @@ class Resumption:
     def go_on(self, folder: Path, argv: Sequence[str], perform: Callable[..., Any]) -> int:
         """Do as the folder's request says, with the overrides of `argv` on top, into that folder.
 
-        Raises
-        ------
-        ConfigurationError
-            From another working folder, and for overrides that would make it another search.
+        Raises ConfigurationError from another working folder, and for overrides that would make it
+        another search.
         """
         request = self._request(folder / REQUEST_NAME)
         if request["working_folder"] != str(Path.cwd()):

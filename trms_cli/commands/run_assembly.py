@@ -40,10 +40,7 @@ _COMPUTING_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "hydra-core",
 def experiment_of(config: Mapping[str, Any]) -> Experiment:
     """Build every plugin of a composed configuration.
 
-    Raises
-    ------
-    ConfigurationError
-        For the first key that is wrong.
+    Raises ConfigurationError for the first key that is wrong.
     """
     simulation = config["sim"]
     parts = {key: build(config[key], key) for key in ("model", *PARTS)}
@@ -66,10 +63,7 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
 def check_files(config: Mapping[str, Any]) -> None:
     """Refuse what ``out`` and ``picture`` cannot be, before any work is done.
 
-    Raises
-    ------
-    ConfigurationError
-        For the first key that is wrong.
+    Raises ConfigurationError for the first key that is wrong.
     """
     from trms_cli.core.errors import ConfigurationError
 
@@ -82,9 +76,7 @@ def check_files(config: Mapping[str, Any]) -> None:
 def check_out(out: Any) -> None:
     """Refuse what is neither a folder's name nor null.
 
-    Raises
-    ------
-    ConfigurationError
+    Raises ConfigurationError.
     """
     from trms_cli.core.errors import ConfigurationError
 
@@ -127,10 +119,7 @@ def raise_explained(
 def number(value: Any, where: str) -> float:
     """A finite number from the configuration.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is none.
+    Raises ConfigurationError if it is none.
     """
     from trms_cli.core.errors import ConfigurationError
 
@@ -142,10 +131,7 @@ def number(value: Any, where: str) -> float:
 def whole_number(value: Any, where: str) -> int:
     """A whole number from zero on from the configuration.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is none.
+    Raises ConfigurationError if it is none.
     """
     from trms_cli.core.errors import ConfigurationError
 

@@ -115,10 +115,7 @@ def _dated(what: str) -> Path:
 def write_document(document: Mapping[str, Any], path: Path) -> None:
     """Write the JSON twin of what is printed.
 
-    Raises
-    ------
-    RecordingError
-        If the disk does not take it.
+    Raises RecordingError if the disk does not take it.
     """
     import json
 
@@ -128,10 +125,7 @@ def write_document(document: Mapping[str, Any], path: Path) -> None:
 def write_whole(text: str, path: Path) -> None:
     """Write a file of a command's folder, whole or not at all.
 
-    Raises
-    ------
-    RecordingError
-        If the disk does not take it.
+    Raises RecordingError if the disk does not take it.
     """
     from trms_cli.recordings.output_file import explain_os_error
 

@@ -28,10 +28,7 @@ _OWN_KEYS = ("out",)
 def take_log(argv: Sequence[str]) -> tuple[Path | None, list[str]]:
     """Take ``--from LOG`` off `argv`.
 
-    Raises
-    ------
-    ConfigurationError
-        If it names nothing, or stands twice.
+    Raises ConfigurationError if it names nothing, or stands twice.
     """
     log: str | None = None
     rest: list[str] = []

@@ -76,10 +76,7 @@ class RunScene:
 def scene_every(config: Mapping[str, Any]) -> int:
     """Samples between two poses.
 
-    Raises
-    ------
-    ConfigurationError
-        When ``sim.scene_every`` is no whole number.
+    Raises ConfigurationError when ``sim.scene_every`` is no whole number.
     """
     from trms_cli.commands.run_assembly import whole_number
 

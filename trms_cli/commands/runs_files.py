@@ -37,10 +37,7 @@ def document(found: Found, filter: str) -> dict[str, Any]:
 def write_csv(found: Found, path: Path, *, force: bool) -> None:
     """Write a header of names and a line a run; ``-`` prints it. Empty cells for what is not there.
 
-    Raises
-    ------
-    RecordingError
-        If there is such a file and not `force`, or it cannot be written.
+    Raises RecordingError if there is such a file and not `force`, or it cannot be written.
     """
     if path == Path("-"):
         _write_lines(found, sys.stdout)
@@ -57,10 +54,7 @@ def write_csv(found: Found, path: Path, *, force: bool) -> None:
 def write_parquet(found: Found, path: Path, *, force: bool) -> None:
     """Write a table with types, and units in the metadata of its fields.
 
-    Raises
-    ------
-    RecordingError
-        If there is such a file and not `force`, or it cannot be written.
+    Raises RecordingError if there is such a file and not `force`, or it cannot be written.
     """
     from trms_cli.recordings.figure_table import write_parquet
     from trms_cli.runs.frame import table_of

@@ -21,19 +21,11 @@ _PARAMETERS = "parameters.yaml"
 
 @dataclass(frozen=True)
 class SceneOfLog:
-    """What is needed to show a log.
-
-    Attributes
-    ----------
-    encoder : SceneEncoder
-    sources : Sources
-    interval : float
-        Between two samples, s.
-    """
+    """What is needed to show a log."""
 
     encoder: SceneEncoder
     sources: Sources
-    interval: float
+    interval: float  #: Between two samples, s
 
     def every(self, seconds: float) -> int:
         """Samples in about so many seconds, at least one."""
@@ -43,10 +35,7 @@ class SceneOfLog:
 def scene_of_log(log: LoggedRun) -> SceneOfLog:
     """The body and the sources of a log's poses.
 
-    Raises
-    ------
-    RecordingError
-        For a log without an angle.
+    Raises RecordingError for a log without an angle.
     """
     fields = {topic: list(table.columns) for topic, table in log.tables.items() if len(table)}
     sources = find_sources(fields, _limits(log))

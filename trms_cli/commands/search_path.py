@@ -37,12 +37,9 @@ class UserFolder(FileConfigSource):
     def load_config(self, config_path: str) -> ConfigResult:
         """Read an option, once it is known to be plain and not too large.
 
-        Raises
-        ------
-        ConfigurationError
-            For a document that is no YAML, or larger or deeper than is read; for keys of Hydra's
-            own, a path out of the folder, and a choice that is made by something outside of the
-            configuration.
+        Raises ConfigurationError for a document that is no YAML, or larger or deeper than is read;
+        for keys of Hydra's own, a path out of the folder, and a choice that is made by something
+        outside of the configuration.
         """
         name = self._normalize_file_name(config_path)
         where = str(Path(self.path, name))

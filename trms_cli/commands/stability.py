@@ -56,10 +56,7 @@ def main(argv: Sequence[str]) -> int:
 def perform(composition: Composition) -> Outcome:
     """Answer the question of a configuration.
 
-    Raises
-    ------
-    TrmsError
-        If the question makes no sense for the model; it says what is possible.
+    Raises TrmsError if the question makes no sense for the model; it says what is possible.
     """
     from trms_cli.commands import stability_request as request
     from trms_cli.commands.progress_line import ProgressLine

@@ -23,28 +23,17 @@ SCHEMA = "trms.stability/1"
 
 @dataclass(frozen=True)
 class Asked:
-    """What is studied, and how.
-
-    Attributes
-    ----------
-    study : Study
-    subject : Subject
-    page : bool
-        Whether figures and page are made.
-    """
+    """What is studied, and how."""
 
     study: Study
     subject: Subject
-    page: bool
+    page: bool  #: Whether figures and page are made
 
 
 def asked_of(composition: Composition) -> Asked:
     """Build everything that was asked for.
 
-    Raises
-    ------
-    TrmsError
-        For the first key that is wrong.
+    Raises TrmsError for the first key that is wrong.
     """
     config = composition.config
     check_out(config["out"])
@@ -82,10 +71,7 @@ def _loop_of(composition: Composition) -> LoopParts | None:
 def answered(asked: Asked, tell: Callable[[str], None]) -> Findings:
     """What the study finds.
 
-    Raises
-    ------
-    TrmsError
-        A study's own keys are named as they are typed.
+    Raises TrmsError: a study's own keys are named as they are typed.
     """
     try:
         return asked.study.run(asked.subject, tell)

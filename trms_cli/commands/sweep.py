@@ -55,26 +55,13 @@ options
 
 @dataclass(frozen=True)
 class Swept:
-    """A sweep that has been driven to its end.
-
-    Attributes
-    ----------
-    folder : Path
-    points : tuple of Point
-        That were proposed.
-    results : dict of int to Result
-        By the number of the point.
-    counts : dict of str to int
-        Runs ``done``, ``failed``, ``lost``, ``interrupted``.
-    summary : dict
-        What the sampler has to say.
-    """
+    """A sweep that has been driven to its end."""
 
     folder: Path
-    points: tuple[Point, ...]
-    results: dict[int, Result]
-    counts: dict[str, int]
-    summary: dict[str, Any] = field(default_factory=dict)
+    points: tuple[Point, ...]  #: That were proposed
+    results: dict[int, Result]  #: By the number of the point
+    counts: dict[str, int]  #: Runs ``done``, ``failed``, ``lost``, ``interrupted``
+    summary: dict[str, Any] = field(default_factory=dict)  #: What the sampler has to say
 
     @property
     def all_done(self) -> bool:

@@ -99,10 +99,8 @@ def _read(
 def resumed_settings(plan: Plan, changed: Sequence[str]) -> Settings:
     """The settings of a record, some of them changed.
 
-    Raises
-    ------
-    ConfigurationError
-        For what cannot change: a sweep goes on with the points that its sampler has begun.
+    Raises ConfigurationError for what cannot change: a sweep goes on with the points that its
+    sampler has begun.
     """
     from trms_cli.commands.catalogue import read_primary
 
@@ -131,10 +129,7 @@ def resumed_settings(plan: Plan, changed: Sequence[str]) -> Settings:
 def place_of(plan: Plan) -> Iterator[None]:
     """In the folder that the sweep was begun in, its options importable; told what differs.
 
-    Raises
-    ------
-    RecordingError
-        If the folder, or one of options, is gone.
+    Raises RecordingError if the folder, or one of options, is gone.
     """
     from trms_cli.commands.catalogue import make_importable
     from trms_cli.commands.run_assembly import versions
@@ -170,10 +165,7 @@ def place_of(plan: Plan) -> Iterator[None]:
 def task_of(plan: Plan) -> Task:
     """What a run of the sweep does.
 
-    Raises
-    ------
-    RecordingError
-        If the record names no command of this program.
+    Raises RecordingError if the record names no command of this program.
     """
     module, _, name = plan.task.partition(":")
     found: Any = None

@@ -50,10 +50,7 @@ class Settings(NamedTuple):
 def divided(overrides: Sequence[str], primary: str, config_dirs: Sequence[Path]) -> Divided:
     """Take the sweep's own overrides off.
 
-    Raises
-    ------
-    ConfigurationError
-        For Hydra's own keys; it tells what to write instead.
+    Raises ConfigurationError for Hydra's own keys; it tells what to write instead.
     """
     groups = read_groups(config_dirs)
     own = names_of(read_primary(PRIMARY, config_dirs))
@@ -83,10 +80,7 @@ def names_of(declared: Primary) -> set[str]:
 def settings_of(settings: Sequence[str], config_dirs: Sequence[Path]) -> Settings:
     """Compose what steers the sweep.
 
-    Raises
-    ------
-    ConfigurationError
-        For the first key that is wrong.
+    Raises ConfigurationError for the first key that is wrong.
     """
     for text in settings:
         value = text.partition("=")[2]
@@ -109,10 +103,7 @@ def settings_of(settings: Sequence[str], config_dirs: Sequence[Path]) -> Setting
 def built(settings: Settings) -> tuple[Any, Any]:
     """The sampler and the launcher.
 
-    Raises
-    ------
-    ConfigurationError
-        For the first key that is wrong.
+    Raises ConfigurationError for the first key that is wrong.
     """
     return build(settings.sampler, "sampler"), build(settings.launcher, "launcher")
 

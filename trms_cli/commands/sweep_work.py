@@ -45,32 +45,15 @@ _LOOK = 0.5  # s between two looks whether the sweep is to stop
 
 @dataclass(frozen=True)
 class MakeRun:
-    """Makes the run of a point, once, whoever else is handed it.
+    """Makes the run of a point, once, whoever else is handed it."""
 
-    Attributes
-    ----------
-    folder : str
-        Of the sweep.
-    primary : str
-        Primary configuration of the runs.
-    task : callable
-        What a run does with its composition.
-    config_dirs : tuple of str
-        The user's folders of options.
-    directory : str
-        Working directory, for paths in overrides.
-    git : str
-        Revision of the checkout, asked once for all runs.
-    allowed : tuple of str
-        Packages whose classes may be built, for workers that do not inherit it.
-    """
-
-    folder: str
-    primary: str
-    task: Task
-    config_dirs: tuple[str, ...]
-    directory: str
-    git: str = ""
+    folder: str  #: Of the sweep
+    primary: str  #: Primary configuration of the runs
+    task: Task  #: What a run does with its composition
+    config_dirs: tuple[str, ...]  #: The user's folders of options
+    directory: str  #: Working directory, for paths in overrides
+    git: str = ""  #: Revision of the checkout, asked once for all runs
+    #: Packages whose classes may be built, for workers that do not inherit it
     allowed: tuple[str, ...] = ()
 
     def __call__(self, attempt: Attempt) -> Result | None:

@@ -14,10 +14,8 @@ _KEY = "model="
 def model_list(argv: Sequence[str]) -> tuple[str, ...] | None:
     """The models of ``model=[A,B]`` as typed; None where one is chosen, or none.
 
-    Raises
-    ------
-    ConfigurationError
-        For an empty list, a bracket that is missing, a model that stands twice, or a sweep.
+    Raises ConfigurationError for an empty list, a bracket that is missing, a model that stands
+    twice, or a sweep.
     """
     chosen = [word for word in argv if word.lstrip("+").startswith(_KEY)]
     if not chosen:

@@ -39,40 +39,22 @@ _OPTION_KEYS = ("horizons", "windows", "predictor", "tests", "block", "seed")
 
 @dataclass(frozen=True)
 class Asked:
-    """What is validated.
+    """What is validated."""
 
-    Attributes
-    ----------
-    models : dict of str to Model
-        By the name that is shown.
-    datasets : dict of str to list of Dataset
-        The recordings as each model takes them.
-    options : ValidationOptions
-    data : DataOptions
-    driven : tuple of str
-    effects : tuple of str
-    page : bool
-    admission : Admission
-        What was found in the recordings, by all models together.
-    """
-
-    models: Mapping[str, Model]
-    datasets: Mapping[str, Sequence[Dataset]]
+    models: Mapping[str, Model]  #: By the name that is shown
+    datasets: Mapping[str, Sequence[Dataset]]  #: The recordings as each model takes them
     options: ValidationOptions
     data: DataOptions
     driven: tuple[str, ...]
     effects: tuple[str, ...]
     page: bool
-    admission: Admission
+    admission: Admission  #: What was found in the recordings, by all models together
 
 
 def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> Asked:
     """Build everything that was asked for.
 
-    Raises
-    ------
-    TrmsError
-        For the first key or recording that is wrong.
+    Raises TrmsError for the first key or recording that is wrong.
     """
     config = compositions[0].config
     options = build({TARGET: _OPTIONS, **{key: config[key] for key in _OPTION_KEYS}})

@@ -18,37 +18,19 @@ _LEAST_RANGE = 0.1  # of the scale, in the curve's unit: the noise of a rig at r
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a chart.
+    """A line of a chart."""
 
-    Attributes
-    ----------
-    values : (n,) array
-        NaN where there is none.
-    style : str
-        How it looks, as rich has it.
-    sign : str
-        What draws it without Unicode.
-    """
-
-    values: FloatArray
-    style: str
-    sign: str
+    values: FloatArray  #: (n,) array; NaN where there is none
+    style: str  #: How it looks, as rich has it
+    sign: str  #: What draws it without Unicode
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A character of a chart.
+    """A character of a chart."""
 
-    Attributes
-    ----------
-    sign : str
-        The character.
-    style : str
-        How it looks, as rich has it.
-    """
-
-    sign: str
-    style: str
+    sign: str  #: The character
+    style: str  #: How it looks, as rich has it
 
 
 def scale(*values: FloatArray) -> tuple[float, float]:

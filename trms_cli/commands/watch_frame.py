@@ -42,57 +42,27 @@ _PLAIN = str.maketrans({"·": "|", "×": "x", "–": "-", "→": "->", "←": "<
 
 @dataclass(frozen=True)
 class About:
-    """What does not change while a run goes on.
+    """What does not change while a run goes on."""
 
-    Attributes
-    ----------
-    what : str
-        Controller, reference, observer, plant.
-    extras : str
-        Effects and faults.
-    log : str
-        Its path.
-    total : float or None
-        s that the run is meant to last; None if nobody knows.
-    """
-
-    what: str
-    extras: str
-    log: str
-    total: float | None
+    what: str  #: Controller, reference, observer, plant
+    extras: str  #: Effects and faults
+    log: str  #: Its path
+    total: float | None  #: s that the run is meant to last; None if nobody knows
 
 
 @dataclass(frozen=True)
 class View:
-    """What is to be shown.
-
-    Attributes
-    ----------
-    about : About
-    moment : Moment
-    state : str
-        Of the run: ``running``, ``completed``, ``interrupted``, ``failed``, ``died``,
-        ``unfinished``.
-    replay : str
-        How it is being replayed; empty while the latest samples are followed.
-    silent : float
-        s since the log last grew.
-    span : float
-        s that the curves show.
-    keys : str
-        The keys there are; empty without a keyboard.
-    problem : str
-        What of the log is damaged.
-    """
+    """What is to be shown."""
 
     about: About
     moment: Moment
+    #: Of the run: ``running``, ``completed``, ``interrupted``, ``failed``, ``died``, ``unfinished``
     state: str
-    replay: str = ""
-    silent: float = 0.0
-    span: float = 20.0
-    keys: str = ""
-    problem: str = ""
+    replay: str = ""  #: How it is being replayed; empty while the latest samples are followed
+    silent: float = 0.0  #: s since the log last grew
+    span: float = 20.0  #: s that the curves show
+    keys: str = ""  #: The keys there are; empty without a keyboard
+    problem: str = ""  #: What of the log is damaged
 
 
 def about(

@@ -49,96 +49,52 @@ class Status(enum.Enum):
 
 @dataclass(frozen=True)
 class ControlSetup:
-    """What a controller is told before a run.
+    """What a controller is told before a run."""
 
-    Attributes
-    ----------
-    model : Model
-        What the controller believes.
-    sample_time : float
-        Control period, s.
-    first_command : (n_u,) array
-        The command in force before time zero.
-    """
-
-    model: Model
-    sample_time: float
-    first_command: FloatArray
+    model: Model  #: What the controller believes
+    sample_time: float  #: Control period, s
+    first_command: FloatArray  #: (n_u,) array; the command in force before time zero
 
 
 @dataclass
 class ControlSample:
-    """What a controller sees at a sample.
+    """What a controller sees at a sample."""
 
-    Attributes
-    ----------
-    time : float
-        s.
-    reference : (preview + 1, n_r) array
-        References now and at the next control periods, rad; the order of ``model.controlled``.
-    estimate : Estimate
-    previous_command : (n_u,) array
-        As applied, after limits.
-    """
-
-    time: float
+    time: float  #: s
+    #: (preview + 1, n_r) array; references now and at the next control periods, rad; the order of
+    #: ``model.controlled``
     reference: FloatArray
     estimate: Estimate
-    previous_command: FloatArray
+    previous_command: FloatArray  #: (n_u,) array; as applied, after limits
 
 
 @dataclass
 class Prediction:
-    """Trajectories that a controller expects.
+    """Trajectories that a controller expects."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        s from now.
-    states : (n, n_x) array
-    inputs : (n, n_u) array
-        The last row repeats the one before.
-    """
-
-    time: FloatArray
-    states: FloatArray
-    inputs: FloatArray
+    time: FloatArray  #: (n,) array; s from now
+    states: FloatArray  #: (n, n_x) array
+    inputs: FloatArray  #: (n, n_u) array; the last row repeats the one before
 
 
 @dataclass
 class Command:
-    """A controller's answer. Times in s; quantities that a law does not have are NaN.
+    """A controller's answer. Times in s; quantities that a law does not have are NaN."""
 
-    Attributes
-    ----------
-    u : (n_u,) array
-        Within the model's limits and finite.
-    status : Status
-    iterations : int
-    objective, slack, kkt_residual : float
-    linearise_time, qp_time : float
-    fallback : str
-        Which fall-back acted, empty for none.
-    out_of_reach : bool
-        Whether no steady state has the reference, and the closest one is the target.
-    message : str
-    prediction : Prediction or None
-    terminal_residual : float
-        How far the prediction ends from where it must; NaN without a terminal constraint.
-    """
-
-    u: FloatArray
+    u: FloatArray  #: (n_u,) array; within the model's limits and finite
     status: Status = Status.OK
     iterations: int = 0
-    objective: float = math.nan
-    slack: float = math.nan
-    kkt_residual: float = math.nan
-    linearise_time: float = math.nan
-    qp_time: float = math.nan
-    fallback: str = ""
+    objective: float = math.nan  #: of the plan
+    slack: float = math.nan  #: largest violation of a soft limit
+    kkt_residual: float = math.nan  #: of the optimality conditions
+    linearise_time: float = math.nan  #: s
+    qp_time: float = math.nan  #: s
+    fallback: str = ""  #: Which fall-back acted, empty for none
     message: str = ""
     prediction: Prediction | None = None
+    #: Whether no steady state has the reference, and the closest one is the target
     out_of_reach: bool = False
+    #: How far the prediction ends from where it must; NaN without a terminal constraint
     terminal_residual: float = math.nan
 
 

@@ -63,47 +63,21 @@ def gains_of(rates: tuple[float, ...]) -> tuple[float, float, float, float]:
 
 @dataclass
 class FeedbackLinearisationState:
-    """The model's parts, and what is remembered.
-
-    Attributes
-    ----------
-    parts : VirtualMoments
-    steady : SteadyState
-        What references can be held.
-    gains : (4, n_a) array
-        λ, k_d, k_p, k_i.
-    guide : (n_a, 3) array
-        r̃ and its two derivatives, rad, rad/s, rad/s².
-    integral : (n_a,) array
-        I, rad/s².
-    lags : (n_a,) array
-        1 over each of the reference's lags, 1/s.
-    forecast : ReferenceForecast
-    delays : list of int
-        Of the lags of each axis, in periods; 0 without forecast.
-    lower, upper : (n_u,) arrays
-        V.
-    period : float
-        T, s.
-    started : bool
-        Whether there was a sample yet.
-    target : Target or None
-        The steady state of the present reference.
-    """
+    """The model's parts, and what is remembered."""
 
     parts: VirtualMoments
-    steady: SteadyState
-    gains: FloatArray
-    guide: FloatArray
-    integral: FloatArray
-    lags: FloatArray
+    steady: SteadyState  #: What references can be held
+    gains: FloatArray  #: (4, n_a) array; λ, k_d, k_p, k_i
+    guide: FloatArray  #: (n_a, 3) array; r̃ and its two derivatives, rad, rad/s, rad/s²
+    integral: FloatArray  #: (n_a,) array; I, rad/s²
+    lags: FloatArray  #: (n_a,) array; 1 over each of the reference's lags, 1/s
     forecast: ReferenceForecast
-    delays: list[int]
-    lower: FloatArray
-    upper: FloatArray
-    period: float
-    started: bool = False
-    target: Target | None = None
+    delays: list[int]  #: Of the lags of each axis, in periods; 0 without forecast
+    lower: FloatArray  #: (n_u,) arrays; V
+    upper: FloatArray  #: (n_u,) arrays; V
+    period: float  #: T, s
+    started: bool = False  #: Whether there was a sample yet
+    target: Target | None = None  #: The steady state of the present reference
 
     def reachable(self, reference: FloatArray, wanted: FloatArray) -> FloatArray:
         """What the axes are to go for (n_a,): as wanted, or the closest that can be held."""
@@ -118,35 +92,22 @@ class FeedbackLinearisationState:
 
 @dataclass(frozen=True, kw_only=True)
 class FeedbackLinearisation:
-    """Feedback linearisation with rotor loops.
-
-    Attributes
-    ----------
-    poles : dict of str to tuple of float
-        Rates p_1 … p_4 of each axis' error, 1/s; their sum is the rotor loop's.
-    reference_lag : dict of str to float
-        Each of three lags on the reference of an axis, s.
-    forecast : bool
-        Whether a reference that has been a ramp or a sine is carried on by the delay of its lags
-        (:mod:`trms_cli.controllers.reference_forecast`), so that they cost no time.
-    use_disturbance : bool
-        Whether the observer's disturbance is part of the model's acceleration.
-    tracking_time : float
-        How fast the integral takes back what a rotor at its fastest cannot give, s.
-    sample_time : float or None
-        Control period, s; None takes every sample.
-    """
+    """Feedback linearisation with rotor loops."""
 
     poles: Mapping[str, tuple[_Positive, _Positive, _Positive, _Positive]] = field(
         default_factory=lambda: {"pitch": (3.0, 3.0, 3.0, 0.7), "yaw": (3.0, 3.0, 3.0, 0.7)}
-    )
+    )  #: Rates p_1 … p_4 of each axis' error, 1/s; their sum is the rotor loop's
     reference_lag: Mapping[str, _Positive] = field(
         default_factory=lambda: {"pitch": 0.35, "yaw": 0.25}
-    )
+    )  #: Each of three lags on the reference of an axis, s
+    #: Whether a reference that has been a ramp or a sine is carried on by the delay of its lags
+    #: (:mod:`trms_cli.controllers.reference_forecast`), so that they cost no time
     forecast: bool = True
+    #: Whether the observer's disturbance is part of the model's acceleration
     use_disturbance: bool = True
+    #: How fast the integral takes back what a rotor at its fastest cannot give, s
     tracking_time: _Positive = 0.5
-    sample_time: _Positive | None = None
+    sample_time: _Positive | None = None  #: Control period, s; None takes every sample
 
     def __post_init__(self) -> None:
         for key, given in (("poles", self.poles), ("reference_lag", self.reference_lag)):

@@ -35,24 +35,13 @@ _ALMOST_STEADY = 0.02
 
 @dataclass(frozen=True)
 class LinearModel:
-    """``x⁺ = A x + B u``, ``y = C x`` around a steady state, y the controlled angles.
+    """``x⁺ = A x + B u``, ``y = C x`` around a steady state, y the controlled angles."""
 
-    Attributes
-    ----------
-    discrete : DiscreteModel
-        Its states, memory of the input path included, are those of ``A``.
-    target : Target
-        The steady state.
-    A : (n, n) array
-    B : (n, n_u) array
-    C : (n_r, n) array
-    """
-
-    discrete: DiscreteModel
-    target: Target
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
+    discrete: DiscreteModel  #: Its states, memory of the input path included, are those of ``A``
+    target: Target  #: The steady state
+    A: FloatArray  #: (n, n) array
+    B: FloatArray  #: (n, n_u) array
+    C: FloatArray  #: (n_r, n) array
 
     @property
     def step_length(self) -> float:
@@ -147,10 +136,7 @@ def require_drivable(linear: LinearModel, where: str) -> None:
     combination of controlled angles in steady state (no zero at z = 1), and they move every mode
     that does not decay by itself (Popov, Belevitch and Hautus).
 
-    Raises
-    ------
-    ConfigurationError
-        With the angle or mode that is not driven, and a point that will do.
+    Raises ConfigurationError with the angle or mode that is not driven, and a point that will do.
     """
     model = linear.discrete.model
     names_of_angles = model.controlled

@@ -68,52 +68,23 @@ _SAME_TARGET = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class LinearMpc:
-    """Linear MPC.
+    """Linear MPC."""
 
-    Attributes
-    ----------
-    sample_time : float
-        Control period, s.
-    linearisation : {"fixed", "target", "current"}
-        Where the linear model is taken.
-    operating_point : dict of str to float
-        Controlled angles of ``fixed``, rad; also of the cost beyond the horizon.
-    prediction_horizon : int
-        N, control periods.
-    move_blocks : tuple of int
-        Lengths of the blocks over which an input is constant, in control periods.
-    preview_horizon : int
-        How many control periods ahead the reference is known, at most N.
-    forecast_horizon : int
-        How many control periods ahead a reference that is not known is carried on as the constant,
-        ramp or sine that it has been (:mod:`trms_cli.controllers.reference_forecast`), at most N.
-    state_weights, rate_weights, input_weights, move_weights : dict of str to float
-        See :class:`trms_cli.controllers.newton_problem.Weights`.
-    input_rate_limits : dict of str to float
-        Largest change per second, V/s.
-    soft_limits : dict of str to (float, float)
-        Limits on states, met if at all possible; in the states' units.
-    soft_linear, soft_quadratic : float
-        Price of violating them.
-    terminal : {"riccati", "none"}
-        Whether what is beyond the horizon counts, by the cost to go of the Riccati equation.
-    integration_steps : int
-        Steps of the model's integrator in a control period, where it is linearised on the way.
-    disturbance_compensation : bool
-        Whether the steady state is that under the observer's disturbances (offset-free).
-    fallback : {"shifted_plan", "hold", "steady_input", "stop"}
-        What acts when a solve fails: the last plan shifted in time, the last command, the
-        steady-state input of the reference, or the end of the run.
-    qp : QpSolver
-    """
-
-    sample_time: _Positive = 0.1
+    sample_time: _Positive = 0.1  #: Control period, s
+    #: Where the linear model is taken
     linearisation: Literal["fixed", "target", "current"] = "current"
+    #: Controlled angles of ``fixed``, rad; also of the cost beyond the horizon
     operating_point: Mapping[str, float] = field(default_factory=lambda: {"alpha_h": 0.5})
-    prediction_horizon: Annotated[int, Meta(ge=2)] = 40
+    prediction_horizon: Annotated[int, Meta(ge=2)] = 40  #: N, control periods
+    #: Lengths of the blocks over which an input is constant, in control periods
     move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
+    #: How many control periods ahead the reference is known, at most N
     preview_horizon: Annotated[int, Meta(ge=0)] = 0
+    #: How many control periods ahead a reference that is not known is carried on as the constant,
+    #: ramp or sine that it has been (:mod:`trms_cli.controllers.reference_forecast`), at most N
     forecast_horizon: Annotated[int, Meta(ge=0)] = 15
+    #: ``state_weights``, ``rate_weights``, ``input_weights``, ``move_weights``: See
+    #: :class:`trms_cli.controllers.newton_problem.Weights`
     state_weights: Mapping[str, _NotNegative] = field(
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
@@ -124,13 +95,20 @@ class LinearMpc:
     move_weights: Mapping[str, _NotNegative] = field(
         default_factory=lambda: {"u_v": 0.01, "u_h": 0.02}
     )
+    #: Largest change per second, V/s
     input_rate_limits: Mapping[str, _Positive] = field(default_factory=dict)
+    #: Limits on states, met if at all possible; in the states' units
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    soft_linear: _Positive = 100.0
-    soft_quadratic: _Positive = 1000.0
+    soft_linear: _Positive = 100.0  #: Price of violating them
+    soft_quadratic: _Positive = 1000.0  #: Price of violating them
+    #: Whether what is beyond the horizon counts, by the cost to go of the Riccati equation
     terminal: Literal["riccati", "none"] = "riccati"
+    #: Steps of the model's integrator in a control period, where it is linearised on the way
     integration_steps: Annotated[int, Meta(ge=1)] = 1
+    #: Whether the steady state is that under the observer's disturbances (offset-free)
     disturbance_compensation: bool = True
+    #: What acts when a solve fails: the last plan shifted in time, the last command, the
+    #: steady-state input of the reference, or the end of the run
     fallback: Policy = "shifted_plan"
     qp: QpSolver = field(default_factory=Daqp)
 

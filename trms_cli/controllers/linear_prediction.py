@@ -25,25 +25,17 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class StageCost:
-    """Weights of the objective in the model's order.
+    """Weights of the objective in the model's order."""
 
-    Attributes
-    ----------
-    states : (n,) array
-        q of the squared deviation of each state, 1/unit²; memory of the input path included.
-    rates : (n,) array
-        d of the squared mean rate of a state over a period, s²/unit².
-    inputs, moves : (n_u,) arrays
-        ρ of the deviation from the steady-state input and s of the change, 1/V².
-    period : float
-        T, s.
-    """
-
+    #: (n,) array; q of the squared deviation of each state, 1/unit²; memory of the input path
+    #: included
     states: FloatArray
-    rates: FloatArray
+    rates: FloatArray  #: (n,) array; d of the squared mean rate of a state over a period, s²/unit²
+    #: ``inputs``, ``moves``: (n_u,) arrays; ρ of the deviation from the steady-state input and s of
+    #: the change, 1/V²
     inputs: FloatArray
     moves: FloatArray
-    period: float
+    period: float  #: T, s
 
     def terminal(self, A: FloatArray, B: FloatArray) -> FloatArray:
         """Root L of the cost to go |L (Δx, v_last)|² of the unconstrained problem.
@@ -51,10 +43,7 @@ class StageCost:
         The Riccati equation of the state with the last input beside it, whose stage cost is that
         of a period: the state that it leads to, the rate on the way, the input and its change.
 
-        Raises
-        ------
-        ConfigurationError
-            If there is no solution.
+        Raises ConfigurationError if there is no solution.
         """
         from scipy.linalg import solve_discrete_are
 
@@ -90,26 +79,14 @@ class StageCost:
 
 @dataclass(frozen=True)
 class Limits:
-    """What inputs and states have to keep.
+    """What inputs and states have to keep."""
 
-    Attributes
-    ----------
-    lower, upper : (n_u,) arrays
-        Of the inputs, V.
-    moves : (n_u,) array
-        Largest change of an input in a period, V; infinite for none.
-    states : (n_limited, 2) array
-        Soft limits of the limited states, in their units.
-    linear, quadratic : float
-        Price of violating these.
-    """
-
-    lower: FloatArray
-    upper: FloatArray
-    moves: FloatArray
-    states: FloatArray
-    linear: float
-    quadratic: float
+    lower: FloatArray  #: (n_u,) arrays; of the inputs, V
+    upper: FloatArray  #: (n_u,) arrays; of the inputs, V
+    moves: FloatArray  #: (n_u,) array; largest change of an input in a period, V; infinite for none
+    states: FloatArray  #: (n_limited, 2) array; soft limits of the limited states, in their units
+    linear: float  #: Price of violating these
+    quadratic: float  #: Price of violating these
 
 
 class Condensed:

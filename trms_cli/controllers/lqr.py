@@ -45,103 +45,50 @@ _NotNegative = Annotated[float, Meta(ge=0)]
 
 @dataclass(frozen=True)
 class Regulator:
-    """The gains of one design.
+    """The gains of one design."""
 
-    Attributes
-    ----------
-    K : (n_u, n) array
-        On the state, memory of the input path included.
-    K_i : (n_u, n_r) array
-        On the integral.
-    M : (n_r, n) array
-        ``P_ii⁻¹ P_ix``.
-    unwind : (n_r, n_u) array
-        Integral by which a volt beyond the limit is taken back.
-    """
-
-    K: FloatArray
-    K_i: FloatArray
-    M: FloatArray
-    unwind: FloatArray
+    K: FloatArray  #: (n_u, n) array; on the state, memory of the input path included
+    K_i: FloatArray  #: (n_u, n_r) array; on the integral
+    M: FloatArray  #: (n_r, n) array; ``P_ii⁻¹ P_ix``
+    unwind: FloatArray  #: (n_r, n_u) array; integral by which a volt beyond the limit is taken back
 
 
 @dataclass
 class LqrState:
-    """The design, and what is remembered.
-
-    Attributes
-    ----------
-    regulator : Regulator
-    linear : LinearModel
-        What it was designed for.
-    steady : SteadyState
-    advance_memory : BufferedFunction or None
-        Memory of the input path over one period; None for a model without.
-    integral : (n_r,) array
-        z, rad s.
-    memory : (n_m,) array
-        Memory of the input path after the commands so far.
-    target : Target
-        The steady state that is regulated to.
-    target_memory : (n_m,) array
-        Memory in that state.
-    rows : list of int
-        Positions of the controlled angles in x.
-    lower, upper : (n_u,) arrays
-        V.
-    period : float
-        T, s.
-    started : bool
-        Whether there was a sample yet.
-    """
+    """The design, and what is remembered."""
 
     regulator: Regulator
-    linear: LinearModel
+    linear: LinearModel  #: What it was designed for
     steady: SteadyState
+    #: Memory of the input path over one period; None for a model without
     advance_memory: BufferedFunction | None
-    integral: FloatArray
-    memory: FloatArray
-    target: Target
-    target_memory: FloatArray
-    rows: list[int]
-    lower: FloatArray
-    upper: FloatArray
-    period: float
-    started: bool = False
+    integral: FloatArray  #: (n_r,) array; z, rad s
+    memory: FloatArray  #: (n_m,) array; memory of the input path after the commands so far
+    target: Target  #: The steady state that is regulated to
+    target_memory: FloatArray  #: (n_m,) array; memory in that state
+    rows: list[int]  #: Positions of the controlled angles in x
+    lower: FloatArray  #: (n_u,) arrays; V
+    upper: FloatArray  #: (n_u,) arrays; V
+    period: float  #: T, s
+    started: bool = False  #: Whether there was a sample yet
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lqr:
-    """Linear quadratic regulator with integral action.
+    """Linear quadratic regulator with integral action."""
 
-    Attributes
-    ----------
-    operating_point : dict of str to float
-        Controlled angles at which the model is linearised, rad.
-    output_weights : dict of str to float
-        Of the controlled angles, 1/rad²; 1/(error that is worth one volt)².
-    rate_weights : dict of str to float
-        Of the controlled angles' rates, 1/(rad/s)².
-    integral_weights : dict of str to float
-        Of the integrals of the controlled angles' errors, 1/(rad s)².
-    input_weights : dict of str to float
-        1/V².
-    use_disturbance : bool
-        Whether the steady state is that at the estimated disturbance.
-    tracking_time : float
-        How fast the integral unwinds at a limit, s.
-    sample_time : float or None
-        Control period, s; None takes every sample.
-    """
-
+    #: Controlled angles at which the model is linearised, rad
     operating_point: Mapping[str, float] = field(default_factory=lambda: {"alpha_h": 0.5})
+    #: Of the controlled angles, 1/rad²; 1/(error that is worth one volt)²
     output_weights: Mapping[str, _Positive] = field(default_factory=dict)
+    #: Of the controlled angles' rates, 1/(rad/s)²
     rate_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
+    #: Of the integrals of the controlled angles' errors, 1/(rad s)²
     integral_weights: Mapping[str, _Positive] = field(default_factory=dict)
-    input_weights: Mapping[str, _Positive] = field(default_factory=dict)
-    use_disturbance: bool = True
-    tracking_time: _Positive = 1.0
-    sample_time: _Positive | None = None
+    input_weights: Mapping[str, _Positive] = field(default_factory=dict)  #: 1/V²
+    use_disturbance: bool = True  #: Whether the steady state is that at the estimated disturbance
+    tracking_time: _Positive = 1.0  #: How fast the integral unwinds at a limit, s
+    sample_time: _Positive | None = None  #: Control period, s; None takes every sample
 
     def preview(self, setup: ControlSetup) -> int:
         return 0
@@ -172,10 +119,8 @@ class Lqr:
     def designed(self, linear: LinearModel) -> Regulator:
         """Solve the Riccati equation of the model augmented by the integrals.
 
-        Raises
-        ------
-        ConfigurationError
-            For weights of names that the model does not have, or if there is no solution.
+        Raises ConfigurationError for weights of names that the model does not have, or if there is
+        no solution.
         """
         from scipy.linalg import solve_discrete_are
 

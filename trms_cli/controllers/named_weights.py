@@ -21,10 +21,8 @@ def in_order(
     Names of an axis that this model lacks are passed over, so that one configuration also serves
     the models of one axis.
 
-    Raises
-    ------
-    ConfigurationError
-        For any other name; ``key`` is where it stands in the controller's configuration.
+    Raises ConfigurationError for any other name; ``key`` is where it stands in the controller's
+    configuration.
     """
     everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *known}
     for name in given:

@@ -36,67 +36,24 @@ NotNegative = Annotated[float, Meta(ge=0)]
 
 @dataclass(frozen=True, kw_only=True)
 class NewtonMpc:
-    """Newton-type MPC.
+    """Newton-type MPC."""
 
-    Attributes
-    ----------
-    sample_time : float
-        Control period, s.
-    prediction_horizon : int
-        N, control periods.
-    move_blocks : tuple of int
-        Lengths of the blocks over which an input is constant, in control periods (the control
-        horizon). The last block lasts to the end of the prediction horizon; what is beyond it is
-        left out.
-    preview_horizon : int
-        How many control periods ahead the reference is known, at most N; beyond, it is taken as
-        constant, so that the terminal state leaves N − preview periods to settle.
-    forecast_horizon : int
-        How many control periods ahead a reference that is not known is carried on as the constant,
-        ramp or sine that it has been so far (:mod:`trms_cli.controllers.reference_forecast`), at
-        most N; 0 for none. Without effect where ``preview_horizon`` knows it.
-    state_weights, rate_weights, input_weights, move_weights : dict of str to float
-        See :class:`trms_cli.controllers.horizon.Weights`. Where no controlled state has a weight
-        (the speed of a rotor alone), each gets that of its typical size.
-    input_rate_limits : dict of str to float
-        Largest change per second, V/s.
-    soft_limits : dict of str to (float, float)
-        Limits on states, met if at all possible; in the states' units.
-    soft_linear, soft_quadratic : float
-        Price of violating them.
-    terminal : {"equality", "quasi_infinite", "none"}
-        Whether the predicted trajectory must end in the steady state of the reference, or in a
-        region around it at the cost of a local law that goes on from there (see
-        :mod:`trms_cli.controllers.newton_region`; where a target has no such region, in the
-        steady state), or anywhere.
-    terminal_linear, terminal_quadratic : float
-        Exact penalty of the terminal constraint, relative to typical sizes of the states. It
-        holds while its multipliers stay below ``terminal_linear``; otherwise it is relaxed, which
-        is reported.
-    terminal_weight, terminal_decay : float
-        Of the quasi-infinite horizon: weight of all states and inputs in the local law's cost,
-        relative to the objective's, and share of the law's decay that the terminal cost keeps
-        back. Both make room for the nonlinearity: a larger region for a higher terminal cost.
-        Both 0 are the linear-quadratic regulator of the objective.
-    max_iterations : int
-        Newton iterations a sample; 1 is the real-time iteration.
-    tolerance : float
-        Converged when no input moves more than this, V.
-    integration_steps : int
-        Steps of the model's integrator in a control period.
-    disturbance_compensation : bool
-        Whether the observer's constant disturbances enter prediction and target (offset-free).
-    fallback : {"shifted_plan", "hold", "steady_input", "stop"}
-        What acts when a solve fails: the last plan shifted in time, the last command, the
-        steady-state input of the reference, or the end of the run.
-    qp : QpSolver
-    """
-
-    sample_time: Positive = 0.1
-    prediction_horizon: Annotated[int, Meta(ge=2)] = 40
+    sample_time: Positive = 0.1  #: Control period, s
+    prediction_horizon: Annotated[int, Meta(ge=2)] = 40  #: N, control periods
+    #: Lengths of the blocks over which an input is constant, in control periods (the control
+    #: horizon). The last block lasts to the end of the prediction horizon; what is beyond it is
+    #: left out.
     move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
+    #: How many control periods ahead the reference is known, at most N; beyond, it is taken as
+    #: constant, so that the terminal state leaves N − preview periods to settle
     preview_horizon: Annotated[int, Meta(ge=0)] = 0
+    #: How many control periods ahead a reference that is not known is carried on as the constant,
+    #: ramp or sine that it has been so far (:mod:`trms_cli.controllers.reference_forecast`), at
+    #: most N; 0 for none. Without effect where ``preview_horizon`` knows it.
     forecast_horizon: Annotated[int, Meta(ge=0)] = 15
+    #: ``state_weights``, ``rate_weights``, ``input_weights``, ``move_weights``: See
+    #: :class:`trms_cli.controllers.horizon.Weights`. Where no controlled state has a weight (the
+    #: speed of a rotor alone), each gets that of its typical size.
     state_weights: Mapping[str, NotNegative] = field(
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
@@ -107,19 +64,37 @@ class NewtonMpc:
     move_weights: Mapping[str, NotNegative] = field(
         default_factory=lambda: {"u_v": 0.02, "u_h": 0.005}
     )
+    #: Largest change per second, V/s
     input_rate_limits: Mapping[str, Positive] = field(default_factory=dict)
+    #: Limits on states, met if at all possible; in the states' units
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    soft_linear: Positive = 100.0
-    soft_quadratic: Positive = 1000.0
+    soft_linear: Positive = 100.0  #: Price of violating them
+    soft_quadratic: Positive = 1000.0  #: Price of violating them
+    #: Whether the predicted trajectory must end in the steady state of the reference, or in a
+    #: region around it at the cost of a local law that goes on from there (see
+    #: :mod:`trms_cli.controllers.newton_region`; where a target has no such region, in the steady
+    #: state), or anywhere
     terminal: Literal["equality", "quasi_infinite", "none"] = "equality"
+    #: ``terminal_linear``, ``terminal_quadratic``: Exact penalty of the terminal constraint,
+    #: relative to typical sizes of the states. It holds while its multipliers stay below
+    #: ``terminal_linear``; otherwise it is relaxed, which is reported.
     terminal_linear: Positive = 100.0
     terminal_quadratic: Positive = 1000.0
+    #: ``terminal_weight``, ``terminal_decay``: Of the quasi-infinite horizon: weight of all states
+    #: and inputs in the local law's cost, relative to the objective's, and share of the law's decay
+    #: that the terminal cost keeps back. Both make room for the nonlinearity: a larger region for a
+    #: higher terminal cost. Both 0 are the linear-quadratic regulator of the objective.
     terminal_weight: NotNegative = 0.25
     terminal_decay: Annotated[float, Meta(ge=0, lt=1)] = 0.5
+    #: Newton iterations a sample; 1 is the real-time iteration
     max_iterations: Annotated[int, Meta(ge=1)] = 10
-    tolerance: Positive = 1e-4
+    tolerance: Positive = 1e-4  #: Converged when no input moves more than this, V
+    #: Steps of the model's integrator in a control period
     integration_steps: Annotated[int, Meta(ge=1)] = 1
+    #: Whether the observer's constant disturbances enter prediction and target (offset-free)
     disturbance_compensation: bool = True
+    #: What acts when a solve fails: the last plan shifted in time, the last command, the
+    #: steady-state input of the reference, or the end of the run
     fallback: Literal["shifted_plan", "hold", "steady_input", "stop"] = "shifted_plan"
     qp: QpSolver = field(default_factory=Daqp)
 

@@ -15,43 +15,26 @@ from trms_cli.models.model import Model, names
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the objective, by state or input name.
+    """Weights of the objective, by state or input name."""
 
-    Attributes
-    ----------
-    states : dict of str to float
-        q: of the squared deviation of a state, 1/unit². A controlled angle deviates from its
-        reference, any other state from its value at the steady-state target.
-    rates : dict of str to float
-        d: of the squared mean rate of a controlled angle over each control period, less that of
-        a reference that moves smoothly, s²/unit². It damps the motion itself; a weight on the
-        angular momentum S would also punish the momentum that holds an axis still while the other
-        axis' rotor changes its speed.
-    inputs : dict of str to float
-        ρ: of the squared deviation from the steady-state input, 1/V².
-    moves : dict of str to float
-        s: of the squared change between successive blocks, 1/V².
-    """
-
+    #: q: of the squared deviation of a state, 1/unit². A controlled angle deviates from its
+    #: reference, any other state from its value at the steady-state target.
     states: Mapping[str, float]
+    #: d: of the squared mean rate of a controlled angle over each control period, less that of a
+    #: reference that moves smoothly, s²/unit². It damps the motion itself; a weight on the angular
+    #: momentum S would also punish the momentum that holds an axis still while the other axis'
+    #: rotor changes its speed.
     rates: Mapping[str, float]
-    inputs: Mapping[str, float]
-    moves: Mapping[str, float]
+    inputs: Mapping[str, float]  #: ρ: of the squared deviation from the steady-state input, 1/V²
+    moves: Mapping[str, float]  #: s: of the squared change between successive blocks, 1/V²
 
 
 @dataclass(frozen=True)
 class SoftLimits:
-    """Limits on states that may be violated at a price.
+    """Limits on states that may be violated at a price."""
 
-    Attributes
-    ----------
-    states : dict of str to (float, float)
-        Lower and upper limit, in the state's unit.
-    linear, quadratic : float
-        μ and ν: price of a violation, 1/unit and 1/unit².
-    """
-
-    states: Mapping[str, tuple[float, float]]
+    states: Mapping[str, tuple[float, float]]  #: Lower and upper limit, in the state's unit
+    #: ``linear``, ``quadratic``: μ and ν: price of a violation, 1/unit and 1/unit²
     linear: float
     quadratic: float
 
@@ -75,10 +58,7 @@ def blocks_of(prediction_horizon: int, lengths: tuple[int, ...]) -> npt.NDArray[
 
     Blocks beyond the horizon are left out; the last one lasts to its end.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no block, or one of no length.
+    Raises ConfigurationError if there is no block, or one of no length.
     """
     if not lengths or min(lengths) < 1:
         raise ConfigurationError(

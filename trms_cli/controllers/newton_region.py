@@ -60,24 +60,13 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class TerminalRegion:
-    """Terminal cost ``‖L ξ‖²`` and region ``‖L ξ‖² ≤ α`` of a target, with the local law.
+    """Terminal cost ``‖L ξ‖²`` and region ``‖L ξ‖² ≤ α`` of a target, with the local law."""
 
-    Attributes
-    ----------
-    gain : (n_u, n) array
-        K: ``u = u_s + K ξ``, with n the full state's and the inputs' number.
-    root : (n, n) array
-        L, upper triangular, ``P = Lᵀ L``.
-    level : float
-        α, after the safety factor.
-    limits_level : float
-        The α that inputs, rates and soft limits alone would allow.
-    """
-
+    #: (n_u, n) array; K: ``u = u_s + K ξ``, with n the full state's and the inputs' number
     gain: FloatArray
-    root: FloatArray
-    level: float
-    limits_level: float
+    root: FloatArray  #: (n, n) array; L, upper triangular, ``P = Lᵀ L``
+    level: float  #: α, after the safety factor
+    limits_level: float  #: The α that inputs, rates and soft limits alone would allow
 
 
 class RegionDesign:

@@ -187,10 +187,7 @@ class NewtonMpcState:
     def fall_back(self, policy: str, reason: str) -> Command:
         """The declared command of a sample whose solve failed.
 
-        Raises
-        ------
-        SimulationError
-            Under the policy ``stop``.
+        Raises SimulationError: Under the policy ``stop``.
         """
         if policy == "stop":
             raise SimulationError(

@@ -25,35 +25,19 @@ _REGULARISATION = 1e-6
 
 @dataclass
 class Outcome:
-    """How the iterations of a sample ended.
-
-    Attributes
-    ----------
-    iterations : int
-    converged : bool
-        Whether the last Newton step moved no input by more than the tolerance.
-    failed : bool
-        Whether there is no usable answer; ``message`` says why.
-    stalled : bool
-        Whether no step along the Newton direction lowered the merit.
-    objective, merit : float
-        J and φ of the plan.
-    violation, terminal_residual : float
-        Largest violation of a soft limit, and of the terminal constraint.
-    kkt_residual : float
-        Largest component of the Lagrangian's gradient before the last step.
-    message : str
-    """
+    """How the iterations of a sample ended."""
 
     iterations: int
-    converged: bool
-    failed: bool
-    stalled: bool
-    objective: float
-    merit: float
+    converged: bool  #: Whether the last Newton step moved no input by more than the tolerance
+    failed: bool  #: Whether there is no usable answer; ``message`` says why
+    stalled: bool  #: Whether no step along the Newton direction lowered the merit
+    objective: float  #: J and φ of the plan
+    merit: float  #: J and φ of the plan
+    #: ``violation``, ``terminal_residual``: Largest violation of a soft limit, and of the terminal
+    #: constraint
     violation: float
     terminal_residual: float
-    kkt_residual: float
+    kkt_residual: float  #: Largest component of the Lagrangian's gradient before the last step
     message: str = ""
 
 

@@ -43,52 +43,17 @@ _HAIR = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Nmpc:
-    """Nonlinear MPC by IPOPT or fatrop.
+    """Nonlinear MPC by IPOPT or fatrop."""
 
-    Attributes
-    ----------
-    sample_time : float
-        Control period, s.
-    prediction_horizon, move_blocks, preview_horizon, forecast_horizon
-        As of :class:`~trms_cli.controllers.newton_mpc.NewtonMpc`, in control periods.
-    state_weights, rate_weights, input_weights, move_weights : dict of str to float
-        See :class:`trms_cli.controllers.horizon.Weights`.
-    input_rate_limits : dict of str to float
-        Largest change per second, V/s.
-    soft_limits : dict of str to (float, float)
-        Limits on states, met if at all possible; in the states' units.
-    soft_linear, soft_quadratic : float
-        Price of violating them.
-    terminal : {"equality", "none"}
-        Whether the predicted trajectory must end in the steady state of the reference.
-    terminal_linear, terminal_quadratic : float
-        Exact penalty of that, relative to typical sizes of the states.
-    solver : {"ipopt", "fatrop"}
-    max_iterations : int
-        Of a solve. A sample that runs into it takes what it has if that is better than the last
-        plan, and falls back otherwise. There is no limit in time: a run would depend on the
-        machine.
-    tolerance : float
-        Scaled residual of the optimality conditions.
-    second_start : {"new_reference", "always", "never"}
-        When a sample is also solved from the steady state; the better minimum counts.
-        ``new_reference`` does so after a failure, too.
-    machine_code : bool
-        Whether derivatives run as compiled C, built once for each structure of the problem.
-    integration_steps : int
-        Steps of the model's integrator in a control period.
-    disturbance_compensation : bool
-        Whether the observer's constant disturbances enter prediction and target (offset-free).
-    fallback : {"shifted_plan", "hold", "steady_input", "stop"}
-        What acts when a solve fails: the last plan shifted in time, the last command, the
-        steady-state input of the reference, or the end of the run.
-    """
-
-    sample_time: _Positive = 0.1
+    sample_time: _Positive = 0.1  #: Control period, s
+    #: ``prediction_horizon``, ``move_blocks``, ``preview_horizon``, ``forecast_horizon``: As of
+    #: :class:`~trms_cli.controllers.newton_mpc.NewtonMpc`, in control periods
     prediction_horizon: Annotated[int, Meta(ge=2)] = 40
     move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
     preview_horizon: Annotated[int, Meta(ge=0)] = 0
     forecast_horizon: Annotated[int, Meta(ge=0)] = 15
+    #: ``state_weights``, ``rate_weights``, ``input_weights``, ``move_weights``: See
+    #: :class:`trms_cli.controllers.horizon.Weights`
     state_weights: Mapping[str, _NotNegative] = field(
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
@@ -99,20 +64,35 @@ class Nmpc:
     move_weights: Mapping[str, _NotNegative] = field(
         default_factory=lambda: {"u_v": 0.02, "u_h": 0.005}
     )
+    #: Largest change per second, V/s
     input_rate_limits: Mapping[str, _Positive] = field(default_factory=dict)
+    #: Limits on states, met if at all possible; in the states' units
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    soft_linear: _Positive = 100.0
-    soft_quadratic: _Positive = 1000.0
+    soft_linear: _Positive = 100.0  #: Price of violating them
+    soft_quadratic: _Positive = 1000.0  #: Price of violating them
+    #: Whether the predicted trajectory must end in the steady state of the reference
     terminal: Literal["equality", "none"] = "equality"
+    #: ``terminal_linear``, ``terminal_quadratic``: Exact penalty of that, relative to typical sizes
+    #: of the states
     terminal_linear: _Positive = 100.0
     terminal_quadratic: _Positive = 1000.0
     solver: Method = "ipopt"
+    #: Of a solve. A sample that runs into it takes what it has if that is better than the last
+    #: plan, and falls back otherwise. There is no limit in time: a run would depend on the machine.
     max_iterations: Annotated[int, Meta(ge=1)] = 200
+    #: Scaled residual of the optimality conditions
     tolerance: Annotated[float, Meta(gt=0, le=1e-2)] = 1e-8
+    #: When a sample is also solved from the steady state; the better minimum counts.
+    #: ``new_reference`` does so after a failure, too.
     second_start: Literal["new_reference", "always", "never"] = "new_reference"
+    #: Whether derivatives run as compiled C, built once for each structure of the problem
     machine_code: bool = True
+    #: Steps of the model's integrator in a control period
     integration_steps: Annotated[int, Meta(ge=1)] = 1
+    #: Whether the observer's constant disturbances enter prediction and target (offset-free)
     disturbance_compensation: bool = True
+    #: What acts when a solve fails: the last plan shifted in time, the last command, the
+    #: steady-state input of the reference, or the end of the run
     fallback: Policy = "shifted_plan"
 
     def __post_init__(self) -> None:
@@ -121,10 +101,7 @@ class Nmpc:
     def problem(self) -> NewtonMpc:
         """The ``newton_mpc`` whose problem this is.
 
-        Raises
-        ------
-        ConfigurationError
-            For a horizon that is shorter than the preview.
+        Raises ConfigurationError for a horizon that is shorter than the preview.
         """
         known = {f.name for f in fields(NewtonMpc)} - _OWN
         return NewtonMpc(**{f.name: getattr(self, f.name) for f in fields(self) if f.name in known})
@@ -133,10 +110,7 @@ class Nmpc:
     def of(cls, problem: NewtonMpc, **own: Any) -> Nmpc:
         """The same problem as a ``newton_mpc`` poses, with keys of this class besides.
 
-        Raises
-        ------
-        ConfigurationError
-            For a terminal region, which this problem does not have.
+        Raises ConfigurationError for a terminal region, which this problem does not have.
         """
         if problem.terminal not in ("equality", "none"):
             raise ConfigurationError(

@@ -47,33 +47,18 @@ _IPOPT = {
 
 @dataclass(frozen=True)
 class Solution:
-    """How a solve ended.
+    """How a solve ended."""
 
-    Attributes
-    ----------
-    unknowns : (n,) array
-        The last iterate.
-    objective : float
-        There.
-    converged, at_cap : bool
-        Whether it is a local minimum, and whether the iterations ran out before.
-    iterations : int
-    message : str
-        The solver's word.
-    multipliers : tuple of arrays
-        Of the bounds and of g, for a next start.
-    seconds : float
-        Time that it took, s.
-    """
-
-    unknowns: FloatArray
-    objective: float
+    unknowns: FloatArray  #: (n,) array; the last iterate
+    objective: float  #: There
+    #: ``converged``, ``at_cap``: Whether it is a local minimum, and whether the iterations ran out
+    #: before
     converged: bool
     at_cap: bool
     iterations: int
-    message: str
-    multipliers: tuple[FloatArray, FloatArray]
-    seconds: float
+    message: str  #: The solver's word
+    multipliers: tuple[FloatArray, FloatArray]  #: Of the bounds and of g, for a next start
+    seconds: float  #: Time that it took, s
 
 
 class InteriorPoint:

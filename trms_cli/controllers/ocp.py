@@ -31,25 +31,15 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the unknowns are; all by position.
+    """Where the unknowns are; all by position."""
 
-    Attributes
-    ----------
-    states : (N + 1, n_s) array
-        x with the memory of the input path, then the last command if ``remembers``.
-    inputs : (n_blocks, n_u) array
-    beyond : (N, n_limited) array
-        Violations of the soft limits from the second stage on.
-    missed : (2 n_x,) array
-        v⁺ and v⁻; empty without terminal equality.
-    size : int
-    remembers : bool
-    """
-
+    #: (N + 1, n_s) array; x with the memory of the input path, then the last command if
+    #: ``remembers``
     states: IntArray
-    inputs: IntArray
+    inputs: IntArray  #: (n_blocks, n_u) array
+    #: (N, n_limited) array; violations of the soft limits from the second stage on
     beyond: IntArray
-    missed: IntArray
+    missed: IntArray  #: (2 n_x,) array; v⁺ and v⁻; empty without terminal equality
     size: int
     remembers: bool
 
@@ -65,29 +55,18 @@ class Layout:
 
 @dataclass(frozen=True)
 class Ocp:
-    """The problem.
+    """The problem."""
 
-    Attributes
-    ----------
-    nlp : dict
-        ``x, p, f, g`` for ``casadi.nlpsol``; p are the horizon's arguments but the plan, see
-        :meth:`parameters`. f is the horizon's merit wherever all rows of g hold.
-    lower, upper : (n,) arrays
-        Of the unknowns.
-    g_lower, g_upper : (m,) arrays
-    layout : Layout
-    stages : dict of str to list of int
-        Of each of the N + 1 stages: states ``nx``, other unknowns ``nu``, and rows of g ``ng``
-        besides those that lead to the next stage.
-    horizon : Horizon
-    """
-
+    #: ``x, p, f, g`` for ``casadi.nlpsol``; p are the horizon's arguments but the plan, see
+    #: :meth:`parameters`. f is the horizon's merit wherever all rows of g hold.
     nlp: dict[str, ca.MX]
-    lower: FloatArray
-    upper: FloatArray
-    g_lower: FloatArray
-    g_upper: FloatArray
+    lower: FloatArray  #: (n,) arrays; of the unknowns
+    upper: FloatArray  #: (n,) arrays; of the unknowns
+    g_lower: FloatArray  #: (m,) arrays
+    g_upper: FloatArray  #: (m,) arrays
     layout: Layout
+    #: Of each of the N + 1 stages: states ``nx``, other unknowns ``nu``, and rows of g ``ng``
+    #: besides those that lead to the next stage
     stages: dict[str, list[int]]
     horizon: Horizon
 

@@ -28,33 +28,17 @@ _BLOCK = 1024
 
 @dataclass
 class OpenLoopState:
-    """What a run of it needs.
+    """What a run of it needs."""
 
-    Attributes
-    ----------
-    period : float
-        Between two commands, s.
-    signals : list of Signal or None
-        By input; None rests.
-    offset, lower, upper : (n_u,) array
-        u₀ and the limits.
-    units : list of str
-        Of the inputs.
-    names : list of str
-    block : int
-        Which run of samples is at hand.
-    commands : (n, n_u) array
-        What is asked for in it.
-    """
-
-    period: float
-    signals: list[Signal | None]
-    offset: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    units: list[str]
+    period: float  #: Between two commands, s
+    signals: list[Signal | None]  #: By input; None rests
+    offset: FloatArray  #: (n_u,) array; u₀ and the limits
+    lower: FloatArray  #: (n_u,) array; u₀ and the limits
+    upper: FloatArray  #: (n_u,) array; u₀ and the limits
+    units: list[str]  #: Of the inputs
     names: list[str]
-    block: int = -1
+    block: int = -1  #: Which run of samples is at hand
+    #: (n, n_u) array; what is asked for in it
     commands: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def asked(self, time: float) -> FloatArray:
@@ -72,22 +56,13 @@ class OpenLoopState:
 
 @dataclass(frozen=True, kw_only=True)
 class OpenLoop:
-    """Signals as commands. All amplitudes and offsets of the signals are in the input's unit.
+    """Signals as commands. All amplitudes and offsets of the signals are in the input's unit."""
 
-    Attributes
-    ----------
-    u_v, u_h : Signal or None
-        What the main and the tail rotor are told, beyond u₀; None: nothing.
-    operating_point : dict of str to float, or None
-        Angles (rad) at which the model rests with u₀; those not named rest at zero. None: u₀ = 0.
-    sample_time : float or None
-        Period of the commands, s; None takes every sample.
-    """
-
-    u_v: Signal | None = None
-    u_h: Signal | None = None
+    u_v: Signal | None = None  #: What the main and the tail rotor are told, beyond u₀
+    u_h: Signal | None = None  #: None: nothing
+    #: Angles (rad) at which the model rests with u₀; those not named rest at zero. None: u₀ = 0.
     operating_point: Mapping[str, float] | None = None
-    sample_time: float | None = None
+    sample_time: float | None = None  #: Period of the commands, s; None takes every sample
 
     #: Nothing is to be followed: no reference in the log, no tracking error in the score.
     follows_reference: ClassVar[bool] = False
@@ -104,10 +79,7 @@ class OpenLoop:
     def init(self, setup: ControlSetup) -> OpenLoopState:
         """A fresh state.
 
-        Raises
-        ------
-        ConfigurationError
-            If the model cannot rest at the operating point.
+        Raises ConfigurationError if the model cannot rest at the operating point.
         """
         model = setup.model
         inputs = names(model.inputs)

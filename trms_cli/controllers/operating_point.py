@@ -51,37 +51,19 @@ _BESIDE = 0.05  # rad between two references that share their closest reachable 
 
 @dataclass(frozen=True)
 class Target:
-    """A steady state.
+    """A steady state."""
 
-    Attributes
-    ----------
-    x : (n_x,) array
-    u : (n_u,) array
-    reference_reached : (n_r,) array
-        Controlled angles in it, rad.
-    residual : float
-        Largest rate that is left in it, in the states' units per s.
-    projected : bool
-        Whether the reference asked for is out of reach.
-    converged : bool
-        Whether ``residual`` is below the tolerance. Otherwise there is no steady state near.
-    active : tuple of int
-        Bound that each input is at: −1, 0 for none, 1.
-    asked : tuple of float
-        The reference that it was solved for, rad.
-    multiplier : (n_s,) array
-        Of the dynamics, in rad² over their units: zero where the reference is reached. One for
-        each unknown of :mod:`trms_cli.models.rest`.
-    """
-
-    x: FloatArray
-    u: FloatArray
-    reference_reached: FloatArray
-    residual: float
-    projected: bool
+    x: FloatArray  #: (n_x,) array
+    u: FloatArray  #: (n_u,) array
+    reference_reached: FloatArray  #: (n_r,) array; controlled angles in it, rad
+    residual: float  #: Largest rate that is left in it, in the states' units per s
+    projected: bool  #: Whether the reference asked for is out of reach
+    #: Whether ``residual`` is below the tolerance. Otherwise there is no steady state near.
     converged: bool
-    active: tuple[int, ...]
-    asked: tuple[float, ...]
+    active: tuple[int, ...]  #: Bound that each input is at: −1, 0 for none, 1
+    asked: tuple[float, ...]  #: The reference that it was solved for, rad
+    #: (n_s,) array; of the dynamics, in rad² over their units: zero where the reference is reached.
+    #: One for each unknown of :mod:`trms_cli.models.rest`.
     multiplier: FloatArray
 
 

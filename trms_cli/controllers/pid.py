@@ -53,135 +53,81 @@ _NotNegative = Annotated[float, Meta(ge=0)]
 
 @dataclass(slots=True)
 class AxisState:
-    """One axis: its fixed numbers and what it remembers.
+    """One axis: its fixed numbers and what it remembers."""
 
-    Attributes
-    ----------
-    state, reference, channel : int
-        Positions of the angle in x, of its reference, and of its input in u.
-    gains : Gains
-    step : float
-        T, s.
-    curve, torque_of : Table
-        Input by torque, V by N m, and its inverse.
-    holding : Table or None
-        Torque by angle, N m by rad; None without feed-forward.
-    inverse : [float, float, float]
-        c_1, c_2, c_3: torque by the derivatives of the reference, N m s/rad and so on.
-    keep, derivative_gain : float
-        a, and k_d (1 − a)/T.
-    tracking : float
-        T/T_t, at most τ_f/τ.
-    coupling : list of float
-        Torque by the rate of m_ff of each axis before this one, s.
-    lead, slow : float
-        τ/τ_f, and the part that the lead's lag keeps over a period.
-    reference_rate : float
-        One over the reference's lag, 1/s; 0 for none.
-    least, most : float
-        Torques at the limits of the input, N m.
-    integral, derivative, lagged : float
-        I, D, and v behind τ_f, N m.
-    last_error : float
-        α − r̃ (or α), rad; NaN before the first sample.
-    forward_lag, forward_rate : float
-        m_ff behind τ_f, N m, and so its rate, N m/s.
-    guide : (float, float, float)
-        r̃ and its two derivatives, rad, rad/s, rad/s².
-    """
-
+    #: ``state``, ``reference``, ``channel``: Positions of the angle in x, of its reference, and of
+    #: its input in u
     state: int
     reference: int
     channel: int
     gains: Gains
-    step: float
-    curve: Table
-    torque_of: Table
-    holding: Table | None
+    step: float  #: T, s
+    curve: Table  #: Input by torque, V by N m, and its inverse
+    torque_of: Table  #: Input by torque, V by N m, and its inverse
+    holding: Table | None  #: Torque by angle, N m by rad; None without feed-forward
+    #: c_1, c_2, c_3: torque by the derivatives of the reference, N m s/rad and so on
     inverse: list[float]
-    keep: float
-    derivative_gain: float
-    tracking: float
-    coupling: list[float]
+    keep: float  #: a, and k_d (1 − a)/T
+    derivative_gain: float  #: a, and k_d (1 − a)/T
+    tracking: float  #: T/T_t, at most τ_f/τ
+    coupling: list[float]  #: Torque by the rate of m_ff of each axis before this one, s
+    #: ``lead``, ``slow``: τ/τ_f, and the part that the lead's lag keeps over a period
     lead: float
     slow: float
-    reference_rate: float
-    least: float
-    most: float
-    integral: float = 0.0
-    derivative: float = 0.0
-    lagged: float = 0.0
-    forward_lag: float = 0.0
-    forward_rate: float = 0.0
-    last_error: float = math.nan
+    reference_rate: float  #: One over the reference's lag, 1/s; 0 for none
+    least: float  #: Torques at the limits of the input, N m
+    most: float  #: Torques at the limits of the input, N m
+    integral: float = 0.0  #: I, D, and v behind τ_f, N m
+    derivative: float = 0.0  #: I, D, and v behind τ_f, N m
+    lagged: float = 0.0  #: I, D, and v behind τ_f, N m
+    forward_lag: float = 0.0  #: m_ff behind τ_f, N m, and so its rate, N m/s
+    forward_rate: float = 0.0  #: m_ff behind τ_f, N m, and so its rate, N m/s
+    last_error: float = math.nan  #: α − r̃ (or α), rad; NaN before the first sample
+    #: r̃ and its two derivatives, rad, rad/s, rad/s²
     guide: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass
 class PidState:
-    """All axes.
-
-    Attributes
-    ----------
-    axes : list of AxisState
-    margins : dict of str to Margins
-        Robustness of each axis' loop, the worst of the operating points.
-    """
+    """All axes."""
 
     axes: list[AxisState]
+    #: Robustness of each axis' loop, the worst of the operating points
     margins: Mapping[str, Margins]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pid:
-    """PID on each axis.
+    """PID on each axis."""
 
-    Attributes
-    ----------
-    pitch, yaw : "auto" or Gains
-        kp, ki and kd in N m/rad, N m/(rad s) and N m s/rad; kd is 0 where it is not given.
-        ``auto`` tunes them for the model at the operating points; see
-        :mod:`trms_cli.controllers.pid_tuning`.
-    operating_points : list of dict of str to float
-        Controlled angles at which the model is linearised for tuning and for the inverse that is
-        fed forward, rad. Yaw must need thrust
-        there: the tail rotor has no slope where it stands still.
-    max_sensitivity : float
-        M, the bound on the peak of the sensitivity in tuning.
-    smoothness : dict of str to float
-        ρ by axis, s: weight of the rate against the angle in tuning; 3 where none is given.
-    derivative_filter : float
-        T_f, s.
-    setpoint_weight : float
-        b, the part of the reference that the proportional term sees.
-    lead_filter : float
-        τ_f, s; also of the rate that pitch passes to yaw. A rotor faster than this gets no lead.
-    reference_lag : float or None
-        Time constant of each of the three lags on the reference, s; 0 for none, None for the
-        rotor's τ, but at least 10 T.
-    tracking_time : float or None
-        T_t, s, but not less than T τ/τ_f. None takes √(k_d/k_i), and 1 s where either is 0.
-    feed_forward : bool
-    sample_time : float or None
-        Control period, s; None takes every sample.
-    """
-
+    #: ``pitch``, ``yaw``: "auto" or Gains; kp, ki and kd in N m/rad, N m/(rad s) and N m s/rad; kd
+    #: is 0 where it is not given. ``auto`` tunes them for the model at the operating points; see
+    #: :mod:`trms_cli.controllers.pid_tuning`.
     pitch: Literal["auto"] | Gains = "auto"
     yaw: Literal["auto"] | Gains = "auto"
+    #: Controlled angles at which the model is linearised for tuning and for the inverse that is fed
+    #: forward, rad. Yaw must need thrust there: the tail rotor has no slope where it stands still.
     operating_points: tuple[Mapping[str, float], ...] = (
         {"alpha_v": -0.3, "alpha_h": 0.3},
         {"alpha_v": 0.0, "alpha_h": 0.5},
         {"alpha_v": 0.3, "alpha_h": 1.0},
     )
+    #: M, the bound on the peak of the sensitivity in tuning
     max_sensitivity: Annotated[float, Meta(gt=1)] = 1.6
+    #: ρ by axis, s: weight of the rate against the angle in tuning; 3 where none is given
     smoothness: Mapping[str, _Positive] = field(default_factory=dict)
-    derivative_filter: _Positive = 0.04
+    derivative_filter: _Positive = 0.04  #: T_f, s
+    #: τ_f, s; also of the rate that pitch passes to yaw. A rotor faster than this gets no lead.
     lead_filter: _Positive = 0.07
+    #: b, the part of the reference that the proportional term sees
     setpoint_weight: Annotated[float, Meta(ge=0, le=1)] = 1.0
+    #: Time constant of each of the three lags on the reference, s; 0 for none, None for the rotor's
+    #: τ, but at least 10 T
     reference_lag: _NotNegative | None = None
+    #: T_t, s, but not less than T τ/τ_f. None takes √(k_d/k_i), and 1 s where either is 0.
     tracking_time: _Positive | None = None
     feed_forward: bool = True
-    sample_time: _Positive | None = None
+    sample_time: _Positive | None = None  #: Control period, s; None takes every sample
 
     def __post_init__(self) -> None:
         if not self.operating_points:

@@ -54,35 +54,19 @@ _GROWTH = 1e-6
 
 @dataclass(frozen=True)
 class AxisDesign:
-    """One axis.
+    """One axis."""
 
-    Attributes
-    ----------
-    angle : str
-        State that is the axis' angle.
-    channel : int
-        Position of its rotor's input in u.
-    gains : Gains
-    filters : Filters
-    margins : Margins
-        Of its loop, the worst of the operating points.
-    inverse : (c_0, c_1, c_2, c_3)
-        Torque by the angle and its derivatives, N m/rad, N m s/rad and so on.
-    coupling : tuple of float
-        Torque by the rate of the torque fed forward to each axis before this one, s.
-    curve, holding : Table
-        Input by torque, V by N m; torque by angle, N m by rad.
-    """
-
-    angle: str
-    channel: int
+    angle: str  #: State that is the axis' angle
+    channel: int  #: Position of its rotor's input in u
     gains: Gains
     filters: Filters
-    margins: Margins
+    margins: Margins  #: Of its loop, the worst of the operating points
+    #: (c_0, c_1, c_2, c_3); torque by the angle and its derivatives, N m/rad, N m s/rad and so on
     inverse: tuple[float, ...]
+    #: Torque by the rate of the torque fed forward to each axis before this one, s
     coupling: tuple[float, ...]
-    curve: Table
-    holding: Table
+    curve: Table  #: Input by torque, V by N m
+    holding: Table  #: torque by angle, N m by rad
 
     @property
     def rotor_lag(self) -> float:
@@ -92,35 +76,19 @@ class AxisDesign:
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """What is asked of a design.
+    """What is asked of a design."""
 
-    Attributes
-    ----------
-    given : dict of str to "auto" or Gains
-        By axis.
-    operating_points : sequence of dict of str to float
-        Controlled angles, rad.
-    max_sensitivity : float
-    smoothness : dict of str to float
-        By axis, s.
-    derivative_filter, lead_filter : float
-        s.
-    """
-
-    given: Mapping[str, Literal["auto"] | Gains]
-    operating_points: Sequence[Mapping[str, float]]
-    max_sensitivity: float
-    smoothness: Mapping[str, float]
-    derivative_filter: float
-    lead_filter: float
+    given: Mapping[str, Literal["auto"] | Gains]  #: dict of str to "auto" or Gains; by axis
+    operating_points: Sequence[Mapping[str, float]]  #: Controlled angles, rad
+    max_sensitivity: float  #: largest gain of the sensitivity function
+    smoothness: Mapping[str, float]  #: By axis, s
+    derivative_filter: float  #: s
+    lead_filter: float  #: s
 
     def of(self, model: Model, step: float) -> dict[str, AxisDesign]:
         """The design for a model and a control period (s), by axis.
 
-        Raises
-        ------
-        ConfigurationError
-            By the key of an operating point or of gains that will not do.
+        Raises ConfigurationError by the key of an operating point or of gains that will not do.
         """
         return dict(kept(Design._of, self, model, step))
 
@@ -237,10 +205,7 @@ def _responses(
 def _channel(model: Model, axis: str) -> int:
     """Input of the rotor that holds an axis.
 
-    Raises
-    ------
-    ConfigurationError
-        For a model with an axis or rotors of other names.
+    Raises ConfigurationError for a model with an axis or rotors of other names.
     """
     rotor = ROTOR_OF_AXIS.get(axis, "")
     if rotor not in model.rotors:

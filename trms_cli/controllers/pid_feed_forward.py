@@ -46,16 +46,10 @@ INVERTED = np.geomspace(0.1, 3.0, 24)
 
 @dataclass(frozen=True)
 class Table:
-    """A function of one number, linear between its points and constant beyond them.
+    """A function of one number, linear between its points and constant beyond them."""
 
-    Attributes
-    ----------
-    x, y : list of float
-        Its points; x increases.
-    """
-
-    x: list[float]
-    y: list[float]
+    x: list[float]  #: Its points
+    y: list[float]  #: x increases
 
     def at(self, value: float) -> float:
         x, y = self.x, self.y
@@ -78,18 +72,10 @@ class Table:
 
 @dataclass(frozen=True)
 class RotorTables:
-    """What the steady states say of one axis and its rotor.
+    """What the steady states say of one axis and its rotor."""
 
-    Attributes
-    ----------
-    curve : Table
-        Input by torque, V by N m.
-    holding : Table
-        Torque by angle, N m by rad.
-    """
-
-    curve: Table
-    holding: Table
+    curve: Table  #: Input by torque, V by N m
+    holding: Table  #: Torque by angle, N m by rad
 
 
 def rotor_tables(

@@ -50,17 +50,11 @@ _EFFORT = 0.05
 
 @dataclass(frozen=True)
 class Filters:
-    """The dynamics of the law besides its integral.
+    """The dynamics of the law besides its integral."""
 
-    Attributes
-    ----------
-    derivative : float
-        T_f, time constant of the derivative's filter, s.
-    lead, lead_filter : float
-        τ and τ_f of the lead ``(1 + τ s)/(1 + τ_f s)`` behind the three terms, s. Equal: none.
-    """
-
-    derivative: float
+    derivative: float  #: T_f, time constant of the derivative's filter, s
+    #: ``lead``, ``lead_filter``: τ and τ_f of the lead ``(1 + τ s)/(1 + τ_f s)`` behind the three
+    #: terms, s. Equal: none.
     lead: float = 1.0
     lead_filter: float = 1.0
 
@@ -71,14 +65,10 @@ class Filters:
 
 
 class Gains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Gains of one axis, by which the law asks for a torque: ``kp e + ki ∫e dt + kd de/dt``.
+    """Gains of one axis, by which the law asks for a torque: ``kp e + ki ∫e dt + kd de/dt``."""
 
-    Attributes
-    ----------
-    kp, ki, kd : float
-        N m/rad, N m/(rad s), N m s/rad; before the lead. kd acts on −α without a reference lag.
-    """
-
+    #: ``kp``, ``ki``, ``kd``: N m/rad, N m/(rad s), N m s/rad; before the lead. kd acts on −α
+    #: without a reference lag.
     kp: float
     ki: float
     kd: float = 0.0
@@ -86,24 +76,12 @@ class Gains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Margins:
-    """Robustness of a loop.
+    """Robustness of a loop."""
 
-    Attributes
-    ----------
-    gain_margin : float
-        Factor by which the loop gain may grow (inf when it never crosses −180°).
-    phase_margin : float
-        Phase that may be lost at the crossover, rad.
-    crossover : float
-        Highest frequency at which the loop gain is 1, rad/s.
-    peak_sensitivity : float
-        max |S|.
-    """
-
-    gain_margin: float
-    phase_margin: float
-    crossover: float
-    peak_sensitivity: float
+    gain_margin: float  #: Factor by which the loop gain may grow (inf when it never crosses −180°)
+    phase_margin: float  #: Phase that may be lost at the crossover, rad
+    crossover: float  #: Highest frequency at which the loop gain is 1, rad/s
+    peak_sensitivity: float  #: max |S|
 
 
 @dataclass(frozen=True)

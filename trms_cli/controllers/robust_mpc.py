@@ -35,86 +35,49 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Law:
-    """A law that acts.
-
-    Attributes
-    ----------
-    solution : Solution
-    certificate : Certificate
-    task : Task
-        What it was designed for.
-    region : Region
-        Over which its polytope was taken.
-    """
+    """A law that acts."""
 
     solution: Solution
     certificate: Certificate
-    task: Task
-    region: Region
+    task: Task  #: What it was designed for
+    region: Region  #: Over which its polytope was taken
 
 
 @dataclass
 class RobustMpcState:
-    """What changes during a run.
-
-    Attributes
-    ----------
-    regulation : Regulation
-    inequalities : Inequalities
-        The problem, parametrised once.
-    aim : Aim or None
-        The target of the last sample.
-    law : Law or None
-        The last whose certificate held.
-    """
+    """What changes during a run."""
 
     regulation: Regulation
-    inequalities: Inequalities
-    aim: Aim | None = None
-    law: Law | None = None
+    inequalities: Inequalities  #: The problem, parametrised once
+    aim: Aim | None = None  #: The target of the last sample
+    law: Law | None = None  #: The last whose certificate held
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobustMpc(Design):
-    """Robust MPC, its inequalities solved at each sample.
+    """Robust MPC, its inequalities solved at each sample."""
 
-    Attributes
-    ----------
-    sample_time : float
-        Control period, s.
-    polytope : {"sub", "region"}
-        Whether the coefficients are taken around the present state, or over a region about the
-        target that does not change.
-    region_size : float
-        Half-width of that region, in typical sizes of the states.
-    reach, least_reach : float
-        Half-width of the sub-polytope's region: ``reach`` times the present deviation, and at
-        least ``least_reach`` typical sizes, in each state.
-    lyapunov : {"common", "parameter_dependent"}
-        One Lyapunov matrix for all vertices, or one for each.
-    redesign_below : float
-        A law goes on while the state is in its ellipsoid and at more than this level of it; 1
-        designs one at each sample.
-    solver : {"clarabel", "scs"}
-    max_iterations : int
-        Of the solver; beyond it the last law goes on.
-    disturbance_compensation : bool
-        Whether the observer's constant disturbances enter the target (offset-free).
-    fallback : {"last_law", "steady_input", "hold"}
-        What acts where no law is certified: the last certified one, cut to the limits (the steady
-        input of the target if there was none), the steady input, or the last command.
-    """
-
-    sample_time: Positive = 0.1
+    sample_time: Positive = 0.1  #: Control period, s
+    #: Whether the coefficients are taken around the present state, or over a region about the
+    #: target that does not change
     polytope: Literal["sub", "region"] = "sub"
-    region_size: Positive = 0.7
+    region_size: Positive = 0.7  #: Half-width of that region, in typical sizes of the states
+    #: ``reach``, ``least_reach``: Half-width of the sub-polytope's region: ``reach`` times the
+    #: present deviation, and at least ``least_reach`` typical sizes, in each state
     reach: Annotated[float, Meta(ge=1)] = 1.3
     least_reach: Positive = 0.3
+    #: One Lyapunov matrix for all vertices, or one for each
     lyapunov: Literal["common", "parameter_dependent"] = "common"
+    #: A law goes on while the state is in its ellipsoid and at more than this level of it; 1
+    #: designs one at each sample
     redesign_below: Annotated[float, Meta(ge=0, le=1)] = 1.0
     solver: Literal["clarabel", "scs"] = "clarabel"
+    #: Of the solver; beyond it the last law goes on
     max_iterations: Annotated[int, Meta(ge=5)] = 40
+    #: Whether the observer's constant disturbances enter the target (offset-free)
     disturbance_compensation: bool = True
+    #: What acts where no law is certified: the last certified one, cut to the limits (the steady
+    #: input of the target if there was none), the steady input, or the last command
     fallback: Literal["last_law", "steady_input", "hold"] = "last_law"
 
     def preview(self, setup: ControlSetup) -> int:

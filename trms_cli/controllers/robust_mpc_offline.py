@@ -27,50 +27,28 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass
 class RobustMpcOfflineState:
-    """What changes during a run.
-
-    Attributes
-    ----------
-    regulation : Regulation
-    family : Family
-    aim : Aim or None
-        The target of the last sample.
-    share : float
-        By which the family's ellipsoids are shrunk at the target.
-    """
+    """What changes during a run."""
 
     regulation: Regulation
     family: Family
-    aim: Aim | None = None
-    share: float = 1.0
+    aim: Aim | None = None  #: The target of the last sample
+    share: float = 1.0  #: By which the family's ellipsoids are shrunk at the target
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobustMpcOffline(Design):
-    """Robust MPC by lookup.
+    """Robust MPC by lookup."""
 
-    Attributes
-    ----------
-    sample_time : float
-        Control period, s.
-    widest : dict of str to float
-        The farthest states that laws are made for: a deviation of each controlled angle, rad.
-    targets : dict of str to float
-        Half-width of the references that the family serves, rad; beyond, its certificate does not
-        hold.
-    rings : int
-        Ellipsoids.
-    smallest : float
-        States that the innermost is made for, as a share of the farthest.
-    disturbance_compensation : bool
-        Whether the observer's constant disturbances enter the target (offset-free).
-    """
-
-    sample_time: Positive = 0.1
+    sample_time: Positive = 0.1  #: Control period, s
+    #: The farthest states that laws are made for: a deviation of each controlled angle, rad
     widest: Mapping[str, Positive] = field(default_factory=dict)
+    #: Half-width of the references that the family serves, rad; beyond, its certificate does not
+    #: hold
     targets: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
-    rings: Annotated[int, Meta(ge=1)] = 12
+    rings: Annotated[int, Meta(ge=1)] = 12  #: Ellipsoids
+    #: States that the innermost is made for, as a share of the farthest
     smallest: Annotated[float, Meta(gt=0, lt=1)] = 0.02
+    #: Whether the observer's constant disturbances enter the target (offset-free)
     disturbance_compensation: bool = True
 
     def preview(self, setup: ControlSetup) -> int:

@@ -41,61 +41,35 @@ _ITERATIONS = 4
 
 @dataclass(frozen=True)
 class AxisPart:
-    """One axis with its rotor; all by position.
+    """One axis with its rotor; all by position."""
 
-    Attributes
-    ----------
-    name : str
-        ``pitch`` or ``yaw``.
-    state, reference : int
-        Of the angle in x, and of its reference.
-    rotor : int
-        Of the rotor's speed in x.
-    channel : int
-        Of the rotor's input in u.
-    speed : Table
-        Speed by thrust, rad/s by N, up to the speeds that full commands hold.
-    thrust : Table
-        Its inverse.
-    """
-
-    name: str
-    state: int
-    reference: int
-    rotor: int
-    channel: int
-    speed: Table
-    thrust: Table
+    name: str  #: ``pitch`` or ``yaw``
+    state: int  #: Of the angle in x, and of its reference
+    reference: int  #: Of the angle in x, and of its reference
+    rotor: int  #: Of the rotor's speed in x
+    channel: int  #: Of the rotor's input in u
+    speed: Table  #: Speed by thrust, rad/s by N, up to the speeds that full commands hold
+    thrust: Table  #: Its inverse
 
 
 @dataclass(frozen=True)
 class VirtualMoments:
-    """Compiled functions of a model's axes; n_a axes, in the order of ``axes``.
-
-    Attributes
-    ----------
-    axes : tuple of AxisPart
-    motion : BufferedFunction
-        (x, u, w) → rates α̇ (n_a,), a (n_a,), its rate but for the rotors' part (n_a,), M
-        (n_a, n_a), arms (n_a,), thrusts (n_a,).
-    command : BufferedFunction
-        (x, u, w, ω̇ wanted (n_a,)) → u within its limits (n_u,), ω̇ with it (n_a,).
-    """
+    """Compiled functions of a model's axes; n_a axes, in the order of ``axes``."""
 
     axes: tuple[AxisPart, ...]
+    #: (x, u, w) → rates α̇ (n_a,), a (n_a,), its rate but for the rotors' part (n_a,), M (n_a,
+    #: n_a), arms (n_a,), thrusts (n_a,)
     motion: BufferedFunction
+    #: (x, u, w, ω̇ wanted (n_a,)) → u within its limits (n_u,), ω̇ with it (n_a,)
     command: BufferedFunction
 
 
 def virtual_moments(model: Model) -> VirtualMoments:
     """The axes of a model.
 
-    Raises
-    ------
-    ConfigurationError
-        For a model without derivative, without a thrust that follows from a rotor's speed, whose
-        rotors drive each other's axis, or that controls something else than the angles of its
-        axes.
+    Raises ConfigurationError for a model without derivative, without a thrust that follows from a
+    rotor's speed, whose rotors drive each other's axis, or that controls something else than the
+    angles of its axes.
     """
     if model.sample_time is not None:
         raise _refusal(model, "has no derivative")

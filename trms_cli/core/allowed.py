@@ -39,10 +39,7 @@ def allowed_for_now() -> frozenset[str]:
 def allow_for_now(package: str) -> None:
     """Let this process, and those that it starts, run a package.
 
-    Raises
-    ------
-    ConfigurationError
-        For what is no package's name, and for Python's own library.
+    Raises ConfigurationError for what is no package's name, and for Python's own library.
     """
     check_name(package)
     os.environ[ENVIRONMENT] = ",".join(sorted({*allowed_for_now(), package}))
@@ -51,10 +48,7 @@ def allow_for_now(package: str) -> None:
 def allowed_for_good() -> dict[str, Path | None]:
     """Packages with the folder that they lie in; None for an installed one.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is there and is not what ``trms allow`` writes.
+    Raises ConfigurationError if the file is there and is not what ``trms allow`` writes.
     """
     file = allowed_file()
     if not file.is_absolute():  # no home: nothing that lies in the working folder counts
@@ -83,10 +77,7 @@ def allowed_for_good() -> dict[str, Path | None]:
 def write_allowed(packages: Mapping[str, Path | None]) -> None:
     """Keep what is allowed for good.
 
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
+    Raises OSError if the folder cannot be written.
     """
     file = allowed_file()
     if not file.is_absolute():
@@ -100,10 +91,7 @@ def write_allowed(packages: Mapping[str, Path | None]) -> None:
 def check_name(package: str) -> None:
     """Refuse what is no package's name, and what would allow everything.
 
-    Raises
-    ------
-    ConfigurationError
-        With the name that was meant, where there is one.
+    Raises ConfigurationError with the name that was meant, where there is one.
     """
     if not _NAME.fullmatch(package):
         first = re.split(r"[.\s/]", package)[0]

@@ -45,188 +45,99 @@ Marker = Literal["stable", "unstable", "saddle", "star", "dot", "cross", "square
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a panel.
+    """An axis of a panel."""
 
-    Attributes
-    ----------
-    label, unit : str
-        What and in which unit; an empty unit shows none.
-    limits : (float, float) or None
-        None: as the marks need.
-    log : bool
-    """
-
-    label: str
-    unit: str = ""
-    limits: tuple[float, float] | None = None
+    label: str  #: What and in which unit
+    unit: str = ""  #: an empty unit shows none
+    limits: tuple[float, float] | None = None  #: None: as the marks need
     log: bool = False
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A line through points; NaN breaks it.
+    """A line through points; NaN breaks it."""
 
-    Attributes
-    ----------
-    x, y : (n,)
-    label : str
-        In the legend; empty for none. Equal labels of a panel stand there once.
-    colour : Colour
-    style : Style
-    width : float
-        Points.
-    arrow : bool
-        Whether an arrowhead on it tells its direction.
-    z : (n,) or None
-        In a panel of three axes.
-    """
-
-    x: Values
-    y: Values
-    label: str = ""
+    x: Values  #: (n,)
+    y: Values  #: (n,)
+    label: str = ""  #: In the legend; empty for none. Equal labels of a panel stand there once.
     colour: Colour = "blue"
     style: Style = "solid"
-    width: float = 1.4
-    arrow: bool = False
-    z: Values | None = None
+    width: float = 1.4  #: Points
+    arrow: bool = False  #: Whether an arrowhead on it tells its direction
+    z: Values | None = None  #: (n,) or None; in a panel of three axes
 
 
 @dataclass(frozen=True)
 class Points:
-    """Single points.
+    """Single points."""
 
-    Attributes
-    ----------
-    x, y : (n,)
-    label : str
-    marker : Marker
-    colour : Colour
-    names : sequence of str
-        Written beside the points; empty for none.
-    size : float
-        Points.
-    z : (n,) or None
-        In a panel of three axes.
-    """
-
-    x: Values
-    y: Values
+    x: Values  #: (n,)
+    y: Values  #: (n,)
     label: str = ""
     marker: Marker = "dot"
     colour: Colour = "ink"
-    names: Sequence[str] = ()
-    size: float = 6.0
-    z: Values | None = None
+    names: Sequence[str] = ()  #: Written beside the points; empty for none
+    size: float = 6.0  #: Points
+    z: Values | None = None  #: (n,) or None; in a panel of three axes
 
 
 @dataclass(frozen=True)
 class Flow:
-    """Stream lines of a vector field in the plane.
+    """Stream lines of a vector field in the plane."""
 
-    Attributes
-    ----------
-    x, y : (n,), (m,)
-        Grid lines, equally spaced.
-    u, v : (m, n)
-        Components at ``(x[j], y[i])``.
-    colour : Colour
-    density : float
-    """
-
-    x: Values
-    y: Values
-    u: npt.NDArray[np.float64]
-    v: npt.NDArray[np.float64]
+    x: Values  #: (n,), (m,); grid lines, equally spaced
+    y: Values  #: (n,), (m,); grid lines, equally spaced
+    u: npt.NDArray[np.float64]  #: (m, n); components at ``(x[j], y[i])``
+    v: npt.NDArray[np.float64]  #: (m, n); components at ``(x[j], y[i])``
     colour: Colour = "grey"
-    density: float = 1.0
+    density: float = 1.0  #: of lines, relative to the usual
 
 
 @dataclass(frozen=True)
 class Contour:
-    """Level lines of a function on a grid: nullclines (level 0), level sets of a V.
+    """Level lines of a function on a grid: nullclines (level 0), level sets of a V."""
 
-    Attributes
-    ----------
-    x, y : (n,), (m,)
-    values : (m, n)
-        At ``(x[j], y[i])``; NaN where there is none.
-    levels : sequence of float
-    label : str
-    colour : Colour
-    style : Style
-    width : float
-    numbers : bool
-        Whether the levels are written on the lines.
-    """
-
-    x: Values
-    y: Values
-    values: npt.NDArray[np.float64]
+    x: Values  #: (n,), (m,)
+    y: Values  #: (n,), (m,)
+    values: npt.NDArray[np.float64]  #: (m, n); at ``(x[j], y[i])``; NaN where there is none
     levels: Sequence[float]
     label: str = ""
     colour: Colour = "blue"
     style: Style = "solid"
-    width: float = 1.4
-    numbers: bool = False
+    width: float = 1.4  #: points
+    numbers: bool = False  #: Whether the levels are written on the lines
 
 
 @dataclass(frozen=True)
 class Region:
-    """A shaded set, on a grid.
+    """A shaded set, on a grid."""
 
-    Attributes
-    ----------
-    x, y : (n,), (m,)
-    inside : (m, n) bool
-        Whether ``(x[j], y[i])`` belongs to it.
-    label : str
-    colour : Colour
-    opacity : float
-    """
-
-    x: Values
-    y: Values
-    inside: npt.NDArray[np.bool_]
+    x: Values  #: (n,), (m,)
+    y: Values  #: (n,), (m,)
+    inside: npt.NDArray[np.bool_]  #: (m, n) bool; whether ``(x[j], y[i])`` belongs to it
     label: str = ""
     colour: Colour = "sky"
-    opacity: float = 0.25
+    opacity: float = 0.25  #: 0 to 1
 
 
 @dataclass(frozen=True)
 class Band:
-    """A shaded strip between two curves.
+    """A shaded strip between two curves."""
 
-    Attributes
-    ----------
-    x, lower, upper : (n,)
-    label : str
-    colour : Colour
-    opacity : float
-    """
-
-    x: Values
-    lower: Values
-    upper: Values
+    x: Values  #: (n,)
+    lower: Values  #: (n,)
+    upper: Values  #: (n,)
     label: str = ""
     colour: Colour = "sky"
-    opacity: float = 0.25
+    opacity: float = 0.25  #: 0 to 1
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line across the panel, at one value of x or of y.
+    """A line across the panel, at one value of x or of y."""
 
-    Attributes
-    ----------
-    x, y : float or None
-        One of the two.
-    label : str
-    colour : Colour
-    style : Style
-    """
-
-    x: float | None = None
-    y: float | None = None
+    x: float | None = None  #: One of the two
+    y: float | None = None  #: One of the two
     label: str = ""
     colour: Colour = "grey"
     style: Style = "dotted"
@@ -234,17 +145,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Note:
-    """A few words at a place.
+    """A few words at a place."""
 
-    Attributes
-    ----------
-    x, y : float
-    text : str
-    colour : Colour
-    """
-
-    x: float
-    y: float
+    x: float  #: in the axes' units
+    y: float  #: in the axes' units
     text: str
     colour: Colour = "ink"
 
@@ -254,51 +158,26 @@ Mark = Curve | Points | Flow | Contour | Region | Band | Line | Note
 
 @dataclass(frozen=True)
 class Panel:
-    """One coordinate system.
-
-    Attributes
-    ----------
-    x, y : Axis
-    marks : sequence of marks
-        Drawn in order, what comes later on top.
-    title : str
-    z : Axis or None
-        A third axis; curves and points only then.
-    equal : bool
-        One unit of x is as long as one of y.
-    """
+    """One coordinate system."""
 
     x: Axis
     y: Axis
-    marks: Sequence[Mark]
+    marks: Sequence[Mark]  #: sequence of marks; drawn in order, what comes later on top
     title: str = ""
-    z: Axis | None = None
-    equal: bool = False
+    z: Axis | None = None  #: A third axis; curves and points only then
+    equal: bool = False  #: One unit of x is as long as one of y
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure of one or more panels.
+    """A figure of one or more panels."""
 
-    Attributes
-    ----------
-    name : str
-        File name without its ending.
-    panels : sequence of Panel
-    caption : str
-        A sentence under it: what is seen, with the condition.
-    columns : int
-        Panels in a row.
-    width, height : float
-        Inches, of a panel.
-    """
-
-    name: str
+    name: str  #: File name without its ending
     panels: Sequence[Panel]
-    caption: str = ""
-    columns: int = 2
-    width: float = 4.4
-    height: float = 3.2
+    caption: str = ""  #: A sentence under it: what is seen, with the condition
+    columns: int = 2  #: Panels in a row
+    width: float = 4.4  #: Inches, of a panel
+    height: float = 3.2  #: Inches, of a panel
 
 
 def as_data(chart: Chart) -> dict[str, Any]:

@@ -22,10 +22,7 @@ LARGEST_DOCUMENT = 64 * MEBIBYTE
 def largest(usual: int) -> int:
     """The most bytes that are read of a file: `usual`, unless the environment says otherwise.
 
-    Raises
-    ------
-    ConfigurationError
-        If the environment holds no number.
+    Raises ConfigurationError if the environment holds no number.
     """
     text = os.environ.get(ENVIRONMENT, "").strip()
     if not text:
@@ -103,10 +100,7 @@ def read_json(path: Path, most: int = LARGEST_DOCUMENT) -> Any:
 def not_as_written(where: str, what: str = "its content") -> Iterator[None]:
     """Turn any failure inside into words on a file that somebody else may have written.
 
-    Raises
-    ------
-    RecordingError
-        For whatever is raised inside and is no complaint of ours.
+    Raises RecordingError for whatever is raised inside and is no complaint of ours.
     """
     try:
         yield

@@ -22,10 +22,7 @@ _guard = threading.Lock()
 def hold(folder: Path) -> bool:
     """Hold a folder until the process ends or lets go of it; whether nobody else does.
 
-    Raises
-    ------
-    OSError
-        If it cannot be opened.
+    Raises OSError if it cannot be opened.
     """
     try:
         import fcntl

@@ -32,16 +32,10 @@ MOST_RESULTS = 128
 
 @dataclass(frozen=True)
 class _Kept:
-    """A result, and the objects that its key names by their place in memory.
-
-    Attributes
-    ----------
-    result : object
-    named : tuple of object
-        Held, so that no other object takes their place as long as the key is there.
-    """
+    """A result, and the objects that its key names by their place in memory."""
 
     result: Any
+    #: Held, so that no other object takes their place as long as the key is there
     named: tuple[object, ...]
 
 

@@ -43,105 +43,57 @@ TONES: MappingProxyType[str, Colour] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A round bar or a disc.
-
-    Attributes
-    ----------
-    name : str
-    frame : str
-        ``base``, ``yaw`` or ``beam``.
-    centre, axis : (3,)
-        Its middle (m) and the direction of its axis, a unit vector, in the frame.
-    length, radius : float
-        m.
-    tone : str
-        Key of :data:`TONES`.
-    opacity : float
-        1 hides what is behind.
-    """
+    """A round bar or a disc."""
 
     name: str
-    frame: str
+    frame: str  #: ``base``, ``yaw`` or ``beam``
+    #: ``centre``, ``axis``: (3,); its middle (m) and the direction of its axis, a unit vector, in
+    #: the frame
     centre: Vector
     axis: Vector
-    length: float
-    radius: float
-    tone: str
-    opacity: float = 1.0
+    length: float  #: m
+    radius: float  #: m
+    tone: str  #: Key of :data:`TONES`
+    opacity: float = 1.0  #: 1 hides what is behind
 
 
 @dataclass(frozen=True)
 class Ring:
-    """A round wire: a rotor's guard.
+    """A round wire: a rotor's guard."""
 
-    Attributes
-    ----------
-    name, frame, centre, axis, tone, opacity
-        As of :class:`Cylinder`.
-    radius, thickness : float
-        Of the ring and of its wire, m.
-    """
-
-    name: str
-    frame: str
-    centre: Vector
-    axis: Vector
-    radius: float
-    thickness: float
-    tone: str
-    opacity: float = 1.0
+    name: str  #: As of :class:`Cylinder`
+    frame: str  #: As of :class:`Cylinder`
+    centre: Vector  #: As of :class:`Cylinder`
+    axis: Vector  #: As of :class:`Cylinder`
+    radius: float  #: Of the ring and of its wire, m
+    thickness: float  #: Of the ring and of its wire, m
+    tone: str  #: As of :class:`Cylinder`
+    opacity: float = 1.0  #: As of :class:`Cylinder`
 
 
 @dataclass(frozen=True)
 class Arrow:
-    """An arrow whose length shows a command.
+    """An arrow whose length shows a command."""
 
-    Attributes
-    ----------
-    name : str
-        Of the command: ``u_v``.
-    frame : str
-    foot : (3,)
-        m, in the frame.
-    axis : (3,)
-        Where the arrow points when the command is positive, a unit vector.
-    reach : float
-        Its length at the command's limit, m.
-    tone : str
-    """
-
-    name: str
+    name: str  #: Of the command: ``u_v``
     frame: str
-    foot: Vector
-    axis: Vector
-    reach: float
+    foot: Vector  #: (3,); m, in the frame
+    axis: Vector  #: (3,); where the arrow points when the command is positive, a unit vector
+    reach: float  #: Its length at the command's limit, m
     tone: str
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A rig's body.
-
-    Attributes
-    ----------
-    parts : tuple of Cylinder or Ring
-    arrows : tuple of Arrow
-    height : float
-        Of the axis of pitch above the base, m.
-    offset : float
-        From the axis of yaw to the beam, along y of the frame ``yaw``, m.
-    extent : float
-        Half the width of what it fills, m: how far a camera has to stand off.
-    assumed : str
-        Which lengths the parameters do not give and are therefore drawn by proportion, as a
-        sentence; empty if none.
-    """
+    """A rig's body."""
 
     parts: tuple[Cylinder | Ring, ...]
     arrows: tuple[Arrow, ...]
-    height: float
-    offset: float
-    extent: float
+    height: float  #: Of the axis of pitch above the base, m
+    offset: float  #: From the axis of yaw to the beam, along y of the frame ``yaw``, m
+    extent: float  #: Half the width of what it fills, m: how far a camera has to stand off
+    #: Which lengths the parameters do not give and are therefore drawn by proportion, as a
+    #: sentence; empty if none
     assumed: str = ""
 
 

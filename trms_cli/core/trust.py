@@ -87,10 +87,7 @@ def place_of(package: str, folders: Iterable[Path]) -> Path | None:
 def check_allowed(target: str, where: str) -> None:
     """Refuse a name outside of this program and of what the user allowed; nothing is imported.
 
-    Raises
-    ------
-    ConfigurationError
-        With the line that allows the package.
+    Raises ConfigurationError with the line that allows the package.
     """
     package, *rest = target.split(".")
     if package == _OWN:
@@ -122,10 +119,8 @@ def check_allowed(target: str, where: str) -> None:
 def check_own(found: Any, target: str, where: str) -> None:
     """Refuse what was found under a name and is no plugin of that place.
 
-    Raises
-    ------
-    ConfigurationError
-        For what was defined elsewhere, and for what is no class and no function.
+    Raises ConfigurationError for what was defined elsewhere, and for what is no class and no
+    function.
     """
     package = target.partition(".")[0]
     home = str(getattr(found, "__module__", None))
@@ -143,10 +138,7 @@ def check_own(found: Any, target: str, where: str) -> None:
 def imported(module: str) -> ModuleType:
     """A module that :func:`check_allowed` has let pass.
 
-    Raises
-    ------
-    ImportError
-        And whatever the module raises.
+    Raises ImportError: And whatever the module raises.
     """
     return importlib.import_module(module)
 

@@ -46,11 +46,8 @@ class _Loader(_PARSER):  # type: ignore[misc, valid-type]
 def load_yaml(document: bytes | str) -> Any:
     """The plain data of a document.
 
-    Raises
-    ------
-    yaml.YAMLError
-        If it is no YAML, holds a key twice or something that is no plain data, or is refused by
-        :func:`check_yaml`.
+    Raises yaml.YAMLError if it is no YAML, holds a key twice or something that is no plain data, or
+    is refused by :func:`check_yaml`.
     """
     check_yaml(document)
     try:
@@ -64,11 +61,8 @@ def load_yaml(document: bytes | str) -> Any:
 def check_yaml(document: bytes | str) -> None:
     """Refuse a document that would not fit into memory once it is read.
 
-    Raises
-    ------
-    yaml.YAMLError
-        If it is no YAML, or is larger than :data:`MOST_BYTES`, :data:`MOST_NODES` or
-        :data:`DEEPEST` allow, or an alias stands inside of what it stands for.
+    Raises yaml.YAMLError if it is no YAML, or is larger than :data:`MOST_BYTES`, :data:`MOST_NODES`
+    or :data:`DEEPEST` allow, or an alias stands inside of what it stands for.
     """
     if len(document) > MOST_BYTES:
         raise YamlRefused(

@@ -20,17 +20,10 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class ActuatorLag(Effect):
-    """Lag of one command.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    time_constant : float
-        τ, s.
-    """
+    """Lag of one command."""
 
     rotor: Literal["main", "tail"]
-    time_constant: Annotated[float, Meta(ge=0)]
+    time_constant: Annotated[float, Meta(ge=0)]  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -28,26 +28,15 @@ _NARROWEST = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class CableHysteresis(Effect):
-    """Bouc–Wen hysteresis.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    torque : float
-        T, N m: half the height of the loop.
-    width : float
-        rad: the travel after a reversal over which the torque turns.
-    beta : float
-        β: 1/2 unloads along a straight line, 1 along the same exponential as it loads (Dahl).
-    exponent : float
-        n: how sharply the loop bends into saturation.
-    """
+    """Bouc–Wen hysteresis."""
 
     axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=0)]
+    torque: Annotated[float, Meta(ge=0)]  #: T, N m: half the height of the loop
+    #: rad: the travel after a reversal over which the torque turns
     width: Annotated[float, Meta(ge=_NARROWEST)]
+    #: β: 1/2 unloads along a straight line, 1 along the same exponential as it loads (Dahl)
     beta: Annotated[float, Meta(ge=0.5, le=1)] = 0.5
-    exponent: Annotated[float, Meta(ge=1)] = 1.0
+    exponent: Annotated[float, Meta(ge=1)] = 1.0  #: n: how sharply the loop bends into saturation
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -19,23 +19,12 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class CableStiffness(Effect):
-    """A spring that may harden.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    stiffness : float
-        k, N m/rad.
-    cubic : float
-        k₃, N m/rad³.
-    neutral : float
-        α₀, rad.
-    """
+    """A spring that may harden."""
 
     axis: Literal["pitch", "yaw"]
-    stiffness: Annotated[float, Meta(ge=0)]
-    cubic: Annotated[float, Meta(ge=0)] = 0.0
-    neutral: Annotated[float, Meta(ge=-3.2, le=3.2)] = 0.0
+    stiffness: Annotated[float, Meta(ge=0)]  #: k, N m/rad
+    cubic: Annotated[float, Meta(ge=0)] = 0.0  #: k₃, N m/rad³
+    neutral: Annotated[float, Meta(ge=-3.2, le=3.2)] = 0.0  #: α₀, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -18,17 +18,10 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class CoulombFriction(Effect):
-    """Coulomb friction.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    torque : float
-        F_c, N m.
-    """
+    """Coulomb friction."""
 
     axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=0)]
+    torque: Annotated[float, Meta(ge=0)]  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -19,17 +19,10 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class DeadZone(Effect):
-    """Dead zone of one command.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    width : float
-        d, V: to either side of zero.
-    """
+    """Dead zone of one command."""
 
     rotor: Literal["main", "tail"]
-    width: Annotated[float, Meta(ge=0)]
+    width: Annotated[float, Meta(ge=0)]  #: d, V: to either side of zero
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -26,20 +26,11 @@ _SHORTEST = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbance(Effect):
-    """Coloured torque; it begins at zero.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    torque : float
-        σ, N m: standard deviation in the long run.
-    time : float
-        τ, s: time over which it forgets itself.
-    """
+    """Coloured torque; it begins at zero."""
 
     axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=0)]
-    time: Annotated[float, Meta(ge=_SHORTEST)]
+    torque: Annotated[float, Meta(ge=0)]  #: σ, N m: standard deviation in the long run
+    time: Annotated[float, Meta(ge=_SHORTEST)]  #: τ, s: time over which it forgets itself
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -25,29 +25,18 @@ __all__ = ["Effect", "EffectContext", "axis_of", "resisting_impulse", "rotor_inp
 
 @dataclass(frozen=True)
 class EffectContext:
-    """Where an effect is evaluated: expressions at one point of the model beneath it.
+    """Where an effect is evaluated: expressions at one point of the model beneath it."""
 
-    Attributes
-    ----------
-    model : Model
-        The model that the effect is added to.
-    x, u, p, w : casadi.SX
-        Its states, the inputs that reach the motors, its parameters, its disturbances.
-    own : casadi.SX
-        The effect's own states (or, on the input path, its memory).
-    sizes : dict of str to casadi.SX
-        The effect's own parameters by their short names.
-    shown : casadi.SX
-        The effect's memory on the sensor path.
-    """
-
-    model: Model
+    model: Model  #: The model that the effect is added to
+    #: ``x``, ``u``, ``p``, ``w``: Its states, the inputs that reach the motors, its parameters, its
+    #: disturbances
     x: ca.SX
     u: ca.SX
     p: ca.SX
     w: ca.SX
-    own: ca.SX
-    sizes: Mapping[str, ca.SX]
+    own: ca.SX  #: The effect's own states (or, on the input path, its memory)
+    sizes: Mapping[str, ca.SX]  #: The effect's own parameters by their short names
+    #: The effect's memory on the sensor path
     shown: ca.SX = field(default_factory=lambda: ca.SX.zeros(0))
 
     def axis(self, name: str) -> Axis:

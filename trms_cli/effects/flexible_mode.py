@@ -29,23 +29,12 @@ _SLOWEST = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class FlexibleMode(Effect):
-    """A flexible mode in one measured angle.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    share : float
-        c: how much of the deflection is seen.
-    frequency : float
-        ω₀/2π, Hz.
-    damping : float
-        ζ.
-    """
+    """A flexible mode in one measured angle."""
 
     axis: Literal["pitch", "yaw"]
-    share: Annotated[float, Meta(ge=0, le=10)]
-    frequency: Annotated[float, Meta(ge=_SLOWEST)]
-    damping: Annotated[float, Meta(ge=0, le=0.9)]
+    share: Annotated[float, Meta(ge=0, le=10)]  #: c: how much of the deflection is seen
+    frequency: Annotated[float, Meta(ge=_SLOWEST)]  #: ω₀/2π, Hz
+    damping: Annotated[float, Meta(ge=0, le=0.9)]  #: ζ
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -23,20 +23,11 @@ _THINNEST = 1e-2
 
 @dataclass(frozen=True, kw_only=True)
 class GroundEffect(Effect):
-    """Cushion of air under the main rotor.
+    """Cushion of air under the main rotor."""
 
-    Attributes
-    ----------
-    gain : float
-        g: share of the thrust that is added at the table itself.
-    scale : float
-        h₀, m: height over which it falls to 1/e.
-    level_height : float
-        h_level, m: height of the rotor over the table with the beam level.
-    """
-
-    gain: Annotated[float, Meta(ge=0)]
-    scale: Annotated[float, Meta(ge=_THINNEST)]
+    gain: Annotated[float, Meta(ge=0)]  #: g: share of the thrust that is added at the table itself
+    scale: Annotated[float, Meta(ge=_THINNEST)]  #: h₀, m: height over which it falls to 1/e
+    #: h_level, m: height of the rotor over the table with the beam level
     level_height: Annotated[float, Meta(ge=0)]
 
     @property

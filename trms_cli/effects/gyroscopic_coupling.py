@@ -27,17 +27,11 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class GyroscopicCoupling(Effect):
-    """Gyroscopic torques of the main rotor.
+    """Gyroscopic torques of the main rotor."""
 
-    Attributes
-    ----------
-    inertia : float
-        J, kg m², beyond what the model has; either sign.
-    lean : float
-        β, rad: 0 for a rotor whose axis is upright on the level beam.
-    """
-
+    #: J, kg m², beyond what the model has; either sign
     inertia: Annotated[float, Meta(ge=-1e-2, le=1e-2)]
+    #: β, rad: 0 for a rotor whose axis is upright on the level beam
     lean: Annotated[float, Meta(ge=-1.6, le=1.6)]
 
     def parameters(self) -> tuple[Parameter, ...]:

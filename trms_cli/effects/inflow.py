@@ -28,16 +28,10 @@ _AT_REST = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Inflow(Effect):
-    """Loss of thrust by the rotor's own axial speed.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    coefficient : float
-        k, rad/m: speed of the rotor over the axial speed that would take all its thrust.
-    """
+    """Loss of thrust by the rotor's own axial speed."""
 
     rotor: Literal["main", "tail"]
+    #: k, rad/m: speed of the rotor over the axial speed that would take all its thrust
     coefficient: Annotated[float, Meta(ge=0)]
 
     @property

@@ -21,19 +21,11 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class InputDelay(Effect):
-    """Transport delay of one command.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    delay : float
-        s.
-    longest : float
-        Bound of the delay, s; the past commands that are kept reach back this far.
-    """
+    """Transport delay of one command."""
 
     rotor: Literal["main", "tail"]
-    delay: Annotated[float, Meta(ge=0)]
+    delay: Annotated[float, Meta(ge=0)]  #: s
+    #: Bound of the delay, s; the past commands that are kept reach back this far
     longest: Annotated[float, Meta(gt=0)] = 0.2
 
     def parameters(self) -> tuple[Parameter, ...]:

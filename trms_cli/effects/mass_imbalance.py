@@ -30,20 +30,12 @@ _STANDARD_GRAVITY = 9.80665
 
 @dataclass(frozen=True, kw_only=True)
 class MassImbalance(Effect):
-    """A point mass fixed to the beam.
+    """A point mass fixed to the beam."""
 
-    Attributes
-    ----------
-    mass : float
-        m, kg.
-    arm : float
-        l, m: along the beam from the pitch axis, positive towards the tail (raises the nose).
-    height : float
-        h, m: above the beam; negative is below it, like the counterweight.
-    """
-
-    mass: Annotated[float, Meta(ge=0)]
+    mass: Annotated[float, Meta(ge=0)]  #: m, kg
+    #: l, m: along the beam from the pitch axis, positive towards the tail (raises the nose)
     arm: Annotated[float, Meta(ge=-1, le=1)]
+    #: h, m: above the beam; negative is below it, like the counterweight
     height: Annotated[float, Meta(ge=-1, le=1)] = 0.0
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -15,17 +15,10 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class QuadraticDamping(Effect):
-    """Damping that grows with the square of the rate.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    coefficient : float
-        c, N m s²/rad².
-    """
+    """Damping that grows with the square of the rate."""
 
     axis: Literal["pitch", "yaw"]
-    coefficient: Annotated[float, Meta(ge=0)]
+    coefficient: Annotated[float, Meta(ge=0)]  #: c, N m s²/rad²
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -23,17 +23,10 @@ _FINEST = 2.0**-100
 
 @dataclass(frozen=True, kw_only=True)
 class Quantisation(Effect):
-    """Resolution of one angle.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    quantum : float
-        q, rad.
-    """
+    """Resolution of one angle."""
 
     axis: Literal["pitch", "yaw"]
-    quantum: Annotated[float, Meta(ge=0)]
+    quantum: Annotated[float, Meta(ge=0)]  #: q, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

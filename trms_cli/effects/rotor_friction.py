@@ -25,17 +25,10 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class RotorFriction(Effect):
-    """Coulomb friction of one rotor.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    torque : float
-        F_c, N m.
-    """
+    """Coulomb friction of one rotor."""
 
     rotor: Literal["main", "tail"]
-    torque: Annotated[float, Meta(ge=0)]
+    torque: Annotated[float, Meta(ge=0)]  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -31,20 +31,11 @@ _TYPICAL_INERTIA = {"main": (-2e-4, 2e-4), "tail": (-3e-5, 3e-5)}
 
 @dataclass(frozen=True, kw_only=True)
 class RotorReaction(Effect):
-    """Drag and acceleration torque of one rotor on the other axis.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    drag : float
-        c, N m s²/rad².
-    inertia : float
-        J, kg m².
-    """
+    """Drag and acceleration torque of one rotor on the other axis."""
 
     rotor: Literal["main", "tail"]
-    drag: Annotated[float, Meta(ge=-1e-4, le=1e-4)]
-    inertia: Annotated[float, Meta(ge=-1e-2, le=1e-2)]
+    drag: Annotated[float, Meta(ge=-1e-4, le=1e-4)]  #: c, N m s²/rad²
+    inertia: Annotated[float, Meta(ge=-1e-2, le=1e-2)]  #: J, kg m²
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

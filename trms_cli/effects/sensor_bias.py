@@ -15,17 +15,10 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class SensorBias(Effect):
-    """Constant error of one angle.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    bias : float
-        b, rad.
-    """
+    """Constant error of one angle."""
 
     axis: Literal["pitch", "yaw"]
-    bias: Annotated[float, Meta(ge=-1, le=1)]
+    bias: Annotated[float, Meta(ge=-1, le=1)]  #: b, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -22,19 +22,11 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class SensorDelay(Effect):
-    """Transport delay of one measured angle.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    delay : float
-        d, s.
-    longest : float
-        Bound of the delay, s; the past angles that are kept reach back this far.
-    """
+    """Transport delay of one measured angle."""
 
     axis: Literal["pitch", "yaw"]
-    delay: Annotated[float, Meta(ge=0)]
+    delay: Annotated[float, Meta(ge=0)]  #: d, s
+    #: Bound of the delay, s; the past angles that are kept reach back this far
     longest: Annotated[float, Meta(gt=0)] = 0.1
 
     def parameters(self) -> tuple[Parameter, ...]:

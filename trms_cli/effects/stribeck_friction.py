@@ -27,22 +27,12 @@ _SLOWEST = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class StribeckFriction(Effect):
-    """Stribeck friction; with no excess it is Coulomb friction, bit for bit.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    torque : float
-        F_c, N m: friction of the turning axis.
-    excess : float
-        e = F_s/F_c − 1: break-away torque over it.
-    velocity : float
-        v_s, rad/s: rate at which the excess has fallen to 1/e.
-    """
+    """Stribeck friction; with no excess it is Coulomb friction, bit for bit."""
 
     axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=0)]
-    excess: Annotated[float, Meta(ge=0)]
+    torque: Annotated[float, Meta(ge=0)]  #: F_c, N m: friction of the turning axis
+    excess: Annotated[float, Meta(ge=0)]  #: e = F_s/F_c − 1: break-away torque over it
+    #: v_s, rad/s: rate at which the excess has fallen to 1/e
     velocity: Annotated[float, Meta(ge=_SLOWEST)]
 
     def parameters(self) -> tuple[Parameter, ...]:

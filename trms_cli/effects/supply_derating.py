@@ -25,20 +25,12 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class SupplyDerating(Effect):
-    """Thermal derating of one drive; it begins cold.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    depth : float
-        Share of the gain that is lost at full load for ever.
-    time_constant : float
-        τ, s.
-    """
+    """Thermal derating of one drive; it begins cold."""
 
     rotor: Literal["main", "tail"]
+    #: Share of the gain that is lost at full load for ever
     depth: Annotated[float, Meta(ge=0, le=1)]
-    time_constant: Annotated[float, Meta(ge=0)]
+    time_constant: Annotated[float, Meta(ge=0)]  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

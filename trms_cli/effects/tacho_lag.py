@@ -20,17 +20,10 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class TachoLag(Effect):
-    """Low-pass filter of one measured rotor speed.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    time_constant : float
-        τ, s.
-    """
+    """Low-pass filter of one measured rotor speed."""
 
     rotor: Literal["main", "tail"]
-    time_constant: Annotated[float, Meta(ge=0)]
+    time_constant: Annotated[float, Meta(ge=0)]  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

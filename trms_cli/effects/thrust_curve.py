@@ -27,23 +27,13 @@ _SLOWEST = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class ThrustCurve(Effect):
-    """Another law of one rotor's thrust.
-
-    Attributes
-    ----------
-    rotor : {"main", "tail"}
-    exponent : float
-        e, added to the model's exponent (of about 2).
-    reverse : float
-        r, share by which the thrust in reverse differs from the model's.
-    reference : float
-        ω₀, rad/s.
-    """
+    """Another law of one rotor's thrust."""
 
     rotor: Literal["main", "tail"]
-    exponent: Annotated[float, Meta(ge=-1, le=1)]
+    exponent: Annotated[float, Meta(ge=-1, le=1)]  #: e, added to the model's exponent (of about 2)
+    #: r, share by which the thrust in reverse differs from the model's
     reverse: Annotated[float, Meta(ge=-1, le=1)]
-    reference: Annotated[float, Meta(gt=0)]
+    reference: Annotated[float, Meta(gt=0)]  #: ω₀, rad/s
 
     @property
     def locations(self) -> tuple[str, ...]:

@@ -30,24 +30,14 @@ _FEWEST_BLOCKS = 4
 
 @dataclass(frozen=True)
 class Parts:
-    """Recordings, divided.
+    """Recordings, divided."""
 
-    Attributes
-    ----------
-    fitted : tuple of Dataset
-        Everything is fitted, chosen and compared on these, block by block.
-    whole : tuple of Dataset
-        As they were given, thinned.
-    sealed : tuple of (recording, first, last)
-        Spans of ``whole`` that are opened once.
-    block : float
-        s.
-    """
-
+    #: Everything is fitted, chosen and compared on these, block by block
     fitted: tuple[Dataset, ...]
-    whole: tuple[Dataset, ...]
+    whole: tuple[Dataset, ...]  #: As they were given, thinned
+    #: tuple of (recording, first, last); spans of ``whole`` that are opened once
     sealed: tuple[tuple[int, int, int], ...]
-    block: float
+    block: float  #: s
 
 
 def divide(

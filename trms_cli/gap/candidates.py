@@ -29,28 +29,14 @@ _WIDTH = 2.0
 
 @dataclass(frozen=True)
 class Suspect:
-    """An effect as a candidate cause.
-
-    Attributes
-    ----------
-    name : str
-    effect : Effect
-    locations : tuple of str
-        Where in the block diagram it acts.
-    free : tuple of FreeParameter
-        Its sizes, named ``<effect>.<size>``, with their priors.
-    variants : (k, n_s) array
-        Sizes to try it at.
-    stochastic : bool
-        Whether noise drives it, so that no simulation shows it.
-    """
+    """An effect as a candidate cause."""
 
     name: str
     effect: Effect
-    locations: tuple[str, ...]
-    free: tuple[FreeParameter, ...]
-    variants: FloatArray
-    stochastic: bool
+    locations: tuple[str, ...]  #: Where in the block diagram it acts
+    free: tuple[FreeParameter, ...]  #: Its sizes, named ``<effect>.<size>``, with their priors
+    variants: FloatArray  #: (k, n_s) array; sizes to try it at
+    stochastic: bool  #: Whether noise drives it, so that no simulation shows it
 
     @property
     def simulated(self) -> bool:

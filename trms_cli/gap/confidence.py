@@ -31,34 +31,23 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """Constants of the beliefs.
+    """Constants of the beliefs."""
 
-    Attributes
-    ----------
-    usual_shares : dict of str to float
-        Error of each equation of a rig without a gap, as a share of what acts there.
-    temperature : float
-        β, belief per nat.
-    rest_weight, rest_scale : float
-        γ and ρ, nats.
-    entrance, shape, unnamed : float
-        κ, κ′ and κ*: of two laws that explain the same, the one with fewer sizes.
-    parameters_slope, parameters_centre : float
-        Of the logistic function, in the logarithm of one plus the refit's gain in nats.
-    command : str
-        That makes the file again.
-    """
-
+    #: Error of each equation of a rig without a gap, as a share of what acts there
     usual_shares: Mapping[str, float] = field(default_factory=dict)
-    temperature: float
-    rest_weight: float
-    rest_scale: float
+    temperature: float  #: β, belief per nat
+    rest_weight: float  #: γ and ρ, nats
+    rest_scale: float  #: γ and ρ, nats
+    #: ``entrance``, ``shape``, ``unnamed``: κ, κ′ and κ*: of two laws that explain the same, the
+    #: one with fewer sizes
     entrance: float
     shape: float
     unnamed: float
+    #: ``parameters_slope``, ``parameters_centre``: Of the logistic function, in the logarithm of
+    #: one plus the refit's gain in nats
     parameters_slope: float
     parameters_centre: float
-    command: str = ""
+    command: str = ""  #: That makes the file again
 
     def usual(self, location: str) -> float:
         """Error of an equation of a rig without a gap."""
@@ -67,30 +56,14 @@ class Calibration:
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """What a diagnosis knows before it believes anything; scores by block add up.
+    """What a diagnosis knows before it believes anything; scores by block add up."""
 
-    Attributes
-    ----------
-    gained : float
-        Score of the refit above the model as it was, nats.
-    behind : float
-        Nats that the refit owes to discrepancies beyond the usual.
-    names : tuple of tuple of str
-        Effects of each competitor.
-    scores : (k,) array
-        Held-out score above the refit's, nats.
-    behinds : (k,) array
-        As ``behind``, of each competitor.
-    sizes : (k,) array
-        Number of sizes that each competitor's effects have.
-    """
-
-    gained: float
-    behind: float
-    names: tuple[tuple[str, ...], ...]
-    scores: FloatArray
-    behinds: FloatArray
-    sizes: FloatArray
+    gained: float  #: Score of the refit above the model as it was, nats
+    behind: float  #: Nats that the refit owes to discrepancies beyond the usual
+    names: tuple[tuple[str, ...], ...]  #: Effects of each competitor
+    scores: FloatArray  #: (k,) array; held-out score above the refit's, nats
+    behinds: FloatArray  #: (k,) array; as ``behind``, of each competitor
+    sizes: FloatArray  #: (k,) array; number of sizes that each competitor's effects have
 
     def as_json(self) -> dict[str, Any]:
         """Plain, for the calibration."""

@@ -153,54 +153,36 @@ class GapTest:
 
 @dataclass(frozen=True, kw_only=True)
 class RaceEntry:
-    """A competitor of the race.
+    """A competitor of the race."""
 
-    Attributes
-    ----------
-    effects : tuple of str
-        Empty for the refitted model without any; ``flexible`` for a residual force without a name.
-    score : float
-        Held-out log predictive density, nats above the refitted model; ``se`` is the standard
-        error over blocks.
-    explained : float
-        Share of the gap beyond the noise floor that it closes, 0 to 1.
-    moved : float
-        Largest move of a nominal parameter, in prior standard deviations.
-    """
-
+    #: Empty for the refitted model without any; ``flexible`` for a residual force without a name
     effects: tuple[str, ...]
+    #: Held-out log predictive density, nats above the refitted model; ``se`` is the standard error
+    #: over blocks
     score: float
     se: float
-    explained: float
-    moved: float
+    explained: float  #: Share of the gap beyond the noise floor that it closes, 0 to 1
+    moved: float  #: Largest move of a nominal parameter, in prior standard deviations
     #: Fitted sizes.
     parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Traces:
-    """Series for the report's pictures, thinned to what a page shows.
+    """Series for the report's pictures, thinned to what a page shows."""
 
-    Attributes
-    ----------
-    force_time : (k,) array
-        s.
-    force : dict of str to (k,) arrays
-        Smoothed missing force or torque at each location that is named in ``where``, and its
-        standard deviation as ``<location>.sd``.
-    explained : dict of str to (k,) array
-        What the best cause says that force is, by location; empty without a cause.
-    run_time : (n,) array
-        s, of a free run over the sealed part that shows best what was gained.
-    runs : dict of str to dict of str to (n,) array
-        Per channel: ``measured``, ``raw``, ``refit``, ``corrected``.
-    """
-
-    force_time: FloatArray
+    force_time: FloatArray  #: (k,) array; s
+    #: dict of str to (k,) arrays; smoothed missing force or torque at each location that is named
+    #: in ``where``, and its standard deviation as ``<location>.sd``
     force: Mapping[str, FloatArray]
     force_unit: Mapping[str, str]  #: by location
+    #: dict of str to (k,) array; what the best cause says that force is, by location; empty without
+    #: a cause
     explained: Mapping[str, FloatArray]
+    #: (n,) array; s, of a free run over the sealed part that shows best what was gained
     run_time: FloatArray
+    #: dict of str to dict of str to (n,) array; per channel: ``measured``, ``raw``, ``refit``,
+    #: ``corrected``
     runs: Mapping[str, Mapping[str, FloatArray]]
 
 

@@ -40,19 +40,12 @@ Span = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class HorizonErrors:
-    """Free runs of one channel at one horizon.
+    """Free runs of one channel at one horizon."""
 
-    Attributes
-    ----------
-    squared : (m,) array
-        Mean of the squared errors over each run, in the channel's unit squared; infinite where
-        the model ran away.
-    block : (m,) array of int
-        Block that the run begins in, counted through all spans.
-    """
-
+    #: (m,) array; mean of the squared errors over each run, in the channel's unit squared; infinite
+    #: where the model ran away
     squared: FloatArray
-    block: IntArray
+    block: IntArray  #: (m,) array of int; block that the run begins in, counted through all spans
 
     @property
     def rms(self) -> float:

@@ -35,22 +35,12 @@ _FIRST, _FIRST_OF_SENSORS, _ITERATIONS = 0.1, 0.01, 4
 
 @dataclass(frozen=True)
 class Location:
-    """What each place closes of the gap.
-
-    Attributes
-    ----------
-    locations : tuple of str
-    gains : (k, m) array
-        Nats by which each place raises the likelihood of each block.
-    together : (m,) array
-        The same of all places.
-    shares : (k,) array
-        Most likely size of each disturbance, as a share of what acts there.
-    """
+    """What each place closes of the gap."""
 
     locations: tuple[str, ...]
-    gains: FloatArray
-    together: FloatArray
+    gains: FloatArray  #: (k, m) array; nats by which each place raises the likelihood of each block
+    together: FloatArray  #: (m,) array; the same of all places
+    #: (k,) array; most likely size of each disturbance, as a share of what acts there
     shares: FloatArray
 
     def share(self, blocks: npt.NDArray[np.int64] | None = None) -> dict[str, float]:

@@ -20,35 +20,19 @@ HORIZONS = (0.1, 0.5, 2.0, 10.0)
 
 @dataclass(frozen=True, kw_only=True)
 class GapProblem:
-    """A model, recordings of one rig, suspects.
+    """A model, recordings of one rig, suspects."""
 
-    Attributes
-    ----------
-    model : Model
-        The nominal model, with the effects that it has already.
-    model_name : str
-        As the user named it.
-    datasets : tuple of Dataset
-        Whole recordings with one sample time; they measure some or all of the model's outputs.
-    candidates : dict of str to Effect
-        The library: effects that may be the cause, by name, at their typical sizes.
-    block : float
-        s, of the blocks that are fitted, compared and resampled.
-    sealed_share : float
-        Share of the recordings that nothing is chosen on and the shrink is measured on.
-    effort : {"quick", "normal", "thorough"}
-    seed, jobs : int
-    warnings : tuple of str
-        Of the admission, to stand in the report.
-    """
-
-    model: Model
-    model_name: str
+    model: Model  #: The nominal model, with the effects that it has already
+    model_name: str  #: As the user named it
+    #: Whole recordings with one sample time; they measure some or all of the model's outputs
     datasets: tuple[Dataset, ...]
+    #: The library: effects that may be the cause, by name, at their typical sizes
     candidates: Mapping[str, Effect]
+    #: s, of the blocks that are fitted, compared and resampled
     block: Annotated[float, Meta(gt=0)] = 10.0
+    #: Share of the recordings that nothing is chosen on and the shrink is measured on
     sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25
     effort: Effort = "normal"
     seed: Annotated[int, Meta(ge=0)] = 0
     jobs: Annotated[int, Meta(ge=1)] = 2
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = field(default=())  #: Of the admission, to stand in the report

@@ -30,31 +30,16 @@ _VISIBLE = 5.0
 
 @dataclass(frozen=True)
 class Signatures:
-    """Projected traces of effects.
+    """Projected traces of effects."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the effect of each row.
-    sizes : tuple of (n_s,) arrays
-        At which each row was simulated.
-    energy : (k,) array
-        Squared length of each trace, in noise variances.
-    left : (k,) array
-        The same after projection.
-    towards : (k,) array
-        Inner product of each projected trace with what the nominal fit left over: the residual is
-        best explained by ``towards/left`` times the row's change.
-    cosine : (k, k) array
-        Between projected traces.
-    """
-
-    names: tuple[str, ...]
-    sizes: tuple[FloatArray, ...]
-    energy: FloatArray
-    left: FloatArray
+    names: tuple[str, ...]  #: Of the effect of each row
+    sizes: tuple[FloatArray, ...]  #: tuple of (n_s,) arrays; at which each row was simulated
+    energy: FloatArray  #: (k,) array; squared length of each trace, in noise variances
+    left: FloatArray  #: (k,) array; the same after projection
+    #: (k,) array; inner product of each projected trace with what the nominal fit left over: the
+    #: residual is best explained by ``towards/left`` times the row's change
     towards: FloatArray
-    cosine: FloatArray
+    cosine: FloatArray  #: (k, k) array; between projected traces
 
     @property
     def gain(self) -> FloatArray:
@@ -105,19 +90,11 @@ class Signatures:
 
 @dataclass(frozen=True)
 class Traces:
-    """What each effect changes in the outputs when it is added to a fitted model.
+    """What each effect changes in the outputs when it is added to a fitted model."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the effect of each row.
-    sizes : tuple of (n_s,) arrays
-    changes : (k, m, c, n_y) array
-    """
-
-    names: tuple[str, ...]
-    sizes: tuple[FloatArray, ...]
-    changes: FloatArray
+    names: tuple[str, ...]  #: Of the effect of each row
+    sizes: tuple[FloatArray, ...]  #: tuple of (n_s,) arrays
+    changes: FloatArray  #: (k, m, c, n_y) array
 
 
 def traces(

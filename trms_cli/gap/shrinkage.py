@@ -26,21 +26,11 @@ ALL = "all"
 
 @dataclass(frozen=True)
 class Measured:
-    """Fields of a diagnosis that say how far.
+    """Fields of a diagnosis that say how far."""
 
-    Attributes
-    ----------
-    gap : dict of str to dict of str to Gap
-        By channel and horizon.
-    shrink : dict of str to dict of str to Shrink
-        By channel, and ``all``, and horizon.
-    worse : tuple of str
-        Channels that the correction made worse at 2 s.
-    """
-
-    gap: Mapping[str, Mapping[str, Gap]]
-    shrink: Mapping[str, Mapping[str, Shrink]]
-    worse: tuple[str, ...]
+    gap: Mapping[str, Mapping[str, Gap]]  #: By channel and horizon
+    shrink: Mapping[str, Mapping[str, Shrink]]  #: By channel, and ``all``, and horizon
+    worse: tuple[str, ...]  #: Channels that the correction made worse at 2 s
 
 
 def measure(

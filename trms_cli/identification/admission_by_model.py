@@ -45,22 +45,13 @@ _SPARSE = 1000
 
 @dataclass(frozen=True)
 class Finding:
-    """A channel that does not fit the model.
-
-    Attributes
-    ----------
-    check : str
-    channel : str
-    problem, remedy : str
-    certain : bool
-        Whether the recording explains itself well the other way round.
-    """
+    """A channel that does not fit the model."""
 
     check: str
     channel: str
     problem: str
     remedy: str
-    certain: bool
+    certain: bool  #: Whether the recording explains itself well the other way round
 
 
 @dataclass(frozen=True)

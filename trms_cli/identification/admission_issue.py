@@ -13,29 +13,14 @@ Severity = Literal["error", "warning"]
 
 @dataclass(frozen=True)
 class Issue:
-    """Something that is wrong with a recording, or not as good as it might be.
+    """Something that is wrong with a recording, or not as good as it might be."""
 
-    Attributes
-    ----------
-    check : str
-        What was looked at, in one word or two.
-    severity : "error" or "warning"
-    dataset : str
-        Name; empty for all together.
-    channel : str
-        Input or output; empty for the whole recording.
-    problem : str
-        A sentence.
-    remedy : str
-        What to record or to change instead.
-    """
-
-    check: str
-    severity: Severity
-    dataset: str
-    channel: str
-    problem: str
-    remedy: str
+    check: str  #: What was looked at, in one word or two
+    severity: Severity  #: "error" or "warning"
+    dataset: str  #: Name; empty for all together
+    channel: str  #: Input or output; empty for the whole recording
+    problem: str  #: A sentence
+    remedy: str  #: What to record or to change instead
 
     def __str__(self) -> str:
         place = f"{self.dataset}: " if self.dataset else ""
@@ -44,15 +29,9 @@ class Issue:
 
 @dataclass(frozen=True)
 class Admission:
-    """What was found.
+    """What was found."""
 
-    Attributes
-    ----------
-    issues : tuple of Issue
-        Errors first.
-    """
-
-    issues: tuple[Issue, ...]
+    issues: tuple[Issue, ...]  #: Errors first
 
     @property
     def errors(self) -> tuple[Issue, ...]:
@@ -65,10 +44,7 @@ class Admission:
     def require(self) -> None:
         """Raise if there is an error.
 
-        Raises
-        ------
-        RecordingError
-            Of the first error; the others are listed below its remedy.
+        Raises RecordingError: Of the first error; the others are listed below its remedy.
         """
         errors = self.errors
         if not errors:

@@ -18,30 +18,19 @@ from trms_cli.identification.problem import FitProblem
 
 @dataclass(frozen=True, kw_only=True)
 class CmaEs:
-    """Covariance matrix adaptation evolution strategy within bounds.
+    """Covariance matrix adaptation evolution strategy within bounds."""
 
-    Attributes
-    ----------
-    evaluations : int
-        Budget, simulations of all recordings.
-    individuals : int or None
-        Of a generation; None: 4 + 3 ln n for n parameters.
-    spread : float
-        Half the width of the search box in prior standard deviations.
-    initial_step : float
-        Standard deviation of the first generation as a share of the box; ⅙ is one prior
-        standard deviation in a box of ±3.
-    restarts : int
-        After convergence, from a random point with twice the individuals.
-    tolerance : float
-        Converged when the costs of the last generations differ by less.
-    """
-
-    evaluations: Annotated[int, Meta(ge=1)] = 5000
+    evaluations: Annotated[int, Meta(ge=1)] = 5000  #: Budget, simulations of all recordings
+    #: Of a generation; None: 4 + 3 ln n for n parameters
     individuals: Annotated[int, Meta(ge=4)] | None = None
+    #: Half the width of the search box in prior standard deviations
     spread: Annotated[float, Meta(gt=0)] = 3.0
+    #: Standard deviation of the first generation as a share of the box; ⅙ is one prior standard
+    #: deviation in a box of ±3
     initial_step: Annotated[float, Meta(gt=0, le=1)] = 1 / 6
+    #: After convergence, from a random point with twice the individuals
     restarts: Annotated[int, Meta(ge=0)] = 0
+    #: Converged when the costs of the last generations differ by less
     tolerance: Annotated[float, Meta(gt=0)] = 1e-3
 
     fits_parameters: ClassVar[bool] = True

@@ -36,53 +36,37 @@ _THIRD_DIFFERENCE_SD = 20**0.5
 
 @dataclass(frozen=True, kw_only=True)
 class DataOptions:
-    """What is taken from recordings.
+    """What is taken from recordings."""
 
-    Attributes
-    ----------
-    start, end : float or None
-        Part of each recording to take, s in its own time; None for all.
-    input_scale : dict of str to float
-        By input: what a recorded 1 is in the model's unit, where the units differ.
-    offset : dict of str to float
-        By output: what is added to it, in its SI unit, where its zero is another one than the
-        model's (pitch is 0 where the beam is level).
-    command_delay : int
-        Samples from a row's time until its command acts.
-    jitter : float
-        Largest deviation of a step from whole sample times, as a share of one.
-    channels : list of str or None
-        Outputs to use; None takes all that the model has and the file holds.
-    noise_sd : dict of str to float, or "estimate"
-        White noise per output, in its unit. ``estimate`` takes it from the data: see
-        :func:`noise_estimate`.
-    quantum : dict of str to float
-        Resolution per output, in its unit; its share of the noise is q/√12.
-    resample : float or None
-        New sample time, s; None keeps the recording's.
-    outliers : "keep" or "mark"
-        Whether outliers become missing samples; they are reported in any case.
-    gaps : "keep", "split" or float
-        ``keep`` leaves missing samples missing; ``split`` makes a dataset of each part between
-        gaps of ``t``; a number fills what is missing for at most so many seconds.
-    delays : dict of str to float
-        s by which a channel is recorded late; negative for one that is early.
-    """
-
-    start: float | None = None
-    end: float | None = None
+    start: float | None = None  #: Part of each recording to take, s in its own time
+    end: float | None = None  #: None for all
+    #: By input: what a recorded 1 is in the model's unit, where the units differ
     input_scale: Mapping[str, float] = field(default_factory=dict)
+    #: By output: what is added to it, in its SI unit, where its zero is another one than the
+    #: model's (pitch is 0 where the beam is level)
     offset: Mapping[str, float] = field(default_factory=dict)
+    #: Samples from a row's time until its command acts
     command_delay: Annotated[int, Meta(ge=0)] = 0
+    #: Largest deviation of a step from whole sample times, as a share of one
     jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
+    #: Outputs to use; None takes all that the model has and the file holds
     channels: tuple[str, ...] | None = None
+    #: dict of str to float, or "estimate"; white noise per output, in its unit. ``estimate`` takes
+    #: it from the data: see :func:`noise_estimate`.
     noise_sd: Mapping[str, Annotated[float, Meta(ge=0)]] | Literal["estimate"] = field(
         default_factory=dict
     )
+    #: Resolution per output, in its unit; its share of the noise is q/√12
     quantum: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    #: New sample time, s; None keeps the recording's
     resample: Annotated[float, Meta(gt=0)] | None = None
+    #: "keep" or "mark"; whether outliers become missing samples; they are reported in any case
     outliers: Literal["keep", "mark"] = "keep"
+    #: "keep", "split" or float; ``keep`` leaves missing samples missing; ``split`` makes a dataset
+    #: of each part between gaps of ``t``; a number fills what is missing for at most so many
+    #: seconds
     gaps: Literal["keep", "split"] | Annotated[float, Meta(gt=0)] = "keep"
+    #: s by which a channel is recorded late; negative for one that is early
     delays: Mapping[str, float] = field(default_factory=dict)
 
     def rig(self, file: str) -> RecordedRig:
@@ -224,11 +208,8 @@ def noise_estimate(measurements: FloatArray) -> FloatArray:
 def files_of(real: Sequence[str] | str) -> list[str]:
     """The files that ``real`` names, patterns and folders of runs resolved.
 
-    Raises
-    ------
-    ConfigurationError
-        If nothing is named, a pattern fits no file, a folder holds no log, or a file occurs
-        twice.
+    Raises ConfigurationError if nothing is named, a pattern fits no file, a folder holds no log, or
+    a file occurs twice.
     """
     given = [real] if isinstance(real, str) else list(real)
     files: list[str] = []

@@ -17,45 +17,23 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Dataset:
-    """One recording, or a part of one, on a uniform grid.
+    """One recording, or a part of one, on a uniform grid."""
 
-    Attributes
-    ----------
-    name : str
-        Short, for tables and legends.
-    source : str
-        The file.
-    sha256 : str
-        Of the file's bytes, hexadecimal.
-    sample_time : float
-        s.
-    time : (n,) array
-        s, the rig's own.
-    inputs : tuple of Signal
-        Columns of ``commands``.
-    outputs : tuple of Signal
-        Columns of ``measurements``.
-    commands : (n, n_u) array
-        In the inputs' units, constant from each sample to the next; finite everywhere.
-    measurements : (n, n_y) array
-        In the outputs' units, NaN where a sample is missing.
-    noise_sd : (n_y,) array
-        Declared standard deviation of each output, a quantum's share included.
-    remarks : tuple of str
-        What was found in the recording and what was done to it.
-    """
-
-    name: str
-    source: str
-    sha256: str
-    sample_time: float
-    time: FloatArray
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
+    name: str  #: Short, for tables and legends
+    source: str  #: The file
+    sha256: str  #: Of the file's bytes, hexadecimal
+    sample_time: float  #: s
+    time: FloatArray  #: (n,) array; s, the rig's own
+    inputs: tuple[Signal, ...]  #: Columns of ``commands``
+    outputs: tuple[Signal, ...]  #: Columns of ``measurements``
+    #: (n, n_u) array; in the inputs' units, constant from each sample to the next; finite
+    #: everywhere
     commands: FloatArray
+    #: (n, n_y) array; in the outputs' units, NaN where a sample is missing
     measurements: FloatArray
+    #: (n_y,) array; declared standard deviation of each output, a quantum's share included
     noise_sd: FloatArray
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  #: What was found in the recording and what was done to it
 
     def __len__(self) -> int:
         return len(self.time)
@@ -90,10 +68,8 @@ class Dataset:
         takes the mean of the samples at the two ends of the step; missing samples are
         interpolated, and the remarks say how many.
 
-        Raises
-        ------
-        ConfigurationError
-            If the recording does not measure a channel, or has hardly any sample of it.
+        Raises ConfigurationError if the recording does not measure a channel, or has hardly any
+        sample of it.
         """
         columns, remarks = [self.commands], list(self.remarks)
         for name in channels:

@@ -28,45 +28,26 @@ Probability = Annotated[float, Meta(ge=0, le=1)]
 
 @dataclass(frozen=True, kw_only=True)
 class Genetic:
-    """Real-coded genetic algorithm with elitist survival.
+    """Real-coded genetic algorithm with elitist survival."""
 
-    Attributes
-    ----------
-    individuals : int
-        Of a generation.
-    generations : int
-    spread : float
-        Half the width of the search box in prior standard deviations.
-    first : {"priors", "even"}
-        How the first generation is drawn: from the priors, or evenly over the box. The start is
-        always one of it.
-    selection : {"tournament", "random"}
-        Of parents.
-    crossover : {"simulated_binary", "uniform", "two_point"}
-    crossover_probability : float
-        Of a pair of parents.
-    crossover_index : float
-        Of the simulated binary crossover: the larger, the closer children are to parents.
-    mutation : {"polynomial", "gaussian"}
-    mutation_probability : float or None
-        Of each parameter of a child; None: one over the number of parameters.
-    mutation_index : float
-        Of the polynomial mutation: the larger, the smaller the change.
-    mutation_sd : float
-        Of the Gaussian mutation, as a share of the box.
-    """
-
-    individuals: Annotated[int, Meta(ge=4)] = 50
+    individuals: Annotated[int, Meta(ge=4)] = 50  #: Of a generation
     generations: Annotated[int, Meta(ge=1)] = 100
+    #: Half the width of the search box in prior standard deviations
     spread: Annotated[float, Meta(gt=0)] = 3.0
+    #: How the first generation is drawn: from the priors, or evenly over the box. The start is
+    #: always one of it.
     first: Literal["priors", "even"] = "priors"
-    selection: Selection = "tournament"
+    selection: Selection = "tournament"  #: Of parents
     crossover: Crossover = "simulated_binary"
-    crossover_probability: Probability = 0.9
+    crossover_probability: Probability = 0.9  #: Of a pair of parents
+    #: Of the simulated binary crossover: the larger, the closer children are to parents
     crossover_index: Annotated[float, Meta(ge=0)] = 10.0
     mutation: Mutation = "polynomial"
+    #: Of each parameter of a child; None: one over the number of parameters
     mutation_probability: Probability | None = None
+    #: Of the polynomial mutation: the larger, the smaller the change
     mutation_index: Annotated[float, Meta(ge=0)] = 20.0
+    #: Of the Gaussian mutation, as a share of the box
     mutation_sd: Annotated[float, Meta(gt=0)] = 0.05
 
     fits_parameters: ClassVar[bool] = True

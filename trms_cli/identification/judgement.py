@@ -34,21 +34,13 @@ _ANY_STEP = 0.01
 
 @dataclass(frozen=True)
 class Judged:
-    """A model's free runs over one recording.
-
-    Attributes
-    ----------
-    dataset : Dataset
-    simulated : (n, n_y) array
-        In the order of the recording's outputs; NaN before the first window and after the last,
-        infinite where the simulation overflowed.
-    window : (m,) array of int
-        First sample of each window.
-    """
+    """A model's free runs over one recording."""
 
     dataset: Dataset
+    #: (n, n_y) array; in the order of the recording's outputs; NaN before the first window and
+    #: after the last, infinite where the simulation overflowed
     simulated: FloatArray
-    window: npt.NDArray[np.int64]
+    window: npt.NDArray[np.int64]  #: (m,) array of int; first sample of each window
 
     @property
     def errors(self) -> FloatArray:

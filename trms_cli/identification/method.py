@@ -42,36 +42,22 @@ class HistoryPoint(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class FitResult:
-    """What a fit found.
-
-    Attributes
-    ----------
-    method : str
-    outcome : Outcome
-    cost : float
-        At the end: half the sum of squared whitened residuals, robust and with the priors, for
-        parameters of equations; a network's own training loss.
-    values : dict of str to float
-        The free parameters by name, in the order of ``covariance``.
-    covariance : (n_f, n_f) array or None
-    history : sequence of HistoryPoint
-    evaluations : int
-    seconds : float
-    model_document : dict or None
-        A model that is not a parameter set (a network), as the content of a model file.
-    details : dict
-        What else there is to tell, as JSON has it.
-    """
+    """What a fit found."""
 
     method: str
     outcome: Outcome
+    #: At the end: half the sum of squared whitened residuals, robust and with the priors, for
+    #: parameters of equations; a network's own training loss
     cost: float
+    #: The free parameters by name, in the order of ``covariance``
     values: Mapping[str, float] = field(default_factory=dict)
-    covariance: FloatArray | None = None
+    covariance: FloatArray | None = None  #: (n_f, n_f) array or None
     history: Sequence[HistoryPoint] = ()
     evaluations: int = 0
-    seconds: float = 0.0
+    seconds: float = 0.0  #: s, that the fit took
+    #: A model that is not a parameter set (a network), as the content of a model file
     model_document: Mapping[str, Any] | None = None
+    #: What else there is to tell, as JSON has it
     details: Mapping[str, Any] = field(default_factory=dict)
 
     @property

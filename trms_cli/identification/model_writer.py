@@ -28,21 +28,14 @@ _DIGITS = 6  # significant digits of what a person reads; values keep every bit
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOrigin:
-    """What a model file says besides values.
+    """What a model file says besides values."""
 
-    Attributes
-    ----------
-    option : str or dict
-        The option of ``configs/model`` that the values belong to; of a model that is none, its
-        class and arguments.
-    limits : dict of str to float
-    effects : dict of str to dict
-        Arguments of each effect that are no size of it, ``_target_`` among them if the effect
-        is not in the library.
-    """
-
+    #: The option of ``configs/model`` that the values belong to; of a model that is none, its class
+    #: and arguments
     option: str | Mapping[str, Any]
-    limits: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)  #: V, by input
+    #: Arguments of each effect that are no size of it, ``_target_`` among them if the effect is not
+    #: in the library
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 

@@ -40,28 +40,18 @@ _AGREEMENT = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class MultipleShooting:
-    """Levenberg–Marquardt from several starts.
+    """Levenberg–Marquardt from several starts."""
 
-    Attributes
-    ----------
-    continuity : {"free", "penalty", "equality"}
-        Whether the end of a window has to meet the start of the next: not at all, nearly, or
-        exactly (one simulation from end to end).
-    starts : int
-        Points to search from: first the model's values, then the optimum of the model without
-        its effects (or the priors' centre where it has none), then draws from the priors.
-    iterations : int
-        Least-squares steps from each start at most.
-    tolerance : float
-        Reduction of the cost, nats, that ends a search.
-    profiles : list of str
-        Parameters whose profile likelihood is wanted; ``all`` for every one.
-    """
-
+    #: Whether the end of a window has to meet the start of the next: not at all, nearly, or exactly
+    #: (one simulation from end to end)
     continuity: Literal["free", "penalty", "equality"] = "free"
+    #: Points to search from: first the model's values, then the optimum of the model without its
+    #: effects (or the priors' centre where it has none), then draws from the priors
     starts: Annotated[int, Meta(ge=1)] = 2
-    iterations: Annotated[int, Meta(ge=1)] = 100
+    iterations: Annotated[int, Meta(ge=1)] = 100  #: Least-squares steps from each start at most
+    #: Reduction of the cost, nats, that ends a search
     tolerance: Annotated[float, Meta(gt=0)] = 1e-3
+    #: Parameters whose profile likelihood is wanted; ``all`` for every one
     profiles: tuple[str, ...] = ()
 
     fits_parameters: ClassVar[bool] = True

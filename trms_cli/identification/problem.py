@@ -30,47 +30,26 @@ _ON_BOUND = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """What a user says of a parameter before the data: instead of what its set says.
+    """What a user says of a parameter before the data: instead of what its set says."""
 
-    Attributes
-    ----------
-    mean : float or None
-        In the parameter's unit; None: the value in the parameter set.
-    sd : float or None
-        Standard deviation in the parameter's unit.
-    relative_sd : float or None
-        The same as a share of the mean; with neither of the two the parameter is free of a prior.
-    """
-
-    mean: float | None = None
-    sd: Annotated[float, Meta(gt=0)] | None = None
+    mean: float | None = None  #: In the parameter's unit; None: the value in the parameter set
+    sd: Annotated[float, Meta(gt=0)] | None = None  #: Standard deviation in the parameter's unit
+    #: The same as a share of the mean; with neither of the two the parameter is free of a prior
     relative_sd: Annotated[float, Meta(gt=0)] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreeParameter:
-    """One parameter that a fit may move.
-
-    Attributes
-    ----------
-    name, unit : str
-    start : float
-        The model's present value, where a search begins.
-    prior_mean : float
-        Centre of the normal prior; also the reference of a parameter without one.
-    prior_sd : float or None
-        Its standard deviation, in ``unit``; None: nothing is known but the bounds.
-    lower, upper : float
-        Hard bounds, infinite where there are none.
-    """
+    """One parameter that a fit may move."""
 
     name: str
     unit: str
-    start: float
-    prior_mean: float
+    start: float  #: The model's present value, where a search begins
+    prior_mean: float  #: Centre of the normal prior; also the reference of a parameter without one
+    #: Its standard deviation, in ``unit``; None: nothing is known but the bounds
     prior_sd: float | None
-    lower: float
-    upper: float
+    lower: float  #: Hard bounds, infinite where there are none
+    upper: float  #: Hard bounds, infinite where there are none
 
     @property
     def scale(self) -> float:
@@ -230,47 +209,26 @@ def _free(
 
 @dataclass(frozen=True, kw_only=True)
 class FitProblem:
-    """A model, recordings of one rig, and what may move.
+    """A model, recordings of one rig, and what may move."""
 
-    Attributes
-    ----------
-    model : Model
-        Its inputs are those of the datasets, which measure some or all of its outputs.
-    datasets : tuple of Dataset
-        To be fitted.
-    validation : tuple of Dataset
-        Never fitted: for stopping early, for selection.
-    free : tuple of FreeParameter
-        May be empty for methods that have none (networks).
-    window_length : float
-        s: the recordings are simulated in windows of this length, each from its own start.
-    window_stride : float or None
-        s between the starts of windows; None: they lie end to end. Overlapping windows count
-        each sample once all the same: their weights are reduced.
-    robust : float or None
-        Residuals beyond this many standard deviations count linearly (Huber); None: never.
-    discrepancy : {"estimate", "none"}
-        Whether the standard deviation of each output is raised by what the model cannot follow,
-        estimated from the residuals, above the declared noise.
-    substeps : int or None
-        Integration steps a sample; None: as many as keep a step at 20 ms or below.
-    seed : int
-        Of all that is drawn.
-    jobs : int
-        Threads.
-    """
-
-    model: Model
-    datasets: tuple[Dataset, ...]
-    validation: tuple[Dataset, ...] = ()
-    free: tuple[FreeParameter, ...] = ()
+    model: Model  #: Its inputs are those of the datasets, which measure some or all of its outputs
+    datasets: tuple[Dataset, ...]  #: To be fitted
+    validation: tuple[Dataset, ...] = ()  #: Never fitted: for stopping early, for selection
+    free: tuple[FreeParameter, ...] = ()  #: May be empty for methods that have none (networks)
+    #: s: the recordings are simulated in windows of this length, each from its own start
     window_length: Annotated[float, Meta(gt=0)] = 10.0
+    #: s between the starts of windows; None: they lie end to end. Overlapping windows count each
+    #: sample once all the same: their weights are reduced.
     window_stride: Annotated[float, Meta(gt=0)] | None = None
+    #: Residuals beyond this many standard deviations count linearly (Huber); None: never
     robust: Annotated[float, Meta(gt=0)] | None = 3.0
+    #: Whether the standard deviation of each output is raised by what the model cannot follow,
+    #: estimated from the residuals, above the declared noise
     discrepancy: Literal["estimate", "none"] = "estimate"
+    #: Integration steps a sample; None: as many as keep a step at 20 ms or below
     substeps: Annotated[int, Meta(ge=1)] | None = None
-    seed: Annotated[int, Meta(ge=0)] = 0
-    jobs: Annotated[int, Meta(ge=1)] = 2
+    seed: Annotated[int, Meta(ge=0)] = 0  #: Of all that is drawn
+    jobs: Annotated[int, Meta(ge=1)] = 2  #: Threads
 
     def __post_init__(self) -> None:
         if not self.datasets:

@@ -28,24 +28,16 @@ _OF_ROTOR = {"main": ("pitch", "omega_v"), "tail": ("yaw", "omega_h")}
 
 @dataclass(frozen=True)
 class Motion:
-    """Measured and modelled motion of a dataset, on its time grid.
+    """Measured and modelled motion of a dataset, on its time grid."""
 
-    Attributes
-    ----------
-    speeds : dict of str to (n,) array
-        Rotor speeds that the model gives for the recorded commands, by state, rad/s.
-    accelerations : dict of str to (n,) array
-        Measured, by angle, rad/s²; NaN where it cannot be told.
-    passive : dict of str to (n,) array
-        What the model gives with the axis' own rotor at rest, rad/s².
-    thrust : dict of str to (n,) array
-        What its own rotor adds, rad/s².
-    """
-
+    #: dict of str to (n,) array; rotor speeds that the model gives for the recorded commands, by
+    #: state, rad/s
     speeds: dict[str, FloatArray]
+    #: dict of str to (n,) array; measured, by angle, rad/s²; NaN where it cannot be told
     accelerations: dict[str, FloatArray]
+    #: dict of str to (n,) array; what the model gives with the axis' own rotor at rest, rad/s²
     passive: dict[str, FloatArray]
-    thrust: dict[str, FloatArray]
+    thrust: dict[str, FloatArray]  #: dict of str to (n,) array; what its own rotor adds, rad/s²
 
 
 class Motions:

@@ -36,10 +36,7 @@ def far_too_slow(dataset: Dataset, model: Model) -> Finding | None:
 def require_sample_time(dataset: Dataset, model: Model) -> None:
     """Refuse a recording between whose samples nothing can be simulated.
 
-    Raises
-    ------
-    RecordingError
-        See :func:`far_too_slow`.
+    Raises RecordingError: See :func:`far_too_slow`.
     """
     finding = far_too_slow(dataset, model)
     if finding is not None:

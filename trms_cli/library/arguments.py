@@ -28,22 +28,12 @@ _OTHER_MEANING = {"true", "false", "null", "none", "inf", "nan", "yes", "no", "o
 
 @dataclass(frozen=True)
 class Arguments:
-    """What a call asks for.
+    """What a call asks for."""
 
-    Attributes
-    ----------
-    words : tuple of str
-        As they would be typed: ``controller=lqr``.
-    objects : dict of str to object
-        By their place in the configuration: ``controller``, ``ref.alpha_h``,
-        ``effect.draught``.
-    config_dirs : tuple of Path
-        The user's folders of options.
-    """
-
-    words: tuple[str, ...]
+    words: tuple[str, ...]  #: As they would be typed: ``controller=lqr``
+    #: By their place in the configuration: ``controller``, ``ref.alpha_h``, ``effect.draught``
     objects: Mapping[str, Any] = field(default_factory=dict)
-    config_dirs: tuple[Path, ...] = ()
+    config_dirs: tuple[Path, ...] = ()  #: The user's folders of options
 
     @property
     def argv(self) -> list[str]:

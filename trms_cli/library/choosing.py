@@ -48,13 +48,7 @@ class Options(Mapping[str, str]):
 
 @dataclass(frozen=True, repr=False)
 class OptionFile:
-    """The YAML of one option, whose comments tell every key's unit and meaning.
-
-    Attributes
-    ----------
-    file : Path
-    text : str
-    """
+    """The YAML of one option, whose comments tell every key's unit and meaning."""
 
     file: Path
     text: str

@@ -68,14 +68,9 @@ def score(*runs: RunPath, baseline: str | PathLike[str] | None = None) -> dict[s
 
 @dataclass(frozen=True, repr=False)
 class Comparison:
-    """Many runs ranked, or two side by side.
+    """Many runs ranked, or two side by side."""
 
-    Attributes
-    ----------
-    document : dict
-        ``trms.compare/1``, or of two runs ``trms.compare_pair/1``: what ``--json`` prints.
-    """
-
+    #: ``trms.compare/1``, or of two runs ``trms.compare_pair/1``: what ``--json`` prints
     document: dict[str, Any]
 
     @property

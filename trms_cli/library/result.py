@@ -14,18 +14,10 @@ from trms_cli.core.errors import ConfigurationError, RecordingError
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Result:
-    """What a command left.
+    """What a command left."""
 
-    Attributes
-    ----------
-    folder : Path
-        What was written: figures, documents, pages.
-    text : str
-        What the command prints.
-    """
-
-    folder: Path
-    text: str = field(default="", kw_only=True)
+    folder: Path  #: What was written: figures, documents, pages
+    text: str = field(default="", kw_only=True)  #: What the command prints
 
     #: The JSON twin in the folder, and the page with pictures.
     DOCUMENT: ClassVar[str] = ""

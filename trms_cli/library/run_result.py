@@ -45,13 +45,10 @@ class Run(Result):
     ----------
     folder : Path
         What was written: the log, the score as JSON, a picture.
-    log : Path
-        The MCAP log; all that follows comes from it.
-    asked : Arguments or None
-        What it was asked for by, where it was run from Python just now.
     """
 
-    log: Path
+    log: Path  #: The MCAP log; all that follows comes from it
+    #: What it was asked for by, where it was run from Python just now
     asked: Arguments | None = field(default=None, kw_only=True)
 
     FILES: ClassVar[Mapping[str, str]] = {"real": ".", "file": "."}

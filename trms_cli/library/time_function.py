@@ -18,14 +18,9 @@ from trms_cli.references.signal import Array
 
 @dataclass(frozen=True, repr=False)
 class TimeFunction:
-    """``r(t) = function(t)``.
+    """``r(t) = function(t)``."""
 
-    Attributes
-    ----------
-    function : callable
-        Of the times, (n,) s, with (n,) values, or of one time with one value.
-    """
-
+    #: Of the times, (n,) s, with (n,) values, or of one time with one value
     function: Callable[..., Any]
 
     def sample(self, times: Array) -> Array:

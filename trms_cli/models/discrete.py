@@ -20,15 +20,9 @@ from trms_cli.models.model import Model
 
 
 class SteppedModel(Model):
-    """A model with a step of one ``sample_time`` and no derivative.
+    """A model with a step of one ``sample_time`` and no derivative."""
 
-    Attributes
-    ----------
-    sample_time : float
-        s, length of the step.
-    """
-
-    sample_time: float
+    sample_time: float  #: s, length of the step
 
     @abstractmethod
     def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
@@ -37,10 +31,7 @@ class SteppedModel(Model):
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         """Refused: there is no derivative.
 
-        Raises
-        ------
-        ModelError
-            Always; it says what is possible.
+        Raises ModelError: Always; it says what is possible.
         """
         raise ModelError(
             f"model {self.name!r} steps from sample to sample ({self.sample_time:g} s) and has no "

@@ -37,28 +37,16 @@ Derivative = Callable[[ca.SX], ca.SX]
 
 @dataclass(frozen=True)
 class DiscreteModel:
-    """A model over one step of fixed length: ``x⁺ = step(x, u, p, w)``.
-
-    Attributes
-    ----------
-    model : Model
-    step_length : float
-        s.
-    states : tuple of Signal
-        The model's states, the sensors' memory if asked for, and the memory of the input path
-        (past commands of a delay, for instance).
-    step, measurement : casadi.Function
-        ``(x, u, p, w) → x⁺`` and ``(x, u, p) → y``.
-    parts : tuple of casadi.Function
-        Steps, one after the other, that make up ``step``; a single one for a model with a
-        derivative.
-    """
+    """A model over one step of fixed length: ``x⁺ = step(x, u, p, w)``."""
 
     model: Model
-    step_length: float
+    step_length: float  #: s
+    #: The model's states, the sensors' memory if asked for, and the memory of the input path (past
+    #: commands of a delay, for instance)
     states: tuple[Signal, ...]
-    step: ca.Function
-    measurement: ca.Function
+    step: ca.Function  #: ``(x, u, p, w) → x⁺`` and ``(x, u, p) → y``
+    measurement: ca.Function  #: ``(x, u, p, w) → x⁺`` and ``(x, u, p) → y``
+    #: Steps, one after the other, that make up ``step``; a single one for a model with a derivative
     parts: tuple[ca.Function, ...]
     n_sensors: int = 0  #: entries of the sensors' memory, which follow the model's states
 
@@ -294,10 +282,7 @@ def _composed(parts: list[ca.Function]) -> ca.Function:
 def repetitions(model: Model, step_length: float) -> int:
     """How many steps of a model that only steps make up a longer one.
 
-    Raises
-    ------
-    ModelError
-        If no whole number does.
+    Raises ModelError if no whole number does.
     """
     assert model.sample_time is not None
     own = model.sample_time

@@ -26,10 +26,7 @@ _MEAN_RATE_ITERATIONS = 2
 def axis_of(model: Model, name: str) -> Axis:
     """An axis of a model.
 
-    Raises
-    ------
-    ModelError
-        If the model has no such axis.
+    Raises ModelError if the model has no such axis.
     """
     if name not in model.axes:
         raise ModelError(

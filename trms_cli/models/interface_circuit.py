@@ -40,18 +40,10 @@ class InterfaceCircuit(Protocol):
 
 @dataclass(frozen=True)
 class Gain:
-    """An amplifier.
+    """An amplifier."""
 
-    Attributes
-    ----------
-    name : str
-        Its parameter, V/V.
-    limit : float or None
-        Where the voltage saturates, to either side, V; None: nowhere.
-    """
-
-    name: str
-    limit: float | None = None
+    name: str  #: Its parameter, V/V
+    limit: float | None = None  #: Where the voltage saturates, to either side, V; None: nowhere
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -64,19 +56,11 @@ class Gain:
 
 @dataclass(frozen=True)
 class MeasuredInterface:
-    """A measured curve.
+    """A measured curve."""
 
-    Attributes
-    ----------
-    curve : RisingSpline
-        v by u, both in V, of the part that rises.
-    least, most : float
-        Where it saturates, V; infinite where it does not.
-    """
-
-    curve: RisingSpline
-    least: float
-    most: float
+    curve: RisingSpline  #: v by u, both in V, of the part that rises
+    least: float  #: Where it saturates, V
+    most: float  #: infinite where it does not
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

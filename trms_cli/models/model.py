@@ -40,58 +40,29 @@ class Signal:
 
 @dataclass(frozen=True)
 class Axis:
-    """A mechanical axis of the rig, as effects and mechanical stops refer to it.
+    """A mechanical axis of the rig, as effects and mechanical stops refer to it."""
 
-    Attributes
-    ----------
-    angle : str
-        Name of the state that is the axis' angle, rad.
-    moment : str
-        Name of the disturbance that is a torque on the axis, N m.
-    """
-
-    angle: str
-    moment: str
+    angle: str  #: Name of the state that is the axis' angle, rad
+    moment: str  #: Name of the disturbance that is a torque on the axis, N m
 
 
 class Model(ABC):
-    """A plant model with states. Immutable; its methods build expressions and keep nothing.
-
-    Attributes
-    ----------
-    name : str
-    states, inputs, outputs, disturbances : tuple of Signal
-        The order of ``x``, ``u``, ``y`` and ``w``.
-    parameters : ParameterSet
-        The order and the present values of ``p``.
-    controlled : tuple of str
-        Names of the states that references are for.
-    input_limits : dict of str to float
-        Symmetric bound of each input, in the input's unit.
-    stops : dict of str to float
-        Mechanical range of an angle, symmetric, rad.
-    axes : dict of str to Axis
-        The mechanical axes by name (``pitch``, ``yaw``).
-    rotors : dict of str to str
-        Input by rotor name (``main``, ``tail``).
-    stiff : bool
-        Whether an explicit integrator needs steps far below the dynamics of interest.
-    sample_time : float or None
-        s, of a model that only steps (:meth:`transition`); None for one with :meth:`dynamics`.
-    """
+    """A plant model with states. Immutable; its methods build expressions and keep nothing."""
 
     name: str
-    states: tuple[Signal, ...]
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
-    disturbances: tuple[Signal, ...]
-    parameters: ParameterSet
-    controlled: tuple[str, ...]
-    input_limits: Mapping[str, float]
-    stops: Mapping[str, float]
-    axes: Mapping[str, Axis]
-    rotors: Mapping[str, str]
+    states: tuple[Signal, ...]  #: The order of ``x``, ``u``, ``y`` and ``w``
+    inputs: tuple[Signal, ...]  #: The order of ``x``, ``u``, ``y`` and ``w``
+    outputs: tuple[Signal, ...]  #: The order of ``x``, ``u``, ``y`` and ``w``
+    disturbances: tuple[Signal, ...]  #: The order of ``x``, ``u``, ``y`` and ``w``
+    parameters: ParameterSet  #: The order and the present values of ``p``
+    controlled: tuple[str, ...]  #: Names of the states that references are for
+    input_limits: Mapping[str, float]  #: Symmetric bound of each input, in the input's unit
+    stops: Mapping[str, float]  #: Mechanical range of an angle, symmetric, rad
+    axes: Mapping[str, Axis]  #: The mechanical axes by name (``pitch``, ``yaw``)
+    rotors: Mapping[str, str]  #: Input by rotor name (``main``, ``tail``)
+    #: Whether an explicit integrator needs steps far below the dynamics of interest
     stiff: bool = False
+    #: s, of a model that only steps (:meth:`transition`); None for one with :meth:`dynamics`
     sample_time: float | None = None
 
     @abstractmethod

@@ -23,15 +23,9 @@ def by_direction(x: ca.SX, positive: ca.SX, negative: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class Motor:
-    """The main or the tail motor with its propeller.
+    """The main or the tail motor with its propeller."""
 
-    Attributes
-    ----------
-    axis : str
-        Suffix of its parameters: ``v`` for the main, ``h`` for the tail rotor.
-    """
-
-    axis: str
+    axis: str  #: Suffix of its parameters: ``v`` for the main, ``h`` for the tail rotor
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

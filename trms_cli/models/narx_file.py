@@ -38,41 +38,25 @@ _OPTIONAL = ("source", "rig", "limits", "training", "effects")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NarxFile:
-    """The content of a network file.
-
-    Attributes
-    ----------
-    name : str
-    structure : NarxStructure
-    network : Network
-    limits : dict of str to float
-        Bounds by input, and mechanical stops by angle (rad).
-    source : str
-        How the network was trained, and on what.
-    rig : str
-        Option of ``configs/model`` with the rig that it was trained on; empty for none.
-    training : dict
-        A record of the training, plain data.
-    effects : dict
-        Options of ``configs/effect`` by name, with their sizes.
-    """
+    """The content of a network file."""
 
     name: str
     structure: NarxStructure
     network: Network
+    #: Bounds by input, and mechanical stops by angle (rad)
     limits: Mapping[str, float] = field(default_factory=dict)
-    source: str = ""
+    source: str = ""  #: How the network was trained, and on what
+    #: Option of ``configs/model`` with the rig that it was trained on; empty for none
     rig: str = ""
+    #: A record of the training, plain data
     training: Mapping[str, Any] = field(default_factory=dict)
+    #: Options of ``configs/effect`` by name, with their sizes
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def model(self) -> Narx:
         """The model.
 
-        Raises
-        ------
-        ModelError
-            If structure, network and limits do not fit together.
+        Raises ModelError if structure, network and limits do not fit together.
         """
         return Narx(self.structure, self.network, name=KIND, limits=self.limits)
 

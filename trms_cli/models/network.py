@@ -33,31 +33,20 @@ _FIGURES = ("regressor_mean", "regressor_sd", "output_mean", "output_sd")
 class Network:
     """A static map with its normalisation.
 
-    Attributes
-    ----------
-    kind : {"mlp", "rbf", "wavelet"}
-    weights : mapping of str to array
-        mlp: ``W1`` (h_1, n_z), ``b1`` (h_1,), … up to the output layer ``WL`` (n_out, h), ``bL``
-        (n_out,), and, where there is a direct linear part, ``A`` (n_out, n_z).
-        rbf, wavelet: ``centres`` (n_c, n_z), ``widths`` (n_c,), ``W`` (n_out, n_c), ``A``
-        (n_out, n_z), ``b`` (n_out,). All in normalised units.
-    regressor_mean, regressor_sd : (n_phi,) arrays
-        In the regressor's units.
-    output_mean, output_sd : (n_out,) arrays
-        In the output's units.
-
-    Raises
-    ------
-    ModelError
-        For shapes that do not fit, a figure that is not finite, or a scale that is not positive.
+    Raises ModelError for shapes that do not fit, a figure that is not finite, or a scale that is
+    not positive.
     """
 
     kind: Kind
+    #: mlp: ``W1`` (h_1, n_z), ``b1`` (h_1,), … up to the output layer ``WL`` (n_out, h), ``bL``
+    #: (n_out,), and, where there is a direct linear part, ``A`` (n_out, n_z). rbf, wavelet:
+    #: ``centres`` (n_c, n_z), ``widths`` (n_c,), ``W`` (n_out, n_c), ``A`` (n_out, n_z), ``b``
+    #: (n_out,). All in normalised units.
     weights: Mapping[str, FloatArray]
-    regressor_mean: FloatArray
-    regressor_sd: FloatArray
-    output_mean: FloatArray
-    output_sd: FloatArray
+    regressor_mean: FloatArray  #: (n_phi,) arrays; in the regressor's units
+    regressor_sd: FloatArray  #: (n_phi,) arrays; in the regressor's units
+    output_mean: FloatArray  #: (n_out,) arrays; in the output's units
+    output_sd: FloatArray  #: (n_out,) arrays; in the output's units
 
     def __post_init__(self) -> None:
         for name in _FIGURES:
@@ -148,11 +137,8 @@ class Network:
     def from_data(cls, data: Mapping[str, Any], where: str = "network") -> Network:
         """The network of :meth:`to_data`.
 
-        Raises
-        ------
-        ModelError
-            For a key that is missing or unknown, and for figures that do not fit; it names the
-            key.
+        Raises ModelError for a key that is missing or unknown, and for figures that do not fit; it
+        names the key.
         """
         check_keys(data, {"kind", "weights", *_FIGURES}, where)
         if not isinstance(data["weights"], Mapping):
@@ -209,38 +195,21 @@ class NarxStructure:
     m in ``input_lags``; ``u(k − 1)`` is the command that is held over the step that ends in
     ``y(k)``, so that a model in the form ``x⁺ = f(x, u)`` has it as its input.
 
-    Attributes
-    ----------
-    outputs, inputs : tuple of str
-        Names of the signals.
-    output_units, input_units : tuple of str
-        One a signal.
-    output_lags, input_lags : tuple of int
-        Rising, at least 1; the first output lag is 1 for an incremental network.
-    sample_time : float
-        s.
-    incremental : bool
-        The network gives ``y(k) − y(k − 1)``, else ``y(k)``.
-    differences : bool
-        After the most recent output the regressor has the differences between successive lags
-        instead of the values: lagged values of a slow signal are nearly equal, and first-order
-        training crawls along that valley.
-
-    Raises
-    ------
-    ModelError
-        For lags that do not rise from 1 on, units that are not one a signal, a sample time that
-        is not positive.
+    Raises ModelError for lags that do not rise from 1 on, units that are not one a signal, a sample
+    time that is not positive.
     """
 
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
-    output_units: tuple[str, ...]
-    input_units: tuple[str, ...]
-    output_lags: tuple[int, ...]
-    input_lags: tuple[int, ...]
-    sample_time: float
-    incremental: bool = True
+    outputs: tuple[str, ...]  #: Names of the signals
+    inputs: tuple[str, ...]  #: Names of the signals
+    output_units: tuple[str, ...]  #: One a signal
+    input_units: tuple[str, ...]  #: One a signal
+    output_lags: tuple[int, ...]  #: Rising, at least 1
+    input_lags: tuple[int, ...]  #: the first output lag is 1 for an incremental network
+    sample_time: float  #: s
+    incremental: bool = True  #: The network gives ``y(k) − y(k − 1)``, else ``y(k)``
+    #: After the most recent output the regressor has the differences between successive lags
+    #: instead of the values: lagged values of a slow signal are nearly equal, and first-order
+    #: training crawls along that valley
     differences: bool = True
 
     def __post_init__(self) -> None:
@@ -306,10 +275,8 @@ class NarxStructure:
     def from_data(cls, data: Mapping[str, Any], where: str = "structure") -> NarxStructure:
         """The structure of :meth:`to_data`.
 
-        Raises
-        ------
-        ModelError
-            For a key that is missing or unknown and for values that do not fit; it names the key.
+        Raises ModelError for a key that is missing or unknown and for values that do not fit; it
+        names the key.
         """
         check_keys(data, set(cls.__dataclass_fields__), where)
         try:
@@ -332,10 +299,7 @@ def squared_distances(points: FloatArray, centres: FloatArray) -> FloatArray:
 def check_keys(data: Any, expected: set[str], where: str) -> None:
     """Refuse a mapping that lacks a key or has one more.
 
-    Raises
-    ------
-    ModelError
-        It names the key.
+    Raises ModelError: it names the key.
     """
     if not isinstance(data, Mapping):
         raise ModelError(f"{data!r} is no mapping", where=where, remedy="train again")

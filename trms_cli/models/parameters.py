@@ -29,30 +29,19 @@ _NONE_TO_SET = (
 
 @dataclass(frozen=True)
 class Parameter:
-    """One physical constant of a model.
-
-    Attributes
-    ----------
-    name, unit, source, description : str
-    value : float
-        In SI units (``unit``).
-    prior_sd : float or None
-        Standard deviation of the prior relative to the value; None for a constant that is known.
-    lower, upper : float
-        Hard bounds, in the same unit.
-    typical : (float, float) or None
-        Range that rigs of this kind span, in the same unit, where the value itself says nothing
-        of a prior: an effect may be absent, with a size of zero.
-    """
+    """One physical constant of a model."""
 
     name: str
-    value: float
+    value: float  #: In SI units (``unit``)
     unit: str = ""
+    #: Standard deviation of the prior relative to the value; None for a constant that is known
     prior_sd: float | None = None
-    lower: float = -np.inf
-    upper: float = np.inf
+    lower: float = -np.inf  #: Hard bounds, in the same unit
+    upper: float = np.inf  #: Hard bounds, in the same unit
     source: str = ""
     description: str = ""
+    #: Range that rigs of this kind span, in the same unit, where the value itself says nothing of a
+    #: prior: an effect may be absent, with a size of zero
     typical: tuple[float, float] | None = None
 
 
@@ -91,10 +80,8 @@ class ParameterSet:
     def replaced(self, values: Mapping[str, float], where: str = "parameters") -> ParameterSet:
         """The same set with other values for some names.
 
-        Raises
-        ------
-        ConfigurationError
-            For a name that the set does not have, or a value that is not a finite number.
+        Raises ConfigurationError for a name that the set does not have, or a value that is not a
+        finite number.
         """
         changed = dict(self._by_name)
         for name, value in values.items():
@@ -201,10 +188,8 @@ class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
 def parameter_file(name_or_path: str, where: str = "model.parameter_set") -> ParameterFile:
     """Read a parameter set: a built-in one by name, or a YAML file by path.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no such set, or the file's content is not of the documented form.
+    Raises ConfigurationError if there is no such set, or the file's content is not of the
+    documented form.
     """
     from trms_cli.core.yaml_data import MOST_BYTES
 
@@ -233,10 +218,7 @@ def parameter_file(name_or_path: str, where: str = "model.parameter_set") -> Par
 def parse_parameter_file(text: str | bytes, source: str) -> ParameterFile:
     """Check the text of a parameter file.
 
-    Raises
-    ------
-    ModelError
-        With the place in the file.
+    Raises ModelError with the place in the file.
     """
     import yaml
 

@@ -25,20 +25,11 @@ _STEP = 0.02
 
 @dataclass(frozen=True)
 class RestEquations:
-    """Equations of the steady states of one model.
+    """Equations of the steady states of one model."""
 
-    Attributes
-    ----------
-    unknowns : tuple of int
-        Positions in x of the states s that the others follow from.
-    state : casadi.Function
-        ``(s, u) → x``, inlined where it is called.
-    residual : casadi.Function
-        ``(s, u, p, w)`` → what is zero at rest, in the unit of s per second, shape (n_s, 1).
-    """
-
-    unknowns: tuple[int, ...]
-    state: ca.Function
+    unknowns: tuple[int, ...]  #: Positions in x of the states s that the others follow from
+    state: ca.Function  #: ``(s, u) → x``, inlined where it is called
+    #: ``(s, u, p, w)`` → what is zero at rest, in the unit of s per second, shape (n_s, 1)
     residual: ca.Function
 
 

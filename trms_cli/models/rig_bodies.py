@@ -27,22 +27,12 @@ Shields = Literal["rings", "as_printed"]
 
 @dataclass(frozen=True)
 class Body:
-    """Particles that are fixed to the beam, as far as energies see them.
-
-    Attributes
-    ----------
-    name : str
-    mass : casadi.SX
-        kg.
-    centre : (ξ, η, ζ)
-        Centre of mass in the beam's frame, m.
-    spread : (ξξ, ηη, ζζ)
-        Mean squares of the particles' distances from it along the axes, m².
-    """
+    """Particles that are fixed to the beam, as far as energies see them."""
 
     name: str
-    mass: Any
-    centre: tuple[Any, Any, Any]
+    mass: Any  #: kg
+    centre: tuple[Any, Any, Any]  #: Centre of mass in the beam's frame, m
+    #: Mean squares of the particles' distances from it along the axes, m²
     spread: tuple[Any, Any, Any] = (0.0, 0.0, 0.0)
 
 
@@ -78,20 +68,12 @@ def bodies(c: Mapping[str, Any], shields: Shields = "rings") -> tuple[Body, ...]
 
 @dataclass(frozen=True)
 class Energies:
-    """Energies of particles on the two axes, and what follows from them by differentiation.
+    """Energies of particles on the two axes, and what follows from them by differentiation."""
 
-    Attributes
-    ----------
-    angles, rates : casadi.SX
-        q = (α_h, α_v) and q̇, symbols, (2, 1).
-    kinetic, potential : casadi.SX
-        T and V, J.
-    """
-
-    angles: ca.SX
-    rates: ca.SX
-    kinetic: ca.SX
-    potential: ca.SX
+    angles: ca.SX  #: q = (α_h, α_v) and q̇, symbols, (2, 1)
+    rates: ca.SX  #: q = (α_h, α_v) and q̇, symbols, (2, 1)
+    kinetic: ca.SX  #: T and V, J
+    potential: ca.SX  #: T and V, J
 
     @property
     def inertia(self) -> ca.SX:

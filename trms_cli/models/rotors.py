@@ -43,14 +43,9 @@ class ParametricRotor:
     """A rotor by coefficients, each by direction where the propeller's is.
 
     ``H⁻¹(ω) = h1 ω + h2 ω|ω| + h3 ω³`` and ``F(ω) = k_f ω|ω|``.
-
-    Attributes
-    ----------
-    axis : str
-        Suffix of its parameters: ``v`` for the main, ``h`` for the tail rotor.
     """
 
-    axis: str
+    axis: str  #: Suffix of its parameters: ``v`` for the main, ``h`` for the tail rotor
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -69,16 +64,10 @@ class ParametricRotor:
 
 @dataclass(frozen=True)
 class MeasuredRotor:
-    """A rotor by a measured table.
+    """A rotor by a measured table."""
 
-    Attributes
-    ----------
-    holding, thrusting : RisingSpline
-        H⁻¹ and F over the speed in rad/s.
-    """
-
-    holding: RisingSpline
-    thrusting: RisingSpline
+    holding: RisingSpline  #: H⁻¹ and F over the speed in rad/s
+    thrusting: RisingSpline  #: H⁻¹ and F over the speed in rad/s
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -45,25 +45,15 @@ _NODES = 6
 
 @dataclass(frozen=True)
 class StateDependentForm:
-    """A model around an origin, as expressions.
-
-    Attributes
-    ----------
-    model : Model
-    origin_x : (n_x,) array
-    origin_u : (n_u,) array
-    coefficients : casadi.Function
-        ``(x, u, p) → A (n_x, n_x), B (n_x, n_u), G (n_x, n_w), f0 (n_x,)``: of the derivative, or,
-        for a model that only steps, of its step (f0 then is F(x₀, u₀, p, 0) − x₀).
-    stepped : bool
-        Whether the coefficients are those of a step of ``model.sample_time``.
-    """
+    """A model around an origin, as expressions."""
 
     model: Model
-    origin_x: FloatArray
-    origin_u: FloatArray
+    origin_x: FloatArray  #: (n_x,) array
+    origin_u: FloatArray  #: (n_u,) array
+    #: ``(x, u, p) → A (n_x, n_x), B (n_x, n_u), G (n_x, n_w), f0 (n_x,)``: of the derivative, or,
+    #: for a model that only steps, of its step (f0 then is F(x₀, u₀, p, 0) − x₀)
     coefficients: ca.Function
-    stepped: bool
+    stepped: bool  #: Whether the coefficients are those of a step of ``model.sample_time``
 
     def discrete(self, step_length: float) -> ca.Function:
         """``(x, u, p) → Φ (n_x, n_x), Γ_u (n_x, n_u), Γ_w (n_x, n_w), c (n_x,)`` of one step.

@@ -34,45 +34,27 @@ _POINTS_PER_PIECE = 4
 
 @dataclass(frozen=True)
 class StaticCurve:
-    """Steady values of a rotor at rising commands.
+    """Steady values of a rotor at rising commands."""
 
-    Attributes
-    ----------
-    command : (n,) array
-        Normalised, "1".
-    speed : (n,) array
-        rad/s, rising.
-    thrust : (n,) array
-        N.
-    """
-
-    command: FloatArray
-    speed: FloatArray
-    thrust: FloatArray
+    command: FloatArray  #: (n,) array; normalised, "1"
+    speed: FloatArray  #: (n,) array; rad/s, rising
+    thrust: FloatArray  #: (n,) array; N
 
 
 @dataclass(frozen=True)
 class RisingSpline:
-    """A cubic spline that rises throughout, straight beyond its ends.
+    """A cubic spline that rises throughout, straight beyond its ends."""
 
-    Attributes
-    ----------
-    centre, scale : float
-        The argument becomes ``s = (x − centre)/scale``, in [−1, 1].
-    polynomial : (4,) array
-        Of the first piece, in powers of s + 1 from the constant on.
-    knots, jumps : (m,) arrays
-        Where, in s, the third derivative jumps, and by how much (over 6).
-    slopes : (float, float)
-        df/ds at both ends.
-    """
-
+    #: ``centre``, ``scale``: The argument becomes ``s = (x − centre)/scale``, in [−1, 1]
     centre: float
     scale: float
+    #: (4,) array; of the first piece, in powers of s + 1 from the constant on
     polynomial: FloatArray
+    #: ``knots``, ``jumps``: (m,) arrays; where, in s, the third derivative jumps, and by how much
+    #: (over 6)
     knots: FloatArray
     jumps: FloatArray
-    slopes: tuple[float, float]
+    slopes: tuple[float, float]  #: df/ds at both ends
 
     def __call__(self, x: ca.SX) -> ca.SX:
         """The function as an expression."""

@@ -52,60 +52,34 @@ _OF_AXIS = {
 
 @dataclass(frozen=True)
 class BeamPoint:
-    """Where the equations of the beam are evaluated; what is locked is zero.
+    """Where the equations of the beam are evaluated; what is locked is zero."""
 
-    Attributes
-    ----------
-    c : dict of str to casadi.SX
-        Parameters.
-    moves_h, moves_v : bool
-        Whether yaw and pitch are free.
-    S_h, alpha_h, S_v, alpha_v, omega_h, omega_v : casadi.SX
-        rad/s, rad.
-    thrust_h, thrust_v : casadi.SX
-        N.
-    yaw_moment, pitch_moment : casadi.SX
-        Disturbances, N m.
-    """
-
-    c: Mapping[str, ca.SX]
-    moves_h: bool
-    moves_v: bool
-    S_h: ca.SX
-    alpha_h: ca.SX
-    S_v: ca.SX
-    alpha_v: ca.SX
-    omega_h: ca.SX
-    omega_v: ca.SX
-    thrust_h: ca.SX
-    thrust_v: ca.SX
-    yaw_moment: ca.SX
-    pitch_moment: ca.SX
+    c: Mapping[str, ca.SX]  #: Parameters
+    moves_h: bool  #: Whether yaw and pitch are free
+    moves_v: bool  #: Whether yaw and pitch are free
+    S_h: ca.SX  #: rad/s, rad
+    alpha_h: ca.SX  #: rad/s, rad
+    S_v: ca.SX  #: rad/s, rad
+    alpha_v: ca.SX  #: rad/s, rad
+    omega_h: ca.SX  #: rad/s, rad
+    omega_v: ca.SX  #: rad/s, rad
+    thrust_h: ca.SX  #: N
+    thrust_v: ca.SX  #: N
+    yaw_moment: ca.SX  #: Disturbances, N m
+    pitch_moment: ca.SX  #: Disturbances, N m
 
 
 @dataclass(frozen=True)
 class BeamMotion:
-    """What the equations of the beam give there.
+    """What the equations of the beam give there."""
 
-    Attributes
-    ----------
-    rate_h, rate_v : casadi.SX
-        dα/dt, rad/s.
-    momentum_rate_h, momentum_rate_v : casadi.SX
-        dS/dt, rad/s².
-    inertia_h, inertia_v : casadi.SX
-        kg m².
-    gravity : casadi.SX
-        Moment of gravity on pitch, N m.
-    """
-
-    rate_h: ca.SX
-    rate_v: ca.SX
-    momentum_rate_h: ca.SX
-    momentum_rate_v: ca.SX
-    inertia_h: ca.SX
-    inertia_v: ca.SX
-    gravity: ca.SX
+    rate_h: ca.SX  #: dα/dt, rad/s
+    rate_v: ca.SX  #: dα/dt, rad/s
+    momentum_rate_h: ca.SX  #: dS/dt, rad/s²
+    momentum_rate_v: ca.SX  #: dS/dt, rad/s²
+    inertia_h: ca.SX  #: kg m²
+    inertia_v: ca.SX  #: kg m²
+    gravity: ca.SX  #: Moment of gravity on pitch, N m
 
 
 class TwinRotor(Model):

@@ -41,60 +41,35 @@ _FLOOR = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class FilterOptions:
-    """What all filters of this room are told.
+    """What all filters of this room are told."""
 
-    Attributes
-    ----------
-    disturbances : list of str or None
-        Equations of the model that an integrating disturbance is estimated on. None takes all of
-        them where there are as many measured channels, else the torque on each axis: tracking is
-        offset-free only with as many integrators as channels (Pannocchia & Rawlings 2003, AIChE
-        J. 49), since a biased rotor speed must be explained too.
-    process_noise : ProcessNoise
-    measurement_noise : dict of str to float
-        Standard deviation by channel, instead of what the rig declares.
-    initial_sd : InitialSd
-    substeps : int or None
-        Integration steps a sample; None takes as many as keep them to 0.02 s.
-    gate : float or None
-        Innovations beyond this many of their standard deviations are taken for outliers, channel
-        by channel; None believes everything.
-    longest_rejection : float
-        s; a channel that was rejected without a break for so long is believed again.
-    """
-
+    #: Equations of the model that an integrating disturbance is estimated on. None takes all of
+    #: them where there are as many measured channels, else the torque on each axis: tracking is
+    #: offset-free only with as many integrators as channels (Pannocchia & Rawlings 2003, AIChE J.
+    #: 49), since a biased rotor speed must be explained too.
     disturbances: tuple[str, ...] | None = None
     process_noise: ProcessNoise = field(default_factory=ProcessNoise)
+    #: Standard deviation by channel, instead of what the rig declares
     measurement_noise: Mapping[str, Positive] = field(default_factory=dict)
     initial_sd: InitialSd = field(default_factory=InitialSd)
+    #: Integration steps a sample; None takes as many as keep them to 0.02 s
     substeps: Annotated[int, Meta(ge=1)] | None = None
+    #: Innovations beyond this many of their standard deviations are taken for outliers, channel by
+    #: channel; None believes everything
     gate: Annotated[float, Meta(gt=0)] | None = 20.0
+    #: s; a channel that was rejected without a break for so long is believed again
     longest_rejection: Annotated[float, Meta(gt=0)] = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class AugmentedModel:
-    """The equations that a filter believes: all that its step is built from.
+    """The equations that a filter believes: all that its step is built from."""
 
-    Attributes
-    ----------
-    discrete : DiscreteModel
-        One sample, with the sensors' memory.
-    substeps : int
-        Parts of a sample that it is integrated over.
-    equations : list of int
-        Disturbances that are estimated.
-    channels : list of int
-        Measured ones of the model's outputs.
-    names : tuple of str
-        Of z, shape (n,).
-    """
-
-    discrete: DiscreteModel
-    substeps: int
-    equations: list[int]
-    channels: list[int]
-    names: tuple[str, ...]
+    discrete: DiscreteModel  #: One sample, with the sensors' memory
+    substeps: int  #: Parts of a sample that it is integrated over
+    equations: list[int]  #: Disturbances that are estimated
+    channels: list[int]  #: Measured ones of the model's outputs
+    names: tuple[str, ...]  #: Of z, shape (n,)
 
     @property
     def model(self) -> Model:
@@ -143,28 +118,14 @@ class AugmentedModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Augmentation(AugmentedModel):
-    """A model made ready for a filter: its equations, where it starts, and its noise.
+    """A model made ready for a filter: its equations, where it starts, and its noise."""
 
-    Attributes
-    ----------
-    mean, sd : (n,) arrays
-        Before the first measurement.
-    memory : (n_m,) array
-        Of the input path, after a long time at the first command.
-    q : (n,) array
-        Variances that a sample adds to z.
-    r : (n_y,) array
-        Variances of the measurement noise.
-    floor : (n,) array
-        Least variances, far below every physical scale.
-    """
-
-    mean: FloatArray
-    sd: FloatArray
-    memory: FloatArray
-    q: FloatArray
-    r: FloatArray
-    floor: FloatArray
+    mean: FloatArray  #: (n,) arrays; before the first measurement
+    sd: FloatArray  #: (n,) arrays; before the first measurement
+    memory: FloatArray  #: (n_m,) array; of the input path, after a long time at the first command
+    q: FloatArray  #: (n,) array; variances that a sample adds to z
+    r: FloatArray  #: (n_y,) array; variances of the measurement noise
+    floor: FloatArray  #: (n,) array; least variances, far below every physical scale
 
     def alone(self) -> AugmentedModel:
         """The equations without their numbers: the same for every run of one model."""
@@ -180,11 +141,8 @@ class Augmentation(AugmentedModel):
 def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
     """The model of a setup as a filter with these options sees it.
 
-    Raises
-    ------
-    ConfigurationError
-        For names that the model or the rig does not have, and for a channel whose noise nobody
-        declared.
+    Raises ConfigurationError for names that the model or the rig does not have, and for a channel
+    whose noise nobody declared.
     """
     model = setup.model
     equations = _equations(setup, options.disturbances)

@@ -27,30 +27,15 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass
 class FullStateState:
-    """What is used again at each sample.
-
-    Attributes
-    ----------
-    model : Model
-    names : tuple of str
-        States that are taken from the rig.
-    rows : list of int
-        Their places in x.
-    past : list of int
-        Places in x of the states that only remember.
-    advance : BufferedFunction or None
-        The model over a sample, for what it then remembers; None where it remembers nothing.
-    full : (n_full,) array
-        Its state, memory of the input path included; empty before the first sample.
-    measurement : BufferedFunction
-    estimate : Estimate
-    """
+    """What is used again at each sample."""
 
     model: Model
-    names: tuple[str, ...]
-    rows: list[int]
-    past: list[int]
+    names: tuple[str, ...]  #: States that are taken from the rig
+    rows: list[int]  #: Their places in x
+    past: list[int]  #: Places in x of the states that only remember
+    #: The model over a sample, for what it then remembers; None where it remembers nothing
     advance: BufferedFunction | None
+    #: (n_full,) array; its state, memory of the input path included; empty before the first sample
     full: FloatArray
     measurement: BufferedFunction
     estimate: Estimate
@@ -130,10 +115,7 @@ class FullState:
 def _advance(setup: ObserverSetup) -> BufferedFunction:
     """The model over one sample, which must be its own: between two samples nothing is known.
 
-    Raises
-    ------
-    ConfigurationError
-        If the model steps faster than the rig is sampled.
+    Raises ConfigurationError if the model steps faster than the rig is sampled.
     """
     model = setup.model
     discrete = discretise(model, setup.sample_time)

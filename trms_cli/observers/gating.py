@@ -20,34 +20,23 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass
 class Gate:
-    """The gate of a filter that runs.
+    """The gate of a filter that runs."""
 
-    Attributes
-    ----------
-    width : float
-        Standard deviations; infinite for a gate that is open for good.
-    patience : int
-        Samples of unbroken rejection after which a channel is believed, and of unbroken agreement
-        after which it is watched again.
-    squared : (n_y,) array
-        ``width²`` per channel, infinite where the gate is open: an input of the filter's step.
-    run : (n_y,) int array
-        Samples that a watched channel has been rejected, or a believed one has agreed, in a row.
-    open : (n_y,) bool array
-        Channels believed again.
-    rejected : (n_y,) array
-        1 for what the last sample's gate held back; zeros for a gate that is always open.
-    counting : bool
-        Whether any channel has a run or is believed again.
-    """
-
-    width: float
+    width: float  #: Standard deviations; infinite for a gate that is open for good
+    #: Samples of unbroken rejection after which a channel is believed, and of unbroken agreement
+    #: after which it is watched again
     patience: int
+    #: (n_y,) array; ``width²`` per channel, infinite where the gate is open: an input of the
+    #: filter's step
     squared: FloatArray
+    #: (n_y,) int array; samples that a watched channel has been rejected, or a believed one has
+    #: agreed, in a row
     run: npt.NDArray[np.int64]
-    open: BoolArray
+    open: BoolArray  #: (n_y,) bool array; channels believed again
+    #: (n_y,) array; 1 for what the last sample's gate held back; zeros for a gate that is always
+    #: open
     rejected: FloatArray
-    counting: bool = False
+    counting: bool = False  #: Whether any channel has a run or is believed again
 
     @classmethod
     def start(

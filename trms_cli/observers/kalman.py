@@ -44,19 +44,13 @@ _FAINT = 1e-9
 class Kalman(RecursiveFilter):
     """Linear Kalman filter; other fields are those of
     :class:`trms_cli.observers.augmentation.FilterOptions`.
-
-    Attributes
-    ----------
-    operating_point : dict of str to float
-        Controlled angles, rad, at which the rig rests and the model is linearised; 0 where none
-        is given.
-    gain : {"varying", "steady"}
-        Whether the covariance starts from ``initial_sd``, or is, from the first prediction on,
-        that of a filter that has run for long. A steady one does not widen while samples are
-        missing.
     """
 
+    #: Controlled angles, rad, at which the rig rests and the model is linearised; 0 where none is
+    #: given
     operating_point: Mapping[str, float] = field(default_factory=dict)
+    #: Whether the covariance starts from ``initial_sd``, or is, from the first prediction on, that
+    #: of a filter that has run for long. A steady one does not widen while samples are missing.
     gain: Literal["varying", "steady"] = "varying"
 
     def compose(
@@ -160,10 +154,8 @@ def _settled_covariance(state: FilterState) -> FloatArray:
 
     Found by running the filter's own step: of a linear filter it depends on no measurement.
 
-    Raises
-    ------
-    ConfigurationError
-        If it grows without end: something that is estimated leaves no trace in what is measured.
+    Raises ConfigurationError if it grows without end: something that is estimated leaves no trace
+    in what is measured.
     """
     function = state.function
     before = [value.copy() for value in function.inputs]

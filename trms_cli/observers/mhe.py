@@ -46,76 +46,42 @@ _COLUMNS = ("trajectory", *_KEPT)
 
 @dataclass
 class MheState:
-    """The estimator at a sample.
+    """The estimator at a sample."""
 
-    Attributes
-    ----------
-    arrival : FilterState
-        Of the arrival filter; its mean is the estimator's.
-    augmented : Augmentation
-    function : BufferedFunction
-        A Gauss–Newton step over the window.
-    inputs, outputs : dict of str to array
-        Its arrays by name; the inputs hold the window.
-    means : (n, length + 1) array
-    covariances : (length + 1, n, n) array
-        What was known at each sample of the window, then.
-    rows : (k,) int array
-        Entries of z that have bounds.
-    lower, upper : (k,) arrays
-    workspace : object
-        Of the QP solver.
-    filled : int
-        Samples since the window was begun, −1 before the first.
-    fallbacks : int
-        Samples at which a full window gave no estimate and the arrival filter's stood.
-    bounded : int
-        Samples at which a bound was active.
-    """
-
-    arrival: FilterState
+    arrival: FilterState  #: Of the arrival filter; its mean is the estimator's
     augmented: Augmentation
-    function: BufferedFunction
-    inputs: dict[str, FloatArray]
-    outputs: dict[str, FloatArray]
-    means: FloatArray
+    function: BufferedFunction  #: A Gauss–Newton step over the window
+    inputs: dict[str, FloatArray]  #: Its arrays by name
+    outputs: dict[str, FloatArray]  #: the inputs hold the window
+    means: FloatArray  #: (n, length + 1) array
+    #: (length + 1, n, n) array; what was known at each sample of the window, then
     covariances: FloatArray
-    rows: npt.NDArray[np.intp]
-    lower: FloatArray
-    upper: FloatArray
-    workspace: Any
-    filled: int = -1
+    rows: npt.NDArray[np.intp]  #: (k,) int array; entries of z that have bounds
+    lower: FloatArray  #: (k,) arrays
+    upper: FloatArray  #: (k,) arrays
+    workspace: Any  #: Of the QP solver
+    filled: int = -1  #: Samples since the window was begun, −1 before the first
+    #: Samples at which a full window gave no estimate and the arrival filter's stood
     fallbacks: int = 0
-    bounded: int = 0
+    bounded: int = 0  #: Samples at which a bound was active
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mhe(FilterOptions):
     """Moving-horizon estimator; other fields are those of
     :class:`trms_cli.observers.augmentation.FilterOptions`.
-
-    Attributes
-    ----------
-    horizon : float
-        s, length of the window; at least one sample.
-    iterations : int
-        Gauss–Newton steps a sample; the window is linearised anew along the last result at each
-        sample, so that one is seldom far from the optimum.
-    arrival : {"ukf", "ekf"}
-        The filter whose covariance weighs the window's beginning. Sigma points see that a rotor
-        that stands still can turn yaw either way; a Jacobian there, where thrust has no slope, does
-        not.
-    bounds : dict of str to (float, float)
-        Lowest and highest value of states or disturbances, by name, in their units.
-    within_stops : bool
-        Whether angles are also bounded by the model's mechanical stops.
     """
 
-    horizon: Annotated[float, Meta(gt=0)] = 0.3
+    horizon: Annotated[float, Meta(gt=0)] = 0.3  #: s, length of the window; at least one sample
+    #: Gauss–Newton steps a sample; the window is linearised anew along the last result at each
+    #: sample, so that one is seldom far from the optimum
     iterations: Annotated[int, Meta(ge=1)] = 1
+    #: The filter whose covariance weighs the window's beginning. Sigma points see that a rotor that
+    #: stands still can turn yaw either way; a Jacobian there, where thrust has no slope, does not.
     arrival: Literal["ekf", "ukf"] = "ukf"
+    #: Lowest and highest value of states or disturbances, by name, in their units
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    within_stops: bool = True
+    within_stops: bool = True  #: Whether angles are also bounded by the model's mechanical stops
 
     def init(self, setup: ObserverSetup) -> MheState:
         """A fresh state; see :class:`trms_cli.observers.observer.Observer`."""

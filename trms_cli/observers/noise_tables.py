@@ -23,79 +23,46 @@ NotNegative = Annotated[float, Meta(ge=0)]
 
 
 class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Intensities of white noise on the states: over T seconds a state spreads by ``q·√T``.
+    """Intensities of white noise on the states: over T seconds a state spreads by ``q·√T``."""
 
-    Attributes
-    ----------
-    angle : float
-        rad/√s.
-    momentum : float
-        (rad/s)/√s, on angular momenta over inertia.
-    rotor : float
-        (rad/s)/√s, on rotor speeds.
-    current : float
-        A/√s.
-    other : float
-        State's unit/√s, on states that effects add.
-    disturbance : float
-        N m/√s, the random walk of the estimated torques on the axes.
-    rotor_disturbance : float
-        N m/√s, the same on the rotors, whose own torques are a tenth of the axes'.
-    acceleration, rotor_acceleration : float
-        rad/s²/√s, the same for a black box, which knows accelerations in place of torques.
-    speed : float
-        (rad/s)/√s, on the rotor speeds of a black box. Its steady state shifts with the noise of
-        what it is given, by the curvature of its surface: it is better told little of it.
-    past : float
-        State's unit/√s, on states that only remember an output or input; what was, stays.
-    states : dict of str to float
-        Other values for single states (or disturbances), by name.
-    """
-
-    angle: NotNegative = 2e-4
-    momentum: NotNegative = 0.02
-    rotor: NotNegative = 3.0
-    current: NotNegative = 0.05
-    other: NotNegative = 0.01
-    disturbance: NotNegative = 2e-3
+    angle: NotNegative = 2e-4  #: rad/√s
+    momentum: NotNegative = 0.02  #: (rad/s)/√s, on angular momenta over inertia
+    rotor: NotNegative = 3.0  #: (rad/s)/√s, on rotor speeds
+    current: NotNegative = 0.05  #: A/√s
+    other: NotNegative = 0.01  #: State's unit/√s, on states that effects add
+    disturbance: NotNegative = 2e-3  #: N m/√s, the random walk of the estimated torques on the axes
+    #: N m/√s, the same on the rotors, whose own torques are a tenth of the axes'
     rotor_disturbance: NotNegative = 2e-4
+    #: ``acceleration``, ``rotor_acceleration``: rad/s²/√s, the same for a black box, which knows
+    #: accelerations in place of torques
     acceleration: NotNegative = 0.05
     rotor_acceleration: NotNegative = 8.0
+    #: (rad/s)/√s, on the rotor speeds of a black box. Its steady state shifts with the noise of
+    #: what it is given, by the curvature of its surface: it is better told little of it.
     speed: NotNegative = 0.5
+    #: State's unit/√s, on states that only remember an output or input; what was, stays
     past: NotNegative = 0.0
+    #: Other values for single states (or disturbances), by name
     states: Mapping[str, NotNegative] = {}
 
 
 class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Standard deviations before the first measurement; units as the states'.
+    """Standard deviations before the first measurement; units as the states'."""
 
-    Attributes
-    ----------
-    angle, momentum, rotor, current, other : float
-        rad, rad/s, rad/s, A, the state's unit.
-    disturbance, rotor_disturbance : float
-        N m, of the torques on the axes and on the rotors.
-    acceleration, rotor_acceleration : float
-        rad/s², of what a black box has in place of torques.
-    speed : float
-        rad/s, rotor speeds of a black box.
-    past : float
-        State's unit, on states that only remember an output or input.
-    states : dict of str to float
-        Other values for single states (or disturbances), by name.
-    """
-
-    angle: Positive = 0.1
-    momentum: Positive = 0.1
-    rotor: Positive = 20.0
-    current: Positive = 0.2
-    other: Positive = 0.1
+    angle: Positive = 0.1  #: rad, rad/s, rad/s, A, the state's unit
+    momentum: Positive = 0.1  #: rad, rad/s, rad/s, A, the state's unit
+    rotor: Positive = 20.0  #: rad, rad/s, rad/s, A, the state's unit
+    current: Positive = 0.2  #: rad, rad/s, rad/s, A, the state's unit
+    other: Positive = 0.1  #: rad, rad/s, rad/s, A, the state's unit
+    #: ``disturbance``, ``rotor_disturbance``: N m, of the torques on the axes and on the rotors
     disturbance: Positive = 0.01
     rotor_disturbance: Positive = 0.002
+    #: ``acceleration``, ``rotor_acceleration``: rad/s², of what a black box has in place of torques
     acceleration: Positive = 0.2
     rotor_acceleration: Positive = 80.0
-    speed: Positive = 20.0
-    past: Positive = 0.002
+    speed: Positive = 20.0  #: rad/s, rotor speeds of a black box
+    past: Positive = 0.002  #: State's unit, on states that only remember an output or input
+    #: Other values for single states (or disturbances), by name
     states: Mapping[str, Positive] = {}
 
 

@@ -17,30 +17,16 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ObserverSetup:
-    """What an observer is told before a run.
+    """What an observer is told before a run."""
 
-    Attributes
-    ----------
-    model : Model
-        What the observer believes.
-    sample_time : float
-        Time between two measurements, s.
-    outputs : tuple of str
-        Measured channels in the order of ``y``, a subset of the model's outputs.
-    noise_sd : dict of str to float
-        Declared standard deviation of each channel's noise (quantum included), in its unit.
-    first_measurement : (n_y,) array
-        The measurement at time zero, NaN where missing.
-    first_command : (n_u,) array
-        The command in force before time zero.
-    """
-
-    model: Model
-    sample_time: float
+    model: Model  #: What the observer believes
+    sample_time: float  #: Time between two measurements, s
+    #: Measured channels in the order of ``y``, a subset of the model's outputs
     outputs: tuple[str, ...]
+    #: Declared standard deviation of each channel's noise (quantum included), in its unit
     noise_sd: Mapping[str, float]
-    first_measurement: FloatArray
-    first_command: FloatArray
+    first_measurement: FloatArray  #: (n_y,) array; the measurement at time zero, NaN where missing
+    first_command: FloatArray  #: (n_u,) array; the command in force before time zero
 
     def channels(self) -> list[int]:
         """Positions of the measured channels among the model's outputs.
@@ -67,29 +53,22 @@ class ObserverSetup:
 
 @dataclass
 class Estimate:
-    """What is known after a measurement. The arrays may be overwritten by the next step.
+    """What is known after a measurement. The arrays may be overwritten by the next step."""
 
-    Attributes
-    ----------
-    x, sd : (n_x,) arrays
-        State of the model (without memory) and its standard deviations.
-    disturbance, disturbance_sd : (n_w,) arrays
-        Disturbances on the model's equations, known ones included; zero where there is none.
-    predicted : (n_y,) array
-        Measurement predicted before it was seen.
-    innovation, innovation_sd : (n_y,) arrays
-        Measured minus predicted, NaN where missing, and what the observer expects of it.
-    rejected : (n_y,) array
-        1 where a sample was there and not believed, else 0; empty for an observer without a gate.
-    """
-
+    #: ``x``, ``sd``: (n_x,) arrays; state of the model (without memory) and its standard deviations
     x: FloatArray
     sd: FloatArray
+    #: (n_w,) arrays; Disturbances on the model's equations, known ones included
     disturbance: FloatArray
-    disturbance_sd: FloatArray
+    disturbance_sd: FloatArray  #: (n_w,) arrays; zero where there is none
+    #: (n_y,) array; measurement predicted before it was seen
     predicted: FloatArray = field(default_factory=lambda: np.zeros(0))
+    #: ``innovation``, ``innovation_sd``: (n_y,) arrays; measured minus predicted, NaN where
+    #: missing, and what the observer expects of it
     innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
     innovation_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
+    #: (n_y,) array; 1 where a sample was there and not believed, else 0; empty for an observer
+    #: without a gate
     rejected: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 

@@ -42,36 +42,18 @@ OUTPUTS = (
 
 @dataclass
 class FilterState:
-    """The filter at a sample.
+    """The filter at a sample."""
 
-    Attributes
-    ----------
-    function : BufferedFunction
-        One step; its inputs hold the present mean, covariance and memory.
-    estimate : Estimate
-        Views of its outputs.
-    prior_mean, prior_covariance : arrays
-        Before the first measurement; where the filter recovers to.
-    present : (n_y,) bool array
-        Channels that the last measurement had.
-    gate : Gate
-    settled : (n, n) array or None
-        Covariance after every sample, of a filter with a steady gain.
-    started : bool
-        Whether there was a sample yet.
-    recoveries : int
-        How often the covariance had to be inflated to the prior.
-    """
-
-    function: BufferedFunction
-    estimate: Estimate
-    prior_mean: FloatArray
-    prior_covariance: FloatArray
-    present: npt.NDArray[np.bool_]
+    function: BufferedFunction  #: One step; its inputs hold the present mean, covariance and memory
+    estimate: Estimate  #: Views of its outputs
+    prior_mean: FloatArray  #: Before the first measurement
+    prior_covariance: FloatArray  #: where the filter recovers to
+    present: npt.NDArray[np.bool_]  #: (n_y,) bool array; channels that the last measurement had
     gate: Gate
+    #: (n, n) array or None; covariance after every sample, of a filter with a steady gain
     settled: FloatArray | None = None
-    started: bool = False
-    recoveries: int = 0
+    started: bool = False  #: Whether there was a sample yet
+    recoveries: int = 0  #: How often the covariance had to be inflated to the prior
 
 
 @dataclass(frozen=True, kw_only=True)

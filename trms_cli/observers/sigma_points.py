@@ -20,17 +20,11 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SigmaPoints:
-    """Sigma points of an n-vector: the mean and, for each direction, one on either side.
-
-    Attributes
-    ----------
-    n : int
-    alpha, beta, kappa : float
-        Spread, prior knowledge of the distribution (2 for a normal one), and a second spread:
-        ``λ = α²(n + κ) − n``.
-    """
+    """Sigma points of an n-vector: the mean and, for each direction, one on either side."""
 
     n: int
+    #: ``alpha``, ``beta``, ``kappa``: Spread, prior knowledge of the distribution (2 for a normal
+    #: one), and a second spread: ``λ = α²(n + κ) − n``
     alpha: float
     beta: float
     kappa: float

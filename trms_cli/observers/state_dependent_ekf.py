@@ -42,17 +42,12 @@ FloatArray = npt.NDArray[np.float64]
 class StateDependentEkf(RecursiveFilter):
     """State-dependent extended Kalman filter; other fields are those of
     :class:`trms_cli.observers.augmentation.FilterOptions`.
-
-    Attributes
-    ----------
-    origin : dict of str to float
-        State that the coefficients are taken around, by name, rad, rad/s or A; zero for what is
-        not named.
-    origin_command : dict of str to float
-        Command there, by input, V; zero for what is not named.
     """
 
+    #: State that the coefficients are taken around, by name, rad, rad/s or A; zero for what is not
+    #: named
     origin: Mapping[str, float] = field(default_factory=dict)
+    #: Command there, by input, V; zero for what is not named
     origin_command: Mapping[str, float] = field(default_factory=dict)
 
     def compose(

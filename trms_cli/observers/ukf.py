@@ -42,14 +42,10 @@ FloatArray = npt.NDArray[np.float64]
 class Ukf(RecursiveFilter):
     """Unscented Kalman filter; the fields that it shares with the others are those of
     :class:`trms_cli.observers.augmentation.FilterOptions`.
-
-    Attributes
-    ----------
-    alpha, beta, kappa : float
-        Spread of the sigma points; see :class:`SigmaPoints`. With α = 1 and κ = 0 no weight is
-        negative.
     """
 
+    #: ``alpha``, ``beta``, ``kappa``: Spread of the sigma points; see :class:`SigmaPoints`. With α
+    #: = 1 and κ = 0 no weight is negative.
     alpha: Annotated[float, Meta(gt=0, le=1)] = 1.0
     beta: Annotated[float, Meta(ge=0)] = 2.0
     kappa: float = 0.0

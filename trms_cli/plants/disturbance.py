@@ -9,18 +9,8 @@ from trms_cli.references.signal import Signal
 
 @dataclass(frozen=True, kw_only=True)
 class ScheduledDisturbance:
-    """A torque over time on one physical equation.
+    """A torque over time on one physical equation."""
 
-    Attributes
-    ----------
-    equation : str
-        ``pitch_moment``, ``yaw_moment``, ``main_motor`` or ``tail_motor``.
-    torque : Signal
-        N m over time; any signal of the group ``signal``.
-    known : bool
-        Whether the torque is measured: it is then logged as ``d_<equation>``.
-    """
-
-    equation: str
-    torque: Signal
-    known: bool = False
+    equation: str  #: ``pitch_moment``, ``yaw_moment``, ``main_motor`` or ``tail_motor``
+    torque: Signal  #: N m over time; any signal of the group ``signal``
+    known: bool = False  #: Whether the torque is measured: it is then logged as ``d_<equation>``

@@ -18,17 +18,10 @@ from trms_cli.models.parameters import Parameter
 
 @dataclass(frozen=True, kw_only=True)
 class MechanicalStop(Effect):
-    """A stop at either end of an axis' travel.
-
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"}
-    range : float
-        Largest angle to either side, rad.
-    """
+    """A stop at either end of an axis' travel."""
 
     axis: str
-    range: float
+    range: float  #: Largest angle to either side, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (Parameter("range", self.range, "rad", lower=0.0),)

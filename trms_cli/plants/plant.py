@@ -16,21 +16,11 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PlantSetup:
-    """What a plant is told before a run.
+    """What a plant is told before a run."""
 
-    Attributes
-    ----------
-    sample_time : float
-        Time between two measurements, s.
-    samples : int
-        Number of samples in the run.
-    seed : int
-        Of everything random in the plant.
-    """
-
-    sample_time: float
-    samples: int
-    seed: int
+    sample_time: float  #: Time between two measurements, s
+    samples: int  #: Number of samples in the run
+    seed: int  #: Of everything random in the plant
 
 
 class PlantRun(Protocol):

@@ -42,46 +42,25 @@ class Happening(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """What a recording holds, in the order of a model's signals.
+    """What a recording holds, in the order of a model's signals."""
 
-    Attributes
-    ----------
-    sample_time : float
-        s.
-    time : (n,) array
-        s, the rig's own.
-    inputs, outputs : tuple of Signal
-        Outputs are those that the model has and the recording measured.
-    commands : (n, n_u) array
-        As they act from each sample on, in the model's units; the last one is held where the
-        recording has none.
-    measurements : (n, n_y) array
-        NaN where missing.
-    references : dict of str to (n,) arrays
-        Recorded references by the angle they are for, rad; empty if there are none.
-    noise_sd : dict of str to float
-        Declared noise of each output, quantum included.
-    input_limits : (array, array)
-        Lower and upper bounds of the model's inputs.
-    happenings : tuple of Happening
-    remarks : tuple of str
-        Sentences for the user: what was found, what has no part in it.
-    recording : Recording
-        As it was read.
-    """
-
-    sample_time: float
-    time: FloatArray
+    sample_time: float  #: s
+    time: FloatArray  #: (n,) array; s, the rig's own
+    #: ``inputs``, ``outputs``: Outputs are those that the model has and the recording measured
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
+    #: (n, n_u) array; as they act from each sample on, in the model's units; the last one is held
+    #: where the recording has none
     commands: FloatArray
-    measurements: FloatArray
+    measurements: FloatArray  #: (n, n_y) array; NaN where missing
+    #: dict of str to (n,) arrays; recorded references by the angle they are for, rad; empty if
+    #: there are none
     references: Mapping[str, FloatArray]
-    noise_sd: Mapping[str, float]
-    input_limits: tuple[FloatArray, FloatArray]
+    noise_sd: Mapping[str, float]  #: Declared noise of each output, quantum included
+    input_limits: tuple[FloatArray, FloatArray]  #: Lower and upper bounds of the model's inputs
     happenings: tuple[Happening, ...]
-    remarks: tuple[str, ...]
-    recording: Recording
+    remarks: tuple[str, ...]  #: Sentences for the user: what was found, what has no part in it
+    recording: Recording  #: As it was read
 
     #: A recording does not tell what was true.
     states: tuple[Signal, ...] = ()
@@ -92,30 +71,18 @@ class RecordedRun:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRig:
-    """A recorded run of a rig.
+    """A recorded run of a rig."""
 
-    Attributes
-    ----------
-    file : str
-        CSV, MAT or MCAP; a relative path is relative to the working directory.
-    start, end : float or None
-        Part of the recording to take, s in its own time; None for all.
-    input_scale : dict of str to float
-        By input: what a recorded 1 is in the model's unit, where the units differ.
-    command_delay : int
-        Samples from a row's time until its command acts.
-    jitter : float
-        Largest deviation of a step from whole sample times, as a share of one.
-    sensors : Sensors
-        Channels to use and their declared noise; noise and quantum are those of the record.
-    """
-
-    file: str
-    start: float | None = None
-    end: float | None = None
+    file: str  #: CSV, MAT or MCAP; a relative path is relative to the working directory
+    start: float | None = None  #: Part of the recording to take, s in its own time
+    end: float | None = None  #: None for all
+    #: By input: what a recorded 1 is in the model's unit, where the units differ
     input_scale: Mapping[str, float] = field(default_factory=dict)
+    #: Samples from a row's time until its command acts
     command_delay: Annotated[int, Meta(ge=0)] = 0
+    #: Largest deviation of a step from whole sample times, as a share of one
     jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
+    #: Channels to use and their declared noise; noise and quantum are those of the record
     sensors: Sensors = field(default_factory=Sensors)
 
     def __post_init__(self) -> None:
@@ -136,10 +103,7 @@ class RecordedRig:
     def init(self, setup: PlantSetup) -> NoReturn:
         """Refuse to be controlled.
 
-        Raises
-        ------
-        ConfigurationError
-            Always: see :meth:`load`.
+        Raises ConfigurationError: Always: see :meth:`load`.
         """
         raise ConfigurationError(
             "a recording cannot be controlled",
@@ -164,10 +128,7 @@ class RecordedRig:
 
         ``file``, ``start`` and ``end`` have no part in it: see :meth:`part_of`.
 
-        Raises
-        ------
-        RecordingError, ConfigurationError
-            As :meth:`load` does.
+        Raises RecordingError, ConfigurationError as :meth:`load` does.
         """
         inputs = self._inputs(recording, model)
         available = tuple(name for name in names(model.outputs) if name in recording.channels)
@@ -207,10 +168,7 @@ class RecordedRig:
     def part_of(self, recording: Recording) -> Recording:
         """The rows from ``start`` to ``end``.
 
-        Raises
-        ------
-        ConfigurationError
-            If fewer than two are left.
+        Raises ConfigurationError if fewer than two are left.
         """
         start = -np.inf if self.start is None else self.start
         end = np.inf if self.end is None else self.end

@@ -22,32 +22,20 @@ _LEAST_NOISE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Sensors:
-    """Which channels are measured, and how well.
+    """Which channels are measured, and how well."""
 
-    Attributes
-    ----------
-    channels : list of str or None
-        Measured outputs; None takes all that the model has.
-    noise_sd : dict of str to float
-        Standard deviation of white noise per channel, rad or rad/s.
-    quantum : dict of str to float
-        Resolution per channel (an encoder's step, a tacho's bit), rad or rad/s; 0 for none.
-    loss_probability : float
-        Share of the samples that are lost, each sample with all its channels.
-    """
-
-    channels: tuple[str, ...] | None = None
+    channels: tuple[str, ...] | None = None  #: Measured outputs; None takes all that the model has
+    #: Standard deviation of white noise per channel, rad or rad/s
     noise_sd: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    #: Resolution per channel (an encoder's step, a tacho's bit), rad or rad/s; 0 for none
     quantum: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    #: Share of the samples that are lost, each sample with all its channels
     loss_probability: Annotated[float, Meta(ge=0, lt=1)] = 0.0
 
     def measured(self, available: tuple[str, ...]) -> tuple[str, ...]:
         """The measured channels, checked against what the model has.
 
-        Raises
-        ------
-        ConfigurationError
-            For a channel that the model does not have.
+        Raises ConfigurationError for a channel that the model does not have.
         """
         chosen = available if self.channels is None else tuple(self.channels)
         for name in chosen:

@@ -39,49 +39,28 @@ _FASTEST = 1e4
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedRig:
-    """A rig that is simulated.
+    """A rig that is simulated."""
 
-    Attributes
-    ----------
-    model : Model
-        Equations of the rig.
-    parameters : dict of str to float
-        True values that differ from the model's, SI.
-    prior_seed : int or None
-        Draws all parameters from their priors first; None keeps the model's values.
-    prior_scale : float
-        Multiplies the priors' standard deviations for that draw.
-    effects : dict of str to Effect
-        What the rig has and the model does not know.
-    integration_step : float
-        Longest integration step, s.
-    sensors : Sensors
-    initial : dict of str to float
-        Initial states that differ from rest, by name.
-    first_command : dict of str to float
-        Commands in force before time zero, by input.
-    disturbances : dict of str to ScheduledDisturbance
-        External torques by name.
-    faults : dict of str to Fault
-        What breaks during a run, by name.
-    mechanical_stops : bool
-        Whether the frame ends the travel of each axis.
-    """
-
-    model: Model
+    model: Model  #: Equations of the rig
+    #: True values that differ from the model's, SI
     parameters: Mapping[str, float] = field(default_factory=dict)
+    #: Draws all parameters from their priors first; None keeps the model's values
     prior_seed: Annotated[int, Meta(ge=0)] | None = None
+    #: Multiplies the priors' standard deviations for that draw
     prior_scale: Annotated[float, Meta(ge=0)] = 1.0
+    #: What the rig has and the model does not know
     effects: Mapping[str, Effect] = field(default_factory=dict)
-    integration_step: Annotated[float, Meta(gt=0)] = 0.005
+    integration_step: Annotated[float, Meta(gt=0)] = 0.005  #: Longest integration step, s
     sensors: Sensors = field(default_factory=Sensors)
     initial: Mapping[str, Annotated[float, Meta(ge=-_FASTEST, le=_FASTEST)]] = field(
         default_factory=dict
-    )
+    )  #: Initial states that differ from rest, by name
+    #: Commands in force before time zero, by input
     first_command: Mapping[str, float] = field(default_factory=dict)
+    #: External torques by name
     disturbances: Mapping[str, ScheduledDisturbance] = field(default_factory=dict)
-    faults: Mapping[str, Fault] = field(default_factory=dict)
-    mechanical_stops: bool = True
+    faults: Mapping[str, Fault] = field(default_factory=dict)  #: What breaks during a run, by name
+    mechanical_stops: bool = True  #: Whether the frame ends the travel of each axis
 
     def init(self, setup: PlantSetup) -> SimulatedRun:
         """The rig at time zero."""

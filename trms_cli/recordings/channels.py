@@ -13,24 +13,13 @@ DISTURBANCE_PREFIX = "d_"
 
 @dataclass(frozen=True)
 class Channel:
-    """A signal by name.
+    """A signal by name."""
 
-    Attributes
-    ----------
-    name : str
-        As it stands in a CSV header, before the unit.
-    role : str
-        "input", "output", "reference", "current" or "disturbance".
-    units : tuple of str
-        SI units that fit. The first is the usual one; an empty tuple admits any.
-    description : str
-        What it is, for schemas and tables.
-    """
-
-    name: str
-    role: str
+    name: str  #: As it stands in a CSV header, before the unit
+    role: str  #: "input", "output", "reference", "current" or "disturbance"
+    #: SI units that fit. The first is the usual one; an empty tuple admits any.
     units: tuple[str, ...]
-    description: str
+    description: str  #: What it is, for schemas and tables
 
 
 _COMMAND = ("V", "1")

@@ -35,28 +35,15 @@ _PAIRS = (("u_v", "omega_v"), ("u_h", "omega_h"), ("omega_v", "alpha_v"), ("omeg
 
 @dataclass(frozen=True)
 class Delay:
-    """How late one channel is recorded after what drives it.
+    """How late one channel is recorded after what drives it."""
 
-    Attributes
-    ----------
-    cause, effect : str
-        Channels.
-    seconds : float
-        Positive: the effect comes later than physics has it. A held command acts from its row on.
-    deviation : float
-        Standard deviation of the estimate, s.
-    explained : float
-        Share of the acceleration's variance that the cause explains at this delay.
-    sample_time : float
-        s, of the recording.
-    """
-
-    cause: str
-    effect: str
+    cause: str  #: Channels
+    effect: str  #: Channels
+    #: Positive: the effect comes later than physics has it. A held command acts from its row on.
     seconds: float
-    deviation: float
-    explained: float
-    sample_time: float
+    deviation: float  #: Standard deviation of the estimate, s
+    explained: float  #: Share of the acceleration's variance that the cause explains at this delay
+    sample_time: float  #: s, of the recording
 
     @property
     def clear(self) -> bool:

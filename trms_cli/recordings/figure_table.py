@@ -43,10 +43,8 @@ def arrow_table(
 def write_parquet(table: pyarrow.Table, path: Path, *, force: bool = False) -> None:
     """Write a table; the file appears when it is whole.
 
-    Raises
-    ------
-    RecordingError
-        If there is such a file already and not ``force``, or the disk does not take it.
+    Raises RecordingError if there is such a file already and not ``force``, or the disk does not
+    take it.
     """
     import pyarrow.parquet as pq
 

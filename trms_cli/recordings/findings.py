@@ -28,56 +28,30 @@ _SMOOTHING_TIME = 0.2
 
 @dataclass(frozen=True)
 class ChannelFindings:
-    """Figures of a channel.
+    """Figures of a channel."""
 
-    Attributes
-    ----------
-    minimum, maximum : float or None
-        In the channel's unit; None for a channel without a value.
-    quantum : float or None
-        Distance between levels, where they lie on a grid.
-    missing : int
-        Samples without a value among the rows.
-    outliers : int
-        Samples that neither neighbour leads to.
-    constant : bool
-        Whether it never changes.
-    extreme_share : float or None
-        Inputs: share of the time at the largest or smallest value taken, when many are taken.
-    rest_share : float or None
-        Angles: share of the time at which it keeps still for half a second around.
-    turns : int or None
-        Angles: how often the rate changes its sign. Rotor speeds: how often the rotor reverses.
-    """
-
-    minimum: float | None
-    maximum: float | None
-    quantum: float | None
-    missing: int
-    outliers: int
-    constant: bool
+    minimum: float | None  #: In the channel's unit
+    maximum: float | None  #: None for a channel without a value
+    quantum: float | None  #: Distance between levels, where they lie on a grid
+    missing: int  #: Samples without a value among the rows
+    outliers: int  #: Samples that neither neighbour leads to
+    constant: bool  #: Whether it never changes
+    #: Inputs: share of the time at the largest or smallest value taken, when many are taken
     extreme_share: float | None = None
+    #: Angles: share of the time at which it keeps still for half a second around
     rest_share: float | None = None
+    #: Angles: how often the rate changes its sign. Rotor speeds: how often the rotor reverses.
     turns: int | None = None
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What was found in a recording.
-
-    Attributes
-    ----------
-    channels : dict of str to ChannelFindings
-    delays : list of Delay
-    loop : Loop
-    sentences : list of str
-        For people: faults first, then what is worth knowing.
-    """
+    """What was found in a recording."""
 
     channels: dict[str, ChannelFindings]
     delays: list[Delay]
     loop: Loop
-    sentences: list[str]
+    sentences: list[str]  #: For people: faults first, then what is worth knowing
 
     def as_data(self) -> dict[str, Any]:
         """For a JSON document; without the sentences."""

@@ -18,10 +18,7 @@ _LEAST_ROWS = 10
 def split_at_gaps(recording: Recording) -> list[Recording]:
     """The parts between the gaps of ``t``; parts of fewer than ten rows are left out.
 
-    Raises
-    ------
-    RecordingError
-        If no part is long enough.
+    Raises RecordingError if no part is long enough.
     """
     wide = np.searchsorted(recording.time, [end for _, end in recording.gaps])
     if not len(wide):

@@ -23,30 +23,14 @@ _MOST_JITTER = 0.4
 
 @dataclass(frozen=True)
 class GriddedRecording:
-    """Channels of a recording at every sample time.
+    """Channels of a recording at every sample time."""
 
-    Attributes
-    ----------
-    recording : Recording
-        As it was read.
-    sample_time : float
-        s, the median step.
-    time : (n,) array
-        s, the rig's own; between the rows of a gap evenly spaced.
-    channels : dict of str to (n,) arrays
-        NaN where there is no sample.
-    present : (n,) bool array
-        Whether the recording has a row at the point.
-    jitter : float
-        Largest deviation of a step from whole sample times, as a share of one.
-    """
-
-    recording: Recording
-    sample_time: float
-    time: np.ndarray
-    channels: dict[str, np.ndarray]
-    present: np.ndarray
-    jitter: float
+    recording: Recording  #: As it was read
+    sample_time: float  #: s, the median step
+    time: np.ndarray  #: (n,) array; s, the rig's own; between the rows of a gap evenly spaced
+    channels: dict[str, np.ndarray]  #: dict of str to (n,) arrays; NaN where there is no sample
+    present: np.ndarray  #: (n,) bool array; whether the recording has a row at the point
+    jitter: float  #: Largest deviation of a step from whole sample times, as a share of one
 
     def __len__(self) -> int:
         return len(self.time)

@@ -30,29 +30,17 @@ _RUN, _SCORE, _CONFIG = "trms.run", "trms.score", "config.yaml"
 
 @dataclass(frozen=True)
 class LogHead:
-    """The words of a log.
-
-    Attributes
-    ----------
-    path : Path
-    finished : bool
-        The file has its end. False for a run that was killed, or that is still running.
-    of_trms : bool
-        Written by this program, not by another one that writes MCAP.
-    run : dict of str to str
-        The last ``trms.run`` record.
-    score : dict of str to anything, or None
-        The last ``trms.score`` record; None for a run that was not scored.
-    config : str
-        The resolved configuration as YAML; empty when the log has none.
-    """
+    """The words of a log."""
 
     path: Path
+    #: The file has its end. False for a run that was killed, or that is still running.
     finished: bool
-    of_trms: bool
-    run: dict[str, str]
+    of_trms: bool  #: Written by this program, not by another one that writes MCAP
+    run: dict[str, str]  #: The last ``trms.run`` record
+    #: dict of str to anything, or None; the last ``trms.score`` record; None for a run that was not
+    #: scored
     score: dict[str, Any] | None
-    config: str
+    config: str  #: The resolved configuration as YAML; empty when the log has none
 
 
 @dataclass
@@ -66,10 +54,8 @@ class _Words:
 def read_log_head(path: Path | str) -> LogHead:
     """Read what a log says of its run.
 
-    Raises
-    ------
-    RecordingError
-        When the file cannot be read, is no MCAP file, or a record of its words is damaged.
+    Raises RecordingError when the file cannot be read, is no MCAP file, or a record of its words is
+    damaged.
     """
     path = Path(path)
     words = _Words()

@@ -51,25 +51,14 @@ _EMPTY_RUN = "it holds no sample: the run ended before its first flush"
 
 @dataclass(frozen=True)
 class Table:
-    """The messages of a topic as columns.
+    """The messages of a topic as columns."""
 
-    Attributes
-    ----------
-    time : (n,) float array [s]
-        Log time.
-    time_ns : (n,) int array [ns]
-        The same, exactly as written.
-    columns : dict of str to (n,) array
-        Floats (NaN for null) for numbers and truth values; objects for text; objects that
-        are float arrays for array fields.
-    units : dict of str to str
-        SI unit per column; "" for text.
-    """
-
-    time: np.ndarray
-    time_ns: np.ndarray
+    time: np.ndarray  #: (n,) float array [s]; log time
+    time_ns: np.ndarray  #: (n,) int array [ns]; the same, exactly as written
+    #: dict of str to (n,) array; floats (NaN for null) for numbers and truth values; objects for
+    #: text; objects that are float arrays for array fields
     columns: dict[str, np.ndarray]
-    units: dict[str, str]
+    units: dict[str, str]  #: SI unit per column; "" for text
 
     def __len__(self) -> int:
         return len(self.time)
@@ -77,36 +66,17 @@ class Table:
 
 @dataclass(frozen=True)
 class LoggedRun:
-    """What a log holds.
+    """What a log holds."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    complete : bool
-        The file was finished and is undamaged. False for a run that died.
-    outcome : str
-        "completed", "interrupted" or "failed"; "died" when the run left no last word.
-    tables : dict of str to Table
-        By topic.
-    run : dict of str to str
-        The last ``trms.run`` record.
-    score : dict of str to anything
-        The last ``trms.score`` record; empty when the run was not scored.
-    attachments : dict of str to bytes
-        By name.
-    problems : tuple of str
-        What is missing or damaged, as sentences.
-    """
-
-    path: Path
-    complete: bool
-    outcome: str
-    tables: dict[str, Table]
-    run: dict[str, str]
+    path: Path  #: The file
+    complete: bool  #: The file was finished and is undamaged. False for a run that died.
+    outcome: str  #: "completed", "interrupted" or "failed"; "died" when the run left no last word
+    tables: dict[str, Table]  #: By topic
+    run: dict[str, str]  #: The last ``trms.run`` record
+    #: dict of str to anything; the last ``trms.score`` record; empty when the run was not scored
     score: dict[str, Any]
-    attachments: dict[str, bytes]
-    problems: tuple[str, ...] = ()
+    attachments: dict[str, bytes]  #: By name
+    problems: tuple[str, ...] = ()  #: What is missing or damaged, as sentences
 
     @property
     def config(self) -> str:

@@ -43,17 +43,10 @@ Wanted = Callable[[str, str], bool]
 
 @dataclass(frozen=True)
 class Piece:
-    """What one look has found.
+    """What one look has found."""
 
-    Attributes
-    ----------
-    tables : dict of str to Table
-        New messages by topic; topics without new ones are absent.
-    written : tuple of (int, int)
-        For each chunk its latest log time and publish time [ns]: how far the run was by when.
-    """
-
-    tables: dict[str, Table]
+    tables: dict[str, Table]  #: New messages by topic; topics without new ones are absent
+    #: For each chunk its latest log time and publish time [ns]: how far the run was by when
     written: tuple[tuple[int, int], ...] = ()
 
 

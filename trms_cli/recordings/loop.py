@@ -35,20 +35,11 @@ _OPEN_WORDS, _CLOSED_WORDS = ("open", "open loop"), ("closed", "closed loop")
 
 @dataclass(frozen=True)
 class Loop:
-    """What is known of the loop.
+    """What is known of the loop."""
 
-    Attributes
-    ----------
-    state : str
-        "open", "closed" or "unknown".
-    declared : bool
-        Whether the recording says so itself.
-    answered : dict of str to float
-        By input: the share of its surprise that measurements explain; empty if not estimated.
-    """
-
-    state: str
-    declared: bool
+    state: str  #: "open", "closed" or "unknown"
+    declared: bool  #: Whether the recording says so itself
+    #: By input: the share of its surprise that measurements explain; empty if not estimated
     answered: dict[str, float]
 
     def sentence(self) -> str:

@@ -24,28 +24,20 @@ from trms_cli.recordings.resampling import resample
 
 @dataclass(frozen=True, kw_only=True)
 class Preparation:
-    """What is done to a recording. The defaults do nothing.
+    """What is done to a recording. The defaults do nothing."""
 
-    Attributes
-    ----------
-    resample : float or None
-        New sample time, s; None keeps the recording's.
-    outliers : "keep" or "mark"
-        Whether outliers of measured channels become missing samples.
-    gaps : "keep", "split" or float
-        ``keep`` leaves missing samples missing; ``split`` makes a recording of each part
-        between gaps of ``t``; a number fills what is missing for at most so many seconds.
-    delays : dict of str to float
-        s by which a channel is recorded late: it is moved earlier. Negative for one that is
-        early, as a command that is written down before it acts.
-    jitter : float
-        Largest deviation of a step from whole sample times, as a share of one.
-    """
-
+    #: New sample time, s; None keeps the recording's
     resample: Annotated[float, Meta(gt=0)] | None = None
+    #: "keep" or "mark"; whether outliers of measured channels become missing samples
     outliers: Literal["keep", "mark"] = "keep"
+    #: "keep", "split" or float; ``keep`` leaves missing samples missing; ``split`` makes a
+    #: recording of each part between gaps of ``t``; a number fills what is missing for at most so
+    #: many seconds
     gaps: Literal["keep", "split"] | Annotated[float, Meta(gt=0)] = "keep"
+    #: s by which a channel is recorded late: it is moved earlier. Negative for one that is early,
+    #: as a command that is written down before it acts.
     delays: Mapping[str, float] = field(default_factory=dict)
+    #: Largest deviation of a step from whole sample times, as a share of one
     jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
 
     def apply(self, recording: Recording) -> list[Recording]:

@@ -26,30 +26,16 @@ SLOW_SAMPLE = 1.0
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of a rig over time. Missing samples are NaN, gaps are steps of ``time``.
+    """Signals of a rig over time. Missing samples are NaN, gaps are steps of ``time``."""
 
-    Attributes
-    ----------
-    time : (n,) float array [s]
-        Strictly rising, n >= 2.
-    channels : dict of str to (n,) float array
-        By name, in SI; commands in V, or in "1" when normalised to full scale.
-    units : dict of str to str
-        SI unit per channel.
-    metadata : dict of str to str
-        What the file says about itself.
-    source : Path
-        Where it was read from.
-    remarks : tuple of str
-        What the reader found worth telling.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  #: (n,) float array [s]; strictly rising, n >= 2
+    #: dict of str to (n,) float array; by name, in SI; commands in V, or in "1" when normalised to
+    #: full scale
     channels: dict[str, np.ndarray]
-    units: dict[str, str]
-    metadata: dict[str, str] = field(default_factory=dict)
-    source: Path = Path()
-    remarks: tuple[str, ...] = ()
+    units: dict[str, str]  #: SI unit per channel
+    metadata: dict[str, str] = field(default_factory=dict)  #: What the file says about itself
+    source: Path = Path()  #: Where it was read from
+    remarks: tuple[str, ...] = ()  #: What the reader found worth telling
 
     def __len__(self) -> int:
         return len(self.time)
@@ -144,10 +130,8 @@ class Recording:
 def read_recording(path: Path | str) -> Recording:
     """Read a recording, from CSV, MAT or a run log.
 
-    Raises
-    ------
-    RecordingError
-        With the line of a CSV that is wrong, what was found there, and what to do.
+    Raises RecordingError with the line of a CSV that is wrong, what was found there, and what to
+    do.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -29,24 +29,12 @@ _JSON_TYPES = {
 
 @dataclass(frozen=True)
 class Field:
-    """One value of a message.
+    """One value of a message."""
 
-    Attributes
-    ----------
-    name : str
-        Key in the JSON message.
-    unit : str
-        SI unit; "1" for a plain number, "" for text and truth values.
-    description : str
-        What it is, without the unit.
-    kind : str
-        "number", "integer", "text", "boolean" or "array" (of numbers).
-    """
-
-    name: str
-    unit: str = "1"
-    description: str = ""
-    kind: Kind = "number"
+    name: str  #: Key in the JSON message
+    unit: str = "1"  #: SI unit; "1" for a plain number, "" for text and truth values
+    description: str = ""  #: What it is, without the unit
+    kind: Kind = "number"  #: "number", "integer", "text", "boolean" or "array" (of numbers)
 
     def json_schema(self) -> dict[str, Any]:
         """Return the property's JSON schema; the unit stands in its description."""
@@ -66,21 +54,11 @@ class Field:
 
 @dataclass(frozen=True)
 class Topic:
-    """A named stream of messages that all have the same fields.
+    """A named stream of messages that all have the same fields."""
 
-    Attributes
-    ----------
-    name : str
-        With its slash: "/command".
-    fields : tuple of Field
-        In the order in which values are written.
-    description : str
-        One sentence for the schema.
-    """
-
-    name: str
-    fields: tuple[Field, ...]
-    description: str = ""
+    name: str  #: With its slash: "/command"
+    fields: tuple[Field, ...]  #: In the order in which values are written
+    description: str = ""  #: One sentence for the schema
 
     def __post_init__(self) -> None:
         names = self.field_names
@@ -113,21 +91,11 @@ class Topic:
 
 @dataclass(frozen=True)
 class EncodedTopic:
-    """A stream of messages that come as JSON already, with somebody else's schema.
+    """A stream of messages that come as JSON already, with somebody else's schema."""
 
-    Attributes
-    ----------
-    name : str
-        With its slash: "/tf".
-    schema_name : str
-        As its publisher calls it: "foxglove.FrameTransforms".
-    schema : bytes
-        The JSON schema as published.
-    """
-
-    name: str
-    schema_name: str
-    schema: bytes
+    name: str  #: With its slash: "/tf"
+    schema_name: str  #: As its publisher calls it: "foxglove.FrameTransforms"
+    schema: bytes  #: The JSON schema as published
 
 
 EVENT_TOPIC = Topic(

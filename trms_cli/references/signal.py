@@ -53,10 +53,7 @@ class Signal(Protocol):
 def require_signal(value: object, where: str) -> None:
     """Check a nested signal that came from configuration.
 
-    Raises
-    ------
-    ConfigurationError
-        If the value cannot be sampled.
+    Raises ConfigurationError if the value cannot be sampled.
     """
     if not isinstance(value, Signal):
         raise ConfigurationError(

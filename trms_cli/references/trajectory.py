@@ -85,10 +85,7 @@ class ReferenceTrajectory:
     def restricted_to(self, axes: Sequence[str]) -> ReferenceTrajectory:
         """The reference of a rig that has only these axes.
 
-        Raises
-        ------
-        ConfigurationError
-            If an axis of the rig has no reference.
+        Raises ConfigurationError if an axis of the rig has no reference.
         """
         for axis in axes:
             if axis not in self.axes:

@@ -41,17 +41,10 @@ _PAPER = {"boxstyle": "square,pad=0.1", "facecolor": (1, 1, 1, 0.7), "edgecolor"
 
 @dataclass(frozen=True)
 class Handle:
-    """What a legend shows of a mark.
+    """What a legend shows of a mark."""
 
-    Attributes
-    ----------
-    artist : matplotlib artist
-    look : object
-        Equal for marks that cannot be told apart.
-    """
-
-    artist: Any
-    look: object
+    artist: Any  #: matplotlib artist
+    look: object  #: Equal for marks that cannot be told apart
 
 
 def draw_mark(axes: Any, mark: Mark) -> Handle | None:

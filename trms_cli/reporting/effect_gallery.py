@@ -30,26 +30,13 @@ from trms_cli.reporting.effect_scenes import FloatArray, Scene
 
 @dataclass(frozen=True, kw_only=True)
 class EffectFigure:
-    """What a figure shows.
-
-    Attributes
-    ----------
-    scene : Scene
-    shown : str
-        State of the response, or what is measured of it.
-    characteristic : callable
-        Draws it on a panel from the run with the effect.
-    window : (float, float)
-        Times shown, s; all by default.
-    measured : bool
-        Whether what the sensor shows is drawn, in place of the state.
-    """
+    """What a figure shows."""
 
     scene: Scene
-    shown: str
-    characteristic: Characteristic
-    window: tuple[float, float] | None = None
-    measured: bool = False
+    shown: str  #: State of the response, or what is measured of it
+    characteristic: Characteristic  #: Draws it on a panel from the run with the effect
+    window: tuple[float, float] | None = None  #: Times shown, s; all by default
+    measured: bool = False  #: Whether what the sensor shows is drawn, in place of the state
 
 
 Command = Callable[[FloatArray], FloatArray]

@@ -34,52 +34,29 @@ _SEED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One simulation: times (n + 1,), states by name, commands (n, 2) and what reached the motors.
+    """One simulation: times (n + 1,), states by name, commands (n, 2) and what the motors got."""
 
-    Attributes
-    ----------
-    time, command, arriving : FloatArray
-        s; V, held over each step; V, mean of each substep.
-    states : dict of str to FloatArray
-    torque : dict of str to FloatArray
-        Torque that the effect added, by the axis' angle or the rotor's speed, mean of each
-        substep, N m.
-    readings : dict of str to FloatArray
-        What the sensors showed at each time, by output.
-    quantities : dict of str to FloatArray
-        Physical quantities of the nominal model at each time.
-    """
-
+    #: ``time``, ``command``, ``arriving``: s; V, held over each step; V, mean of each substep
     time: FloatArray
     command: FloatArray
     arriving: FloatArray
     states: dict[str, FloatArray]
+    #: Torque that the effect added, by the axis' angle or the rotor's speed, mean of each substep,
+    #: N m
     torque: dict[str, FloatArray]
-    readings: dict[str, FloatArray]
-    quantities: dict[str, FloatArray]
+    readings: dict[str, FloatArray]  #: What the sensors showed at each time, by output
+    quantities: dict[str, FloatArray]  #: Physical quantities of the nominal model at each time
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A simulation that shows an effect.
+    """A simulation that shows an effect."""
 
-    Attributes
-    ----------
-    effect : str
-        Canonical name; the option's own sizes unless ``sizes`` has others.
-    command : callable
-        Times (n,) to commands (n, 2), V.
-    duration : float
-        s.
-    start : dict of str to float
-        States that do not begin at rest.
-    """
-
-    effect: str
-    command: Callable[[FloatArray], FloatArray]
-    duration: float
+    effect: str  #: Canonical name; the option's own sizes unless ``sizes`` has others
+    command: Callable[[FloatArray], FloatArray]  #: Times (n,) to commands (n, 2), V
+    duration: float  #: s
     sizes: dict[str, float] = field(default_factory=dict)
-    start: dict[str, float] = field(default_factory=dict)
+    start: dict[str, float] = field(default_factory=dict)  #: States that do not begin at rest
 
 
 def library_effect(name: str, sizes: dict[str, float] | None = None) -> Effect:

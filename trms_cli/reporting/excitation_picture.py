@@ -31,50 +31,26 @@ _WIDTH, _HEIGHT = 11.0, 11.5
 
 @dataclass(frozen=True)
 class ExcitationFigures:
-    """What is drawn; arrays over time begin with the lead-in.
+    """What is drawn; arrays over time begin with the lead-in."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        s.
-    first : int
-        Sample at which the excitation begins.
-    commands : dict of str to (n,) array
-    units : dict of str to str
-        Of inputs and outputs.
-    outputs : dict of str to (n,) array
-        Of the simulated rig.
-    bounds : dict of str to float
-        Of the angles, rad.
-    rates : dict of str to (m,) array
-        Rates of the angles during the excitation, rad/s.
-    band : (float, float)
-        Hz.
-    poles : sequence of float
-        Distances of the slowest and the fastest pole from zero, Hz.
-    frequencies : (k,) array
-        Hz.
-    input_densities, output_densities : dict of str to (k,) array
-        Power spectral densities.
-    noise : dict of str to float
-        The same of each output's noise.
-    responses : dict of (str, str) to (k,) array
-        Magnitude of the linearised response of an output to an input.
-    """
-
-    time: FloatArray
-    first: int
-    commands: dict[str, FloatArray]
-    units: dict[str, str]
-    outputs: dict[str, FloatArray]
-    bounds: dict[str, float]
+    time: FloatArray  #: (n,) array; s
+    first: int  #: Sample at which the excitation begins
+    commands: dict[str, FloatArray]  #: dict of str to (n,) array
+    units: dict[str, str]  #: Of inputs and outputs
+    outputs: dict[str, FloatArray]  #: dict of str to (n,) array; of the simulated rig
+    bounds: dict[str, float]  #: Of the angles, rad
+    #: dict of str to (m,) array; rates of the angles during the excitation, rad/s
     rates: dict[str, FloatArray]
-    band: tuple[float, float]
-    poles: tuple[float, float]
-    frequencies: FloatArray
+    band: tuple[float, float]  #: Hz
+    poles: tuple[float, float]  #: Distances of the slowest and the fastest pole from zero, Hz
+    frequencies: FloatArray  #: (k,) array; hz
+    #: ``input_densities``, ``output_densities``: dict of str to (k,) array; power spectral
+    #: densities
     input_densities: dict[str, FloatArray]
     output_densities: dict[str, FloatArray]
-    noise: dict[str, float]
+    noise: dict[str, float]  #: The same of each output's noise
+    #: dict of (str, str) to (k,) array; magnitude of the linearised response of an output to an
+    #: input
     responses: dict[tuple[str, str], FloatArray]
 
 

@@ -36,29 +36,16 @@ _REACH = 4.0
 
 @dataclass(frozen=True)
 class FreeRunTrace:
-    """One output over one part of a recording.
-
-    Attributes
-    ----------
-    name, unit : str
-    time : (n,) array
-        s.
-    measured : (n,) array
-    before : (n,) array or None
-        Simulated with the values before the fit; NaN where it was not.
-    after : (n,) array
-        Simulated with the fitted values.
-    starts : (m,) array
-        Times at which a window starts anew, s.
-    """
+    """One output over one part of a recording."""
 
     name: str
     unit: str
-    time: FloatArray
-    measured: FloatArray
+    time: FloatArray  #: (n,) array; s
+    measured: FloatArray  #: (n,) array
+    #: (n,) array or None; simulated with the values before the fit; NaN where it was not
     before: FloatArray | None
-    after: FloatArray
-    starts: FloatArray
+    after: FloatArray  #: (n,) array; simulated with the fitted values
+    starts: FloatArray  #: (m,) array; times at which a window starts anew, s
 
 
 def free_run_figure(traces: Sequence[FreeRunTrace], title: str) -> Figure:

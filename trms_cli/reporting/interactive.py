@@ -42,73 +42,37 @@ _DASHES = ("solid", "dash", "dot", "dashdot")
 
 @dataclass(frozen=True)
 class Variant:
-    """Another figure that the same plot can show.
+    """Another figure that the same plot can show."""
 
-    Attributes
-    ----------
-    label : str
-        What the reader chooses.
-    traces : sequence of dict
-        Per trace of the plot, the keys that change (``y``).
-    titles : dict of str to str
-        By axis (``xaxis``, ``yaxis``), its title then.
-    """
-
-    label: str
-    traces: Sequence[Mapping[str, Any]]
+    label: str  #: What the reader chooses
+    traces: Sequence[Mapping[str, Any]]  #: Per trace of the plot, the keys that change (``y``)
+    #: By axis (``xaxis``, ``yaxis``), its title then
     titles: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Fans:
-    """Predictions of which one at a time is drawn bold, as a slider chooses.
+    """Predictions of which one at a time is drawn bold, as a slider chooses."""
 
-    Attributes
-    ----------
-    times : sequence of float
-        When each was made, s.
-    starts : sequence of int
-        Where each begins in the traces of all; one more at the end.
-    pairs : sequence of (int, int)
-        The trace of all predictions and the one that shows the chosen.
-    """
-
-    times: Sequence[float]
-    starts: Sequence[int]
+    times: Sequence[float]  #: When each was made, s
+    starts: Sequence[int]  #: Where each begins in the traces of all; one more at the end
+    #: The trace of all predictions and the one that shows the chosen
     pairs: Sequence[tuple[int, int]]
 
 
 @dataclass
 class Plot:
-    """A plot.
-
-    Attributes
-    ----------
-    title : str
-    traces : list of dict
-        As plotly has them.
-    layout : dict
-        As plotly has it, laid over the look of the house.
-    caption : str
-        Under the plot; also told to who cannot see it.
-    group : str
-        Plots of one group share their x axis; "" for none.
-    height : int
-        Pixels.
-    half : bool
-        Two of them stand side by side where there is room.
-    variants : list of Variant
-        What else it can show: a choice appears over the first plot of a section that has some.
-    fans : Fans or None
-    """
+    """A plot."""
 
     title: str
-    traces: list[dict[str, Any]] = field(default_factory=list)
+    traces: list[dict[str, Any]] = field(default_factory=list)  #: As plotly has them
+    #: As plotly has it, laid over the look of the house
     layout: dict[str, Any] = field(default_factory=dict)
-    caption: str = ""
-    group: str = ""
-    height: int = 260
-    half: bool = False
+    caption: str = ""  #: Under the plot; also told to who cannot see it
+    group: str = ""  #: Plots of one group share their x axis; "" for none
+    height: int = 260  #: Pixels
+    half: bool = False  #: Two of them stand side by side where there is room
+    #: What else it can show: a choice appears over the first plot of a section that has some
     variants: list[Variant] = field(default_factory=list)
     fans: Fans | None = None
 

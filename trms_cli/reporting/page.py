@@ -258,10 +258,7 @@ class Page:
     def write(self, path: Path) -> None:
         """Write the page, whole or not at all.
 
-        Raises
-        ------
-        OSError
-            If the disk does not take it.
+        Raises OSError if the disk does not take it.
         """
         text = self.html()
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

@@ -16,39 +16,20 @@ _LONGEST_CELL = 300
 
 @dataclass(frozen=True)
 class RowColumn:
-    """A column.
+    """A column."""
 
-    Attributes
-    ----------
-    title : str
-        Head, with its unit.
-    key : str
-        Its name in a filter: ``rmse_yaw<0.05``.
-    number : bool
-        Whether it holds numbers, which stand right.
-    decimals : int or None
-        Digits behind the point; None: three digits in all.
-    """
-
-    title: str
-    key: str
-    number: bool = False
-    decimals: int | None = None
+    title: str  #: Head, with its unit
+    key: str  #: Its name in a filter: ``rmse_yaw<0.05``
+    number: bool = False  #: Whether it holds numbers, which stand right
+    decimals: int | None = None  #: Digits behind the point; None: three digits in all
 
 
 @dataclass(frozen=True)
 class Linked:
-    """A cell that leads to a file beside the page.
-
-    Attributes
-    ----------
-    text : str
-    target : str
-        Path of the file from the page's folder; "": no link.
-    """
+    """A cell that leads to a file beside the page."""
 
     text: str
-    target: str = ""
+    target: str = ""  #: Path of the file from the page's folder; "": no link
 
 
 RowCell = str | float | int | bool | None | Linked

@@ -21,10 +21,7 @@ SCRIPTS = ("plotly-cartesian.min.js", "page.js")
 def scripts() -> tuple[str, ...]:
     """The text of each script, as it stands in a page.
 
-    Raises
-    ------
-    ValueError
-        If one of them could end the element that it stands in.
+    Raises ValueError if one of them could end the element that it stands in.
     """
     found = []
     for name in SCRIPTS:

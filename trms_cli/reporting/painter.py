@@ -24,19 +24,11 @@ _TOPICS = ("/reference", "/command", "/measurement", "/plant/state", "/estimate"
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What a picture needs of a history, without the log behind it.
+    """What a picture needs of a history, without the log behind it."""
 
-    Attributes
-    ----------
-    seconds : dict of str to (n,) array
-        Times by topic, s.
-    values : dict of str to dict of str to (n,) array
-        Columns by topic.
-    events : list of (time_ns, kind, source, message, value)
-    """
-
-    seconds: dict[str, Any]
-    values: dict[str, dict[str, Any]]
+    seconds: dict[str, Any]  #: dict of str to (n,) array; times by topic, s
+    values: dict[str, dict[str, Any]]  #: dict of str to dict of str to (n,) array; columns by topic
+    #: list of (time_ns, kind, source, message, value)
     events: list[tuple[int, str, str, str, float]]
 
     @classmethod

@@ -141,10 +141,7 @@ def absences(
 def size_of(width: str | None, style: Variant) -> tuple[float, float | None]:
     """Width and height in mm; no height where only a width was given.
 
-    Raises
-    ------
-    ConfigurationError
-        For what is no size.
+    Raises ConfigurationError for what is no size.
     """
     if width is None:
         return _WIDTHS[style], None

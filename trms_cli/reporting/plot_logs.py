@@ -66,39 +66,22 @@ class Log(Protocol):
 
 @dataclass(frozen=True)
 class Signal:
-    """A curve over time.
+    """A curve over time."""
 
-    Attributes
-    ----------
-    time, values : (n,) array
-        s, and in the unit.
-    unit : str
-    source : str
-        What it is: ``rig`` (the true state), ``measured``, ``estimate``.
-    """
-
-    time: FloatArray
-    values: FloatArray
+    time: FloatArray  #: (n,) array; s, and in the unit
+    values: FloatArray  #: (n,) array; s, and in the unit
     unit: str
-    source: str = ""
+    source: str = ""  #: What it is: ``rig`` (the true state), ``measured``, ``estimate``
 
 
 @dataclass(frozen=True)
 class Plotted:
-    """A log under its name, seen through a window.
-
-    Attributes
-    ----------
-    log : Log
-    name : str
-    start, end : float
-        s; what is outside is not drawn.
-    """
+    """A log under its name, seen through a window."""
 
     log: Log
     name: str
-    start: float = -np.inf
-    end: float = np.inf
+    start: float = -np.inf  #: s; what is outside is not drawn
+    end: float = np.inf  #: s; what is outside is not drawn
 
     def names(self, topic: str) -> list[str]:
         """Fields of a topic; empty where the topic is absent or silent."""

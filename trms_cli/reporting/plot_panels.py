@@ -40,24 +40,12 @@ class Absent(Exception):
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel that is yet to be drawn.
+    """A panel that is yet to be drawn."""
 
-    Attributes
-    ----------
-    draw : callable
-        Draws into the axes it is given.
-    height : float
-        Over that of an ordinary panel.
-    over_time : bool
-        Its horizontal axis is the time, shared with all the others'.
-    half : bool
-        It stands beside its neighbour, at half the width.
-    """
-
-    draw: Callable[[Axes], None]
-    height: float = 1.0
-    over_time: bool = True
-    half: bool = False
+    draw: Callable[[Axes], None]  #: Draws into the axes it is given
+    height: float = 1.0  #: Over that of an ordinary panel
+    over_time: bool = True  #: Its horizontal axis is the time, shared with all the others'
+    half: bool = False  #: It stands beside its neighbour, at half the width
 
 
 def tracking(logs: Sequence[Plotted]) -> list[Panel]:

@@ -39,34 +39,17 @@ _NEAR = 2.5
 
 @dataclass(frozen=True, kw_only=True)
 class RankedEntrant:
-    """A line of a ranking.
+    """A line of a ranking."""
 
-    Attributes
-    ----------
-    name : str
-        Who ran.
-    rank : int or None
-        From 1; None for one that is not ranked.
-    ratio : float or None
-        Its error over the best's in the same conditions, geometric mean.
-    low, high : float or None
-        Interval of the ratio; None where there are too few rigs to tell.
-    against_first : float or None
-        Its error over the first's.
-    different : bool or None
-        Whether it is told from the first; None where that cannot be said.
-    figures : dict of str to float
-        Further columns, by their heads with units.
-    """
-
-    name: str
-    rank: int | None
-    ratio: float | None
-    low: float | None = None
-    high: float | None = None
-    against_first: float | None = None
+    name: str  #: Who ran
+    rank: int | None  #: From 1; None for one that is not ranked
+    ratio: float | None  #: Its error over the best's in the same conditions, geometric mean
+    low: float | None = None  #: Interval of the ratio
+    high: float | None = None  #: None where there are too few rigs to tell
+    against_first: float | None = None  #: Its error over the first's
+    #: Whether it is told from the first; None where that cannot be said
     different: bool | None = None
-    figures: Mapping[str, float | int | None]
+    figures: Mapping[str, float | int | None]  #: Further columns, by their heads with units
 
 
 def comparison_page(

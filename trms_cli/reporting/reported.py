@@ -20,75 +20,40 @@ _TRUTH = (("/plant/state", "rig"), ("/measurement", "measured"), ("/estimate", "
 
 @dataclass(frozen=True)
 class RunEvent:
-    """Something that happened.
+    """Something that happened."""
 
-    Attributes
-    ----------
-    time : float
-        s
-    kind, source, message : str
-        What, to what, in a sentence.
-    value : float
-        A number that belongs to it, in the unit the message names; NaN for none.
-    """
-
-    time: float
-    kind: str
-    source: str = ""
-    message: str = ""
+    time: float  #: s
+    kind: str  #: What, to what, in a sentence
+    source: str = ""  #: What, to what, in a sentence
+    message: str = ""  #: What, to what, in a sentence
+    #: A number that belongs to it, in the unit the message names; NaN for none
     value: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportedRun:
-    """A run.
+    """A run."""
 
-    Attributes
-    ----------
-    name : str
-        What it is called among others.
-    times : dict of str to (n,) array
-        By topic (``/measurement``), s.
-    columns : dict of str to dict of str to (n,) array
-        By topic and field; arrays of arrays for ``/prediction``.
-    units : dict of str to dict of str to str
-        By topic and field.
-    events : sequence of RunEvent
-    score : dict
-        ``trms.score/1``; empty for a run that cannot be scored.
-    limits : dict of str to (float, float)
-        By input and channel.
-    outcome : str
-        ``completed``, ``interrupted``, ``failed`` or ``died``.
-    duration : float
-        s
-    problems : sequence of str
-        What is missing or damaged, as sentences.
-    choices : dict of str to str
-        Option of each group: ``controller``, ``ref``, ….
-    facts : dict of str to str
-        What else is worth a line: seed, when, versions.
-    command, repeat : str
-        What was typed, and what to type to have the same again; "" if nobody knows.
-    config : str
-        The resolved configuration as YAML.
-    """
-
-    name: str
-    times: Mapping[str, FloatArray]
+    name: str  #: What it is called among others
+    times: Mapping[str, FloatArray]  #: dict of str to (n,) array; by topic (``/measurement``), s
+    #: dict of str to dict of str to (n,) array; by topic and field; arrays of arrays for
+    #: ``/prediction``
     columns: Mapping[str, Mapping[str, Any]]
-    units: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    units: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  #: By topic and field
     events: Sequence[RunEvent] = ()
+    #: ``trms.score/1``; empty for a run that cannot be scored
     score: Mapping[str, Any] = field(default_factory=dict)
-    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    outcome: str = "completed"
-    duration: float = 0.0
-    problems: Sequence[str] = ()
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)  #: By input and channel
+    outcome: str = "completed"  #: ``completed``, ``interrupted``, ``failed`` or ``died``
+    duration: float = 0.0  #: s
+    problems: Sequence[str] = ()  #: What is missing or damaged, as sentences
+    #: Option of each group: ``controller``, ``ref``, ….
     choices: Mapping[str, str] = field(default_factory=dict)
+    #: What else is worth a line: seed, when, versions
     facts: Mapping[str, str] = field(default_factory=dict)
-    command: str = ""
-    repeat: str = ""
-    config: str = ""
+    command: str = ""  #: What was typed, and what to type to have the same again
+    repeat: str = ""  #: "" if nobody knows
+    config: str = ""  #: The resolved configuration as YAML
 
     def topic(self, name: str) -> Mapping[str, Any]:
         """Columns of a topic; empty where the run has none, or no sample of it."""

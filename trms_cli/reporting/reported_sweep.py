@@ -16,36 +16,18 @@ Value = str | float | int | bool | None
 
 @dataclass(frozen=True, kw_only=True)
 class SweptRun:
-    """A run of many.
+    """A run of many."""
 
-    Attributes
-    ----------
-    name : str
-        Its folder, from that of all.
-    entrant : str
-        Who ran: the options and settings that a ranking tells apart.
-    outcome : str
-        ``completed``, ``failed``, ``interrupted``, ``unfinished``, ….
-    values : dict of str to value
-        By key that differs between runs (:attr:`ReportedSweep.keys`).
-    figures : dict of str to float
-        By name (:attr:`ReportedSweep.figures`); missing for what it does not have.
-    problem : str
-        Why it failed.
-    page : str
-        Address of its own report from the page's folder; "" if it has none.
-    number : int or None
-        Of the sweep's run, as its folder is called.
-    """
-
-    name: str
-    entrant: str = ""
-    outcome: str = "completed"
+    name: str  #: Its folder, from that of all
+    entrant: str = ""  #: Who ran: the options and settings that a ranking tells apart
+    outcome: str = "completed"  #: ``completed``, ``failed``, ``interrupted``, ``unfinished``, ….
+    #: dict of str to value; by key that differs between runs (:attr:`ReportedSweep.keys`)
     values: Mapping[str, Value] = field(default_factory=dict)
+    #: By name (:attr:`ReportedSweep.figures`); missing for what it does not have
     figures: Mapping[str, float] = field(default_factory=dict)
-    problem: str = ""
-    page: str = ""
-    number: int | None = None
+    problem: str = ""  #: Why it failed
+    page: str = ""  #: Address of its own report from the page's folder; "" if it has none
+    number: int | None = None  #: Of the sweep's run, as its folder is called
 
     @property
     def failed(self) -> bool:
@@ -55,125 +37,69 @@ class SweptRun:
 
 @dataclass(frozen=True)
 class Objective:
-    """What an optimisation seeks.
+    """What an optimisation seeks."""
 
-    Attributes
-    ----------
-    figure : str
-        Name of a figure.
-    largest : bool
-        It seeks the largest, not the least.
-    """
-
-    figure: str
-    largest: bool = False
+    figure: str  #: Name of a figure
+    largest: bool = False  #: It seeks the largest, not the least
 
 
 @dataclass(frozen=True, kw_only=True)
 class FailureShare:
-    """How often the draws of an entrant failed.
-
-    Attributes
-    ----------
-    who : str
-    draws, count : int
-        How many there were, and how many of them failed or did not hold a limit.
-    share, low, high : float or None
-        Their share, and its interval of 95 %.
-    """
+    """How often the draws of an entrant failed."""
 
     who: str
+    #: ``draws``, ``count``: How many there were, and how many of them failed or did not hold a
+    #: limit
     draws: int
     count: int
-    share: float | None
-    low: float | None
-    high: float | None
+    share: float | None  #: Their share, and its interval of 95 %
+    low: float | None  #: Their share, and its interval of 95 %
+    high: float | None  #: Their share, and its interval of 95 %
 
 
 @dataclass(frozen=True, kw_only=True)
 class Correlation:
-    """How a figure of an entrant hangs on a drawn value.
-
-    Attributes
-    ----------
-    who, key, figure : str
-    rho : float
-        Spearman's rank correlation.
-    p : float or None
-        How likely chance gives as much, adjusted for the number of correlations.
-    """
+    """How a figure of an entrant hangs on a drawn value."""
 
     who: str
     key: str
     figure: str
-    rho: float
-    p: float | None
+    rho: float  #: Spearman's rank correlation
+    p: float | None  #: How likely chance gives as much, adjusted for the number of correlations
 
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """What a sweep over drawn values says.
+    """What a sweep over drawn values says."""
 
-    Attributes
-    ----------
-    keys : sequence of str
-        What was drawn, the most strongly correlated first.
-    limits : dict of str to float
-        Bounds that a figure was to hold.
-    failures : sequence of FailureShare
-    correlations : sequence of Correlation
-        The strongest first.
-    """
-
-    keys: Sequence[str]
-    limits: Mapping[str, float] = field(default_factory=dict)
+    keys: Sequence[str]  #: What was drawn, the most strongly correlated first
+    limits: Mapping[str, float] = field(default_factory=dict)  #: Bounds that a figure was to hold
     failures: Sequence[FailureShare] = ()
-    correlations: Sequence[Correlation] = ()
+    correlations: Sequence[Correlation] = ()  #: The strongest first
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportedSweep:
-    """Many runs.
-
-    Attributes
-    ----------
-    name : str
-    runs : sequence of SweptRun
-    keys : sequence of str
-        Keys and options in which runs differ.
-    figures : dict of str to str
-        Names of figures with their units, those that say most first.
-    objectives : sequence of Objective
-        Of an optimisation; empty for other sweeps.
-    pareto : sequence of int
-        Numbers of the trials, or runs, of which none is better in all objectives; empty: worked out
-        here.
-    trials : sequence of SweptRun
-        What an optimisation tried, each under several conditions, with figures over all of them;
-        empty: each run is a trial.
-    history : sequence of float or None
-        After each trial the best value so far; of several objectives the volume that the front
-        dominates.
-    asked : int or None
-        How many runs there were to be; None where nobody said.
-    draws : Draws or None
-        Of a sweep over drawn values.
-    left_out : sequence of (str, str)
-        Files that could not be read, with the reason.
-    facts : dict of str to str
-    """
+    """Many runs."""
 
     name: str
     runs: Sequence[SweptRun]
-    keys: Sequence[str] = ()
+    keys: Sequence[str] = ()  #: Keys and options in which runs differ
+    #: Names of figures with their units, those that say most first
     figures: Mapping[str, str] = field(default_factory=dict)
-    objectives: Sequence[Objective] = ()
+    objectives: Sequence[Objective] = ()  #: Of an optimisation; empty for other sweeps
+    #: Numbers of the trials, or runs, of which none is better in all objectives; empty: worked out
+    #: here
     pareto: Sequence[int] = ()
+    #: What an optimisation tried, each under several conditions, with figures over all of them;
+    #: empty: each run is a trial
     trials: Sequence[SweptRun] = ()
+    #: After each trial the best value so far; of several objectives the volume that the front
+    #: dominates
     history: Sequence[float | None] = ()
-    asked: int | None = None
-    draws: Draws | None = None
-    left_out: Sequence[tuple[str, str]] = ()
+    asked: int | None = None  #: How many runs there were to be; None where nobody said
+    draws: Draws | None = None  #: Of a sweep over drawn values
+    left_out: Sequence[tuple[str, str]] = ()  #: Files that could not be read, with the reason
     facts: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property

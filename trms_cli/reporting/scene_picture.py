@@ -34,21 +34,11 @@ _WORDS = {"main": "main rotor", "tail": "tail rotor", "weight": "counterweight"}
 
 @dataclass(frozen=True)
 class Shot:
-    """A moment of a scene.
+    """A moment of a scene."""
 
-    Attributes
-    ----------
-    time : float
-        s
-    transforms : mapping
-        foxglove.FrameTransforms, decoded.
-    commands : mapping
-        foxglove.SceneUpdate with the arrows, decoded.
-    """
-
-    time: float
-    transforms: Mapping[str, Any]
-    commands: Mapping[str, Any]
+    time: float  #: s
+    transforms: Mapping[str, Any]  #: foxglove.FrameTransforms, decoded
+    commands: Mapping[str, Any]  #: foxglove.SceneUpdate with the arrows, decoded
 
 
 def frames_of(transforms: Mapping[str, Any]) -> dict[str, tuple[FloatArray, FloatArray]]:

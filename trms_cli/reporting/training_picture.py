@@ -40,52 +40,30 @@ _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1.2)))
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """The loss of one training.
-
-    Attributes
-    ----------
-    label : str
-    losses : (n,) array
-        Normalised mean squared error after each epoch, from epoch 0 on.
-    seconds : (n,) array
-        Time until then.
-    """
+    """The loss of one training."""
 
     label: str
+    #: (n,) array; normalised mean squared error after each epoch, from epoch 0 on
     losses: FloatArray
-    seconds: FloatArray
+    seconds: FloatArray  #: (n,) array; time until then
 
 
 @dataclass(frozen=True)
 class Spread:
-    """One training algorithm over several starts.
-
-    Attributes
-    ----------
-    label : str
-    errors : (n,) array
-        One a start; infinite after a divergence.
-    seconds : (n,) array
-    """
+    """One training algorithm over several starts."""
 
     label: str
-    errors: FloatArray
-    seconds: FloatArray
+    errors: FloatArray  #: (n,) array; one a start; infinite after a divergence
+    seconds: FloatArray  #: (n,) array
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """One correlation test of residuals.
-
-    Attributes
-    ----------
-    title : str
-    lags, values, band : (n,) arrays
-        Correlation at each lag and the half width of its confidence band.
-    failed : bool
-    """
+    """One correlation test of residuals."""
 
     title: str
+    #: ``lags``, ``values``, ``band``: (n,) arrays; correlation at each lag and the half width of
+    #: its confidence band
     lags: FloatArray
     values: FloatArray
     band: FloatArray

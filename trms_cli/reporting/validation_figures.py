@@ -31,53 +31,28 @@ MODEL_COLOURS = (*COLOURS, PALETTE["orange"], PALETTE["sky"])
 
 @dataclass(frozen=True)
 class ChannelRun:
-    """A channel of one recording, and what models made of it in windows one after another.
-
-    Attributes
-    ----------
-    channel, unit : str
-    time : (n,) array
-        s.
-    measured : (n,) array
-    simulated : dict of str to (n,) arrays
-        By model; NaN where no window lies.
-    starts : (m,) array
-        s at which windows begin.
-    """
+    """A channel of one recording, and what models made of it in windows one after another."""
 
     channel: str
     unit: str
-    time: Any
-    measured: Any
-    simulated: Mapping[str, Any]
-    starts: Any
+    time: Any  #: (n,) array; s
+    measured: Any  #: (n,) array
+    simulated: Mapping[str, Any]  #: dict of str to (n,) arrays; by model; NaN where no window lies
+    starts: Any  #: (m,) array; s at which windows begin
 
 
 @dataclass(frozen=True)
 class ErrorGrowth:
-    """The error of a channel over the time since the last measurement.
-
-    Attributes
-    ----------
-    channel, unit : str
-    ahead : (k,) array
-        s.
-    rms : dict of str to (k,) arrays
-        At exactly that time ahead, by model.
-    unchanged : (k,) array
-        Of predicting no change.
-    noise : float
-        Declared noise of the channel.
-    intervals : dict of str to list of (horizon, rms, lower, upper)
-        By model: RMS over the whole windows of a horizon.
-    """
+    """The error of a channel over the time since the last measurement."""
 
     channel: str
     unit: str
-    ahead: Any
-    rms: Mapping[str, Any]
-    unchanged: Any
-    noise: float
+    ahead: Any  #: (k,) array; s
+    rms: Mapping[str, Any]  #: dict of str to (k,) arrays; at exactly that time ahead, by model
+    unchanged: Any  #: (k,) array; of predicting no change
+    noise: float  #: Declared noise of the channel
+    #: dict of str to list of (horizon, rms, lower, upper); by model: RMS over the whole windows of
+    #: a horizon
     intervals: Mapping[str, Sequence[tuple[float, float, float, float]]] = field(
         default_factory=dict
     )

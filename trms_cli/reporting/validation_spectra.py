@@ -26,59 +26,31 @@ _WIDTH = 9.2
 
 @dataclass(frozen=True)
 class CorrelationPanel:
-    """Correlations over lags, with the band that a right model stays in.
-
-    Attributes
-    ----------
-    title : str
-    lags : (m,) array
-        s.
-    correlations, band : (m,) arrays
-        The band's half width; all lags together stay in it with probability 0.95.
-    failed : bool
-        Whether the test says that the model misses something.
-    note : str
-        The verdict in a few letters.
-    """
+    """Correlations over lags, with the band that a right model stays in."""
 
     title: str
-    lags: Any
-    correlations: Any
-    band: Any
-    failed: bool
-    note: str
+    lags: Any  #: (m,) array; s
+    correlations: Any  #: (m,) arrays; The band's half width
+    band: Any  #: (m,) arrays; all lags together stay in it with probability 0.95
+    failed: bool  #: Whether the test says that the model misses something
+    note: str  #: The verdict in a few letters
 
 
 @dataclass(frozen=True)
 class ChannelSpectra:
-    """Spectra of one channel.
-
-    Attributes
-    ----------
-    channel, unit : str
-    frequencies : (f,) array
-        Hz.
-    measured : (f,) array
-        Density, unit² per Hz.
-    simulated, error : dict of str to (f,) arrays
-        Of the free run and its error, by model.
-    interval : (float, float)
-        Factors from a density to the ends of its 95 % interval.
-    coherence : dict of str to (f,) arrays
-        Squared coherence of the first model's error with each input.
-    by_chance : float
-        What a coherence of independent signals stays below with probability 0.95.
-    """
+    """Spectra of one channel."""
 
     channel: str
     unit: str
-    frequencies: Any
-    measured: Any
+    frequencies: Any  #: (f,) array; hz
+    measured: Any  #: (f,) array; density, unit² per Hz
+    #: ``simulated``, ``error``: dict of str to (f,) arrays; of the free run and its error, by model
     simulated: Mapping[str, Any]
     error: Mapping[str, Any]
-    interval: tuple[float, float]
+    interval: tuple[float, float]  #: Factors from a density to the ends of its 95 % interval
+    #: dict of str to (f,) arrays; squared coherence of the first model's error with each input
     coherence: Mapping[str, Any]
-    by_chance: float
+    by_chance: float  #: What a coherence of independent signals stays below with probability 0.95
 
 
 def correlation_figure(rows: Mapping[str, Sequence[CorrelationPanel]]) -> Figure:

@@ -12,18 +12,10 @@ from trms_cli.runs.columns import ALIASES, COLUMNS, FIGURE_STEMS, Column
 
 @dataclass(frozen=True)
 class Sql:
-    """A part of a statement.
+    """A part of a statement."""
 
-    Attributes
-    ----------
-    text : str
-        With ``?`` for each value.
-    values : tuple
-        To be bound, in their order.
-    """
-
-    text: str
-    values: tuple[Any, ...] = ()
+    text: str  #: With ``?`` for each value
+    values: tuple[Any, ...] = ()  #: To be bound, in their order
 
 
 def column_sql(name: str, extra: Collection[str] | None = ()) -> tuple[Column, Sql] | None:

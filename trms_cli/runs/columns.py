@@ -18,24 +18,14 @@ Kind = Literal["text", "number", "whole", "truth", "any"]
 
 @dataclass(frozen=True)
 class Column:
-    """A column.
-
-    Attributes
-    ----------
-    name : str
-    kind : str
-        ``text``, ``number``, ``whole`` (a whole number), ``truth``; ``any`` for what may be each
-        of them, as the values that were typed on a command line.
-    unit : str
-        Of SI; "" for text and counts.
-    about : str
-        What it is.
-    """
+    """A column."""
 
     name: str
+    #: ``text``, ``number``, ``whole`` (a whole number), ``truth``; ``any`` for what may be each of
+    #: them, as the values that were typed on a command line
     kind: Kind
-    unit: str = ""
-    about: str = ""
+    unit: str = ""  #: Of SI; "" for text and counts
+    about: str = ""  #: What it is
 
     @property
     def is_number(self) -> bool:

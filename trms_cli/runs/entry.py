@@ -26,23 +26,14 @@ _LONGEST_TEXT = 20_000  # of a cell
 
 @dataclass(frozen=True)
 class Entry:
-    """What the index keeps of a log.
+    """What the index keeps of a log."""
 
-    Attributes
-    ----------
-    log : str
-        Its absolute path.
-    values : dict of str to anything
-        By the names of :data:`~trms_cli.runs.columns.COLUMNS`.
-    typed : dict of str to anything
-        Values that were typed as KEY=VALUE, by their dotted keys.
-    more : dict of str to float
-        Figures of other channels than the twin rotor's, and errors of estimates.
-    """
-
-    log: str
+    log: str  #: Its absolute path
+    #: dict of str to anything; by the names of :data:`~trms_cli.runs.columns.COLUMNS`
     values: dict[str, Any]
+    #: dict of str to anything; values that were typed as KEY=VALUE, by their dotted keys
     typed: dict[str, Any] = field(default_factory=dict)
+    #: Figures of other channels than the twin rotor's, and errors of estimates
     more: dict[str, float] = field(default_factory=dict)
 
 
@@ -51,10 +42,7 @@ def read_entry(path: Path) -> Entry | None:
 
     A run that was killed has no score in its log; it is scored here as far as it goes.
 
-    Raises
-    ------
-    RecordingError
-        If the log cannot be read.
+    Raises RecordingError if the log cannot be read.
     """
     try:
         head = read_log_head(path)

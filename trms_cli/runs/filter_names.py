@@ -12,10 +12,7 @@ from trms_cli.runs.filter_words import parsed
 def names_in(text: str) -> list[str]:
     """Columns and keys of a filter, as they were typed, each once.
 
-    Raises
-    ------
-    FilterError
-        If it is no expression.
+    Raises FilterError if it is no expression.
     """
     if not text.strip():
         return []

@@ -35,10 +35,7 @@ _GENERAL = "compare columns with values: controller == 'newton_mpc' and rmse_yaw
 def parsed(text: str) -> ast.expr:
     """The syntax tree of a filter; positions (``col_offset``) are bytes of its UTF-8.
 
-    Raises
-    ------
-    FilterError
-        If it is no expression, or too long.
+    Raises FilterError if it is no expression, or too long.
     """
     if len(text) > LONGEST:
         raise FilterError(

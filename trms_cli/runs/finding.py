@@ -37,67 +37,29 @@ Tell = Callable[[int, int], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """What is asked of the index.
+    """What is asked of the index."""
 
-    Attributes
-    ----------
-    filter : str
-        :mod:`~trms_cli.runs.filter_language`; empty: every run.
-    folders : tuple of path
-        Where to look; empty: the working folder.
-    everywhere : bool
-        Every run that this host knows of, instead.
-    sort : str
-        A column.
-    descending : bool
-        Largest, or latest, first.
-    columns : tuple of str
-        Empty: all.
-    limit : int or None
-        Runs at most.
-    rebuild : bool
-        Read every log again.
-    """
-
-    filter: str = ""
-    folders: tuple[str | os.PathLike[str], ...] = ()
-    everywhere: bool = False
-    sort: str = "time"
-    descending: bool = True
-    columns: tuple[str, ...] = ()
-    limit: int | None = None
-    rebuild: bool = False
+    filter: str = ""  #: :mod:`~trms_cli.runs.filter_language`; empty: every run
+    folders: tuple[str | os.PathLike[str], ...] = ()  #: Where to look; empty: the working folder
+    everywhere: bool = False  #: Every run that this host knows of, instead
+    sort: str = "time"  #: A column
+    descending: bool = True  #: Largest, or latest, first
+    columns: tuple[str, ...] = ()  #: Empty: all
+    limit: int | None = None  #: Runs at most
+    rebuild: bool = False  #: Read every log again
 
 
 @dataclass(frozen=True)
 class Found:
-    """The answer.
+    """The answer."""
 
-    Attributes
-    ----------
-    runs : list of dict
-        A run each: values by column, None for what it does not have.
-    columns : dict of str to Column
-        As asked for, by the names that they were asked for by.
-    matching : int
-        Runs for which the filter holds, also those beyond the limit.
-    of : int
-        Runs in the folders.
-    folders : tuple of str
-        That were looked through; empty for everywhere.
-    unreadable : tuple of (str, str)
-        Logs that could not be read, with the reason.
-    remarks : tuple of str
-        What limits the answer, as sentences.
-    """
-
-    runs: list[dict[str, Any]]
-    columns: dict[str, Column]
-    matching: int
-    of: int
-    folders: tuple[str, ...]
-    unreadable: tuple[tuple[str, str], ...]
-    remarks: tuple[str, ...] = ()
+    runs: list[dict[str, Any]]  #: A run each: values by column, None for what it does not have
+    columns: dict[str, Column]  #: As asked for, by the names that they were asked for by
+    matching: int  #: Runs for which the filter holds, also those beyond the limit
+    of: int  #: Runs in the folders
+    folders: tuple[str, ...]  #: That were looked through; empty for everywhere
+    unreadable: tuple[tuple[str, str], ...]  #: Logs that could not be read, with the reason
+    remarks: tuple[str, ...] = ()  #: What limits the answer, as sentences
 
 
 @dataclass

@@ -39,10 +39,7 @@ class FollowedRun:
     heard : float
         Wall time (``time.monotonic``) when the log last grew.
 
-    Raises
-    ------
-    RecordingError
-        When the log cannot be read, also from :meth:`look`.
+    Raises RecordingError when the log cannot be read, also from :meth:`look`.
     """
 
     def __init__(self, path: Path) -> None:

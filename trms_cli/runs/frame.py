@@ -76,10 +76,7 @@ def runs_frame(
     ``frame.attrs["units"]`` has the units by column, and the ``time`` column is of the type
     ``datetime64`` in UTC.
 
-    Raises
-    ------
-    TrmsError
-        If pandas is not installed: it is no dependency of this package.
+    Raises TrmsError if pandas is not installed: it is no dependency of this package.
     """
     from importlib import import_module
     from importlib.util import find_spec

@@ -44,37 +44,22 @@ RUN, OTHER, UNREADABLE, UNSEEN = "run", "other", "unreadable", "unseen"
 
 @dataclass(frozen=True)
 class Seen:
-    """What is known of a log's file.
+    """What is known of a log's file."""
 
-    Attributes
-    ----------
-    mtime_ns, size : int
-        When it was looked at; another time or size means that it has changed. ns, bytes.
-    """
-
+    #: ``mtime_ns``, ``size``: When it was looked at; another time or size means that it has
+    #: changed. ns, bytes.
     mtime_ns: int
     size: int
 
 
 @dataclass(frozen=True)
 class Looked:
-    """A log that has been looked at.
+    """A log that has been looked at."""
 
-    Attributes
-    ----------
-    log : str
-        Its absolute path.
-    seen : Seen
-    entry : Entry or None
-        None for what is no run.
-    problem : str
-        Why it cannot be read; "" if it can.
-    """
-
-    log: str
+    log: str  #: Its absolute path
     seen: Seen
-    entry: Entry | None = None
-    problem: str = ""
+    entry: Entry | None = None  #: None for what is no run
+    problem: str = ""  #: Why it cannot be read; "" if it can
 
     @property
     def kind(self) -> str:
@@ -209,10 +194,7 @@ class RunIndex:
     def count(self, condition: Sql) -> int:
         """The number of runs for which a condition holds.
 
-        Raises
-        ------
-        RecordingError
-            If the database refuses: a filter that is too large for it.
+        Raises RecordingError if the database refuses: a filter that is too large for it.
         """
         statement = f"SELECT count(*) FROM runs WHERE {condition.text}"
         try:
@@ -231,10 +213,7 @@ class RunIndex:
     ) -> list[dict[str, Any]]:
         """Rows with the columns asked for; None for what a run does not have, always last.
 
-        Raises
-        ------
-        RecordingError
-            If the database refuses: a filter that is too large for it.
+        Raises RecordingError if the database refuses: a filter that is too large for it.
         """
         # Positions instead of names: a name is whatever was typed.
         chosen = ", ".join(f"{sql.text} AS c{i}" for i, (_, sql) in enumerate(columns.values()))

@@ -26,17 +26,10 @@ _ASKED = 2000
 
 @dataclass(frozen=True)
 class Latest:
-    """The run that was found.
-
-    Attributes
-    ----------
-    log : Path
-    running : bool
-        Whether it is being written.
-    """
+    """The run that was found."""
 
     log: Path
-    running: bool
+    running: bool  #: Whether it is being written
 
 
 def latest_run(folder: Path) -> Latest | None:

@@ -23,10 +23,7 @@ _LONGEST = 2**20  # bytes
 def read_status(path: Path) -> Entry | None:
     """Read the row of a job; None for a file of this name that is somebody else's.
 
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read.
+    Raises RecordingError if the file cannot be read.
     """
     try:
         with path.open("rb") as file:

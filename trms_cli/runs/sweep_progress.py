@@ -30,61 +30,30 @@ _LONGEST_RECORD = 2**26  # bytes
 
 @dataclass(frozen=True)
 class Job:
-    """A job of a sweep.
+    """A job of a sweep."""
 
-    Attributes
-    ----------
-    name : str
-        Its folder, from that of the sweep.
-    state : str
-        ``running``, ``done``, ``failed``, ``interrupted``, ``lost`` (its worker died each time), or
-        ``gone``: it says that it runs, and this machine has no such process.
-    overrides : tuple of str
-        What was typed for it.
-    objective : float
-        What the sweep minimises; NaN if it has none (yet).
-    problem : str
-        Why it failed.
-    changed : float
-        When it last said something, seconds since the epoch.
-    """
-
-    name: str
+    name: str  #: Its folder, from that of the sweep
+    #: ``running``, ``done``, ``failed``, ``interrupted``, ``lost`` (its worker died each time), or
+    #: ``gone``: it says that it runs, and this machine has no such process
     state: str
-    overrides: tuple[str, ...]
-    objective: float
-    problem: str
-    changed: float
+    overrides: tuple[str, ...]  #: What was typed for it
+    objective: float  #: What the sweep minimises; NaN if it has none (yet)
+    problem: str  #: Why it failed
+    changed: float  #: When it last said something, seconds since the epoch
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep at one moment.
-
-    Attributes
-    ----------
-    folder : Path
-    overrides : tuple of str
-        What was typed; empty if that is not known.
-    total : int or None
-        Jobs that there will be; None if nobody knows.
-    jobs : tuple of Job
-        Those that have begun.
-    rate : float
-        Jobs that ended per second, of late; NaN before two have.
-    now : float
-        Seconds since the epoch.
-    state : str
-        What its record says: ``running`` while a process drives it, ``done``, or ``interrupted``
-        where that process has gone before the end; empty for a sweep without a record.
-    """
+    """A sweep at one moment."""
 
     folder: Path
-    overrides: tuple[str, ...]
-    total: int | None
-    jobs: tuple[Job, ...]
-    rate: float
-    now: float
+    overrides: tuple[str, ...]  #: What was typed; empty if that is not known
+    total: int | None  #: Jobs that there will be; None if nobody knows
+    jobs: tuple[Job, ...]  #: Those that have begun
+    rate: float  #: Jobs that ended per second, of late; NaN before two have
+    now: float  #: Seconds since the epoch
+    #: What its record says: ``running`` while a process drives it, ``done``, or ``interrupted``
+    #: where that process has gone before the end; empty for a sweep without a record
     state: str = ""
 
     def count(self, *states: str) -> int:
@@ -136,12 +105,7 @@ class _Plan(NamedTuple):
 
 @dataclass
 class FollowedSweep:
-    """A sweep's folder, followed as its jobs begin and end; only what has changed is read again.
-
-    Attributes
-    ----------
-    folder : Path
-    """
+    """A sweep's folder, followed as its jobs begin and end; only what has changed is read again."""
 
     folder: Path
     _jobs: dict[str, tuple[int, Job]] = field(default_factory=dict)

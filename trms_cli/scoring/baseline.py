@@ -26,18 +26,10 @@ Verdict = Literal["better", "same", "worse", "new", "gone"]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """How far a figure may move: ``absolute + relative·|baseline|``.
+    """How far a figure may move: ``absolute + relative·|baseline|``."""
 
-    Attributes
-    ----------
-    absolute : float
-        In the figure's unit.
-    relative : float
-        Fraction of the baseline.
-    """
-
-    absolute: float = 0.0
-    relative: float = 0.0
+    absolute: float = 0.0  #: In the figure's unit
+    relative: float = 0.0  #: Fraction of the baseline
 
     def allowed(self, baseline: float) -> float:
         """In the figure's unit."""
@@ -46,21 +38,11 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Figure:
-    """What is compared of a score, and how.
+    """What is compared of a score, and how."""
 
-    Attributes
-    ----------
-    unit : str
-        ``{}`` stands for the unit of the channel.
-    tolerance : Tolerance
-        How far it may move.
-    judged : bool
-        Whether it decides about the run.
-    """
-
-    unit: str
-    tolerance: Tolerance
-    judged: bool = True
+    unit: str  #: ``{}`` stands for the unit of the channel
+    tolerance: Tolerance  #: How far it may move
+    judged: bool = True  #: Whether it decides about the run
 
 
 def _figure(unit: str, absolute: float, relative: float = 0.02, *, judged: bool = True) -> Figure:
@@ -102,22 +84,13 @@ FIGURES: dict[str, dict[str, Figure]] = {
 
 @dataclass(frozen=True)
 class Baseline:
-    """A score to hold later ones against.
+    """A score to hold later ones against."""
 
-    Attributes
-    ----------
-    score : dict
-        A document ``trms.score/1``.
-    tolerances : dict of str to Tolerance
-        By key of a figure (``channels.alpha_v.rmse``) or by its last part (``rmse``); they
-        replace those of :data:`FIGURES`.
-    reason : str
-        Why this score is the one to hold against.
-    """
-
-    score: Mapping[str, Any]
+    score: Mapping[str, Any]  #: A document ``trms.score/1``
+    #: By key of a figure (``channels.alpha_v.rmse``) or by its last part (``rmse``); they replace
+    #: those of :data:`FIGURES`
     tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
-    reason: str = ""
+    reason: str = ""  #: Why this score is the one to hold against
 
     def document(self) -> dict[str, Any]:
         """As JSON: ``trms.baseline/1``."""
@@ -131,31 +104,17 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Row:
-    """One figure, then and now.
+    """One figure, then and now."""
 
-    Attributes
-    ----------
-    key : str
-        Path in the score, e.g. ``channels.alpha_v.rmse``.
-    baseline, now : float or None
-        None if it did not, or does not, exist.
-    tolerance : float
-        How far it may move, in ``unit``.
-    unit : str
-    verdict : str
-        "better", "same" or "worse"; "new" if only this score has it, "gone" if only the
-        baseline has it (judged, that is as bad as "worse": a step that settled no longer does).
-    judged : bool
-        Whether it decides about the run.
-    """
-
-    key: str
-    baseline: float | None
-    now: float | None
-    tolerance: float
+    key: str  #: Path in the score, e.g. ``channels.alpha_v.rmse``.
+    baseline: float | None  #: None if it did not, or does not, exist
+    now: float | None  #: None if it did not, or does not, exist
+    tolerance: float  #: How far it may move, in ``unit``
     unit: str
+    #: "better", "same" or "worse"; "new" if only this score has it, "gone" if only the baseline has
+    #: it (judged, that is as bad as "worse": a step that settled no longer does)
     verdict: Verdict
-    judged: bool
+    judged: bool  #: Whether it decides about the run
 
     @property
     def regressed(self) -> bool:
@@ -166,10 +125,7 @@ class Row:
 def compare(score: Mapping[str, Any], baseline: Baseline) -> list[Row]:
     """Every figure that this score or the baseline has, in the order of the score.
 
-    Raises
-    ------
-    RecordingError
-        If the two runs are of different length: sums over time would not compare.
+    Raises RecordingError if the two runs are of different length: sums over time would not compare.
     """
     length, before = float(score["duration_s"]), float(baseline.score["duration_s"])
     if abs(length - before) > 0.01 * max(length, before):
@@ -202,10 +158,7 @@ def regressed(rows: list[Row]) -> bool:
 def read_baseline(path: Path) -> Baseline:
     """Read a baseline, or a score as ``trms score --json`` prints it, from a JSON file.
 
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read or is neither.
+    Raises RecordingError if the file cannot be read or is neither.
     """
     try:
         document = read_json(path)
@@ -221,10 +174,7 @@ def read_baseline(path: Path) -> Baseline:
 def baseline_from(document: Any, where: str) -> Baseline:
     """A baseline from its JSON document, which may also be a bare score.
 
-    Raises
-    ------
-    RecordingError
-        If it is neither.
+    Raises RecordingError if it is neither.
     """
     schema = document.get("schema") if isinstance(document, dict) else None
     try:

@@ -33,21 +33,13 @@ STEADY_PART = 0.2
 
 @dataclass(frozen=True)
 class StepMetrics:
-    """Metrics of one step; ``inf`` for what did not happen within the hold.
+    """Metrics of one step; ``inf`` for what did not happen within the hold."""
 
-    Attributes
-    ----------
-    overshoot_percent : float
-        ``100 · max((y − r)·sign(Δr), 0)/|Δr|``.
-    rise_time : float
-        s from the first crossing of 10 % of the step to that of 90 %, interpolated linearly.
-    settling_time : float
-        s from the step to the first sample from which the response stays within ±2 % of the
-        step around the reference until the hold ends.
-    """
-
-    overshoot_percent: float
+    overshoot_percent: float  #: ``100 · max((y − r)·sign(Δr), 0)/|Δr|``
+    #: s from the first crossing of 10 % of the step to that of 90 %, interpolated linearly
     rise_time: float
+    #: s from the step to the first sample from which the response stays within ±2 % of the step
+    #: around the reference until the hold ends
     settling_time: float
 
 

@@ -32,17 +32,10 @@ class Columns(Protocol):
 
 @dataclass(frozen=True)
 class Series:
-    """Signals over time that were never in a file: what the closed loop has in memory.
+    """Signals over time that were never in a file: what the closed loop has in memory."""
 
-    Attributes
-    ----------
-    time : (n,) s
-    columns : dict of str to (n,) arrays
-    units : dict of str to str
-    """
-
-    time: Array
-    columns: Mapping[str, Any]
+    time: Array  #: (n,) s
+    columns: Mapping[str, Any]  #: dict of str to (n,) arrays
     units: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -49,29 +49,17 @@ _MOST_SAMPLES = 100_000_000
 
 @dataclass(frozen=True)
 class Experiment:
-    """Everything that a closed-loop run is a pure function of.
+    """Everything that a closed-loop run is a pure function of."""
 
-    Attributes
-    ----------
-    model : Model
-        What the controller and the observer believe.
-    plant, observer, controller, reference
-    duration, sample_time : float
-        s; the duration is rounded to whole samples.
-    seed : int
-    prediction_every : int
-        Every how many control samples the controller's prediction is logged; 0 for never.
-    supervisor : SupervisorPlugin
-    """
-
-    model: Model
+    model: Model  #: What the controller and the observer believe
     plant: Plant
     observer: Observer
     controller: Controller
     reference: ReferenceTrajectory
-    duration: float
-    sample_time: float
+    duration: float  #: s; the duration is rounded to whole samples
+    sample_time: float  #: s; the duration is rounded to whole samples
     seed: int = 0
+    #: Every how many control samples the controller's prediction is logged; 0 for never
     prediction_every: int = 10
     supervisor: SupervisorPlugin = field(default_factory=Unsupervised)
 
@@ -101,10 +89,7 @@ class Experiment:
     def samples_per_control(self) -> int:
         """Samples between two control steps.
 
-        Raises
-        ------
-        ConfigurationError
-            If the control period is not a whole multiple of the sample time.
+        Raises ConfigurationError if the control period is not a whole multiple of the sample time.
         """
         # a plugin may do without the attribute: it then takes every sample
         period = getattr(self.controller, "sample_time", None) or self.sample_time
@@ -121,32 +106,20 @@ class Experiment:
 
 @dataclass
 class Loop:
-    """A run under way: made by :meth:`start`, advanced by :meth:`run`.
-
-    Attributes
-    ----------
-    experiment : Experiment
-    plant : PlantRun
-        The rig in this run.
-    references : (samples + preview, n_r) array
-        rad, at every sample and as far beyond the end as the last preview reaches.
-    preview : int
-        Control periods that the controller sees ahead.
-    history : History
-    done : int
-        Samples that are behind.
-    """
+    """A run under way: made by :meth:`start`, advanced by :meth:`run`."""
 
     experiment: Experiment
-    plant: PlantRun
+    plant: PlantRun  #: The rig in this run
+    #: (samples + preview, n_r) array; rad, at every sample and as far beyond the end as the last
+    #: preview reaches
     references: FloatArray
-    preview: int
+    preview: int  #: Control periods that the controller sees ahead
     history: History
     _observer_state: Any
     _controller_state: Any
     _supervisor: SupervisorRun
     _now_ns: int = 0
-    done: int = 0
+    done: int = 0  #: Samples that are behind
     _gate: CommandGate = field(init=False)
     _tell_control: Writer = field(init=False)
     _tell_prediction: Writer = field(init=False)

@@ -44,10 +44,8 @@ class CommandGate:
     def applied(self, command: Command, previous: FloatArray) -> FloatArray:
         """The command (n_u,) as applied after ``previous``, V.
 
-        Raises
-        ------
-        SimulationError
-            For what is no command at all: it is a mistake in the controller's code.
+        Raises SimulationError for what is no command at all: it is a mistake in the controller's
+        code.
         """
         if not isinstance(command, Command):
             raise _no_command(f"step returned {command!r}, not a Command")

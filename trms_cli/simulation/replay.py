@@ -21,26 +21,14 @@ from trms_cli.simulation.history import History
 
 @dataclass
 class Replay:
-    """A replay under way: made by :meth:`start`, advanced by :meth:`run`.
+    """A replay under way: made by :meth:`start`, advanced by :meth:`run`."""
 
-    Attributes
-    ----------
-    model : Model
-        What the observer believes.
-    rig : RecordedRun
-    observer : Observer
-    history : History
-        Gets the rows, at the rig's own times.
-    done : int
-        Samples so far.
-    """
-
-    model: Model
+    model: Model  #: What the observer believes
     rig: RecordedRun
     observer: Observer
-    history: History
+    history: History  #: Gets the rows, at the rig's own times
     _observer_state: Any
-    done: int = 0
+    done: int = 0  #: Samples so far
 
     @classmethod
     def start(

@@ -42,36 +42,20 @@ _WORTH_A_THREAD = 2000
 
 
 class Simulated(NamedTuple):
-    """Outputs of windows, one after another.
+    """Outputs of windows, one after another."""
 
-    Attributes
-    ----------
-    y : (N, n_y) array
-        At every sample of every window, N the sum of their lengths.
-    ends : (m, n_x) array
-        States one sample after the last of each window.
-    """
-
-    y: FloatArray
-    ends: FloatArray
+    y: FloatArray  #: (N, n_y) array; at every sample of every window, N the sum of their lengths
+    ends: FloatArray  #: (m, n_x) array; states one sample after the last of each window
 
 
 class Sensitive(NamedTuple):
-    """Outputs of windows with their slopes.
+    """Outputs of windows with their slopes."""
 
-    Attributes
-    ----------
-    y, ends : arrays
-        As of :class:`Simulated`.
-    dy : (N, n_y, n_x + n_f) array
-        In the window's own start first, in the free parameters then.
-    dends : (m, n_x, n_x + n_f) array
-    """
-
-    y: FloatArray
-    ends: FloatArray
+    y: FloatArray  #: As of :class:`Simulated`
+    ends: FloatArray  #: As of :class:`Simulated`
+    #: (N, n_y, n_x + n_f) array; in the window's own start first, in the free parameters then
     dy: FloatArray
-    dends: FloatArray
+    dends: FloatArray  #: (m, n_x, n_x + n_f) array
 
 
 class Rollout:

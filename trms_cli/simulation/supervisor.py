@@ -87,21 +87,11 @@ _NEAR_STOP = 0.05
 
 @dataclass(frozen=True)
 class SupervisorSetup:
-    """What a supervisor is told before a run.
+    """What a supervisor is told before a run."""
 
-    Attributes
-    ----------
-    model : Model
-        What controller and observer believe.
-    sample_time : float
-        s.
-    outputs : tuple of str
-        Measured channels, the order of y.
-    """
-
-    model: Model
-    sample_time: float
-    outputs: tuple[str, ...]
+    model: Model  #: What controller and observer believe
+    sample_time: float  #: s
+    outputs: tuple[str, ...]  #: Measured channels, the order of y
 
 
 class SupervisorRun(Protocol):
@@ -140,47 +130,26 @@ class SupervisorPlugin(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Supervisor:
-    """Watches measurement, estimate and controller.
+    """Watches measurement, estimate and controller."""
 
-    Attributes
-    ----------
-    missing_after : float
-        s without a reading, after which a channel counts as missing.
-    frozen_after : float
-        s of equal readings, after which a channel may count as frozen.
-    frozen_innovation : float
-        Root mean square of ν/σ over these equal readings, above which it does.
-    innovation_limit : float
-        Root mean square of ν/σ, above which a channel counts as inconsistent.
-    innovation_window : float
-        s, over which that mean is taken (exponentially).
-    clear_after : float
-        s without the cause, after which a reason ends.
-    land_after : float
-        s, for which an angle may be unknown or the controller may fail.
-    landing_command : dict of str to float
-        V, where the command goes; 0 where none is given.
-    landing_rate : float
-        V/s.
-    """
-
-    missing_after: Positive = 0.1
-    frozen_after: Positive = 0.3
+    missing_after: Positive = 0.1  #: s without a reading, after which a channel counts as missing
+    frozen_after: Positive = 0.3  #: s of equal readings, after which a channel may count as frozen
+    #: Root mean square of ν/σ over these equal readings, above which it does
     frozen_innovation: Positive = 5.0
+    #: Root mean square of ν/σ, above which a channel counts as inconsistent
     innovation_limit: Positive = 8.0
-    innovation_window: Positive = 1.0
-    clear_after: Positive = 0.5
-    land_after: Positive = 2.0
+    innovation_window: Positive = 1.0  #: s, over which that mean is taken (exponentially)
+    clear_after: Positive = 0.5  #: s without the cause, after which a reason ends
+    land_after: Positive = 2.0  #: s, for which an angle may be unknown or the controller may fail
+    #: V, where the command goes; 0 where none is given
     landing_command: Mapping[str, float] = field(default_factory=dict)
-    landing_rate: Positive = 1.0
+    landing_rate: Positive = 1.0  #: V/s
 
     def init(self, setup: SupervisorSetup) -> WatchingRun:
         """Ready for the first sample.
 
-        Raises
-        ------
-        ConfigurationError
-            For an input that the model does not have, or a command beyond its limit.
+        Raises ConfigurationError for an input that the model does not have, or a command beyond its
+        limit.
         """
         known = names(setup.model.inputs)
         for name in self.landing_command:

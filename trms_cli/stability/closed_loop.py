@@ -44,32 +44,15 @@ Until = Callable[[FloatArray], str]
 
 @dataclass(frozen=True)
 class LoopRun:
-    """What a run of the loop gave, at the rig's samples.
+    """What a run of the loop gave, at the rig's samples."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        s.
-    x : (n, n_x) array
-        True states of the rig.
-    u : (n, n_u) array
-        Commands that the controller gave.
-    applied : (n, n_u) array
-        What reached the motors.
-    failures : int
-        Control samples whose solve failed.
-    ended : str
-        Why it ended early; empty if it did not.
-    statuses : dict of str to int
-        Control samples by how their computation ended (:class:`Status` by its label).
-    """
-
-    time: FloatArray
-    x: FloatArray
-    u: FloatArray
-    applied: FloatArray
-    failures: int = 0
-    ended: str = ""
+    time: FloatArray  #: (n,) array; s
+    x: FloatArray  #: (n, n_x) array; True states of the rig
+    u: FloatArray  #: (n, n_u) array; commands that the controller gave
+    applied: FloatArray  #: (n, n_u) array; what reached the motors
+    failures: int = 0  #: Control samples whose solve failed
+    ended: str = ""  #: Why it ended early; empty if it did not
+    #: Control samples by how their computation ended (:class:`Status` by its label)
     statuses: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -79,20 +62,11 @@ class Enough(Exception):
 
 @dataclass(frozen=True)
 class CountedController:
-    """A controller, the statuses of its answers counted.
-
-    Attributes
-    ----------
-    controller : Controller
-    sample_time : float or None
-        Its control period, s.
-    statuses : Counter
-        Answers by the label of their status.
-    """
+    """A controller, the statuses of its answers counted."""
 
     controller: Controller
-    sample_time: float | None
-    statuses: Counter[str]
+    sample_time: float | None  #: Its control period, s
+    statuses: Counter[str]  #: Answers by the label of their status
 
     def preview(self, setup: ControlSetup) -> int:
         return self.controller.preview(setup)
@@ -112,20 +86,13 @@ class CountedController:
 
 @dataclass
 class RecordedPlant:
-    """A rig that remembers its states and what reached its motors.
-
-    Attributes
-    ----------
-    rig : PlantRun
-    path : callable or None
-    until : callable or None
-    visited, commands, applied : list of arrays
-        States before each sample; commands as given and as they arrived.
-    """
+    """A rig that remembers its states and what reached its motors."""
 
     rig: PlantRun
     path: Path | None = None
     until: Until | None = None
+    #: ``visited``, ``commands``, ``applied``: States before each sample; commands as given and as
+    #: they arrived
     visited: list[FloatArray] = field(default_factory=list)
     commands: list[FloatArray] = field(default_factory=list)
     applied: list[FloatArray] = field(default_factory=list)

@@ -27,69 +27,38 @@ class Judged:
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
+    """A table."""
 
-    Attributes
-    ----------
-    columns : sequence of str
-        Heads with units: ``α_v [rad]``.
-    rows : sequence of sequences
-        Text, numbers, None for what does not exist, or :class:`Judged`.
-    caption : str
-    heads : int
-        Columns on the left that name the row.
-    on_screen : bool
-        Whether the terminal shows it; the page and the document always have it.
-    """
-
-    columns: Sequence[str]
+    columns: Sequence[str]  #: Heads with units: ``α_v [rad]``
+    #: Text, numbers, None for what does not exist, or :class:`Judged`
     rows: Sequence[Sequence[Value | Judged]]
     caption: str = ""
-    heads: int = 1
+    heads: int = 1  #: Columns on the left that name the row
+    #: Whether the terminal shows it; the page and the document always have it
     on_screen: bool = True
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the findings.
-
-    Attributes
-    ----------
-    heading : str
-    text : sequence of str
-        Paragraphs: the method, what the figures mean, what they do not.
-    blocks : sequence of Table or Chart
-        In order.
-    """
+    """A part of the findings."""
 
     heading: str
-    text: Sequence[str] = ()
-    blocks: Sequence[Table | Chart] = ()
+    text: Sequence[str] = ()  #: Paragraphs: the method, what the figures mean, what they do not
+    blocks: Sequence[Table | Chart] = ()  #: In order
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What a study found.
+    """What a study found."""
 
-    Attributes
-    ----------
-    title : str
-        ``Equilibria``.
-    lead : sequence of str
-        What a colleague would say of it: the answer first, a sentence each, figures with units.
-    sections : sequence of Section
-    results : mapping
-        The figures of the study as JSON data (SI units; plain lists, dicts, numbers, text), which
-        a program reads: keys are part of the study's contract. Numbers must be finite or None.
-    warnings : sequence of str
-        What limits the answer.
-    """
-
-    title: str
+    title: str  #: ``Equilibria``
+    #: What a colleague would say of it: the answer first, a sentence each, figures with units
     lead: Sequence[str]
     sections: Sequence[Section]
+    #: The figures of the study as JSON data (SI units; plain lists, dicts, numbers, text), which a
+    #: program reads: keys are part of the study's contract. Numbers must be finite or None.
     results: Mapping[str, Any]
-    warnings: Sequence[str] = field(default_factory=tuple)
+    warnings: Sequence[str] = field(default_factory=tuple)  #: What limits the answer
 
     @property
     def charts(self) -> tuple[Chart, ...]:

@@ -29,16 +29,10 @@ _STEPS = 25
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """An equilibrium.
+    """An equilibrium."""
 
-    Attributes
-    ----------
-    x : (n_x,) array
-    u : (n_u,) array
-    """
-
-    x: FloatArray
-    u: FloatArray
+    x: FloatArray  #: (n_x,) array
+    u: FloatArray  #: (n_u,) array
 
     def words(self, model: Model) -> str:
         """``u_v = 1.41 V, u_h = 0.2 V: alpha_v = 0, alpha_h = 0.1 rad``."""
@@ -88,10 +82,8 @@ def operating_point(model: Model, at: Mapping[str, float], where: str = "at") ->
 def asked_by_angle(model: Model, at: Mapping[str, float], where: str = "at") -> bool:
     """Whether a request names angles, and not commands.
 
-    Raises
-    ------
-    ConfigurationError
-        For a name that is no input and no controlled state, or names of both kinds.
+    Raises ConfigurationError for a name that is no input and no controlled state, or names of both
+    kinds.
     """
     inputs = names(model.inputs)
     for name in at:
@@ -180,10 +172,7 @@ def _without_rounding(model: Model, point: OperatingPoint) -> OperatingPoint:
 def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint:
     """The equilibrium that the rest without command turns into at a command, (n_u,).
 
-    Raises
-    ------
-    ConfigurationError
-        If it ends before the command is reached: it tells where.
+    Raises ConfigurationError if it ends before the command is reached: it tells where.
     """
     field = VectorField(model)
     x = refined(field, model.rest(), np.zeros(model.n_u))

@@ -14,49 +14,26 @@ from trms_cli.models.model import Model
 
 @dataclass(frozen=True)
 class LoopParts:
-    """What closes the loop around a rig.
+    """What closes the loop around a rig."""
 
-    Attributes
-    ----------
-    model : Model
-        What controller and observer believe: the subject's model without the effects.
-    controller : Controller
-    observer : Observer
-    sample_time : float
-        s, of the observer and the controller's clock.
-    names : dict of str to str
-        The options chosen: ``controller``, ``observer``.
-    """
-
-    model: Model
+    model: Model  #: What controller and observer believe: the subject's model without the effects
     controller: Controller
     observer: Any
-    sample_time: float
-    names: dict[str, str]
+    sample_time: float  #: s, of the observer and the controller's clock
+    names: dict[str, str]  #: The options chosen: ``controller``, ``observer``
 
 
 @dataclass(frozen=True)
 class Subject:
     """What is studied.
 
-    Attributes
-    ----------
-    model : Model
-        With its effects.
-    name : str
-        What the model is called on the command line.
-    loop : LoopParts or None
-        None: the model alone.
-
-    Raises
-    ------
-    ConfigurationError
-        For a controller that plays commands, whatever the rig does: it closes no loop.
+    Raises ConfigurationError for a controller that plays commands, whatever the rig does: it closes
+    no loop.
     """
 
-    model: Model
-    name: str
-    loop: LoopParts | None = None
+    model: Model  #: With its effects
+    name: str  #: What the model is called on the command line
+    loop: LoopParts | None = None  #: None: the model alone
 
     def __post_init__(self) -> None:
         if self.loop is None or getattr(self.loop.controller, "follows_reference", True):
@@ -105,9 +82,7 @@ class Subject:
     def require_loop(self, study: str) -> LoopParts:
         """The loop, refused where there is none.
 
-        Raises
-        ------
-        ConfigurationError
+        Raises ConfigurationError.
         """
         if self.loop is None:
             raise ConfigurationError(
@@ -120,9 +95,7 @@ class Subject:
     def require_no_loop(self, study: str, instead: str = "") -> None:
         """Refuse a controller where the study is about the model alone.
 
-        Raises
-        ------
-        ConfigurationError
+        Raises ConfigurationError.
         """
         if self.loop is not None:
             raise ConfigurationError(

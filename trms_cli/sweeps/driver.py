@@ -36,35 +36,17 @@ _NOBODY = Claim(0, "", 0, "")
 
 @dataclass
 class Progress:
-    """How far a sweep is.
+    """How far a sweep is."""
 
-    Attributes
-    ----------
-    total : int or None
-        Points that there will be; None where nobody knows.
-    workers : int
-        Runs that are made at once.
-    before : int
-        Runs that had ended before this process began.
-    results : dict of int to Result
-        By the number of the point, of all that have ended.
-    counts : dict of str to int
-        Of results by state.
-    retried : int
-        Attempts that were made again.
-    running : int
-        Points that have been handed out.
-    begin : float
-        Of this process's part, s of the monotonic clock.
-    """
-
-    total: int | None = None
-    workers: int = 0
-    before: int = 0
+    total: int | None = None  #: Points that there will be; None where nobody knows
+    workers: int = 0  #: Runs that are made at once
+    before: int = 0  #: Runs that had ended before this process began
+    #: By the number of the point, of all that have ended
     results: dict[int, Result] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
-    retried: int = 0
-    running: int = 0
+    counts: dict[str, int] = field(default_factory=dict)  #: Of results by state
+    retried: int = 0  #: Attempts that were made again
+    running: int = 0  #: Points that have been handed out
+    #: Of this process's part, s of the monotonic clock
     begin: float = field(default_factory=time.monotonic)
 
     def take(self, result: Result) -> None:

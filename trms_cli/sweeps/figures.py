@@ -21,10 +21,7 @@ _MERIT_ABOUT = "the command's own figure of merit"
 def canonical(name: str, where: str) -> str:
     """The name that a score has for a figure: ``rmse_alpha_h`` for ``rmse_yaw``.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no figure of that name.
+    Raises ConfigurationError if there is no figure of that name.
     """
     found = ALIASES.get(name, name)
     column = COLUMNS.get(found)

@@ -17,17 +17,11 @@ from trms_cli.sweeps.point import Point, Result
 
 @dataclass(frozen=True)
 class Attempt:
-    """A point as it is handed to a worker.
-
-    Attributes
-    ----------
-    point : Point
-    number : int
-        1 for the first time that it is tried. Whoever is handed the same attempt after another
-        worker has begun it, does not run it.
-    """
+    """A point as it is handed to a worker."""
 
     point: Point
+    #: 1 for the first time that it is tried. Whoever is handed the same attempt after another
+    #: worker has begun it, does not run it.
     number: int = 1
 
 
@@ -38,21 +32,13 @@ Work = Callable[[Attempt], Result | None]
 
 @dataclass(frozen=True)
 class Ended:
-    """An attempt whose worker has come back, or has died.
-
-    Attributes
-    ----------
-    attempt : Attempt
-    result : Result or None
-        None: the worker died with it, or its result was lost; whether the run was made stands in
-        its folder.
-    reason : str
-        Why there is no result, as the engine tells it.
-    """
+    """An attempt whose worker has come back, or has died."""
 
     attempt: Attempt
+    #: None: the worker died with it, or its result was lost; whether the run was made stands in its
+    #: folder
     result: Result | None
-    reason: str = ""
+    reason: str = ""  #: Why there is no result, as the engine tells it
 
 
 class Crew(Protocol):
@@ -82,9 +68,6 @@ class Launcher(Protocol):
     def crew(self, work: Work) -> AbstractContextManager[Crew]:
         """Start workers; leaving the context ends them, and what is not done stays undone.
 
-        Raises
-        ------
-        ConfigurationError
-            If the engine is not installed or cannot be reached.
+        Raises ConfigurationError if the engine is not installed or cannot be reached.
         """
         ...

@@ -32,49 +32,22 @@ _LONGEST = 2**28  # bytes of a file of the record
 
 @dataclass(frozen=True)
 class Plan:
-    """What a sweep is to do.
+    """What a sweep is to do."""
 
-    Attributes
-    ----------
-    primary : str
-        Primary configuration of the runs: ``run``, ``identify``, …
-    task : str
-        The function that makes a run, ``module:name``.
-    overrides : tuple of str
-        Of the runs, as typed, and what sweeps add to them.
-    settings : tuple of str
-        Of the sweep itself, as typed: ``sampler=…``, ``launcher.workers=4``.
-    space : Space
-        What varies.
-    sampler, launcher : dict
-        Their configuration, composed.
-    retries : int
-        Times that a run is tried again after its worker died.
-    config_dirs : tuple of str
-        The user's folders of options.
-    directory : str
-        The working directory, for paths in overrides.
-    command : str
-        As typed.
-    versions : dict of str to str
-        Of the packages that compute.
-    git : str
-        Revision of the checkout; empty if there is none.
-    """
-
-    primary: str
-    task: str
-    overrides: tuple[str, ...]
+    primary: str  #: Primary configuration of the runs: ``run``, ``identify``, …
+    task: str  #: The function that makes a run, ``module:name``
+    overrides: tuple[str, ...]  #: Of the runs, as typed, and what sweeps add to them
+    #: Of the sweep itself, as typed: ``sampler=…``, ``launcher.workers=4``
     settings: tuple[str, ...]
-    space: Space
-    sampler: Mapping[str, Any]
-    launcher: Mapping[str, Any]
-    retries: int = 1
-    config_dirs: tuple[str, ...] = ()
-    directory: str = ""
-    command: str = ""
-    versions: Mapping[str, str] = field(default_factory=dict)
-    git: str = ""
+    space: Space  #: What varies
+    sampler: Mapping[str, Any]  #: Their configuration, composed
+    launcher: Mapping[str, Any]  #: Their configuration, composed
+    retries: int = 1  #: Times that a run is tried again after its worker died
+    config_dirs: tuple[str, ...] = ()  #: The user's folders of options
+    directory: str = ""  #: The working directory, for paths in overrides
+    command: str = ""  #: As typed
+    versions: Mapping[str, str] = field(default_factory=dict)  #: Of the packages that compute
+    git: str = ""  #: Revision of the checkout; empty if there is none
 
 
 class Record:
@@ -96,10 +69,7 @@ class Record:
     def begin(self, plan: Plan) -> None:
         """Write down what is to be done.
 
-        Raises
-        ------
-        RecordingError
-            If the disk does not take it.
+        Raises RecordingError if the disk does not take it.
         """
         document = {"schema": SCHEMA, **asdict(plan), "state": "running", "begin": now()}
         self._write(document)
@@ -107,20 +77,14 @@ class Record:
     def note(self, **words: Any) -> None:
         """Change top-level keys of ``sweep.json``: ``state``, ``total``, ``summary``, …
 
-        Raises
-        ------
-        RecordingError
-            If the disk does not take it.
+        Raises RecordingError if the disk does not take it.
         """
         self._write(self.document() | words)
 
     def document(self) -> dict[str, Any]:
         """The content of ``sweep.json``.
 
-        Raises
-        ------
-        RecordingError
-            If there is none that can be read.
+        Raises RecordingError if there is none that can be read.
         """
         file = self.folder / RECORD_NAME
         remedy = "name the folder of a sweep: `trms run -m … out=FOLDER` makes one"
@@ -143,10 +107,7 @@ class Record:
     def plan(self) -> Plan:
         """What is to be done, read back.
 
-        Raises
-        ------
-        RecordingError
-            If the record cannot be used.
+        Raises RecordingError if the record cannot be used.
         """
         document = self.document()
         try:
@@ -165,10 +126,7 @@ class Record:
     def append(self, points: Sequence[Point]) -> None:
         """Write points down before anybody gets them.
 
-        Raises
-        ------
-        RecordingError
-            If the disk does not take it.
+        Raises RecordingError if the disk does not take it.
         """
         lines = "".join(
             json.dumps(asdict(point), ensure_ascii=False, allow_nan=False) + "\n"
@@ -239,10 +197,7 @@ class Record:
 def driven(folder: Path) -> Iterator[None]:
     """Be the one process that drives a sweep; the system frees it when the process dies.
 
-    Raises
-    ------
-    ConfigurationError
-        If another process drives it.
+    Raises ConfigurationError if another process drives it.
     """
     file = folder / LOCK_NAME
     try:

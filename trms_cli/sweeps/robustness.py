@@ -28,26 +28,17 @@ _REPEATS = "seed"
 
 @dataclass(frozen=True)
 class Robustness:
-    """What is to be told.
+    """What is to be told."""
 
-    Attributes
-    ----------
-    figures : tuple of str
-        Names of figures, as ``trms runs`` has them; those that the runs do not have are left out.
-    limits : dict of str to float
-        Largest allowed value of some figures: a run beyond one is a failure.
-    """
-
+    #: Names of figures, as ``trms runs`` has them; those that the runs do not have are left out
     figures: tuple[str, ...] = ()
+    #: Largest allowed value of some figures: a run beyond one is a failure
     limits: Mapping[str, float] = field(default_factory=dict)
 
     def checked(self) -> Robustness:
         """The same with the names that scores have.
 
-        Raises
-        ------
-        ConfigurationError
-            For a figure that runs do not have.
+        Raises ConfigurationError for a figure that runs do not have.
         """
         return Robustness(
             canonical_all(self.figures, "sampler.figures"),

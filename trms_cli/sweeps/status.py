@@ -37,22 +37,13 @@ SIGN_EVERY, SILENT_AFTER = 5.0, 60.0
 
 @dataclass(frozen=True)
 class Claim:
-    """An attempt that a worker has begun.
+    """An attempt that a worker has begun."""
 
-    Attributes
-    ----------
-    number : int
-        From 1 on.
-    host : str
-    pid : int
-    born : str
-        When the process was started, as its system tells it: another process of the same number
-        has another.
-    """
-
-    number: int
+    number: int  #: From 1 on
     host: str
     pid: int
+    #: When the process was started, as its system tells it: another process of the same number has
+    #: another
     born: str
 
 
@@ -74,10 +65,7 @@ class RunFolder:
     def claim(self, attempt: int) -> bool:
         """Begin an attempt; False where somebody has begun it, or a later one.
 
-        Raises
-        ------
-        OSError
-            If the disk does not take it.
+        Raises OSError if the disk does not take it.
         """
         self.path.mkdir(exist_ok=True)
         if self.last_attempt() > attempt:
@@ -141,10 +129,7 @@ class RunFolder:
     def write(self, status: Mapping[str, Any]) -> None:
         """Replace the status in one step: a reader never sees half of it.
 
-        Raises
-        ------
-        OSError
-            If the disk does not take it.
+        Raises OSError if the disk does not take it.
         """
         text = json.dumps(status, ensure_ascii=False, indent=1, allow_nan=False) + "\n"
         replace_whole(self.path / STATUS_NAME, text.encode())

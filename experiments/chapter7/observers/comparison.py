@@ -15,14 +15,9 @@ Verdict = Literal["better", "worse", "even"]
 
 @dataclass(frozen=True)
 class Ratio:
-    """Geometric mean of the ratio of two errors over records.
+    """Geometric mean of the ratio of two errors over records."""
 
-    Attributes
-    ----------
-    mean, low, high : float
-        And its 95 % interval: Student's, of the logarithms.
-    """
-
+    #: ``mean``, ``low``, ``high``: And its 95 % interval: Student's, of the logarithms
     mean: float
     low: float
     high: float
@@ -37,27 +32,15 @@ class Ratio:
 
 @dataclass(frozen=True)
 class Cell:
-    """All records of a condition.
-
-    Attributes
-    ----------
-    condition, channels, torques : str
-    records : int
-    rmse : dict
-        Median over the records, by observer and state.
-    ratios : dict
-        To the reference observer's, by observer and state.
-    microseconds : dict
-        Median of a step's time, by observer.
-    """
+    """All records of a condition."""
 
     condition: str
     channels: str
     torques: str
     records: int
-    rmse: dict[str, dict[str, float]]
-    ratios: dict[str, dict[str, Ratio]]
-    microseconds: dict[str, float]
+    rmse: dict[str, dict[str, float]]  #: Median over the records, by observer and state
+    ratios: dict[str, dict[str, Ratio]]  #: To the reference observer's, by observer and state
+    microseconds: dict[str, float]  #: Median of a step's time, by observer
 
 
 def ratio_of(errors: Sequence[float], others: Sequence[float]) -> Ratio:

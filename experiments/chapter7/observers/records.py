@@ -26,47 +26,26 @@ _BATCH = 100  #: samples of which the quickest batch is a step's time
 
 @dataclass(frozen=True)
 class Record:
-    """What a rig was told, showed and did.
-
-    Attributes
-    ----------
-    experiment : Experiment
-    commands : (n, n_u) array
-        In force since the sample before.
-    measurements : (n, n_y) array
-    truth : (n, n_x) array
-        Of the model's states.
-    outputs : tuple of str
-    noise_sd : dict of str to float
-    """
+    """What a rig was told, showed and did."""
 
     experiment: Experiment
-    commands: FloatArray
-    measurements: FloatArray
-    truth: FloatArray
+    commands: FloatArray  #: (n, n_u) array; in force since the sample before
+    measurements: FloatArray  #: (n, n_y) array
+    truth: FloatArray  #: (n, n_x) array; of the model's states
     outputs: tuple[str, ...]
     noise_sd: dict[str, float]
 
 
 @dataclass
 class Outcome:
-    """What became of a job.
-
-    Attributes
-    ----------
-    job : Job
-    errors : dict
-        RMSE by (channels, torques), observer and state.
-    microseconds : dict
-        Of a step, by (channels, torques) and observer: the quickest batch of 100.
-    problem : str
-        Why there is no record.
-    """
+    """What became of a job."""
 
     job: Job
+    #: RMSE by (channels, torques), observer and state
     errors: dict[tuple[str, str], dict[str, dict[str, float]]] = field(default_factory=dict)
+    #: Of a step, by (channels, torques) and observer: the quickest batch of 100
     microseconds: dict[tuple[str, str], dict[str, float]] = field(default_factory=dict)
-    problem: str = ""
+    problem: str = ""  #: Why there is no record
 
 
 def run_job(study: Study, job: Job) -> Outcome:

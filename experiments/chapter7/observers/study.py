@@ -46,20 +46,11 @@ class Study(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Job:
-    """One record and all that is done with it.
-
-    Attributes
-    ----------
-    condition : str
-    seed : int
-    overrides : tuple of str
-        Of the run that makes the record.
-    torques : tuple of str
-    """
+    """One record and all that is done with it."""
 
     condition: str
     seed: int
-    overrides: tuple[str, ...]
+    overrides: tuple[str, ...]  #: Of the run that makes the record
     torques: tuple[str, ...]
 
 

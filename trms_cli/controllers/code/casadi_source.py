@@ -47,24 +47,16 @@ _LOUD = """\
 
 @dataclass(frozen=True)
 class GeneratedFunctions:
-    """C of some functions.
+    """C of some functions."""
 
-    Attributes
-    ----------
-    source : str
-        Each function is there as
-        ``static int NAME(const double** arg, double** res, long long* iw, double* w, int mem)``.
-    n_arg, n_res : dict of str to int
-        Room that the lists of arguments and results need, by name.
-    n_iw, n_w : dict of str to int
-        Scratch, in entries.
-    """
-
+    #: Each function is there as ``static int NAME(const double** arg, double** res, long long* iw,
+    #: double* w, int mem)``
     source: str
+    #: ``n_arg``, ``n_res``: Room that the lists of arguments and results need, by name
     n_arg: Mapping[str, int]
     n_res: Mapping[str, int]
-    n_iw: Mapping[str, int]
-    n_w: Mapping[str, int]
+    n_iw: Mapping[str, int]  #: Scratch, in entries
+    n_w: Mapping[str, int]  #: Scratch, in entries
 
 
 def generated(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:

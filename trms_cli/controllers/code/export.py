@@ -28,25 +28,14 @@ _TEMPLATES = Path(__file__).parent
 
 @dataclass(frozen=True)
 class Export:
-    """What is written.
+    """What is written."""
 
-    Attributes
-    ----------
-    name : str
-        Prefix of all names in C.
-    setup : ControlSetup
-    controller : NewtonMpc
-    source : ControllerSource
-    observer : ObserverSource or None
-    files : dict of str to str
-        Content by file name; the README comes last, by :meth:`readme`.
-    """
-
-    name: str
+    name: str  #: Prefix of all names in C
     setup: ControlSetup
     controller: NewtonMpc
     source: ControllerSource
     observer: ObserverSource | None
+    #: Content by file name; the README comes last, by :meth:`readme`
     files: dict[str, str] = field(default_factory=dict)
 
     def readme(self, command: str, measured: Measured | None) -> str:

@@ -19,56 +19,35 @@ _TIMEOUT = 600.0  # s
 
 @dataclass(frozen=True)
 class Measured:
-    """What the example said.
-
-    Attributes
-    ----------
-    compiler, processor : str
-    samples, failed : int
-        Steps, and those that ended in a fall-back.
-    largest_difference : float
-        V, to the Python controller's commands.
-    median, p99, longest : float
-        µs, of a step.
-    slowest : float
-        µs, of the sample that takes longest, in the least disturbed of its passes.
-    observer_median, observer_p99, observer_longest : float or None
-        µs, of a sample of the observer; None without one.
-    context_bytes, observer_bytes : int
-        Of the structs; 0 without an observer.
-    code_bytes, data_bytes : int or None
-        Of the object file: instructions and constants, and what is written to; None where
-        ``size`` is missing.
-    stack_bytes : int or None
-        Sum of all stack frames: no call needs more. None where the compiler does not say.
-    """
+    """What the example said."""
 
     compiler: str
     processor: str
-    samples: int
-    failed: int
-    largest_difference: float
-    median: float
-    p99: float
-    longest: float
-    slowest: float
+    samples: int  #: Steps, and those that ended in a fall-back
+    failed: int  #: Steps, and those that ended in a fall-back
+    largest_difference: float  #: V, to the Python controller's commands
+    median: float  #: µs, of a step
+    p99: float  #: µs, of a step
+    longest: float  #: µs, of a step
+    slowest: float  #: µs, of the sample that takes longest, in the least disturbed of its passes
+    #: ``observer_median``, ``observer_p99``, ``observer_longest``: µs, of a sample of the observer;
+    #: None without one
     observer_median: float | None
     observer_p99: float | None
     observer_longest: float | None
-    context_bytes: int
-    observer_bytes: int
+    context_bytes: int  #: Of the structs
+    observer_bytes: int  #: 0 without an observer
+    #: Of the object file: instructions and constants, and what is written to
     code_bytes: int | None
-    data_bytes: int | None
+    data_bytes: int | None  #: None where ``size`` is missing
+    #: Sum of all stack frames: no call needs more. None where the compiler does not say.
     stack_bytes: int | None
 
 
 def measure(folder: Path, name: str, compiler: str, passes: int = PASSES) -> Measured:
     """Build in a folder of its own and run, so many times through the samples.
 
-    Raises
-    ------
-    TrmsError
-        If the source does not compile here or the example fails.
+    Raises TrmsError if the source does not compile here or the example fails.
     """
     build = folder / "build"
     build.mkdir()

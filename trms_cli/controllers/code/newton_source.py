@@ -28,21 +28,12 @@ _MOST_CODE = 8_000_000
 
 @dataclass(frozen=True)
 class ControllerSource:
-    """A controller in C.
-
-    Attributes
-    ----------
-    header, source : str
-    sizes : dict of str to int
-        The header's sizes, without their prefix.
-    period : float
-        s.
-    """
+    """A controller in C."""
 
     header: str
     source: str
-    sizes: dict[str, int]
-    period: float
+    sizes: dict[str, int]  #: The header's sizes, without their prefix
+    period: float  #: s
 
 
 def newton_source(

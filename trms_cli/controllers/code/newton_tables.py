@@ -16,19 +16,10 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Setting:
-    """A field of the settings struct.
+    """A field of the settings struct."""
 
-    Attributes
-    ----------
-    declaration : str
-        As C declares it.
-    value : str
-        Its initialiser.
-    comment : str
-    """
-
-    declaration: str
-    value: str
+    declaration: str  #: As C declares it
+    value: str  #: Its initialiser
     comment: str
 
 

@@ -24,30 +24,14 @@ _SHORT = 1e-7
 
 @dataclass(frozen=True)
 class ObserverSource:
-    """A filter in C.
+    """A filter in C."""
 
-    Attributes
-    ----------
-    functions : dict of str to casadi.Function
-        What is generated for it, by name.
-    sizes : dict of str to (int, str)
-        Macros without prefix: value and comment.
-    tables : str
-        Its constants.
-    channels : tuple of str
-        Measured, in the order of ``y``.
-    states : tuple of str
-        Of its mean: states, then torques.
-    period : float
-        s, between two samples.
-    """
-
-    functions: Mapping[str, ca.Function]
-    sizes: Mapping[str, tuple[int, str]]
-    tables: str
-    channels: tuple[str, ...]
-    states: tuple[str, ...]
-    period: float
+    functions: Mapping[str, ca.Function]  #: What is generated for it, by name
+    sizes: Mapping[str, tuple[int, str]]  #: Macros without prefix: value and comment
+    tables: str  #: Its constants
+    channels: tuple[str, ...]  #: Measured, in the order of ``y``
+    states: tuple[str, ...]  #: Of its mean: states, then torques
+    period: float  #: s, between two samples
 
 
 def exportable(observer: Any) -> bool:
@@ -58,10 +42,7 @@ def exportable(observer: Any) -> bool:
 def observer_source(observer: RecursiveFilter, setup: ObserverSetup) -> ObserverSource:
     """C of a filter.
 
-    Raises
-    ------
-    ConfigurationError
-        For sensors with memory.
+    Raises ConfigurationError for sensors with memory.
     """
     augmented = augment(setup, observer)
     if augmented.discrete.n_sensors:

@@ -33,15 +33,9 @@ class _Workspace:
 
 @dataclass(frozen=True, kw_only=True)
 class Daqp:
-    """DAQP.
+    """DAQP."""
 
-    Attributes
-    ----------
-    max_iterations : int
-        Changes of the active set.
-    """
-
-    max_iterations: Annotated[int, Meta(ge=1)] = 1000
+    max_iterations: Annotated[int, Meta(ge=1)] = 1000  #: Changes of the active set
 
     def start(self) -> _Workspace:
         """A fresh workspace."""

@@ -20,24 +20,14 @@ class _Workspace:
 
 @dataclass(frozen=True, kw_only=True)
 class FailingQp:
-    """Another solver, some of whose solves fail.
+    """Another solver, some of whose solves fail."""
 
-    Attributes
-    ----------
-    qp : QpSolver
-        The one that solves the others.
-    first : int
-        The solve at which it begins, counted from 0 since the controller started (afresh);
-        there is one a Newton iteration.
-    count : int
-        How many solves fail in a row.
-    every : int or None
-        After how many solves it happens again, from the first one on; None for never.
-    """
-
-    qp: QpSolver = field(default_factory=Daqp)
+    qp: QpSolver = field(default_factory=Daqp)  #: The one that solves the others
+    #: The solve at which it begins, counted from 0 since the controller started (afresh); there is
+    #: one a Newton iteration
     first: Annotated[int, Meta(ge=0)] = 100
-    count: Annotated[int, Meta(ge=1)] = 20
+    count: Annotated[int, Meta(ge=1)] = 20  #: How many solves fail in a row
+    #: After how many solves it happens again, from the first one on; None for never
     every: Annotated[int, Meta(ge=1)] | None = None
 
     def start(self) -> _Workspace:

@@ -21,16 +21,10 @@ class _Workspace:
 
 @dataclass(frozen=True, kw_only=True)
 class Osqp:
-    """OSQP.
+    """OSQP."""
 
-    Attributes
-    ----------
-    tolerance : float
-        Absolute and relative. The library's own default, 1e-3, leaves errors of 2e-2 in an input
-        sequence.
-    max_iterations : int
-    """
-
+    #: Absolute and relative. The library's own default, 1e-3, leaves errors of 2e-2 in an input
+    #: sequence.
     tolerance: Annotated[float, Meta(gt=0)] = 1e-8
     max_iterations: Annotated[int, Meta(ge=1)] = 50000
 

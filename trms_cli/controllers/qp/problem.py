@@ -19,48 +19,26 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass
 class Qp:
-    """A quadratic program with simple bounds and two-sided rows.
+    """A quadratic program with simple bounds and two-sided rows."""
 
-    Attributes
-    ----------
-    hessian : (n, n) array
-        Symmetric positive definite.
-    gradient : (n,) array
-    rows : (m, n) array
-        A.
-    lower, upper : (n + m,) arrays
-        Bounds of the unknowns, then of the rows.
-    linear, quadratic : (m,) arrays
-        μ and ν; μ infinite makes the row hard.
-    """
-
-    hessian: FloatArray
-    gradient: FloatArray
-    rows: FloatArray
+    hessian: FloatArray  #: (n, n) array; symmetric positive definite
+    gradient: FloatArray  #: (n,) array
+    rows: FloatArray  #: (m, n) array; A
+    #: ``lower``, ``upper``: (n + m,) arrays; bounds of the unknowns, then of the rows
     lower: FloatArray
     upper: FloatArray
-    linear: FloatArray
-    quadratic: FloatArray
+    linear: FloatArray  #: (m,) arrays; μ and ν
+    quadratic: FloatArray  #: (m,) arrays; μ infinite makes the row hard
 
 
 @dataclass
 class QpResult:
-    """A solver's answer.
+    """A solver's answer."""
 
-    Attributes
-    ----------
-    z : (n,) array
-    solved : bool
-        Whether z is a solution to the solver's tolerance.
-    iterations : int
-    message : str
-        Why not, in the solver's words.
-    """
-
-    z: FloatArray
-    solved: bool
+    z: FloatArray  #: (n,) array
+    solved: bool  #: Whether z is a solution to the solver's tolerance
     iterations: int
-    message: str = ""
+    message: str = ""  #: Why not, in the solver's words
 
 
 class QpSolver(Protocol):

@@ -28,34 +28,20 @@ WORSE = 1.5
 
 @dataclass(frozen=True)
 class Certificate:
-    """What holds of a law, measured.
+    """What holds of a law, measured."""
 
-    Attributes
-    ----------
-    contraction : float
-        Largest eigenvalue of Q_j^½ (A_j + B_j K)' Q_l⁻¹ (A_j + B_j K) Q_j^½ over all vertices:
-        below 1, V falls by at least that factor each sample.
-    gamma : float
-        The certified bound on the cost from the border of the ellipsoid.
-    claimed : float
-        The solver's γ.
-    residuals : (L, J) array
-        Least eigenvalue of the scaled inequality at each vertex j and next vertex l with the
-        solver's γ; not below −tolerance.
-    state : float
-        max z'Q_j⁻¹z of the states that the law was made for; at most 1.
-    inputs : (m,) array
-        Largest |v_i| in the ellipsoid relative to its bound; at most 1.
-    states : (n,) array
-        Largest |z_i| in the ellipsoid relative to its bound; at most 1.
-    """
-
+    #: Largest eigenvalue of Q_j^½ (A_j + B_j K)' Q_l⁻¹ (A_j + B_j K) Q_j^½ over all vertices: below
+    #: 1, V falls by at least that factor each sample
     contraction: float
-    gamma: float
-    claimed: float
+    gamma: float  #: The certified bound on the cost from the border of the ellipsoid
+    claimed: float  #: The solver's γ
+    #: (L, J) array; least eigenvalue of the scaled inequality at each vertex j and next vertex l
+    #: with the solver's γ; not below −tolerance
     residuals: FloatArray
-    state: float
+    state: float  #: max z'Q_j⁻¹z of the states that the law was made for; at most 1
+    #: (m,) array; largest |v_i| in the ellipsoid relative to its bound; at most 1
     inputs: FloatArray
+    #: (n,) array; largest |z_i| in the ellipsoid relative to its bound; at most 1
     states: FloatArray
 
     @property

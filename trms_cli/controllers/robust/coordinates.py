@@ -50,14 +50,10 @@ _MOST_COORDINATES = 8
 
 @dataclass(frozen=True)
 class Rotor:
-    """A rotor that is regulated by its thrust.
+    """A rotor that is regulated by its thrust."""
 
-    Attributes
-    ----------
-    input, state, coordinate : int
-        Positions of its command in u, of its speed in x and of ψ in z.
-    """
-
+    #: ``input``, ``state``, ``coordinate``: Positions of its command in u, of its speed in x and of
+    #: ψ in z
     input: int
     state: int
     coordinate: int

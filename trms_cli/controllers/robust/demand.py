@@ -27,24 +27,14 @@ _SPIN_UP = 20.0  # s, of a rotor under a full command: to its steady speed
 
 @dataclass(frozen=True)
 class ThrustDemand:
-    """The bound of one rotor.
-
-    Attributes
-    ----------
-    rotor : Rotor
-    pole : float
-        λ.
-    above, below : float
-        min ψ_hi(ψ) − λψ and min λψ − ψ_lo(ψ), (rad/s)².
-    largest : float
-        Largest |ψ| that the rotor reaches, (rad/s)².
-    """
+    """The bound of one rotor."""
 
     rotor: Rotor
-    pole: float
+    pole: float  #: λ
+    #: ``above``, ``below``: min ψ_hi(ψ) − λψ and min λψ − ψ_lo(ψ), (rad/s)²
     above: float
     below: float
-    largest: float
+    largest: float  #: Largest |ψ| that the rotor reaches, (rad/s)²
 
     def bound(self, psi_s: float) -> float:
         """Largest |ν| at a steady ψ_s, (rad/s)²; negative where even ν = 0 asks too much."""

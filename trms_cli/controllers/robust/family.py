@@ -45,49 +45,25 @@ _WIDENINGS = 8
 
 
 class Rings(msgspec.Struct):
-    """What is kept of a family between runs.
+    """What is kept of a family between runs."""
 
-    Attributes
-    ----------
-    inverses : list
-        Q_i⁻¹ from the outermost, each n × n.
-    gains : list
-        K_i, each m × n.
-    blends : list of bool
-        Whether K_i may be mixed with the next.
-    gammas, contractions : list of float
-        Certified.
-    positions : list of float
-        The states that each was made for, as a share of the farthest.
-    """
-
-    inverses: list[list[list[float]]]
-    gains: list[list[list[float]]]
-    blends: list[bool]
-    gammas: list[float]
-    contractions: list[float]
-    positions: list[float]
+    inverses: list[list[list[float]]]  #: Q_i⁻¹ from the outermost, each n × n
+    gains: list[list[list[float]]]  #: K_i, each m × n
+    blends: list[bool]  #: Whether K_i may be mixed with the next
+    gammas: list[float]  #: Certified
+    contractions: list[float]  #: Certified
+    positions: list[float]  #: The states that each was made for, as a share of the farthest
 
 
 @dataclass(frozen=True)
 class Family:
-    """The lookup.
+    """The lookup."""
 
-    Attributes
-    ----------
-    inverses : (N, n, n) array
-        Q_i⁻¹, from the outermost.
-    gains : (N, m, n) array
-    blends : (N,) array of bool
-    rings : Rings
-    input_bounds : (m,) array
-        Room of the inputs that the family was made for, in units of the scales.
-    """
-
-    inverses: FloatArray
-    gains: FloatArray
-    blends: npt.NDArray[np.bool_]
+    inverses: FloatArray  #: (N, n, n) array; Q_i⁻¹, from the outermost
+    gains: FloatArray  #: (N, m, n) array
+    blends: npt.NDArray[np.bool_]  #: (N,) array of bool
     rings: Rings
+    #: (m,) array; room of the inputs that the family was made for, in units of the scales
     input_bounds: FloatArray
 
     def share(self, bounds: FloatArray) -> float:

@@ -44,55 +44,27 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Task:
-    """The data of one problem, in units of the scales.
+    """The data of one problem, in units of the scales."""
 
-    Attributes
-    ----------
-    A : (L, n, n) array
-    B : (L, n, m) array
-    C : (q, n) array
-        C'C weighs z.
-    R : (m,) array
-        Weighs v.
-    z : (k, n) array
-        Where the bound is to be least: the worst of these states counts.
-    input_bounds : (m,) array
-        ū.
-    state_bounds : (n,) array
-        z̄; infinite for none.
-    """
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    R: FloatArray
-    z: FloatArray
-    input_bounds: FloatArray
-    state_bounds: FloatArray
+    A: FloatArray  #: (L, n, n) array
+    B: FloatArray  #: (L, n, m) array
+    C: FloatArray  #: (q, n) array; C'C weighs z
+    R: FloatArray  #: (m,) array; weighs v
+    z: FloatArray  #: (k, n) array; where the bound is to be least: the worst of these states counts
+    input_bounds: FloatArray  #: (m,) array; ū
+    state_bounds: FloatArray  #: (n,) array; z̄; infinite for none
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver said; believed after :func:`trms_cli.controllers.robust.certificate.certify`.
+    """A solver's answer, believed after :func:`trms_cli.controllers.robust.certificate.certify`."""
 
-    Attributes
-    ----------
-    Q : (1 or L, n, n) array
-    K : (m, n) array
-    gamma : float
-    slack : float
-        Largest s, relative to the squared bounds.
-    iterations : int
-    status : str
-        The solver's word.
-    """
-
-    Q: FloatArray
-    K: FloatArray
-    gamma: float
-    slack: float
+    Q: FloatArray  #: (1 or L, n, n) array
+    K: FloatArray  #: (m, n) array
+    gamma: float  #: γ, the bound on the cost
+    slack: float  #: Largest s, relative to the squared bounds
     iterations: int
-    status: str
+    status: str  #: The solver's word
 
 
 class Inequalities:

@@ -36,32 +36,19 @@ _OVERSIZE = 1.2
 
 @dataclass(frozen=True)
 class Target:
-    """A steady state in the coordinates of the regulation.
+    """A steady state in the coordinates of the regulation."""
 
-    Attributes
-    ----------
-    z : (n,) array
-    v : (m,) array
-    w : (n_w,) array
-        The torques under which it is one, N m.
-    """
-
-    z: FloatArray
-    v: FloatArray
-    w: FloatArray
+    z: FloatArray  #: (n,) array
+    v: FloatArray  #: (m,) array
+    w: FloatArray  #: (n_w,) array; the torques under which it is one, N m
 
 
 @dataclass(frozen=True)
 class Region:
-    """A box in z.
+    """A box in z."""
 
-    Attributes
-    ----------
-    lower, upper : (n,) arrays
-    """
-
-    lower: FloatArray
-    upper: FloatArray
+    lower: FloatArray  #: (n,) arrays
+    upper: FloatArray  #: (n,) arrays
 
     def contains(self, other: Region, tolerance: FloatArray | float = 0.0) -> bool:
         """Whether another box lies within."""
@@ -79,26 +66,14 @@ class Region:
 
 @dataclass(frozen=True)
 class Polytope:
-    """Vertices of the coefficients, in units of the scales.
+    """Vertices of the coefficients, in units of the scales."""
 
-    Attributes
-    ----------
-    A : (L, n, n) array
-    B : (L, n, m) array
-    centre : (n, n + m) array
-        Middle of the sampled coefficients.
-    directions : (K, n (n + m)) array
-        M_k: orthonormal, each as a row.
-    lower, upper : (K,) arrays
-        θ_k⁻ and θ_k⁺.
-    """
-
-    A: FloatArray
-    B: FloatArray
-    centre: FloatArray
-    directions: FloatArray
-    lower: FloatArray
-    upper: FloatArray
+    A: FloatArray  #: (L, n, n) array
+    B: FloatArray  #: (L, n, m) array
+    centre: FloatArray  #: (n, n + m) array; middle of the sampled coefficients
+    directions: FloatArray  #: (K, n (n + m)) array; M_k: orthonormal, each as a row
+    lower: FloatArray  #: (K,) arrays; θ_k⁻ and θ_k⁺
+    upper: FloatArray  #: (K,) arrays; θ_k⁻ and θ_k⁺
 
     @property
     def vertices(self) -> int:

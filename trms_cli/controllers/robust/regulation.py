@@ -34,67 +34,39 @@ _NO_STOP = math.pi  # rad, of an axis without stops
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """What is regulated, and how dear deviations are.
+    """What is regulated, and how dear deviations are."""
 
-    Attributes
-    ----------
-    thrust_inputs : tuple of str
-        Commands whose rotors are regulated by their thrust.
-    smallest_speed : float
-        ε, rad/s: below it the thrust counts as linear in the speed.
-    thrust_band : float
-        Distance of a thrust from its target, as a rotor speed in rad/s, within which the reaction
-        of that rotor on the other axis is a bounded disturbance and no coefficient.
-    thrust_pole : float
-        λ, of a thrust without demand, a period.
-    state_weights, rate_weights, input_weights : dict of str to float
-        Of the controlled angles (1/rad²), their rates (1/(rad/s)²) and the inputs (1/V²; of a
-        demand of thrust, whose bound counts as the command's limit).
-    principal_components : int
-        K; the polytope has 2^K vertices.
-    margin : float
-        Share by which the polytope is widened beyond the samples.
-    points : int
-        Samples of the coefficients.
-    rate_range : float
-        Half-width of the region of operation in states that are neither angles nor rotor speeds,
-        rad/s.
-    """
-
+    #: Commands whose rotors are regulated by their thrust
     thrust_inputs: tuple[str, ...] = ("u_h",)
-    smallest_speed: Positive = 5.0
+    smallest_speed: Positive = 5.0  #: ε, rad/s: below it the thrust counts as linear in the speed
+    #: Distance of a thrust from its target, as a rotor speed in rad/s, within which the reaction of
+    #: that rotor on the other axis is a bounded disturbance and no coefficient
     thrust_band: Positive = 120.0
+    #: λ, of a thrust without demand, a period
     thrust_pole: Annotated[float, Meta(gt=0, lt=1)] = 0.9
+    #: ``state_weights``, ``rate_weights``, ``input_weights``: Of the controlled angles (1/rad²),
+    #: their rates (1/(rad/s)²) and the inputs (1/V²; of a demand of thrust, whose bound counts as
+    #: the command's limit)
     state_weights: Mapping[str, Positive] = field(default_factory=dict)
     rate_weights: Mapping[str, NotNegative] = field(default_factory=dict)
     input_weights: Mapping[str, Positive] = field(default_factory=dict)
-    principal_components: Annotated[int, Meta(ge=1, le=5)] = 2
-    margin: NotNegative = 0.05
-    points: Annotated[int, Meta(ge=32)] = 256
+    principal_components: Annotated[int, Meta(ge=1, le=5)] = 2  #: K; the polytope has 2^K vertices
+    margin: NotNegative = 0.05  #: Share by which the polytope is widened beyond the samples
+    points: Annotated[int, Meta(ge=32)] = 256  #: Samples of the coefficients
+    #: Half-width of the region of operation in states that are neither angles nor rotor speeds,
+    #: rad/s
     rate_range: Positive = 1.5
 
 
 @dataclass
 class Aim:
-    """Where the regulation is going.
-
-    Attributes
-    ----------
-    steady : operating_point.Target
-    target : Target
-        The same in the coordinates.
-    message : str
-    asked : (n_r,) array
-        The reference, rad.
-    moved : bool
-        Whether it is another than that of the aim before.
-    """
+    """Where the regulation is going."""
 
     steady: operating_point.Target
-    target: Target
+    target: Target  #: The same in the coordinates
     message: str
-    asked: FloatArray
-    moved: bool = False
+    asked: FloatArray  #: (n_r,) array; the reference, rad
+    moved: bool = False  #: Whether it is another than that of the aim before
 
 
 class Regulation:

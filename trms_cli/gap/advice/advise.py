@@ -52,23 +52,12 @@ class _Worth:
 
 @dataclass(frozen=True)
 class _Question:
-    """What is to be found out.
+    """What is to be found out."""
 
-    Attributes
-    ----------
-    suspects : tuple of Suspect
-        With the rows that are simulated.
-    apart : bool
-        Whether they are to be told apart, the first from each other; else to be seen.
-    fitted : tuple of str
-        Those whose first row is their fitted size.
-    hidden : dict of str to tuple of int
-        Rows of each that the present recordings do not show.
-    """
-
-    suspects: tuple[Suspect, ...]
-    apart: bool
-    fitted: tuple[str, ...] = ()
+    suspects: tuple[Suspect, ...]  #: With the rows that are simulated
+    apart: bool  #: Whether they are to be told apart, the first from each other; else to be seen
+    fitted: tuple[str, ...] = ()  #: Those whose first row is their fitted size
+    #: Rows of each that the present recordings do not show
     hidden: Mapping[str, tuple[int, ...]] | None = None
 
     def worth(self, recording: Recording) -> _Worth:

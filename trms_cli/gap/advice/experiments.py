@@ -43,18 +43,10 @@ _FROM_REST = 0.5
 
 @dataclass(frozen=True)
 class Experiment:
-    """Commands, what they are in words, and what to type for them.
-
-    Attributes
-    ----------
-    words : str
-    commands : (n, n_u) array
-        From rest, lead-in included.
-    command : str
-    """
+    """Commands, what they are in words, and what to type for them."""
 
     words: str
-    commands: FloatArray
+    commands: FloatArray  #: (n, n_u) array; from rest, lead-in included
     command: str
 
 

@@ -26,21 +26,12 @@ _NOTHING = 1.0
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording, made or imagined, with all that traces are projected in.
+    """A recording, made or imagined, with all that traces are projected in."""
 
-    Attributes
-    ----------
-    contestant : Contestant
-        Of the nominal model.
-    fit : Fit
-    metric : Metric
-    centres : (m, n_x) array
-    """
-
-    contestant: Contestant
+    contestant: Contestant  #: Of the nominal model
     fit: Fit
     metric: Metric
-    centres: FloatArray
+    centres: FloatArray  #: (m, n_x) array
 
     def signatures(self, suspects: Sequence[Suspect]) -> Signatures:
         """Projected traces of some effects at their variants."""

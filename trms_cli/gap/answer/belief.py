@@ -41,33 +41,18 @@ _USUAL_QUANTUM = 2 * np.pi / 4096
 
 @dataclass(frozen=True)
 class Believed:
-    """What is believed.
+    """What is believed."""
 
-    Attributes
-    ----------
-    probabilities : dict of tuple of str to float
-        Descending; effects together, or one of :data:`NO_EFFECT`.
-    verdict : str
-    best : Entry or None
-        The most probable with effects.
-    corrected : Entry or None
-        What goes into the corrected model; None: the refit alone.
-    confusable : tuple of tuple of str
-    features : Features
-    resampled : list of dict
-        The probabilities with blocks drawn anew: how much they hang on single blocks.
-    outside : str
-        Axis on which a torque from outside acts; empty for none.
-    """
-
+    #: Descending; effects together, or one of :data:`NO_EFFECT`
     probabilities: Mapping[tuple[str, ...], float]
     verdict: Verdict
-    best: Entry | None
-    corrected: Entry | None
+    best: Entry | None  #: The most probable with effects
+    corrected: Entry | None  #: What goes into the corrected model; None: the refit alone
     confusable: tuple[tuple[str, ...], ...]
     features: Features
+    #: The probabilities with blocks drawn anew: how much they hang on single blocks
     resampled: tuple[Mapping[tuple[str, ...], float], ...]
-    outside: str = ""
+    outside: str = ""  #: Axis on which a torque from outside acts; empty for none
 
 
 def features_of(

@@ -22,23 +22,14 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Far:
-    """The opened seal.
-
-    Attributes
-    ----------
-    measured : Measured
-    raw, refit, corrected : Model
-        As their free runs were made.
-    plain, richer : Rollout
-        Of the first two, and of the last.
-    """
+    """The opened seal."""
 
     measured: Measured
-    raw: Model
-    refit: Model
-    corrected: Model
-    plain: Rollout
-    richer: Rollout
+    raw: Model  #: As their free runs were made
+    refit: Model  #: As their free runs were made
+    corrected: Model  #: As their free runs were made
+    plain: Rollout  #: Of the first two, and of the last
+    richer: Rollout  #: Of the first two, and of the last
 
 
 def how_far(problem: GapProblem, parts: Parts, raced: Contest, believed: Believed) -> Far:

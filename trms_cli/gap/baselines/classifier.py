@@ -48,23 +48,13 @@ _TOLD = 1e-3
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained classifier.
-
-    Attributes
-    ----------
-    classes : tuple of str
-    mean, sd : (n,) arrays
-        Of the marks.
-    weights : (classes, n + 1) array
-    accuracy : float
-        On rigs that the weights were not fitted to.
-    """
+    """A trained classifier."""
 
     classes: tuple[str, ...]
-    mean: FloatArray
-    sd: FloatArray
-    weights: FloatArray
-    accuracy: float
+    mean: FloatArray  #: (n,) arrays; of the marks
+    sd: FloatArray  #: (n,) arrays; of the marks
+    weights: FloatArray  #: (classes, n + 1) array
+    accuracy: float  #: On rigs that the weights were not fitted to
 
     def probabilities(self, found: FloatArray) -> FloatArray:
         """Of each class, for marks (k, n)."""

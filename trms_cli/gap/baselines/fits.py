@@ -21,19 +21,11 @@ from trms_cli.models.model import Model
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model.
+    """A fitted model."""
 
-    Attributes
-    ----------
-    model : Model
-        With the fitted values.
-    free : tuple of FreeParameter
-    theta, sd : (n_f,) arrays
-        Their values and standard deviations.
-    """
-
-    model: Model
+    model: Model  #: With the fitted values
     free: tuple[FreeParameter, ...]
+    #: ``theta``, ``sd``: (n_f,) arrays; their values and standard deviations
     theta: FloatArray
     sd: FloatArray
 

@@ -43,20 +43,12 @@ _LEAST = 0.01
 
 @dataclass(frozen=True)
 class Layer:
-    """Random features of a rig's motion.
+    """Random features of a rig's motion."""
 
-    Attributes
-    ----------
-    centre, width : (n_s,) arrays
-        Of the inputs.
-    weights : (units, n_s) array
-    offsets : (units,) array
-    """
-
-    centre: FloatArray
-    width: FloatArray
-    weights: FloatArray
-    offsets: FloatArray
+    centre: FloatArray  #: (n_s,) arrays; of the inputs
+    width: FloatArray  #: (n_s,) arrays; of the inputs
+    weights: FloatArray  #: (units, n_s) array
+    offsets: FloatArray  #: (units,) array
 
     def __call__(self, s: ca.SX) -> ca.SX:
         """Features of inputs (n_s, 1): the inputs themselves, then the tanh units, then 1."""
@@ -67,16 +59,10 @@ class Layer:
 
 @dataclass(frozen=True)
 class LearntForce(Effect):
-    """A regressed force on each equation, as an effect of a model.
-
-    Attributes
-    ----------
-    layer : Layer
-    coefficients : dict of str to (n,) array
-        By the equation's disturbance.
-    """
+    """A regressed force on each equation, as an effect of a model."""
 
     layer: Layer
+    #: dict of str to (n,) array; by the equation's disturbance
     coefficients: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __hash__(self) -> int:

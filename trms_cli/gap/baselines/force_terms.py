@@ -37,20 +37,11 @@ _CRUISE = 200.0
 
 @dataclass(frozen=True)
 class Term:
-    """One column of the library.
+    """One column of the library."""
 
-    Attributes
-    ----------
-    location : str
-        The equation's disturbance.
-    name : str
-    effects : tuple of str
-        What it speaks for; more than one where no force tells them apart.
-    """
-
-    location: str
+    location: str  #: The equation's disturbance
     name: str
-    effects: tuple[str, ...]
+    effects: tuple[str, ...]  #: What it speaks for; more than one where no force tells them apart
 
 
 @dataclass(frozen=True)
@@ -151,14 +142,9 @@ def _of_rotor(at: EffectContext, rotor: str, i: int) -> Iterator[_Entry]:
 
 @dataclass(frozen=True)
 class AddedForces(Memory):
-    """Some terms of the library with their coefficients, as an effect of a model.
+    """Some terms of the library with their coefficients, as an effect of a model."""
 
-    Attributes
-    ----------
-    coefficients : dict of Term to float
-        In the unit of the equation's disturbance.
-    """
-
+    #: In the unit of the equation's disturbance
     coefficients: Mapping[Term, float] = field(default_factory=dict)
 
     def __hash__(self) -> int:

@@ -23,15 +23,9 @@ from trms_cli.gap.shrinkage import measure
 
 @dataclass(frozen=True, kw_only=True)
 class Oracle:
-    """The rig's effects are known, their sizes and the nominal parameters are not.
+    """The rig's effects are known, their sizes and the nominal parameters are not."""
 
-    Attributes
-    ----------
-    effects : tuple of str
-        What the rig has; names that are no candidates are passed over.
-    """
-
-    effects: tuple[str, ...]
+    effects: tuple[str, ...]  #: What the rig has; names that are no candidates are passed over
 
     name: ClassVar[str] = "oracle"
 

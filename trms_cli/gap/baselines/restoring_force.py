@@ -34,32 +34,16 @@ _THINNED = 0.06
 
 @dataclass(frozen=True)
 class Motion:
-    """Smoothed motion of a rig, with what a model lacks to follow it.
+    """Smoothed motion of a rig, with what a model lacks to follow it."""
 
-    Attributes
-    ----------
-    x : (n, n_x) array
-    u : (n, n_u) array
-        Smoothed by the same polynomials.
-    force : (n, n_w) array
-        In the disturbances' units.
-    of_parameters : (n, n_w, n_f) array
-        What a unit of each free parameter adds to the force.
-    block : (n,) array of int
-        Blocks of time, for cross-validation.
-    step : float
-        s between two samples of one recording.
-    breaks : (k,) array of int
-        Samples at which a recording begins.
-    """
-
-    x: FloatArray
-    u: FloatArray
-    force: FloatArray
+    x: FloatArray  #: (n, n_x) array
+    u: FloatArray  #: (n, n_u) array; smoothed by the same polynomials
+    force: FloatArray  #: (n, n_w) array; in the disturbances' units
+    #: (n, n_w, n_f) array; what a unit of each free parameter adds to the force
     of_parameters: FloatArray
-    block: IntArray
-    step: float
-    breaks: IntArray
+    block: IntArray  #: (n,) array of int; blocks of time, for cross-validation
+    step: float  #: s between two samples of one recording
+    breaks: IntArray  #: (k,) array of int; samples at which a recording begins
 
     @property
     def independent(self) -> float:

@@ -37,20 +37,11 @@ _FOLDS, _SWEEPS = 5, 10
 
 
 class Found(NamedTuple):
-    """A term that stayed.
-
-    Attributes
-    ----------
-    coefficient : float
-    gain : float
-        Nats that it explains of its equation beside the others that stayed.
-    share : float
-        Of the equation's force, 0 to 1.
-    """
+    """A term that stayed."""
 
     coefficient: float
-    gain: float
-    share: float
+    gain: float  #: Nats that it explains of its equation beside the others that stayed
+    share: float  #: Of the equation's force, 0 to 1
 
 
 @dataclass(frozen=True, kw_only=True)

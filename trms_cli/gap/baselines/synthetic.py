@@ -31,25 +31,13 @@ _FARTHEST_SD = 2.5
 
 @dataclass(frozen=True)
 class Request:
-    """Rigs of one class.
+    """Rigs of one class."""
 
-    Attributes
-    ----------
-    model : Model
-        The nominal one.
-    name : str
-    effect : Effect or None
-    outputs : tuple of str
-    sample_time : float
-        s.
-    count, seed : int
-    """
-
-    model: Model
+    model: Model  #: The nominal one
     name: str
     effect: Effect | None
     outputs: tuple[str, ...]
-    sample_time: float
+    sample_time: float  #: s
     count: int
     seed: int
 

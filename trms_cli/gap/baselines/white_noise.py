@@ -35,28 +35,14 @@ _FIRST_STEPS, _LAST_STEPS, _TOLERANCE = 4, 6, 0.5
 
 @dataclass(frozen=True)
 class Competitor:
-    """A fitted candidate.
-
-    Attributes
-    ----------
-    chosen : tuple of Suspect
-    fit : Fit
-        Without standard deviations.
-    starts : (m, n_x) array
-        Of the windows.
-    residual_sd : (n_y,) array
-        Root mean square of the residuals of each output.
-    log_likelihood : float
-        Nats, white noise, up to a constant that all share.
-    parameters, samples : int
-        How many were fitted, and to how many measured values.
-    """
+    """A fitted candidate."""
 
     chosen: tuple[Suspect, ...]
-    fit: Fit
-    starts: FloatArray
-    residual_sd: FloatArray
-    log_likelihood: float
+    fit: Fit  #: Without standard deviations
+    starts: FloatArray  #: (m, n_x) array; of the windows
+    residual_sd: FloatArray  #: (n_y,) array; root mean square of the residuals of each output
+    log_likelihood: float  #: Nats, white noise, up to a constant that all share
+    #: ``parameters``, ``samples``: How many were fitted, and to how many measured values
     parameters: int
     samples: int
 

@@ -34,80 +34,42 @@ Random = np.random.Generator
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One rig and its recording: a line of the key.
-
-    Attributes
-    ----------
-    kind : str
-    effects : dict of str to (dict of str to float)
-        Sizes of each effect that the rig has, in the rig's units.
-    severity : dict of str to str
-        Level of each effect.
-    drive : {"rich", "poor", "closed_loop"}
-    channels : {"four", "angles"}
-        Whether rotor speeds are recorded.
-    parameters : dict of str to float
-        Deviations from the nominal values, in standard deviations of the priors.
-    locations : tuple of str
-        Where a gap lies; any of them is right. Empty for a rig without effect.
-    group : tuple of str
-        Effects among which no recording of this kind decides, the true one among them.
-    twin : int
-        Number of the matched pair that this rig is half of, from 1; 0 for others.
-    centre, amplitude : float
-        V and 1, of the excitation; see :mod:`trms_cli.gap.blind.drivers`.
-    jitter : float
-        s, of the sampling.
-    excitation : int
-        Seed of the commands.
-    """
+    """One rig and its recording: a line of the key."""
 
     kind: Kind
+    #: Sizes of each effect that the rig has, in the rig's units
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    severity: Mapping[str, str] = field(default_factory=dict)
+    severity: Mapping[str, str] = field(default_factory=dict)  #: Level of each effect
     drive: Drive = "rich"
-    channels: Channels = "four"
+    channels: Channels = "four"  #: Whether rotor speeds are recorded
+    #: Deviations from the nominal values, in standard deviations of the priors
     parameters: Mapping[str, float] = field(default_factory=dict)
+    #: Where a gap lies; any of them is right. Empty for a rig without effect.
     locations: tuple[str, ...] = ()
+    #: Effects among which no recording of this kind decides, the true one among them
     group: tuple[str, ...] = ()
-    twin: int = 0
-    centre: float = 1.25
-    amplitude: float = 0.8
-    jitter: float = 2e-4
-    excitation: int = 0
+    twin: int = 0  #: Number of the matched pair that this rig is half of, from 1; 0 for others
+    centre: float = 1.25  #: V and 1, of the excitation
+    amplitude: float = 0.8  #: see :mod:`trms_cli.gap.blind.drivers`
+    jitter: float = 2e-4  #: s, of the sampling
+    excitation: int = 0  #: Seed of the commands
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetPlan:
-    """What a set is made of.
+    """What a set is made of."""
 
-    Attributes
-    ----------
-    cases : int
-        Unless another number is asked for.
-    final : bool
-        Whether forms and effects occur that development sets do not have.
-    outside : tuple of str
-        Effects outside the library.
-    centre, amplitude : (low, high)
-        Ranges of the excitation's.
-    stretch : (low, high)
-        Factor by which sizes scatter about those of their severity.
-    shift : float
-        By how many prior standard deviations the rigs with effects lie beside the nominal on
-        average, in a direction that the seed decides; 0: about it.
-    shares : dict of str to float
-        Of the kinds.
-    """
-
-    cases: int
-    final: bool
-    outside: tuple[str, ...]
-    centre: tuple[float, float]
-    amplitude: tuple[float, float]
+    cases: int  #: Unless another number is asked for
+    final: bool  #: Whether forms and effects occur that development sets do not have
+    outside: tuple[str, ...]  #: Effects outside the library
+    centre: tuple[float, float]  #: (low, high); ranges of the excitation's
+    amplitude: tuple[float, float]  #: (low, high); ranges of the excitation's
+    #: (low, high); factor by which sizes scatter about those of their severity
     stretch: tuple[float, float]
+    #: By how many prior standard deviations the rigs with effects lie beside the nominal on
+    #: average, in a direction that the seed decides; 0: about it
     shift: float
-    shares: Mapping[Kind, float]
+    shares: Mapping[Kind, float]  #: Of the kinds
 
 
 _SHARES: Mapping[Kind, float] = {

@@ -19,38 +19,21 @@ HORIZON, ALL = "2.0", "all"
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What of a diagnosis is judged.
-
-    Attributes
-    ----------
-    verdict : str
-    causes : tuple of (effects, probability)
-        As told, the likeliest first.
-    sizes : dict of str to float
-        Of the first cause, ``<effect>.<size>``.
-    places : tuple of str
-        Locations, the largest share first.
-    confusable : tuple of tuple of str
-    shrink : float or None
-        Told fraction at :data:`HORIZON`, all channels.
-    shrink_ci95 : (low, high) or None
-    floors : dict of str to float
-        Told noise floor by channel at :data:`HORIZON`.
-    not_testable : tuple of str
-    seconds : float or None
-        That it took.
-    """
+    """What of a diagnosis is judged."""
 
     verdict: str
+    #: tuple of (effects, probability); as told, the likeliest first
     causes: tuple[tuple[tuple[str, ...], float], ...]
+    #: Of the first cause, ``<effect>.<size>``
     sizes: Mapping[str, float] = field(default_factory=dict)
-    places: tuple[str, ...] = ()
+    places: tuple[str, ...] = ()  #: Locations, the largest share first
     confusable: tuple[tuple[str, ...], ...] = ()
-    shrink: float | None = None
-    shrink_ci95: tuple[float, float] | None = None
+    shrink: float | None = None  #: Told fraction at :data:`HORIZON`, all channels
+    shrink_ci95: tuple[float, float] | None = None  #: (low, high) or None
+    #: Told noise floor by channel at :data:`HORIZON`
     floors: Mapping[str, float] = field(default_factory=dict)
     not_testable: tuple[str, ...] = ()
-    seconds: float | None = None
+    seconds: float | None = None  #: That it took
 
     @property
     def first(self) -> tuple[tuple[str, ...], float]:
@@ -70,31 +53,17 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class OnFresh:
-    """How the models of a diagnosis do on the second recording of the rig.
+    """How the models of a diagnosis do on the second recording of the rig."""
 
-    Attributes
-    ----------
-    shrink : float or None
-        At :data:`HORIZON`, all channels; None where the refit leaves no gap to shrink.
-    worse : tuple of str
-        Channels in which the corrected model errs by over 2 % more than the refitted one.
-    """
-
+    #: At :data:`HORIZON`, all channels; None where the refit leaves no gap to shrink
     shrink: float | None
+    #: Channels in which the corrected model errs by over 2 % more than the refitted one
     worse: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """A case with an answer.
-
-    Attributes
-    ----------
-    name : str
-    case : Case
-    answer : Answer
-    fresh : OnFresh or None
-    """
+    """A case with an answer."""
 
     name: str
     case: Case
@@ -181,10 +150,7 @@ class Judged:
 def answer_of(document: Mapping[str, Any], seconds: float | None = None) -> Answer:
     """What of a ``diagnosis.json`` is judged; missing parts are taken as not told.
 
-    Raises
-    ------
-    ValueError
-        If it is no such document; the message says what is wrong.
+    Raises ValueError if it is no such document; the message says what is wrong.
     """
     if document.get("schema") != SCHEMA:
         raise ValueError(f"the schema is {document.get('schema')!r}, {SCHEMA!r} is wanted")

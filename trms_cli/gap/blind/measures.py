@@ -21,18 +21,11 @@ Judge = Callable[[Judged], bool]
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """What is to be reached.
-
-    Attributes
-    ----------
-    kind : {"at least", "at most", "within"}
-    low, high : float
-        "at least" heeds ``low``, "at most" ``high``.
-    """
+    """What is to be reached."""
 
     kind: Literal["at least", "at most", "within"]
-    low: float = 0.0
-    high: float = 1.0
+    low: float = 0.0  #: "at least" heeds ``low``, "at most" ``high``
+    high: float = 1.0  #: "at least" heeds ``low``, "at most" ``high``
 
     def met(self, value: float) -> bool:
         """Whether a figure reaches it."""
@@ -43,21 +36,11 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A line of the table.
+    """A line of the table."""
 
-    Attributes
-    ----------
-    measure : str
-        In words.
-    estimate : Estimate
-    unit : {"%", "1"}
-        Shares are shown in per cent.
-    target : Target or None
-    """
-
-    measure: str
+    measure: str  #: In words
     estimate: Estimate
-    unit: Literal["%", "1"] = "%"
+    unit: Literal["%", "1"] = "%"  #: Shares are shown in per cent
     target: Target | None = None
 
     @property
@@ -70,26 +53,14 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """All that is told of one method.
-
-    Attributes
-    ----------
-    rows : tuple of Row
-    by_effect : dict of str to dict of str to Estimate
-        Share of exact names: effect, then level and ``all``; singles with rich excitation.
-    confusions : dict of str to dict of str to int
-        Truth, then what was said.
-    reliability : Reliability
-        Of the likeliest cause's probability.
-    seconds : float or None
-        Mean time of a diagnosis.
-    """
+    """All that is told of one method."""
 
     rows: tuple[Row, ...]
+    #: Share of exact names: effect, then level and ``all``; singles with rich excitation
     by_effect: Mapping[str, Mapping[str, Estimate]]
-    confusions: Mapping[str, Mapping[str, int]]
-    reliability: Reliability
-    seconds: float | None
+    confusions: Mapping[str, Mapping[str, int]]  #: Truth, then what was said
+    reliability: Reliability  #: Of the likeliest cause's probability
+    seconds: float | None  #: Mean time of a diagnosis
 
 
 def table(

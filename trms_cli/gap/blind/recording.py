@@ -31,16 +31,10 @@ _SETTLING = 10.0  # s
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """How long and how often.
+    """How long and how often."""
 
-    Attributes
-    ----------
-    duration, sample_time : float
-        s.
-    """
-
-    duration: float = 120.0
-    sample_time: float = 0.02
+    duration: float = 120.0  #: s
+    sample_time: float = 0.02  #: s
 
 
 def record(

@@ -28,17 +28,11 @@ _ITERATIONS = 40
 
 
 class Refit(NamedTuple):
-    """The nominal model at its best.
+    """The nominal model at its best."""
 
-    Attributes
-    ----------
-    values : dict of str to float
-        The free parameters.
-    rms : (n_y,) array
-        Root mean square of what is left in each output, over windows of 10 s with free starts.
-    """
-
-    values: Mapping[str, float]
+    values: Mapping[str, float]  #: The free parameters
+    #: (n_y,) array; root mean square of what is left in each output, over windows of 10 s with free
+    #: starts
     rms: FloatArray
 
 

@@ -56,57 +56,31 @@ class Driver(Protocol):
 
 @dataclass(frozen=True)
 class Nuisances:
-    """What every rig has and nobody asks for.
+    """What every rig has and nobody asks for."""
 
-    Attributes
-    ----------
-    jitter : float or (n,) array
-        s, standard deviation of the sampling instants.
-    drift : float
-        Share by which a drive's gain wanders over a recording, standard deviation.
-    flexibility : float
-        Share of the deflection of a stiff mode that the encoders see.
-    """
-
+    #: float or (n,) array; s, standard deviation of the sampling instants
     jitter: float | FloatArray = 2e-4
+    #: Share by which a drive's gain wanders over a recording, standard deviation
     drift: float = 0.01
-    flexibility: float = 0.3
+    flexibility: float = 0.3  #: Share of the deflection of a stiff mode that the encoders see
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What came out.
+    """What came out."""
 
-    Attributes
-    ----------
-    time : (k,) array
-        s.
-    commands : (n, k, 2) array
-        V, u_v and u_h.
-    measured : (n, k, 4) array
-        α_v, α_h [rad], ω_v, ω_h [rad/s].
-    """
-
-    time: FloatArray
-    commands: FloatArray
-    measured: FloatArray
+    time: FloatArray  #: (k,) array; s
+    commands: FloatArray  #: (n, k, 2) array; V, u_v and u_h
+    measured: FloatArray  #: (n, k, 4) array; α_v, α_h [rad], ω_v, ω_h [rad/s]
 
 
 @dataclass
 class Rigs:
-    """A number n of rigs that differ in parameters and effects.
+    """A number n of rigs that differ in parameters and effects."""
 
-    Attributes
-    ----------
-    constants : dict of str to (n,) array
-        The parameters by the names of the set ``bench``.
-    sizes : dict of str to (n,) array
-        Sizes of effects, ``<effect>.<size>``; what is not named is zero.
-    nuisances : Nuisances
-    seed : int
-    """
-
+    #: dict of str to (n,) array; the parameters by the names of the set ``bench``
     constants: Mapping[str, FloatArray]
+    #: dict of str to (n,) array; sizes of effects, ``<effect>.<size>``; what is not named is zero
     sizes: Mapping[str, FloatArray] = field(default_factory=dict)
     nuisances: Nuisances = field(default_factory=Nuisances)
     seed: int = 0

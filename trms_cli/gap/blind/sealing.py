@@ -35,55 +35,26 @@ KEY, FRESH = "key.json", "fresh"
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """Which set is to be made.
+    """Which set is to be made."""
 
-    Attributes
-    ----------
-    name : str
-        Of :data:`trms_cli.gap.blind.cases.SETS`.
-    seed : int
-    cases : int or None
-        Instead of the set's own number.
-    timing : Timing
-        Of the recordings.
-    fresh : float
-        s of a second recording of each rig, kept with the key; 0: none.
-    jobs : int
-        The two kinds of recording are made side by side with 2.
-    """
-
-    name: str
+    name: str  #: Of :data:`trms_cli.gap.blind.cases.SETS`
     seed: int
-    cases: int | None = None
-    timing: Timing = field(default_factory=Timing)
-    fresh: float = 60.0
-    jobs: int = 2
+    cases: int | None = None  #: Instead of the set's own number
+    timing: Timing = field(default_factory=Timing)  #: Of the recordings
+    fresh: float = 60.0  #: s of a second recording of each rig, kept with the key; 0: none
+    jobs: int = 2  #: The two kinds of recording are made side by side with 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class OpenedKey:
-    """A key that fits its set.
-
-    Attributes
-    ----------
-    set_name : str
-    seed : int
-    cases : dict of str to Case
-        By the recording's name.
-    files : dict of str to str
-        SHA-256 of each recording.
-    fresh : Path or None
-        Folder of the second recordings.
-    commitment : str
-        The SHA-256 that was told first.
-    """
+    """A key that fits its set."""
 
     set_name: str
     seed: int
-    cases: Mapping[str, Case]
-    files: Mapping[str, str]
-    fresh: Path | None
-    commitment: str
+    cases: Mapping[str, Case]  #: By the recording's name
+    files: Mapping[str, str]  #: SHA-256 of each recording
+    fresh: Path | None  #: Folder of the second recordings
+    commitment: str  #: The SHA-256 that was told first
 
 
 def make(asked: Asked, folder: Path, key_folder: Path, tell: Callable[[str], None]) -> str:

@@ -15,22 +15,12 @@ _Z95 = 1.959963984540054
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure with its 95 % interval.
+    """A figure with its 95 % interval."""
 
-    Attributes
-    ----------
-    value : float or None
-        None where there is no case to take it from.
-    low, high : float or None
-        None where there are too few for an interval.
-    count : int
-        Cases that it is taken from.
-    """
-
-    value: float | None
-    low: float | None
-    high: float | None
-    count: int
+    value: float | None  #: None where there is no case to take it from
+    low: float | None  #: None where there are too few for an interval
+    high: float | None  #: None where there are too few for an interval
+    count: int  #: Cases that it is taken from
 
 
 def share(hits: Sequence[bool]) -> Estimate:
@@ -61,22 +51,14 @@ def quantile(values: Sequence[float], q: float, draws: int, seed: int) -> Estima
 
 @dataclass(frozen=True)
 class Reliability:
-    """Predicted probabilities against what came true.
+    """Predicted probabilities against what came true."""
 
-    Attributes
-    ----------
-    bins : list of dict
-        ``low, high, count, predicted`` (mean), ``right`` (share), ``right_ci95``; empty bins are
-        left out.
-    calibration_error : float or None
-        Expected calibration error: mean distance between the two over the bins, by count.
-    brier : float or None
-        Mean squared distance between a probability and what came true.
-    """
-
+    #: ``low, high, count, predicted`` (mean), ``right`` (share), ``right_ci95``; empty bins are
+    #: left out
     bins: list[dict[str, object]]
+    #: Expected calibration error: mean distance between the two over the bins, by count
     calibration_error: float | None
-    brier: float | None
+    brier: float | None  #: Mean squared distance between a probability and what came true
 
 
 def reliability(predicted: Sequence[float], right: Sequence[bool], bins: int = 10) -> Reliability:

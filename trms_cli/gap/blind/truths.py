@@ -29,30 +29,15 @@ SAME_EQUATION = (
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """An effect of the rigs.
+    """An effect of the rigs."""
 
-    Attributes
-    ----------
-    sizes : dict of str to float
-        A typical rig's, by short name, in the rig's units.
-    grows : tuple of str
-        Sizes that grow with the severity, all by one factor; the others stay.
-    locations : tuple of str
-        Where it acts; a diagnosis that names any of them is right.
-    either_sign : bool
-        Whether the growing sizes may be negative as well.
-    variants : tuple of dict
-        Other values of the sizes that stay, of which development sets know nothing.
-    outside : bool
-        Not in the library: no diagnosis can name it.
-    """
-
-    sizes: Mapping[str, float]
-    grows: tuple[str, ...]
-    locations: tuple[str, ...]
-    either_sign: bool = False
+    sizes: Mapping[str, float]  #: A typical rig's, by short name, in the rig's units
+    grows: tuple[str, ...]  #: Sizes that grow with the severity, all by one factor; the others stay
+    locations: tuple[str, ...]  #: Where it acts; a diagnosis that names any of them is right
+    either_sign: bool = False  #: Whether the growing sizes may be negative as well
+    #: Other values of the sizes that stay, of which development sets know nothing
     variants: tuple[Mapping[str, float], ...] = field(default=())
-    outside: bool = False
+    outside: bool = False  #: Not in the library: no diagnosis can name it
 
     def sized(self, factor: float, **others: float) -> dict[str, float]:
         """The sizes at a factor of the reference."""

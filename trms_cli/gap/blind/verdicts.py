@@ -28,10 +28,7 @@ _TIMING = "blind.json"
 def judge(key: OpenedKey, folder: Path) -> list[Judged]:
     """All diagnoses in a folder, by the recordings' names; those missing are left out.
 
-    Raises
-    ------
-    RecordingError
-        If there is none, or one that cannot be read, or one of another recording.
+    Raises RecordingError if there is none, or one that cannot be read, or one of another recording.
     """
     found = []
     for name, case in key.cases.items():

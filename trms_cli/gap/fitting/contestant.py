@@ -29,28 +29,14 @@ _ROLLOUTS: WeakKeyDictionary[Model, dict[tuple[object, ...], Rollout]] = WeakKey
 
 @dataclass(frozen=True)
 class Fit:
-    """Where a contestant ended.
+    """Where a contestant ended."""
 
-    Attributes
-    ----------
-    theta : (n_f,) array
-        Nominal parameters, then the effects' sizes.
-    starts : (m, n_x) array
-    cost : float
-        Nats.
-    outcome : Outcome
-    agreed : bool
-        Whether searches from several starts ended at one cost.
-    evidence : Evidence or None
-        Where it was asked for.
-    """
-
-    theta: FloatArray
-    starts: FloatArray
-    cost: float
+    theta: FloatArray  #: (n_f,) array; nominal parameters, then the effects' sizes
+    starts: FloatArray  #: (m, n_x) array
+    cost: float  #: Nats
     outcome: Outcome
-    agreed: bool = True
-    evidence: Evidence | None = None
+    agreed: bool = True  #: Whether searches from several starts ended at one cost
+    evidence: Evidence | None = None  #: Where it was asked for
 
     @property
     def score(self) -> float:

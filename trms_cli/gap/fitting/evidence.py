@@ -30,21 +30,11 @@ _STEEP = 1e9
 
 @dataclass(frozen=True)
 class Evidence:
-    """A fit's predictive densities and its parameters' spread.
+    """A fit's predictive densities and its parameters' spread."""
 
-    Attributes
-    ----------
-    predictive : (m,) array
-        Log density of each block given the others, nats.
-    likelihood : (m,) array
-        The same at the optimum itself.
-    covariance : (n_f, n_f) array
-        Of the free parameters, in their units.
-    """
-
-    predictive: FloatArray
-    likelihood: FloatArray
-    covariance: FloatArray
+    predictive: FloatArray  #: (m,) array; log density of each block given the others, nats
+    likelihood: FloatArray  #: (m,) array; the same at the optimum itself
+    covariance: FloatArray  #: (n_f, n_f) array; of the free parameters, in their units
 
 
 def evidence(

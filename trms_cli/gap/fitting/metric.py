@@ -15,24 +15,15 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Metric:
-    """The same linear operation for all who compete, so that their costs can be compared.
+    """The same linear operation for all who compete, so that their costs can be compared."""
 
-    Attributes
-    ----------
-    discrepancy : Discrepancy
-        Linearised along the recording, through the states that the data say.
-    shares : (n_d,) array
-        Size of the force on each equation, as a share of what acts there.
-    robust : float or None
-        Innovations beyond so many standard deviations count linearly (Huber).
-    filter_ : Gains
-        Ready to run.
-    """
-
+    #: Linearised along the recording, through the states that the data say
     discrepancy: Discrepancy
+    #: (n_d,) array; size of the force on each equation, as a share of what acts there
     shares: FloatArray
+    #: Innovations beyond so many standard deviations count linearly (Huber)
     robust: float | None = 4.0
-    filter_: Gains = field(init=False, repr=False)
+    filter_: Gains = field(init=False, repr=False)  #: Ready to run
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "filter_", self.discrepancy.filter(self.shares))

@@ -19,23 +19,13 @@ _STEEPEST = 1e8
 
 @dataclass
 class InnovationObjective:
-    """Maximum a posteriori in a metric; the same face as a grey-box fit's objective.
+    """Maximum a posteriori in a metric; the same face as a grey-box fit's objective."""
 
-    Attributes
-    ----------
-    windows : Windows
-        Of the model that is fitted: the same windows as the metric's, whose model may differ.
-    metric : Metric
-    centres : (m, n_x) array
-        Of the starts' priors.
-    evaluations : int
-        Simulations of all windows so far.
-    """
-
+    #: Of the model that is fitted: the same windows as the metric's, whose model may differ
     windows: Windows
     metric: Metric
-    centres: FloatArray
-    evaluations: int = field(default=0)
+    centres: FloatArray  #: (m, n_x) array; of the starts' priors
+    evaluations: int = field(default=0)  #: Simulations of all windows so far
 
     def __post_init__(self) -> None:
         problem = self.windows.problem

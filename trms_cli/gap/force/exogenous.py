@@ -53,23 +53,14 @@ _TELLING = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Exogenous:
-    """How far the rig's own doings predict a force.
+    """How far the rig's own doings predict a force."""
 
-    Attributes
-    ----------
-    predictable_share : float
-        Of the force's variance beyond its noise, on held-out blocks, beyond chance; 0 to 1.
-    ci95 : tuple of float
-        Bootstrap over blocks.
-    p_value : float
-        Share of surrogates that are predicted as well: large for a force from outside.
-    from_variables : tuple of str
-        What predicts it, the most telling first; empty where nothing does.
-    """
-
+    #: Of the force's variance beyond its noise, on held-out blocks, beyond chance; 0 to 1
     predictable_share: float
-    ci95: tuple[float, float]
+    ci95: tuple[float, float]  #: Bootstrap over blocks
+    #: Share of surrogates that are predicted as well: large for a force from outside
     p_value: float
+    #: What predicts it, the most telling first; empty where nothing does
     from_variables: tuple[str, ...]
 
 

@@ -25,40 +25,23 @@ _MOST_NOISE = 0.8
 class ForceRecord:
     """A smoothed force at one place of the block diagram.
 
-    Attributes
-    ----------
-    location : str
-        One of :data:`trms_cli.gap.diagnosis.LOCATIONS`.
-    unit : str
-        Of the force: N*m, V, rad, rad/s.
-    time : (k,) array
-        s, rising within a recording.
-    recording : (k,) array of int
-        Which recording a sample belongs to; the samples of one stand together.
-    force, sd : (k,) arrays
-        Smoothed estimate and its standard deviation.
-    angles, rates : dict of str to (k,) array
-        ``pitch`` and ``yaw``, rad and rad/s; an axis that the model lacks is absent.
-    speeds : dict of str to (k,) array
-        ``main`` and ``tail``, rad/s; may be absent.
-    commands : dict of str to (k,) array
-        ``main`` and ``tail``, V.
-
-    Raises
-    ------
-    ValueError
-        Series of different lengths.
+    Raises ValueError: Series of different lengths.
     """
 
-    location: str
-    unit: str
-    time: FloatArray
+    location: str  #: One of :data:`trms_cli.gap.diagnosis.LOCATIONS`
+    unit: str  #: Of the force: N*m, V, rad, rad/s
+    time: FloatArray  #: (k,) array; s, rising within a recording
+    #: (k,) array of int; which recording a sample belongs to; the samples of one stand together
     recording: IntArray
+    #: ``force``, ``sd``: (k,) arrays; smoothed estimate and its standard deviation
     force: FloatArray
     sd: FloatArray
+    #: dict of str to (k,) array; ``pitch`` and ``yaw``, rad and rad/s
     angles: Mapping[str, FloatArray] = field(default_factory=dict)
-    rates: Mapping[str, FloatArray] = field(default_factory=dict)
+    rates: Mapping[str, FloatArray] = field(default_factory=dict)  #: likewise
+    #: dict of str to (k,) array; ``main`` and ``tail``, rad/s; may be absent
     speeds: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: dict of str to (k,) array; ``main`` and ``tail``, V
     commands: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

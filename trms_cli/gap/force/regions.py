@@ -49,21 +49,11 @@ _ROUND = np.array([1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10])
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """A condition on what the rig does.
+    """A condition on what the rig does."""
 
-    Attributes
-    ----------
-    text : str
-        In an engineer's words.
-    about : str
-        The variable that it is about.
-    holds : (k,) array of bool
-        Where it holds.
-    """
-
-    text: str
-    about: str
-    holds: BoolArray
+    text: str  #: In an engineer's words
+    about: str  #: The variable that it is about
+    holds: BoolArray  #: (k,) array of bool; where it holds
 
 
 def regions(record: ForceRecord) -> tuple[RegionShare, ...]:

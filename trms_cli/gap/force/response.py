@@ -28,23 +28,13 @@ _LARGEST = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """How the variables of a record answer to the force.
-
-    Attributes
-    ----------
-    record : ForceRecord
-    motion : (k, n) array
-        The variables of the record, in the order of :attr:`ForceRecord.variables`.
-    steps : (k, n, n) array
-        Linearised transition from a sample to the next.
-    push : (n,) array
-        Answer within one step to a force of one.
-    """
+    """How the variables of a record answer to the force."""
 
     record: ForceRecord
+    #: (k, n) array; the variables of the record, in the order of :attr:`ForceRecord.variables`
     motion: FloatArray
-    steps: FloatArray
-    push: FloatArray
+    steps: FloatArray  #: (k, n, n) array; linearised transition from a sample to the next
+    push: FloatArray  #: (n,) array; answer within one step to a force of one
 
     def undisturbed(self) -> FloatArray:
         """The motion without the force, (k, n); each stretch begins with the measured state."""

@@ -37,25 +37,13 @@ SENSORS = {
 
 @dataclass(frozen=True)
 class Channel:
-    """A place where a discrepancy acts.
-
-    Attributes
-    ----------
-    location : str
-    kind : {"disturbance", "input", "output", "gain"}
-        ``gain``: in proportion to a command.
-    index : int
-        In the model's ``w``, ``u`` or ``y``.
-    unit : str
-    fixed : float or None
-        Its size, where that is not to be estimated.
-    """
+    """A place where a discrepancy acts."""
 
     location: str
-    kind: str
-    index: int
+    kind: str  #: ``gain``: in proportion to a command
+    index: int  #: In the model's ``w``, ``u`` or ``y``
     unit: str
-    fixed: float | None = None
+    fixed: float | None = None  #: Its size, where that is not to be estimated
 
 
 def equation_channels(model: Model) -> tuple[Channel, ...]:
@@ -96,23 +84,14 @@ def sensor_channels(model: Model, measured: npt.NDArray[np.bool_]) -> tuple[Chan
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """The linear system of deviations, with a coloured force in each channel.
-
-    Attributes
-    ----------
-    windows : Windows
-    trajectory : Trajectory
-    channels : tuple of Channel
-    start_share : float
-        Standard deviation of the windows' starts, as a share of their prior spread.
-    correlation_time : float
-        s, of every channel but a drive's gain.
-    """
+    """The linear system of deviations, with a coloured force in each channel."""
 
     windows: Windows
     trajectory: Trajectory
     channels: tuple[Channel, ...]
+    #: Standard deviation of the windows' starts, as a share of their prior spread
     start_share: float = 1.0
+    #: s, of every channel but a drive's gain
     correlation_time: float = field(default=CORRELATION_TIME)
 
     @cached_property

@@ -27,25 +27,13 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """A linear system along a trajectory, stacked over windows of equal length m × c samples.
+    """A linear system along a trajectory, stacked over windows of equal length m × c samples."""
 
-    Attributes
-    ----------
-    f : (m, c, n, n) array
-    h : (m, c, n_y, n) array
-    seen : (m, c, n_y) array of bool
-        Where an output was measured.
-    r : (n_y,) array
-        Variance of each output's noise.
-    start : (n, n) array
-        Covariance of the state at each window's first sample.
-    """
-
-    f: FloatArray
-    h: FloatArray
-    seen: BoolArray
-    r: FloatArray
-    start: FloatArray
+    f: FloatArray  #: (m, c, n, n) array
+    h: FloatArray  #: (m, c, n_y, n) array
+    seen: BoolArray  #: (m, c, n_y) array of bool; where an output was measured
+    r: FloatArray  #: (n_y,) array; variance of each output's noise
+    start: FloatArray  #: (n, n) array; covariance of the state at each window's first sample
 
     def __post_init__(self) -> None:
         for name in ("f", "h", "r", "start"):  # the compiled loop reads them as they lie
@@ -53,23 +41,13 @@ class LinearSystem:
 
 
 class Gains(NamedTuple):
-    """A filter that is ready to run.
+    """A filter that is ready to run."""
 
-    Attributes
-    ----------
-    k : (m, c, n, n_y) array
-    root : (m, c, n_y, n_y) array
-        Inverse of the lower Cholesky factor of the innovations' covariance.
-    logdet : (m,) array
-        Of the innovations' covariances of each window.
-    p : (m, c, n, n) array or None
-        Covariance of each prediction.
-    """
-
-    k: FloatArray
+    k: FloatArray  #: (m, c, n, n_y) array
+    #: (m, c, n_y, n_y) array; inverse of the lower Cholesky factor of the innovations' covariance
     root: FloatArray
-    logdet: FloatArray
-    p: FloatArray | None
+    logdet: FloatArray  #: (m,) array; of the innovations' covariances of each window
+    p: FloatArray | None  #: (m, c, n, n) array or None; covariance of each prediction
 
 
 def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> Gains:

@@ -18,30 +18,16 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States and slopes at every sample of every window.
+    """States and slopes at every sample of every window."""
 
-    Attributes
-    ----------
-    x : (m, c, n) array
-        The model's states and its memory; past the end of a short window they stay as they were.
-    y : (m, c, n_y) array
-        What the sensors would read.
-    a : (m, c, n, n) array
-        ∂x⁺/∂x.
-    b : (m, c, n, n_u) array
-        ∂x⁺/∂u.
-    g : (m, c, n, n_w) array
-        ∂x⁺/∂w.
-    h : (m, c, n_y, n) array
-        ∂y/∂x.
-    """
-
+    #: (m, c, n) array; the model's states and its memory; past the end of a short window they stay
+    #: as they were
     x: FloatArray
-    y: FloatArray
-    a: FloatArray
-    b: FloatArray
-    g: FloatArray
-    h: FloatArray
+    y: FloatArray  #: (m, c, n_y) array; what the sensors would read
+    a: FloatArray  #: (m, c, n, n) array; ∂x⁺/∂x
+    b: FloatArray  #: (m, c, n, n_u) array; ∂x⁺/∂u
+    g: FloatArray  #: (m, c, n, n_w) array; ∂x⁺/∂w
+    h: FloatArray  #: (m, c, n_y, n) array; ∂y/∂x
 
 
 class Linearisation:

@@ -50,18 +50,10 @@ EFFORTS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One that raced.
-
-    Attributes
-    ----------
-    contestant : Contestant
-    fit : Fit
-        In the metric that is most likely for itself.
-    metric : Metric
-    """
+    """One that raced."""
 
     contestant: Contestant
-    fit: Fit
+    fit: Fit  #: In the metric that is most likely for itself
     metric: Metric
 
     @property
@@ -71,23 +63,12 @@ class Entry:
 
 @dataclass(frozen=True)
 class Contest:
-    """All that raced, best first.
-
-    Attributes
-    ----------
-    refit : Refit
-    entries : tuple of Entry
-        With one effect or several.
-    signatures : Signatures
-        In the refit's metric.
-    tight : Signatures
-        In the tighter one.
-    """
+    """All that raced, best first."""
 
     refit: Refit
-    entries: tuple[Entry, ...]
-    signatures: Signatures
-    tight: Signatures
+    entries: tuple[Entry, ...]  #: With one effect or several
+    signatures: Signatures  #: In the refit's metric
+    tight: Signatures  #: In the tighter one
     #: Those with several effects, as they were tried.
     joint: tuple[Entry, ...] = field(default=())
 

@@ -29,26 +29,13 @@ _UNTOLD = 0.05
 
 @dataclass(frozen=True)
 class Refit:
-    """The nominal model, before and after.
+    """The nominal model, before and after."""
 
-    Attributes
-    ----------
-    contestant : Contestant
-        Without effects beyond the model's own.
-    raw : Fit
-        With the parameters as they were, in the metric of the refit.
-    fit : Fit
-    metric : Metric
-        With the most likely discrepancies of the refit.
-    centres : (m, n_x) array
-        Of the priors of the windows' starts.
-    """
-
-    contestant: Contestant
-    raw: Fit
+    contestant: Contestant  #: Without effects beyond the model's own
+    raw: Fit  #: With the parameters as they were, in the metric of the refit
     fit: Fit
-    metric: Metric
-    centres: FloatArray
+    metric: Metric  #: With the most likely discrepancies of the refit
+    centres: FloatArray  #: (m, n_x) array; of the priors of the windows' starts
 
 
 def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:

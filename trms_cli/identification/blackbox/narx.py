@@ -53,26 +53,13 @@ def one_step_training(
 
 @dataclass(frozen=True, kw_only=True)
 class NarxFit:
-    """NNARX: a perceptron that predicts one sample ahead.
-
-    Attributes
-    ----------
-    training : TrainingAlgorithm
-    regressors : Regressors
-    hidden : list of int
-        Units of each hidden layer.
-    direct : bool
-        A linear part from the regressor straight to the output.
-    starts : int
-        Random starts; the one of the smallest validation error (without validation: error) is
-        kept.
-    stopping : Stopping
-    """
+    """NNARX: a perceptron that predicts one sample ahead."""
 
     training: TrainingAlgorithm
     regressors: Regressors = field(default_factory=Regressors)
-    hidden: tuple[Units, ...] = (10,)
-    direct: bool = False
+    hidden: tuple[Units, ...] = (10,)  #: Units of each hidden layer
+    direct: bool = False  #: A linear part from the regressor straight to the output
+    #: Random starts; the one of the smallest validation error (without validation: error) is kept
     starts: Annotated[int, Meta(ge=1)] = 1
     stopping: Stopping = field(default_factory=Stopping)
 
@@ -81,10 +68,7 @@ class NarxFit:
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem's recordings.
 
-        Raises
-        ------
-        RecordingError
-            If the recordings cannot be fitted; it says what to record instead.
+        Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
         """
         check_training(self.training)
         data = prepared_problem(self.regressors, problem)
@@ -110,49 +94,30 @@ class NarxFit:
 
 @dataclass(frozen=True, kw_only=True)
 class NnoeFit:
-    """NNOE: a perceptron trained on simulations of many steps, over growing horizons.
-
-    Attributes
-    ----------
-    training : TrainingAlgorithm
-    regressors : Regressors
-    hidden, direct
-        As :class:`NarxFit`.
-    horizons : list of float
-        s, lengths of the windows, one training each; each begins with the weights of the last.
-    overlap : float
-        Share of a window that the next one covers again.
-    windows : int
-        Windows at the most, spread over the recordings: short horizons need no more to give
-        good weights to the next.
-    every : int
-        Only each such sample of a window counts.
-    first_epochs : int
-        Of the one-step training by Levenberg–Marquardt that gives the first weights.
-    stopping : Stopping
-        Of each training.
-    """
+    """NNOE: a perceptron trained on simulations of many steps, over growing horizons."""
 
     training: TrainingAlgorithm
     regressors: Regressors = field(default_factory=Regressors)
-    hidden: tuple[Units, ...] = (10,)
-    direct: bool = True
+    hidden: tuple[Units, ...] = (10,)  #: As :class:`NarxFit`
+    direct: bool = True  #: As :class:`NarxFit`
+    #: s, lengths of the windows, one training each; each begins with the weights of the last
     horizons: tuple[Annotated[float, Meta(gt=0)], ...] = (0.5, 2.0)
+    #: Share of a window that the next one covers again
     overlap: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    #: Windows at the most, spread over the recordings: short horizons need no more to give good
+    #: weights to the next
     windows: Annotated[int, Meta(ge=1)] = 500
-    every: Annotated[int, Meta(ge=1)] = 1
+    every: Annotated[int, Meta(ge=1)] = 1  #: Only each such sample of a window counts
+    #: Of the one-step training by Levenberg–Marquardt that gives the first weights
     first_epochs: Annotated[int, Meta(ge=1)] = 20
-    stopping: Stopping = field(default_factory=Stopping)
+    stopping: Stopping = field(default_factory=Stopping)  #: Of each training
 
     fits_parameters: ClassVar[bool] = False
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem's recordings.
 
-        Raises
-        ------
-        RecordingError
-            If the recordings cannot be fitted; it says what to record instead.
+        Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
         """
         check_training(self.training)
         if not self.horizons:
@@ -193,10 +158,7 @@ class NnoeFit:
 def check_training(training: object) -> None:
     """Refuse what is no training algorithm.
 
-    Raises
-    ------
-    ConfigurationError
-        If it cannot minimise.
+    Raises ConfigurationError if it cannot minimise.
     """
     if not callable(getattr(training, "minimise", None)):
         raise ConfigurationError(

@@ -13,21 +13,11 @@ _CHUNK = 4_000_000
 
 
 class NormalEquations(NamedTuple):
-    """Gauss–Newton terms of a sum of squares at θ.
+    """Gauss–Newton terms of a sum of squares at θ."""
 
-    Attributes
-    ----------
-    loss : float
-        Mean of the squared residuals.
-    curvature : (P, P) array
-        JᵀJ.
-    slope : (P,) array
-        Jᵀr.
-    """
-
-    loss: float
-    curvature: FloatArray
-    slope: FloatArray
+    loss: float  #: Mean of the squared residuals
+    curvature: FloatArray  #: (P, P) array; jᵀJ
+    slope: FloatArray  #: (P,) array; jᵀr
 
 
 class Objective(Protocol):

@@ -32,20 +32,11 @@ _OUTCOMES = {
 
 @dataclass(frozen=True)
 class Stage:
-    """One training of a fit.
+    """One training of a fit."""
 
-    Attributes
-    ----------
-    name : str
-        Short, for the record: ``one step``, ``2 s``.
-    training : Training
-    prepared : float
-        Processor time before the first epoch, for placing units, s.
-    """
-
-    name: str
+    name: str  #: Short, for the record: ``one step``, ``2 s``
     training: Training
-    prepared: float = 0.0
+    prepared: float = 0.0  #: Processor time before the first epoch, for placing units, s
 
     @property
     def seconds(self) -> float:

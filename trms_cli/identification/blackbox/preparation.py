@@ -24,27 +24,15 @@ Lag = Annotated[int, Meta(ge=1)]
 
 @dataclass(frozen=True, kw_only=True)
 class Regressors:
-    """What a network predicts from, as configuration has it.
+    """What a network predicts from, as configuration has it."""
 
-    Attributes
-    ----------
-    output_lags, input_lags : list of int
-        Samples back, rising from 1 on.
-    sample_time : float or None
-        s, a whole multiple of the recordings'; None: theirs.
-    incremental : bool
-        The network gives the change of the outputs, else the outputs.
-    differences : bool
-        Differences between successive lags in place of the lagged outputs.
-    smoothing : float
-        s, length of the Savitzky–Golay window over the outputs before fitting; 0: none.
-    """
-
-    output_lags: tuple[Lag, ...] = (1, 2)
-    input_lags: tuple[Lag, ...] = (1, 2)
+    output_lags: tuple[Lag, ...] = (1, 2)  #: Samples back, rising from 1 on
+    input_lags: tuple[Lag, ...] = (1, 2)  #: Samples back, rising from 1 on
+    #: s, a whole multiple of the recordings'; None: theirs
     sample_time: Annotated[float, Meta(gt=0)] | None = None
-    incremental: bool = True
-    differences: bool = True
+    incremental: bool = True  #: The network gives the change of the outputs, else the outputs
+    differences: bool = True  #: Differences between successive lags in place of the lagged outputs
+    #: s, length of the Savitzky–Golay window over the outputs before fitting; 0: none
     smoothing: Annotated[float, Meta(ge=0)] = 0.0
 
     def structure(
@@ -52,10 +40,7 @@ class Regressors:
     ) -> NarxStructure:
         """The structure for given signals; ``sample_time`` (s) where none is chosen.
 
-        Raises
-        ------
-        ConfigurationError
-            For lags that do not fit; it names the key.
+        Raises ConfigurationError for lags that do not fit; it names the key.
         """
         try:
             return NarxStructure(
@@ -77,24 +62,14 @@ class Regressors:
 
 @dataclass(frozen=True)
 class Prepared:
-    """Recordings at a network's sample time.
-
-    Attributes
-    ----------
-    structure : NarxStructure
-    scaling : Scaling
-        Of the fitted recordings.
-    fitted, validation : list of Samples
-        As measured.
-    fitted_smooth, validation_smooth : list of Samples
-        Smoothed; the same objects where no smoothing is asked for.
-    """
+    """Recordings at a network's sample time."""
 
     structure: NarxStructure
-    scaling: Scaling
-    fitted: list[Samples]
-    validation: list[Samples]
-    fitted_smooth: list[Samples] = field(repr=False)
+    scaling: Scaling  #: Of the fitted recordings
+    fitted: list[Samples]  #: As measured
+    validation: list[Samples]  #: As measured
+    fitted_smooth: list[Samples] = field(repr=False)  #: Smoothed
+    #: the same objects where no smoothing is asked for
     validation_smooth: list[Samples] = field(repr=False)
 
     def normalised(self, recordings: Sequence[Samples]) -> tuple[FloatArray, FloatArray]:
@@ -155,11 +130,8 @@ def prepared(
 ) -> Prepared:
     """Bring recordings to the form that networks are fitted to.
 
-    Raises
-    ------
-    RecordingError
-        For sample times without a whole ratio, missing channels, inputs or outputs that never
-        move, too few samples.
+    Raises RecordingError for sample times without a whole ratio, missing channels, inputs or
+    outputs that never move, too few samples.
     """
     first = fitted[0]
     structure = regressors.structure(first.outputs, first.inputs, first.sample_time)

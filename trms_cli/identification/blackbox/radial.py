@@ -22,14 +22,7 @@ from trms_cli.identification.blackbox.trainable import FloatArray, layout_of
 
 @dataclass(frozen=True)
 class Radial:
-    """Radial units beside a direct linear part.
-
-    Attributes
-    ----------
-    kind : {"rbf", "wavelet"}
-    n_regressors, n_outputs : int
-    n_units : int
-    """
+    """Radial units beside a direct linear part."""
 
     kind: Literal["rbf", "wavelet"]
     n_regressors: int

@@ -41,35 +41,17 @@ _MOST_CANDIDATES, _MOST_SAMPLES = 600, 4000
 
 @dataclass(frozen=True, kw_only=True)
 class RadialFit:
-    """A network of radial units beside a linear part.
-
-    Attributes
-    ----------
-    kind : {"rbf", "wavelet"}
-    placement : {"kmeans", "ols", "dyadic"}
-        How centres and widths begin.
-    units : int
-    width : float
-        Width over the distance to the neighbours (kmeans), or over the spread of the data (ols).
-    levels : int
-        Grids of the dyadic placement.
-    ridge : float
-        Of the linear least squares, relative.
-    tune : bool
-        Whether all weights are then trained by ``training``.
-    training : TrainingAlgorithm
-    regressors : Regressors
-    stopping : Stopping
-    """
+    """A network of radial units beside a linear part."""
 
     kind: Literal["rbf", "wavelet"]
     training: TrainingAlgorithm
-    placement: Literal["kmeans", "ols", "dyadic"] = "kmeans"
+    placement: Literal["kmeans", "ols", "dyadic"] = "kmeans"  #: How centres and widths begin
     units: Annotated[int, Meta(ge=1, le=1000)] = 20
+    #: Width over the distance to the neighbours (kmeans), or over the spread of the data (ols)
     width: Annotated[float, Meta(gt=0)] = 1.0
-    levels: Annotated[int, Meta(ge=1, le=6)] = 3
-    ridge: Annotated[float, Meta(ge=0)] = 1e-8
-    tune: bool = True
+    levels: Annotated[int, Meta(ge=1, le=6)] = 3  #: Grids of the dyadic placement
+    ridge: Annotated[float, Meta(ge=0)] = 1e-8  #: Of the linear least squares, relative
+    tune: bool = True  #: Whether all weights are then trained by ``training``
     regressors: Regressors = field(default_factory=Regressors)
     stopping: Stopping = field(default_factory=Stopping)
 
@@ -78,10 +60,7 @@ class RadialFit:
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem's recordings.
 
-        Raises
-        ------
-        RecordingError
-            If the recordings cannot be fitted; it says what to record instead.
+        Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
         """
         check_training(self.training)
         data = prepared_problem(self.regressors, problem)

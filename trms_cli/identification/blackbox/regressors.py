@@ -18,19 +18,10 @@ _LEAST_SPREAD = 1e-9
 
 @dataclass(frozen=True)
 class Samples:
-    """One recording at a network's sample time.
+    """One recording at a network's sample time."""
 
-    Attributes
-    ----------
-    outputs : (n, n_y) array
-        NaN where a sample is missing.
-    inputs : (n, n_u) array
-        Constant from each sample to the next.
-    name : str
-    """
-
-    outputs: FloatArray
-    inputs: FloatArray
+    outputs: FloatArray  #: (n, n_y) array; NaN where a sample is missing
+    inputs: FloatArray  #: (n, n_u) array; constant from each sample to the next
     name: str = ""
 
     def __len__(self) -> int:
@@ -39,22 +30,15 @@ class Samples:
 
 @dataclass(frozen=True)
 class Scaling:
-    """Mean and spread of regressors and targets, over the data that a network is fitted to.
+    """Mean and spread of regressors and targets, over the data that a network is fitted to."""
 
-    Attributes
-    ----------
-    regressor_mean, regressor_sd : (n_phi,) arrays
-    output_mean, output_sd : (n_y,) arrays
-        Of the target: of increments, where the network gives increments.
-    level_sd : (n_y,) array
-        Of the outputs themselves: the scale of simulation errors.
-    """
-
-    regressor_mean: FloatArray
-    regressor_sd: FloatArray
+    regressor_mean: FloatArray  #: (n_phi,) arrays
+    regressor_sd: FloatArray  #: (n_phi,) arrays
+    #: ``output_mean``, ``output_sd``: (n_y,) arrays; of the target: of increments, where the
+    #: network gives increments
     output_mean: FloatArray
     output_sd: FloatArray
-    level_sd: FloatArray
+    level_sd: FloatArray  #: (n_y,) array; of the outputs themselves: the scale of simulation errors
 
 
 def sampled(dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0) -> Samples:
@@ -157,10 +141,8 @@ def placed_rows(
 def scaling(structure: NarxStructure, recordings: Sequence[Samples]) -> Scaling:
     """Scales from the recordings that a network is fitted to.
 
-    Raises
-    ------
-    RecordingError
-        If there are fewer rows than regressors, or an input or output never moves.
+    Raises RecordingError if there are fewer rows than regressors, or an input or output never
+    moves.
     """
     pairs = [rows(structure, samples) for samples in recordings]
     regressors = np.vstack([pair[0] for pair in pairs])

@@ -21,36 +21,20 @@ from trms_cli.identification.problem import FitProblem
 
 @dataclass(frozen=True)
 class Candidate:
-    """A structure.
+    """A structure."""
 
-    Attributes
-    ----------
-    lags : int
-        The outputs and inputs of 1 … lags samples ago.
-    hidden : int
-        Units of the one hidden layer.
-    """
-
-    lags: int
-    hidden: int
+    lags: int  #: The outputs and inputs of 1 … lags samples ago
+    hidden: int  #: Units of the one hidden layer
 
 
 @dataclass(frozen=True)
 class Assessed:
-    """A structure with the errors of its trainings, one entry a start.
-
-    Attributes
-    ----------
-    candidate : Candidate
-    weights : int
-    one_step, free_run : tuple of float
-        Normalised RMS errors over the held-out recordings; infinite after a divergence.
-    """
+    """A structure with the errors of its trainings, one entry a start."""
 
     candidate: Candidate
     weights: int
-    one_step: tuple[float, ...]
-    free_run: tuple[float, ...]
+    one_step: tuple[float, ...]  #: Normalised RMS errors over the held-out recordings
+    free_run: tuple[float, ...]  #: infinite after a divergence
 
     @property
     def median(self) -> float:
@@ -85,10 +69,7 @@ def assess(
 ) -> Assessed:
     """Train a candidate from several starts.
 
-    Raises
-    ------
-    RecordingError
-        If the recordings cannot be fitted, or nothing is held out.
+    Raises RecordingError if the recordings cannot be fitted, or nothing is held out.
     """
     chosen = candidate_method(method, candidate)
     results = [chosen.fit(replace(problem, seed=seed), progress) for seed in seeds]

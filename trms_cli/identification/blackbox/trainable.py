@@ -53,21 +53,12 @@ class TrainableNetwork(Protocol):
 
 @dataclass(frozen=True)
 class Mlp:
-    """Perceptron with tanh hidden layers and a linear output layer.
-
-    Attributes
-    ----------
-    n_regressors, n_outputs : int
-    hidden : tuple of int
-        Units of each hidden layer.
-    direct : bool
-        A direct linear part from the regressor to the output.
-    """
+    """Perceptron with tanh hidden layers and a linear output layer."""
 
     n_regressors: int
     n_outputs: int
-    hidden: tuple[int, ...]
-    direct: bool = False
+    hidden: tuple[int, ...]  #: Units of each hidden layer
+    direct: bool = False  #: A direct linear part from the regressor to the output
 
     kind: ClassVar[Kind] = "mlp"
 

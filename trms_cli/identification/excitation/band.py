@@ -42,10 +42,7 @@ class Linearised:
 def linearised(model: Model, x: FloatArray, u: FloatArray) -> Linearised:
     """A model with a derivative, linearised at a point.
 
-    Raises
-    ------
-    ConfigurationError
-        For a model that only steps.
+    Raises ConfigurationError for a model that only steps.
     """
     if model.sample_time is not None:
         raise ConfigurationError(

@@ -18,15 +18,9 @@ from trms_cli.references.chirp import Chirp
 
 @dataclass(frozen=True, kw_only=True)
 class ChirpExcitation:
-    """A sine whose frequency sweeps over the band by equal factors in equal times.
+    """A sine whose frequency sweeps over the band by equal factors in equal times."""
 
-    Attributes
-    ----------
-    upwards : bool
-        Whether the first input begins with the lowest frequency.
-    """
-
-    upwards: bool = True
+    upwards: bool = True  #: Whether the first input begins with the lowest frequency
 
     def shape(self, plan: Plan) -> Shape:
         """The signals; see :class:`Excitation`."""

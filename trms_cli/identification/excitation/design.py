@@ -30,59 +30,29 @@ _RISE = 0.5
 
 @dataclass(frozen=True)
 class Design:
-    """An excitation and what it is expected to do.
-
-    Attributes
-    ----------
-    model : Model
-    time : (n,) array
-        s, lead-in included.
-    commands : (n, n_u) array
-    first : int
-        Sample at which the excitation begins.
-    plan : Plan
-    shape : Shape
-    centre : (n_u,) array
-        Command of the operating point.
-    amplitude : (n_u,) array
-    crest_factor : (n_u,) array
-        Of each input about its centre, during the excitation.
-    bounds : dict of str to float
-        Of the angles, rad.
-    states : (n, n_x) array
-        Of the simulated rig, without noise.
-    outputs : (n, n_y) array
-        Likewise.
-    ranges : dict of str to (float, float)
-        Smallest and largest value of each output during the excitation.
-    drawn_ranges : dict of str to (float, float)
-        The same over the rigs drawn from the priors that stayed within the stops.
-    drawn, lost : int
-        Rigs drawn, and those of them that went beyond a stop.
-    system : Linearised
-        At the operating point, the rotors at their root mean square speed.
-    poles : (float, float)
-        Slowest and fastest, rad/s.
-    """
+    """An excitation and what it is expected to do."""
 
     model: Model
-    time: FloatArray
-    commands: FloatArray
-    first: int
+    time: FloatArray  #: (n,) array; s, lead-in included
+    commands: FloatArray  #: (n, n_u) array
+    first: int  #: Sample at which the excitation begins
     plan: Plan
     shape: Shape
-    centre: FloatArray
-    amplitude: FloatArray
-    crest_factor: FloatArray
-    bounds: dict[str, float]
-    states: FloatArray
-    outputs: FloatArray
+    centre: FloatArray  #: (n_u,) array; command of the operating point
+    amplitude: FloatArray  #: (n_u,) array
+    crest_factor: FloatArray  #: (n_u,) array; of each input about its centre, during the excitation
+    bounds: dict[str, float]  #: Of the angles, rad
+    states: FloatArray  #: (n, n_x) array; of the simulated rig, without noise
+    outputs: FloatArray  #: (n, n_y) array; likewise
+    #: Smallest and largest value of each output during the excitation
     ranges: dict[str, tuple[float, float]]
+    #: The same over the rigs drawn from the priors that stayed within the stops
     drawn_ranges: dict[str, tuple[float, float]]
+    #: ``drawn``, ``lost``: Rigs drawn, and those of them that went beyond a stop
     drawn: int
     lost: int
-    system: Linearised
-    poles: tuple[float, float]
+    system: Linearised  #: At the operating point, the rotors at their root mean square speed
+    poles: tuple[float, float]  #: Slowest and fastest, rad/s
 
 
 def design(

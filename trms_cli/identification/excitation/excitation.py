@@ -13,27 +13,14 @@ from trms_cli.identification.dataset import FloatArray
 
 @dataclass(frozen=True)
 class Plan:
-    """What an excitation is asked for.
-
-    Attributes
-    ----------
-    samples : int
-    sample_time : float
-        s.
-    lowest, highest : float
-        Band, Hz.
-    inputs : int
-        How many signals.
-    seed : int
-        Of everything that is drawn.
-    """
+    """What an excitation is asked for."""
 
     samples: int
-    sample_time: float
-    lowest: float
-    highest: float
-    inputs: int
-    seed: int = 0
+    sample_time: float  #: s
+    lowest: float  #: Band, Hz
+    highest: float  #: Band, Hz
+    inputs: int  #: How many signals
+    seed: int = 0  #: Of everything that is drawn
 
     @property
     def duration(self) -> float:
@@ -48,18 +35,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class Shape:
-    """Signals of unit peak.
+    """Signals of unit peak."""
 
-    Attributes
-    ----------
-    values : (samples, inputs) array
-        Within ±1, the largest size of each column 1.
-    about : dict
-        What was chosen: figures for the report, plain data.
-    """
-
-    values: FloatArray
-    about: dict[str, Any]
+    values: FloatArray  #: (samples, inputs) array; within ±1, the largest size of each column 1
+    about: dict[str, Any]  #: What was chosen: figures for the report, plain data
 
 
 class Excitation(Protocol):
@@ -68,10 +47,8 @@ class Excitation(Protocol):
     def shape(self, plan: Plan) -> Shape:
         """The signals.
 
-        Raises
-        ------
-        ConfigurationError
-            If the band does not fit into the duration or below the Nyquist frequency.
+        Raises ConfigurationError if the band does not fit into the duration or below the Nyquist
+        frequency.
         """
         ...
 
@@ -92,10 +69,7 @@ def of_unit_peak(values: FloatArray) -> FloatArray:
 def check_band(plan: Plan) -> None:
     """Refuse a band that cannot be played.
 
-    Raises
-    ------
-    ConfigurationError
-        It names the key and what is possible.
+    Raises ConfigurationError: it names the key and what is possible.
     """
     nyquist = 0.5 / plan.sample_time
     if not 0 < plan.lowest < plan.highest:

@@ -31,17 +31,11 @@ _DRAWS = 40
 
 @dataclass(frozen=True, kw_only=True)
 class MultilevelExcitation:
-    """Random levels; the shortest holding time from the band's upper end.
+    """Random levels; the shortest holding time from the band's upper end."""
 
-    Attributes
-    ----------
-    levels : int or None
-        Number of equally distant levels; None: any value.
-    longest : float or None
-        s; None: a tenth of a period of the band's lower end, if twenty levels fit the duration.
-    """
-
+    #: Number of equally distant levels; None: any value
     levels: Annotated[int, Meta(ge=2)] | None = None
+    #: s; None: a tenth of a period of the band's lower end, if twenty levels fit the duration
     longest: Annotated[float, Meta(gt=0)] | None = None
 
     def shape(self, plan: Plan) -> Shape:

@@ -32,20 +32,13 @@ _NORMS = (4, 8, 16, 32, 64, 128, 256)
 
 @dataclass(frozen=True, kw_only=True)
 class MultisineExcitation:
-    """Equally strong sines, no frequency shared by two inputs.
+    """Equally strong sines, no frequency shared by two inputs."""
 
-    Attributes
-    ----------
-    lines : int
-        Frequencies of each input, about evenly spaced on a logarithmic scale.
-    periods : int
-        How often the signal repeats within the duration: two or more tell noise from distortion.
-    iterations : int
-        Largest number of steps for each norm; 0 keeps Schroeder's phases.
-    """
-
+    #: Frequencies of each input, about evenly spaced on a logarithmic scale
     lines: Annotated[int, Meta(ge=2, le=2000)] = 40
+    #: How often the signal repeats within the duration: two or more tell noise from distortion
     periods: Annotated[int, Meta(ge=1)] = 1
+    #: Largest number of steps for each norm; 0 keeps Schroeder's phases
     iterations: Annotated[int, Meta(ge=0)] = 60
 
     def shape(self, plan: Plan) -> Shape:

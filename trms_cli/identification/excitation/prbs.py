@@ -29,15 +29,10 @@ _MOST_BITS = 16
 
 @dataclass(frozen=True, kw_only=True)
 class PrbsExcitation:
-    """Two levels; the time of a bit from the band's upper end, the length from its lower end.
+    """Two levels; the time of a bit from the band's upper end, the length from its lower end."""
 
-    Attributes
-    ----------
-    bits : int or None
-        Length of the shift register; None: so long that the sequence repeats at ``lowest``, but
-        not longer than the excitation where that is possible.
-    """
-
+    #: Length of the shift register; None: so long that the sequence repeats at ``lowest``, but not
+    #: longer than the excitation where that is possible
     bits: Annotated[int, Meta(ge=2, le=16)] | None = None
 
     def shape(self, plan: Plan) -> Shape:

@@ -20,26 +20,14 @@ _SEEN = 10.0
 
 @dataclass(frozen=True)
 class Spectra:
-    """One-sided power spectral densities, averaged in bands of a third of an octave.
+    """One-sided power spectral densities, averaged in bands of a third of an octave."""
 
-    Attributes
-    ----------
-    frequencies : (m,) array
-        Middles of the bands that hold a frequency of the record, Hz.
-    inputs : (m, n_u) array
-        In the input's unit squared over Hz; about the mean.
-    outputs : (m, n_y) array
-        Of the simulated rig without noise.
-    noise : (n_y,) array
-        Of the declared noise, which is white: 2 σ² T_s.
-    response : (m, n_y, n_u) array
-        Magnitude of the linearised model's frequency response.
-    """
-
+    #: (m,) array; middles of the bands that hold a frequency of the record, Hz
     frequencies: FloatArray
-    inputs: FloatArray
-    outputs: FloatArray
-    noise: FloatArray
+    inputs: FloatArray  #: (m, n_u) array; in the input's unit squared over Hz; about the mean
+    outputs: FloatArray  #: (m, n_y) array; of the simulated rig without noise
+    noise: FloatArray  #: (n_y,) array; of the declared noise, which is white: 2 σ² T_s
+    #: (m, n_y, n_u) array; magnitude of the linearised model's frequency response
     response: FloatArray
 
     @property

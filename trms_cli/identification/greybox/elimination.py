@@ -27,46 +27,24 @@ _ENTRIES_AT_ONCE = 8000
 
 
 class Joint(NamedTuple):
-    """Rows that join the end of each window to the start of the next, scaled and weighted.
+    """Rows that join the end of each window to the start of the next, scaled and weighted."""
 
-    Attributes
-    ----------
-    follows : (m,) array of bool
-        Whether window j continues window j − 1.
-    from_before : (m, n, n + n_f) array
-        Slopes of row block j in the start of window j − 1 and the parameters.
-    weight : (n,) array
-        Minus the slope in the start of window j.
-    gap : (m, n) array
-        End of window j − 1 less start of window j, weighted.
-    """
-
-    follows: npt.NDArray[np.bool_]
+    follows: npt.NDArray[np.bool_]  #: (m,) array of bool; whether window j continues window j − 1
+    #: (m, n, n + n_f) array; slopes of row block j in the start of window j − 1 and the parameters
     from_before: FloatArray
-    weight: FloatArray
-    gap: FloatArray
+    weight: FloatArray  #: (n,) array; minus the slope in the start of window j
+    gap: FloatArray  #: (m, n) array; end of window j − 1 less start of window j, weighted
 
 
 class Quadratic(NamedTuple):
-    """The cost as a parabola in changes of starts and parameters, all in scaled units.
+    """The cost as a parabola in changes of starts and parameters, all in scaled units."""
 
-    Attributes
-    ----------
-    triangles : (m, k, n + n_f + 1) array
-        Of each window's data.
-    start_gap : (m, n) array
-        Start less the centre of its prior, in prior standard deviations; slope 1.
-    prior_root : (n_f,) array
-        Square root of the precision of each parameter's prior, scaled.
-    prior_gap : (n_f,) array
-        ``prior_root·(θ − centre)``.
-    joint : Joint or None
-    """
-
-    triangles: FloatArray
+    triangles: FloatArray  #: (m, k, n + n_f + 1) array; of each window's data
+    #: (m, n) array; start less the centre of its prior, in prior standard deviations; slope 1
     start_gap: FloatArray
+    #: (n_f,) array; square root of the precision of each parameter's prior, scaled
     prior_root: FloatArray
-    prior_gap: FloatArray
+    prior_gap: FloatArray  #: (n_f,) array; ``prior_root·(θ − centre)``
     joint: Joint | None
 
     @property
@@ -86,24 +64,14 @@ class Quadratic(NamedTuple):
 
 
 class Reduced(NamedTuple):
-    """What is left when the starts are gone, and how they come back.
+    """What is left when the starts are gone, and how they come back."""
 
-    Attributes
-    ----------
-    factor : (k, n_f) array
-        Of the data, the starts' priors and the damping of the starts; ``factorᵀ factor`` is the
-        curvature of the cost in the parameters without their own priors.
-    residual : (k,) array
-    to_starts : (m, n, n_f) array
-        Slope of each eliminated start in the parameters.
-    at_zero : (m, n) array
-        Change of the starts when the parameters do not move.
-    """
-
+    #: (k, n_f) array; of the data, the starts' priors and the damping of the starts; ``factorᵀ
+    #: factor`` is the curvature of the cost in the parameters without their own priors
     factor: FloatArray
-    residual: FloatArray
-    to_starts: FloatArray
-    at_zero: FloatArray
+    residual: FloatArray  #: (k,) array
+    to_starts: FloatArray  #: (m, n, n_f) array; slope of each eliminated start in the parameters
+    at_zero: FloatArray  #: (m, n) array; change of the starts when the parameters do not move
 
     def starts(self, dtheta: FloatArray) -> FloatArray:
         """Change of the starts (m, n) that belongs to a change of the parameters."""

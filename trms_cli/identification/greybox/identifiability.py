@@ -30,44 +30,25 @@ _LARGEST_SET = 4
 
 @dataclass(frozen=True)
 class Confounded:
-    """Parameters whose effects on these data imitate each other.
+    """Parameters whose effects on these data imitate each other."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        A smallest set: without any one of them the others can be told apart.
-    index : float
-        Collinearity γ.
-    """
-
-    names: tuple[str, ...]
-    index: float
+    names: tuple[str, ...]  #: A smallest set: without any one of them the others can be told apart
+    index: float  #: Collinearity γ
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the data alone say of each parameter.
+    """What the data alone say of each parameter."""
 
-    Attributes
-    ----------
-    prior_remaining : dict of str to float
-        Standard deviation after the data over that before; only where there is a prior.
-    collinearity : dict of str to float
-        γ of each parameter against all others: how many times its own effect is larger than
-        what of it the others cannot imitate.
-    confounded : tuple of Confounded
-        The worst first.
-    silent : tuple of str
-        Parameters that these data do not depend on at all.
-    uninformed : tuple of str
-        Parameters of which the data say next to nothing, so that the prior decided: those of
-        whose prior's deviation more than nine tenths remain, and the silent ones.
-    """
-
+    #: Standard deviation after the data over that before; only where there is a prior
     prior_remaining: dict[str, float]
+    #: γ of each parameter against all others: how many times its own effect is larger than what of
+    #: it the others cannot imitate
     collinearity: dict[str, float]
-    confounded: tuple[Confounded, ...]
-    silent: tuple[str, ...]
+    confounded: tuple[Confounded, ...]  #: The worst first
+    silent: tuple[str, ...]  #: Parameters that these data do not depend on at all
+    #: Parameters of which the data say next to nothing, so that the prior decided: those of whose
+    #: prior's deviation more than nine tenths remain, and the silent ones
     uninformed: tuple[str, ...]
 
 

@@ -21,34 +21,20 @@ _HEARD = 1e-12
 
 @dataclass(frozen=True)
 class Information:
-    """Curvature and spread of the cost's slope, in scaled parameters.
+    """Curvature and spread of the cost's slope, in scaled parameters."""
 
-    Attributes
-    ----------
-    curvature : (n_y, n_f, n_f) array
-        Of each output's residuals, each as if white and of unit variance: Fisher's information
-        with the starts eliminated.
-    score : (n_y, n_f, n_f) array
-        Covariance of each output's slope, with the residuals' autocorrelation, and with the copies
-        of a residual that overlapping windows hold; see :func:`information`.
-    trust : (n_y,) array
-        Weight that each output has in the cost.
-    prior : (n_f,) array
-        Precision of the priors, scaled.
-    scales : (n_f,) array
-    size : (n_y,) array
-        Root mean square of the whitened residuals.
-    share : float
-        Of the weight of a sample that each of the windows over it has.
-    """
-
+    #: (n_y, n_f, n_f) array; of each output's residuals, each as if white and of unit variance:
+    #: Fisher's information with the starts eliminated
     curvature: FloatArray
+    #: (n_y, n_f, n_f) array; covariance of each output's slope, with the residuals'
+    #: autocorrelation, and with the copies of a residual that overlapping windows hold; see
+    #: :func:`information`
     score: FloatArray
-    trust: FloatArray
-    prior: FloatArray
-    scales: FloatArray
-    size: FloatArray
-    share: float = 1.0
+    trust: FloatArray  #: (n_y,) array; weight that each output has in the cost
+    prior: FloatArray  #: (n_f,) array; precision of the priors, scaled
+    scales: FloatArray  #: (n_f,) array
+    size: FloatArray  #: (n_y,) array; root mean square of the whitened residuals
+    share: float = 1.0  #: Of the weight of a sample that each of the windows over it has
 
     @property
     def of_data(self) -> FloatArray:

@@ -27,17 +27,10 @@ _SMALL_STEPS = 2
 
 
 class Point(NamedTuple):
-    """A point of the search.
+    """A point of the search."""
 
-    Attributes
-    ----------
-    theta : (n_f,) array
-    starts : (m, n_x) array
-    cost : float
-    """
-
-    theta: FloatArray
-    starts: FloatArray
+    theta: FloatArray  #: (n_f,) array
+    starts: FloatArray  #: (m, n_x) array
     cost: float
 
 

@@ -37,41 +37,20 @@ _START_STEPS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class MapSettings:
-    """How a fit goes about it.
+    """How a fit goes about it."""
 
-    Attributes
-    ----------
-    iterations : int
-        Least-squares steps in the last round at most.
-    tolerance : float
-        Reduction of the cost that ends it, nats.
-    joined : float or None
-        See :class:`Objective`.
-    """
-
-    iterations: int = 100
-    tolerance: float = 1e-3
-    joined: float | None = None
+    iterations: int = 100  #: Least-squares steps in the last round at most
+    tolerance: float = 1e-3  #: Reduction of the cost that ends it, nats
+    joined: float | None = None  #: See :class:`Objective`
 
 
 class MapFit(NamedTuple):
-    """Where a fit ended.
-
-    Attributes
-    ----------
-    point : Point
-    outcome : Outcome
-    objective : Objective
-        With the weights of the last round.
-    information : Information or None
-        None where nothing could be simulated.
-    iterations : int
-    """
+    """Where a fit ended."""
 
     point: Point
     outcome: Outcome
-    objective: Objective
-    information: Information | None
+    objective: Objective  #: With the weights of the last round
+    information: Information | None  #: None where nothing could be simulated
     iterations: int
 
 

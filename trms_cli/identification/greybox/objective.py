@@ -16,25 +16,15 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass
 class Objective:
-    """Maximum a posteriori: half the sum of squares of residuals and of deviations from priors.
-
-    Attributes
-    ----------
-    windows : Windows
-    weights : Weights
-    centres : (m, n_x) array
-        Of the starts' priors.
-    joined : float or None
-        Standard deviation of the gaps between windows, as a share of the starts' spread; None:
-        windows know nothing of each other.
-    evaluations : int
-        Simulations of all windows so far; with slopes they count once as well.
-    """
+    """Maximum a posteriori: half the sum of squares of residuals and of deviations from priors."""
 
     windows: Windows
     weights: Weights
-    centres: FloatArray
+    centres: FloatArray  #: (m, n_x) array; of the starts' priors
+    #: Standard deviation of the gaps between windows, as a share of the starts' spread; None:
+    #: windows know nothing of each other
     joined: float | None = None
+    #: Simulations of all windows so far; with slopes they count once as well
     evaluations: int = field(default=0)
 
     def __post_init__(self) -> None:

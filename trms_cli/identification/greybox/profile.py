@@ -28,23 +28,14 @@ _MOST_STEPS = 24
 
 @dataclass(frozen=True)
 class Profile:
-    """The cost along one parameter.
-
-    Attributes
-    ----------
-    name : str
-    values : (k,) array
-        Ascending, in the parameter's unit.
-    rise : (k,) array
-        Cost above the optimum's; negative where the fit had not found the best.
-    interval : (float, float)
-        95 %, by the likelihood ratio; infinite on a side where the profile stays below the
-        quantile as far as it was followed, the bound where it ends there.
-    """
+    """The cost along one parameter."""
 
     name: str
-    values: FloatArray
+    values: FloatArray  #: (k,) array; ascending, in the parameter's unit
+    #: (k,) array; cost above the optimum's; negative where the fit had not found the best
     rise: FloatArray
+    #: 95 %, by the likelihood ratio; infinite on a side where the profile stays below the quantile
+    #: as far as it was followed, the bound where it ends there
     interval: tuple[float, float]
 
 

@@ -42,17 +42,11 @@ _SPREAD: dict[Kind, float] = {
 
 
 class Starts(NamedTuple):
-    """Starts of windows.
+    """Starts of windows."""
 
-    Attributes
-    ----------
-    states : (m, n) array
-        The model's states, then its memory.
-    memory_slopes : (m, n - n_x, n_f) array
-        Of the memory in the free parameters, exact; the commands before the window made it.
-    """
-
-    states: FloatArray
+    states: FloatArray  #: (m, n) array; the model's states, then its memory
+    #: (m, n - n_x, n_f) array; of the memory in the free parameters, exact; the commands before the
+    #: window made it
     memory_slopes: FloatArray
 
 

@@ -24,24 +24,12 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Weights:
-    """Scales of the residuals.
+    """Scales of the residuals."""
 
-    Attributes
-    ----------
-    sd : (m, n_y) array
-        By window and output.
-    samples : (n_y,) array
-        φ of each output.
-    share : float
-        Weight of each squared residual where windows overlap.
-    robust : float or None
-        Huber's threshold.
-    """
-
-    sd: FloatArray
-    samples: FloatArray
-    share: float
-    robust: float | None
+    sd: FloatArray  #: (m, n_y) array; by window and output
+    samples: FloatArray  #: (n_y,) array; φ of each output
+    share: float  #: Weight of each squared residual where windows overlap
+    robust: float | None  #: Huber's threshold
 
     @property
     def trust(self) -> FloatArray:

@@ -22,23 +22,14 @@ _LEAST_SD = 1e-9
 
 
 class Residuals(NamedTuple):
-    """Predicted less measured, not yet divided by anything.
+    """Predicted less measured, not yet divided by anything."""
 
-    Attributes
-    ----------
-    r : (m, c, n_y) array
-        By window, sample, output; 0 where nothing was measured.
-    j : (m, c, n_y, n_x + n_f) array or None
-        Slopes in the window's start (the model's states) and in the free parameters.
-    ends : (m, n_x) array
-        States one sample after each window.
-    dends : (m, n_x, n_x + n_f) array or None
-    """
-
-    r: FloatArray
+    r: FloatArray  #: (m, c, n_y) array; by window, sample, output; 0 where nothing was measured
+    #: (m, c, n_y, n_x + n_f) array or None; slopes in the window's start (the model's states) and
+    #: in the free parameters
     j: FloatArray | None
-    ends: FloatArray
-    dends: FloatArray | None
+    ends: FloatArray  #: (m, n_x) array; states one sample after each window
+    dends: FloatArray | None  #: (m, n_x, n_x + n_f) array or None
 
     @property
     def finite(self) -> bool:

@@ -38,33 +38,16 @@ class Search(Protocol):
 
 @dataclass
 class Evolved:
-    """What a search has found.
+    """What a search has found."""
 
-    Attributes
-    ----------
-    best : (n,) array
-        The point of least cost so far.
-    cost : float
-        Its cost; infinite if every simulation failed.
-    costs : list of (float, float)
-        Least cost so far and median of the generation, after each.
-    evaluations : int
-        Simulations of a point, those of a journal included.
-    seconds : float
-        Of computing, those of a journal included.
-    ended : str
-        Why it ended; empty when all generations were done.
-    stopped : bool
-        Whether the watch asked to stop.
-    """
-
-    best: FloatArray
-    cost: float = np.inf
+    best: FloatArray  #: (n,) array; the point of least cost so far
+    cost: float = np.inf  #: Its cost; infinite if every simulation failed
+    #: Least cost so far and median of the generation, after each
     costs: list[tuple[float, float]] = field(default_factory=list)
-    evaluations: int = 0
-    seconds: float = 0.0
-    ended: str = ""
-    stopped: bool = False
+    evaluations: int = 0  #: Simulations of a point, those of a journal included
+    seconds: float = 0.0  #: Of computing, those of a journal included
+    ended: str = ""  #: Why it ended; empty when all generations were done
+    stopped: bool = False  #: Whether the watch asked to stop
 
 
 #: Called after each generation with what has been found; False asks to stop.

@@ -24,21 +24,11 @@ _WHERE = "resume"
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """One generation.
+    """One generation."""
 
-    Attributes
-    ----------
-    points : str
-        Digest of the points that were asked for.
-    costs : list of float or None
-        Of each point; None where the simulation failed.
-    seconds : float
-        Of computing up to the end of this generation.
-    """
-
-    points: str
-    costs: list[float | None]
-    seconds: float
+    points: str  #: Digest of the points that were asked for
+    costs: list[float | None]  #: Of each point; None where the simulation failed
+    seconds: float  #: Of computing up to the end of this generation
 
     def told(self) -> FloatArray:
         """The costs, infinite where a simulation failed."""
@@ -85,10 +75,7 @@ class Journal:
     def recorded(self, number: int, points: FloatArray) -> Entry | None:
         """The generation `number` (from 0 on) if it stands here.
 
-        Raises
-        ------
-        ConfigurationError
-            If other points were asked for then.
+        Raises ConfigurationError if other points were asked for then.
         """
         if number >= len(self._entries):
             return None

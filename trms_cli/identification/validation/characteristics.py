@@ -24,47 +24,26 @@ _HISTOGRAM_BINS = 30
 
 @dataclass(frozen=True)
 class Characteristics:
-    """Figures of one signal; NaN for what does not exist.
-
-    Attributes
-    ----------
-    name, unit : str
-    samples, missing : int
-    mean, sd, least, largest : float
-        In the unit.
-    skewness, kurtosis : float
-        Third and fourth standardised moments; 0 and 3 for a normal distribution.
-    correlation_time : float
-        s until the autocorrelation falls below 1/e.
-    peak_frequency, band_edge : float
-        Hz: of the largest density; below which 95 % of the power lies.
-    trend_of_mean, trend_of_power : float
-        p-values of the stationarity check; small: they drift.
-    counts : (b,) array
-        Amplitude distribution.
-    edges : (b + 1,) array
-        Of its bins, in the unit.
-    autocorrelation : (l,) array
-        At lags of 0, 1, … samples, up to ten correlation times.
-    """
+    """Figures of one signal; NaN for what does not exist."""
 
     name: str
     unit: str
     samples: int
     missing: int
-    mean: float
-    sd: float
-    least: float
-    largest: float
-    skewness: float
-    kurtosis: float
-    correlation_time: float
-    peak_frequency: float
-    band_edge: float
-    trend_of_mean: float
-    trend_of_power: float
-    counts: FloatArray
-    edges: FloatArray
+    mean: float  #: In the unit
+    sd: float  #: In the unit
+    least: float  #: In the unit
+    largest: float  #: In the unit
+    skewness: float  #: Third and fourth standardised moments
+    kurtosis: float  #: 0 and 3 for a normal distribution
+    correlation_time: float  #: s until the autocorrelation falls below 1/e
+    peak_frequency: float  #: Hz: of the largest density
+    band_edge: float  #: below which 95 % of the power lies
+    trend_of_mean: float  #: p-values of the stationarity check
+    trend_of_power: float  #: small: they drift
+    counts: FloatArray  #: (b,) array; amplitude distribution
+    edges: FloatArray  #: (b + 1,) array; of its bins, in the unit
+    #: (l,) array; at lags of 0, 1, … samples, up to ten correlation times
     autocorrelation: FloatArray
 
 

@@ -21,14 +21,10 @@ _DRAWS = 2000
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Squared errors of one model, channel and horizon, summed over blocks of time.
+    """Squared errors of one model, channel and horizon, summed over blocks of time."""
 
-    Attributes
-    ----------
-    squares, counts : (b,) arrays
-        Sum of the squared errors in each block, and how many samples they are.
-    """
-
+    #: ``squares``, ``counts``: (b,) arrays; sum of the squared errors in each block, and how many
+    #: samples they are
     squares: FloatArray
     counts: FloatArray
 

@@ -23,55 +23,30 @@ from trms_cli.simulation.rollout import Rollout
 
 @dataclass(frozen=True)
 class WindowErrors:
-    """Errors of the windows of one horizon in one recording.
-
-    Attributes
-    ----------
-    channels : tuple of str
-    first : (m,) array of int
-        First sample of each window.
-    errors : (m, k, n_y) array
-        Measured minus simulated; NaN where not measured.
-    measured : (m, k, n_y) array
-    unchanged : (m, k, n_y) array
-        Error of the prediction that nothing changes from the last sample before the window.
-    """
+    """Errors of the windows of one horizon in one recording."""
 
     channels: tuple[str, ...]
-    first: IntArray
-    errors: FloatArray
-    measured: FloatArray
+    first: IntArray  #: (m,) array of int; first sample of each window
+    errors: FloatArray  #: (m, k, n_y) array; measured minus simulated; NaN where not measured
+    measured: FloatArray  #: (m, k, n_y) array
+    #: (m, k, n_y) array; error of the prediction that nothing changes from the last sample before
+    #: the window
     unchanged: FloatArray
 
 
 @dataclass(frozen=True)
 class FreeRun:
-    """The model alone to the end of the recording.
+    """The model alone to the end of the recording."""
 
-    Attributes
-    ----------
-    first : int
-        Sample at which it begins.
-    simulated : (n − first, n_y) array
-        In the order of the recording's outputs.
-    """
-
-    first: int
-    simulated: FloatArray
+    first: int  #: Sample at which it begins
+    simulated: FloatArray  #: (n − first, n_y) array; in the order of the recording's outputs
 
 
 @dataclass(frozen=True)
 class FreeRuns:
-    """All free runs of a model over one recording.
+    """All free runs of a model over one recording."""
 
-    Attributes
-    ----------
-    windows : dict of float to WindowErrors
-        By horizon, s.
-    whole : FreeRun
-    """
-
-    windows: Mapping[float, WindowErrors]
+    windows: Mapping[float, WindowErrors]  #: By horizon, s
     whole: FreeRun
 
 

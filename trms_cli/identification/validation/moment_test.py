@@ -36,29 +36,15 @@ _SAMPLES_PER_LAG = 10
 
 @dataclass(frozen=True)
 class MomentTest:
-    """A test, with the correlations it looked at.
+    """A test, with the correlations it looked at."""
 
-    Attributes
-    ----------
-    lags : (m,) int array
-        Samples.
-    correlations : (m,) array
-        Sample correlations at the lags, in [−1, 1].
-    standard_errors : (m,) array
-        Of the correlations, if the residual is unpredictable.
-    statistic : float
-        T; NaN if there are too few samples, or nothing varies.
-    degrees : int
-        Degrees of freedom of its χ².
-    p_value : float
-    """
-
-    lags: npt.NDArray[np.int64]
-    correlations: FloatArray
+    lags: npt.NDArray[np.int64]  #: (m,) int array; samples
+    correlations: FloatArray  #: (m,) array; sample correlations at the lags, in [−1, 1]
+    #: (m,) array; of the correlations, if the residual is unpredictable
     standard_errors: FloatArray
-    statistic: float
-    degrees: int
-    p_value: float
+    statistic: float  #: T; NaN if there are too few samples, or nothing varies
+    degrees: int  #: Degrees of freedom of its χ²
+    p_value: float  #: of the test
 
     def band(self, level: float = 0.95) -> FloatArray:
         """Half width of a band that all lags together stay in with probability `level` (Šidák)."""

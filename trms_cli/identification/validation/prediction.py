@@ -37,30 +37,18 @@ _SAMPLES_TO_FIT = 6000
 
 @dataclass(frozen=True)
 class OneStep:
-    """Predictions of the next sample.
+    """Predictions of the next sample."""
 
-    Attributes
-    ----------
-    channels : tuple of str
-        Columns of the arrays.
-    errors : (n, n_y) array
-        Measured minus predicted, in the outputs' units; NaN where there is none.
-    expected_sd : (n, n_y) array
-        What the predictor believes its errors to be; NaN for one that does not say.
-    states : (n, n_x) array
-        The model's states with the measurement at the sample known.
-    noise_factors : dict of str to float
-        Of the process noise, by ``beam`` and ``drive``; empty without a filter.
-    predictor : str
-        How the prediction was made, for people.
-    """
-
-    channels: tuple[str, ...]
+    channels: tuple[str, ...]  #: Columns of the arrays
+    #: (n, n_y) array; measured minus predicted, in the outputs' units; NaN where there is none
     errors: FloatArray
+    #: (n, n_y) array; what the predictor believes its errors to be; NaN for one that does not say
     expected_sd: FloatArray
+    #: (n, n_x) array; the model's states with the measurement at the sample known
     states: FloatArray
+    #: Of the process noise, by ``beam`` and ``drive``; empty without a filter
     noise_factors: Mapping[str, float] = field(default_factory=dict)
-    predictor: str = ""
+    predictor: str = ""  #: How the prediction was made, for people
 
 
 def predict_one_step(

@@ -20,23 +20,13 @@ BINS = 8
 
 @dataclass(frozen=True)
 class RegionTable:
-    """The error of one channel over one operating variable.
-
-    Attributes
-    ----------
-    channel, variable : str
-    edges : (b + 1,) array
-        Of the bins, in the variable's unit.
-    rms : (b,) array
-        Of the error in each bin, in the channel's unit.
-    time_share, error_share : (b,) arrays
-        Of the samples, and of the squared error.
-    """
+    """The error of one channel over one operating variable."""
 
     channel: str
     variable: str
-    edges: FloatArray
-    rms: FloatArray
+    edges: FloatArray  #: (b + 1,) array; of the bins, in the variable's unit
+    rms: FloatArray  #: (b,) array; of the error in each bin, in the channel's unit
+    #: ``time_share``, ``error_share``: (b,) arrays; of the samples, and of the squared error
     time_share: FloatArray
     error_share: FloatArray
 

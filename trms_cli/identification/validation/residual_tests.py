@@ -59,32 +59,16 @@ MEANING: Mapping[str, str] = MappingProxyType(
 
 @dataclass(frozen=True)
 class ResidualTest:
-    """One test of one channel.
+    """One test of one channel."""
 
-    Attributes
-    ----------
-    channel : str
-        Output whose residual is tested.
-    kind : str
-        Key of :data:`MEANING`.
-    inputs : tuple of str
-        Inputs that take part.
-    formula : str
-        As the literature writes it.
-    result : MomentTest
-    p_holm : float
-        p-value over all tests of all channels: one or more false alarms with this probability.
-    p_bh : float
-        The same as a share of false alarms among the alarms.
-    """
-
-    channel: str
-    kind: str
-    inputs: tuple[str, ...]
-    formula: str
+    channel: str  #: Output whose residual is tested
+    kind: str  #: Key of :data:`MEANING`
+    inputs: tuple[str, ...]  #: Inputs that take part
+    formula: str  #: As the literature writes it
     result: MomentTest
+    #: p-value over all tests of all channels: one or more false alarms with this probability
     p_holm: float = np.nan
-    p_bh: float = np.nan
+    p_bh: float = np.nan  #: The same as a share of false alarms among the alarms
 
     @property
     def name(self) -> str:
@@ -98,21 +82,13 @@ class ResidualTest:
 
 @dataclass(frozen=True)
 class ResidualTests:
-    """All tests of a set of residuals.
-
-    Attributes
-    ----------
-    tests : tuple of ResidualTest
-    whitening_order : dict of str to int
-        Order of the autoregression that was taken out of each residual before all tests but
-        ``auto`` and ``ljung_box``.
-    level : float
-        Family-wise.
-    """
+    """All tests of a set of residuals."""
 
     tests: tuple[ResidualTest, ...]
+    #: Order of the autoregression that was taken out of each residual before all tests but ``auto``
+    #: and ``ljung_box``
     whitening_order: Mapping[str, int]
-    level: float = 0.05
+    level: float = 0.05  #: Family-wise
 
     def of(self, channel: str) -> list[ResidualTest]:
         """The tests of one channel."""

@@ -23,38 +23,21 @@ _OVERLAP_CORRELATION = 1.0 / 36.0
 
 @dataclass(frozen=True)
 class Segments:
-    """Windowed Fourier transforms of one signal.
+    """Windowed Fourier transforms of one signal."""
 
-    Attributes
-    ----------
-    frequencies : (f,) array
-        Hz.
-    transforms : (k, f) complex array
-        Scaled so that their mean square is the one-sided density; NaN for a segment with a missing
-        sample.
-    """
-
-    frequencies: FloatArray
+    frequencies: FloatArray  #: (f,) array; hz
+    #: (k, f) complex array; scaled so that their mean square is the one-sided density; NaN for a
+    #: segment with a missing sample
     transforms: npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """A one-sided power spectral density.
+    """A one-sided power spectral density."""
 
-    Attributes
-    ----------
-    frequencies : (f,) array
-        Hz.
-    density : (f,) array
-        Unit² per Hz.
-    lower, upper : float
-        Factors of the density to the ends of its 95 % interval.
-    segments : int
-    """
-
-    frequencies: FloatArray
-    density: FloatArray
+    frequencies: FloatArray  #: (f,) array; hz
+    density: FloatArray  #: (f,) array; unit² per Hz
+    #: ``lower``, ``upper``: Factors of the density to the ends of its 95 % interval
     lower: float
     upper: float
     segments: int
@@ -62,24 +45,12 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Coherence:
-    """Squared coherence of two signals.
+    """Squared coherence of two signals."""
 
-    Attributes
-    ----------
-    frequencies : (f,) array
-        Hz.
-    squared : (f,) array
-        From 0 to 1.
-    by_chance : float
-        What independent signals stay below at a frequency with probability 0.95.
-    lower, upper : (f,) arrays
-        95 % interval (Fisher's transform).
-    segments : int
-    """
-
-    frequencies: FloatArray
-    squared: FloatArray
-    by_chance: float
+    frequencies: FloatArray  #: (f,) array; hz
+    squared: FloatArray  #: (f,) array; from 0 to 1
+    by_chance: float  #: What independent signals stay below at a frequency with probability 0.95
+    #: ``lower``, ``upper``: (f,) arrays; 95 % interval (Fisher's transform)
     lower: FloatArray
     upper: FloatArray
     segments: int

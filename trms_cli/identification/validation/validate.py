@@ -32,28 +32,13 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class ModelValidation:
-    """One model on all recordings.
-
-    Attributes
-    ----------
-    name : str
-    model : Model
-        As it was simulated: with effects, driven where asked for.
-    datasets : tuple of Dataset
-        Of one sample time.
-    one_steps : tuple of OneStep
-        One a recording.
-    runs : tuple of FreeRuns
-        One a recording.
-    tests : ResidualTests
-    options : ValidationOptions
-    """
+    """One model on all recordings."""
 
     name: str
-    model: Model
-    datasets: tuple[Dataset, ...]
-    one_steps: tuple[OneStep, ...]
-    runs: tuple[FreeRuns, ...]
+    model: Model  #: As it was simulated: with effects, driven where asked for
+    datasets: tuple[Dataset, ...]  #: Of one sample time
+    one_steps: tuple[OneStep, ...]  #: One a recording
+    runs: tuple[FreeRuns, ...]  #: One a recording
     tests: ResidualTests
     options: ValidationOptions
 

@@ -10,21 +10,11 @@ from trms_cli.plants.faults.fault import FaultRun, FaultSetup, FloatArray, NotNe
 
 @dataclass(frozen=True, kw_only=True)
 class DelayedCommands:
-    """All commands reach the rig later.
+    """All commands reach the rig later."""
 
-    Attributes
-    ----------
-    start : float
-        s.
-    delay : float
-        s, rounded to whole samples.
-    duration : float or None
-        s; None lasts to the end.
-    """
-
-    start: NotNegative
-    delay: Positive
-    duration: Positive | None = None
+    start: NotNegative  #: s
+    delay: Positive  #: s, rounded to whole samples
+    duration: Positive | None = None  #: s; None lasts to the end
 
     def init(self, setup: FaultSetup) -> FaultRun:
         active = setup.window(self.start, self.duration)

@@ -26,27 +26,13 @@ Share = Annotated[float, Meta(gt=0, le=1)]
 
 @dataclass(frozen=True)
 class FaultSetup:
-    """What a fault is told before a run.
+    """What a fault is told before a run."""
 
-    Attributes
-    ----------
-    sample_time : float
-        s.
-    samples : int
-        Of the run.
-    outputs : tuple of str
-        Measured channels, the order of y.
-    inputs : tuple of str
-        The order of u.
-    seed : tuple of int
-        Of what is random in it.
-    """
-
-    sample_time: float
-    samples: int
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
-    seed: tuple[int, ...]
+    sample_time: float  #: s
+    samples: int  #: Of the run
+    outputs: tuple[str, ...]  #: Measured channels, the order of y
+    inputs: tuple[str, ...]  #: The order of u
+    seed: tuple[int, ...]  #: Of what is random in it
 
     def window(self, start: float, duration: float | None) -> range:
         """Samples from ``start`` for ``duration`` seconds, to the end for None."""
@@ -57,20 +43,14 @@ class FaultSetup:
     def output(self, channel: str, where: str = "channel") -> int:
         """Position of a measured channel.
 
-        Raises
-        ------
-        ConfigurationError
-            If it is not measured.
+        Raises ConfigurationError if it is not measured.
         """
         return _position(channel, self.outputs, "the rig measures no", where)
 
     def input(self, name: str, where: str = "input") -> int:
         """Position of an input.
 
-        Raises
-        ------
-        ConfigurationError
-            If there is none of that name.
+        Raises ConfigurationError if there is none of that name.
         """
         return _position(name, self.inputs, "the rig has no input", where)
 

@@ -9,20 +9,11 @@ from trms_cli.plants.faults.fault import FaultRun, FaultSetup, FloatArray, NotNe
 
 @dataclass(frozen=True, kw_only=True)
 class FrozenSensor:
-    """The reading stays what it was when the fault began.
-
-    Attributes
-    ----------
-    channel : str
-    start : float
-        s.
-    duration : float or None
-        s; None lasts to the end.
-    """
+    """The reading stays what it was when the fault began."""
 
     channel: str
-    start: NotNegative
-    duration: Positive | None = None
+    start: NotNegative  #: s
+    duration: Positive | None = None  #: s; None lasts to the end
 
     def init(self, setup: FaultSetup) -> FaultRun:
         active = setup.window(self.start, self.duration)

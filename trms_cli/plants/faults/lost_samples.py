@@ -18,23 +18,12 @@ from trms_cli.plants.faults.fault import (
 
 @dataclass(frozen=True, kw_only=True)
 class LostSamples:
-    """No reading of a channel.
-
-    Attributes
-    ----------
-    channel : str
-    start : float
-        s.
-    duration : float or None
-        s; None lasts to the end.
-    probability : float
-        Share of the samples that are lost meanwhile.
-    """
+    """No reading of a channel."""
 
     channel: str
-    start: NotNegative
-    duration: Positive | None = None
-    probability: Share = 1.0
+    start: NotNegative  #: s
+    duration: Positive | None = None  #: s; None lasts to the end
+    probability: Share = 1.0  #: Share of the samples that are lost meanwhile
 
     def init(self, setup: FaultSetup) -> FaultRun:
         column = setup.output(self.channel)

@@ -18,26 +18,13 @@ from trms_cli.plants.faults.fault import (
 
 @dataclass(frozen=True, kw_only=True)
 class Outliers:
-    """Some readings of a channel are off by a fixed size, to either side.
-
-    Attributes
-    ----------
-    channel : str
-    start : float
-        s.
-    duration : float or None
-        s; None lasts to the end.
-    probability : float
-        Share of the samples that are off.
-    size : float
-        By how much, rad or rad/s.
-    """
+    """Some readings of a channel are off by a fixed size, to either side."""
 
     channel: str
-    start: NotNegative
-    size: Positive
-    duration: Positive | None = None
-    probability: Share = 0.02
+    start: NotNegative  #: s
+    size: Positive  #: By how much, rad or rad/s
+    duration: Positive | None = None  #: s; None lasts to the end
+    probability: Share = 0.02  #: Share of the samples that are off
 
     def init(self, setup: FaultSetup) -> FaultRun:
         generator = np.random.default_rng(setup.seed)

@@ -9,23 +9,12 @@ from trms_cli.plants.faults.fault import FaultRun, FaultSetup, FloatArray, NotNe
 
 @dataclass(frozen=True, kw_only=True)
 class ShiftedSensor:
-    """The reading is off by a constant.
-
-    Attributes
-    ----------
-    channel : str
-    start : float
-        s.
-    shift : float
-        rad or rad/s.
-    duration : float or None
-        s; None lasts to the end.
-    """
+    """The reading is off by a constant."""
 
     channel: str
-    start: NotNegative
-    shift: float
-    duration: Positive | None = None
+    start: NotNegative  #: s
+    shift: float  #: rad or rad/s
+    duration: Positive | None = None  #: s; None lasts to the end
 
     def init(self, setup: FaultSetup) -> FaultRun:
         active = setup.window(self.start, self.duration)

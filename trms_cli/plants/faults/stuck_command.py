@@ -9,23 +9,12 @@ from trms_cli.plants.faults.fault import FaultRun, FaultSetup, FloatArray, NotNe
 
 @dataclass(frozen=True, kw_only=True)
 class StuckCommand:
-    """The input stays what it was when the fault began, or at a given value.
-
-    Attributes
-    ----------
-    input : str
-    start : float
-        s.
-    duration : float or None
-        s; None lasts to the end.
-    value : float or None
-        V; None holds the last command.
-    """
+    """The input stays what it was when the fault began, or at a given value."""
 
     input: str
-    start: NotNegative
-    duration: Positive | None = None
-    value: float | None = None
+    start: NotNegative  #: s
+    duration: Positive | None = None  #: s; None lasts to the end
+    value: float | None = None  #: V; None holds the last command
 
     def init(self, setup: FaultSetup) -> FaultRun:
         active = setup.window(self.start, self.duration)

@@ -88,10 +88,7 @@ def write_with_scene(
 
     Messages, metadata and attachments are those of the log, byte for byte, as far as it is intact.
 
-    Raises
-    ------
-    RecordingError
-        When the file exists and ``force`` is not given, or cannot be written.
+    Raises RecordingError when the file exists and ``force`` is not given, or cannot be written.
     """
     added = list(scene_messages(log, encoder, sources, every))
     with whole_file(path, force=force) as temporary, temporary.open("wb") as file:

@@ -27,18 +27,12 @@ Row = Sequence[Any]
 
 @dataclass(frozen=True)
 class Sources:
-    """Where in a log the attitudes and commands of a scene stand.
+    """Where in a log the attitudes and commands of a scene stand."""
 
-    Attributes
-    ----------
-    attitudes : dict of str to (str, int or None, int or None)
-        By prefix of the frames (``""``, ``reference_``, ``estimate_``): the topic, and the places
-        of yaw and pitch in its rows; None for an axis that it does not have.
-    commands : tuple of (int or None, float)
-        For each arrow its command's place in a row of /command, and the command's limit.
-    """
-
+    #: By prefix of the frames (``""``, ``reference_``, ``estimate_``): the topic, and the places of
+    #: yaw and pitch in its rows; None for an axis that it does not have
     attitudes: Mapping[str, tuple[str, int | None, int | None]]
+    #: For each arrow its command's place in a row of /command, and the command's limit
     commands: tuple[tuple[int | None, float], ...]
 
     @property

@@ -33,32 +33,18 @@ class State(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedRun:
-    """One run.
+    """One run."""
 
-    Attributes
-    ----------
-    path : str
-        Its folder or file.
-    coordinates : dict of str to str
-        What it was a run of: ``controller``, ``observer``, ``ref``, …, ``seed``, and dotted keys
-        of the configuration in which it differs from others.
-    state : State
-    score : dict or None
-        ``trms.score/1``; None if there is none.
-    message : str
-        Why it failed or is incomplete.
-    non_finite : int or None
-        Times at which a command was not finite and the one before was held; None: not counted.
-    outside : str
-        Why whoever ran here is not ranked ("knows the reference ahead"); "" if it is.
-    """
-
-    path: str
+    path: str  #: Its folder or file
+    #: What it was a run of: ``controller``, ``observer``, ``ref``, …, ``seed``, and dotted keys of
+    #: the configuration in which it differs from others
     coordinates: Mapping[str, str]
     state: State = State.DONE
-    score: Mapping[str, Any] | None = None
-    message: str = ""
+    score: Mapping[str, Any] | None = None  #: ``trms.score/1``; None if there is none
+    message: str = ""  #: Why it failed or is incomplete
+    #: Times at which a command was not finite and the one before was held; None: not counted
     non_finite: int | None = None
+    #: Why whoever ran here is not ranked ("knows the reference ahead"); "" if it is
     outside: str = ""
     config: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """The resolved configuration, where the log has it."""

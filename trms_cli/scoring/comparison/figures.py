@@ -14,54 +14,33 @@ from trms_cli.scoring.comparison.ranking import Standing, quantile
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Figures of one entrant over its runs; NaN for what no run tells.
+    """Figures of one entrant over its runs; NaN for what no run tells."""
 
-    Attributes
-    ----------
-    runs : int
-        Those that count.
-    error_mean, error_p95, error_worst : float
-        Tracking error in the metric's unit, of the runs that did not fail.
-    ratio_p95, ratio_worst : float
-        Error over the best in the same condition; a failed run counts as `FAILED_RATIO` or more.
-    effort, variation : float
-        Mean of ∫u²dt (V² s) and of Σ|Δu| (V), both inputs added.
-    step_ms, step_p99_ms : float
-        Time of a control step: median of the runs' medians, median of their 99th percentiles, ms.
-    step_max_ms : float
-        The longest of all, ms.
-    failed : int
-        Runs that ended in an error.
-    non_finite : int or None
-        Commands that were not finite; None where nobody counted.
-    fallbacks : int
-        Control samples on which the solver failed or a fall-back acted.
-    degraded_s, degraded_runs : float, int
-        Time in which the loop was not normal, s in all runs, and in how many.
-    missed : int
-        Deadlines.
-    violations : int
-        Samples beyond a limit.
-    """
-
-    runs: int
+    runs: int  #: Those that count
+    #: ``error_mean``, ``error_p95``, ``error_worst``: Tracking error in the metric's unit, of the
+    #: runs that did not fail
     error_mean: float
     error_p95: float
     error_worst: float
-    ratio_p95: float
-    ratio_worst: float
+    ratio_p95: float  #: Error over the best in the same condition
+    ratio_worst: float  #: a failed run counts as `FAILED_RATIO` or more
+    #: ``effort``, ``variation``: Mean of ∫u²dt (V² s) and of Σ|Δu| (V), both inputs added
     effort: float
     variation: float
+    #: ``step_ms``, ``step_p99_ms``: Time of a control step: median of the runs' medians, median of
+    #: their 99th percentiles, ms
     step_ms: float
     step_p99_ms: float
-    step_max_ms: float
-    failed: int
-    non_finite: int | None
-    fallbacks: int
+    step_max_ms: float  #: The longest of all, ms
+    failed: int  #: Runs that ended in an error
+    non_finite: int | None  #: Commands that were not finite; None where nobody counted
+    fallbacks: int  #: Control samples on which the solver failed or a fall-back acted
+    #: ``degraded_s``, ``degraded_runs``: Time in which the loop was not normal, s in all runs, and
+    #: in how many
     degraded_s: float
     degraded_runs: int
-    missed: int
-    violations: int
+    missed: int  #: Deadlines
+    violations: int  #: Samples beyond a limit
 
 
 def figures_of(standing: Standing, metric: str = "rmse") -> Figures:

@@ -37,27 +37,18 @@ _ENDINGS = {"interrupted": State.INCOMPLETE, "died": State.INCOMPLETE, "failed":
 
 @dataclass(frozen=True)
 class Gathered:
-    """What lies in the folders.
+    """What lies in the folders."""
 
-    Attributes
-    ----------
-    runs : tuple of ComparedRun
-        In the order of their paths.
-    left_out : tuple of (str, str)
-        Files that look like runs and are none that can be compared, with the reason.
-    """
-
-    runs: tuple[ComparedRun, ...]
+    runs: tuple[ComparedRun, ...]  #: In the order of their paths
+    #: Files that look like runs and are none that can be compared, with the reason
     left_out: tuple[tuple[str, str], ...] = ()
 
 
 def gather(paths: Sequence[Path]) -> Gathered:
     """Read every run in files and folders, however deep.
 
-    Raises
-    ------
-    RecordingError
-        If a path does not exist, a file is no log and no score, or there is no run at all.
+    Raises RecordingError if a path does not exist, a file is no log and no score, or there is no
+    run at all.
     """
     runs: list[ComparedRun] = []
     left_out: list[tuple[str, str]] = []

@@ -22,29 +22,14 @@ REFERENCE = "ref"
 
 @dataclass(frozen=True, kw_only=True)
 class Contest:
-    """Entrants × conditions.
+    """Entrants × conditions."""
 
-    Attributes
-    ----------
-    by : tuple of str
-        Coordinates that name an entrant.
-    given_by : tuple of str
-        Coordinates that name a condition, of those in which runs differ.
-    entrants : tuple of str
-        Names.
-    outside : tuple of str
-        Per entrant, why it is not ranked; "" if it is.
-    conditions : tuple of dict
-        Coordinates of each condition.
-    cells : dict of (int, int) to tuple of ComparedRun
-        The runs of an entrant in a condition: one, or repetitions of one another.
-    """
-
-    by: tuple[str, ...]
-    given_by: tuple[str, ...]
-    entrants: tuple[str, ...]
-    outside: tuple[str, ...]
-    conditions: tuple[Mapping[str, str], ...]
+    by: tuple[str, ...]  #: Coordinates that name an entrant
+    given_by: tuple[str, ...]  #: Coordinates that name a condition, of those in which runs differ
+    entrants: tuple[str, ...]  #: Names
+    outside: tuple[str, ...]  #: Per entrant, why it is not ranked; "" if it is
+    conditions: tuple[Mapping[str, str], ...]  #: Coordinates of each condition
+    #: The runs of an entrant in a condition: one, or repetitions of one another
     cells: Mapping[tuple[int, int], tuple[ComparedRun, ...]]
 
     def run(self, entrant: int, condition: int) -> ComparedRun:
@@ -150,10 +135,7 @@ def entrant_name(run: ComparedRun, by: Sequence[str], given: Sequence[str] = ())
 def matching(runs: Sequence[ComparedRun], where: Mapping[str, Sequence[str]]) -> list[ComparedRun]:
     """The runs whose coordinates match patterns, as a shell matches file names.
 
-    Raises
-    ------
-    ConfigurationError
-        If a coordinate is unknown, or nothing is left.
+    Raises ConfigurationError if a coordinate is unknown, or nothing is left.
     """
     left = list(runs)
     for key, patterns in where.items():

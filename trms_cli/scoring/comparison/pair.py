@@ -24,23 +24,13 @@ _INPUT = (("effort", "effort ∫u²dt", "{}² s"), ("total_variation", "total va
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A figure of both runs; all are better when small.
+    """A figure of both runs; all are better when small."""
 
-    Attributes
-    ----------
-    key : str
-        ``channels.alpha_v.rmse``.
-    label : str
-        In words, with the channel.
-    unit : str
-    one, other : float or None
-    """
-
-    key: str
-    label: str
+    key: str  #: ``channels.alpha_v.rmse``
+    label: str  #: In words, with the channel
     unit: str
-    one: float | None
-    other: float | None
+    one: float | None  #: in the row's unit
+    other: float | None  #: in the row's unit
 
     @property
     def change(self) -> float | None:
@@ -52,18 +42,11 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """Two runs.
-
-    Attributes
-    ----------
-    one, other : ComparedRun
-    settings : tuple of (str, str, str)
-        Keys of the configuration that differ, with both values.
-    rows : tuple of Row
-    """
+    """Two runs."""
 
     one: ComparedRun
     other: ComparedRun
+    #: Keys of the configuration that differ, with both values
     settings: tuple[tuple[str, str, str], ...]
     rows: tuple[Row, ...]
 

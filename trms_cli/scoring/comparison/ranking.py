@@ -37,15 +37,10 @@ FEWEST_CLUSTERS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """Of the bootstrap, at :data:`LEVEL`.
+    """Of the bootstrap, at :data:`LEVEL`."""
 
-    Attributes
-    ----------
-    low, high : float
-    """
-
-    low: float
-    high: float
+    low: float  #: ends of the interval
+    high: float  #: ends of the interval
 
     @property
     def excludes_one(self) -> bool:
@@ -55,43 +50,22 @@ class Interval:
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """How an entrant stands.
-
-    Attributes
-    ----------
-    name : str
-    rank : int or None
-        From 1; None for one that is outside the ranking, or was in too few conditions.
-    outside : str
-        Why it is outside; "" if it is not.
-    runs : tuple of ComparedRun
-        Its runs that count, in the order of the conditions.
-    conditions : (n,) int array
-        Which conditions they were in.
-    ratios : (n,) array
-        Error over the best ranked entrant's in that condition.
-    ratio : float
-        Their geometric mean.
-    interval : Interval or None
-        Of `ratio`; None with fewer rigs than :data:`FEWEST_CLUSTERS`.
-    against_first : float
-        Error over the first's, geometric mean over the conditions that both ran in; NaN without.
-    against_interval : Interval or None
-    shared : int
-        How many conditions it shares with the first.
-    """
+    """How an entrant stands."""
 
     name: str
+    #: From 1; None for one that is outside the ranking, or was in too few conditions
     rank: int | None
-    outside: str
-    runs: tuple[ComparedRun, ...]
-    conditions: npt.NDArray[np.int64]
-    ratios: FloatArray
-    ratio: float
+    outside: str  #: Why it is outside; "" if it is not
+    runs: tuple[ComparedRun, ...]  #: Its runs that count, in the order of the conditions
+    conditions: npt.NDArray[np.int64]  #: (n,) int array; which conditions they were in
+    ratios: FloatArray  #: (n,) array; error over the best ranked entrant's in that condition
+    ratio: float  #: Their geometric mean
+    #: Of `ratio`; None with fewer rigs than :data:`FEWEST_CLUSTERS`
     interval: Interval | None = None
+    #: Error over the first's, geometric mean over the conditions that both ran in; NaN without
     against_first: float = math.nan
     against_interval: Interval | None = None
-    shared: int = 0
+    shared: int = 0  #: How many conditions it shares with the first
 
     @property
     def different(self) -> bool | None:
@@ -107,29 +81,15 @@ class Standing:
 
 @dataclass(frozen=True, kw_only=True)
 class Ranking:
-    """The entrants of a contest in order.
+    """The entrants of a contest in order."""
 
-    Attributes
-    ----------
-    metric : str
-        Which error, summed over the channels.
-    contest : Contest
-        Entrants and conditions.
-    standings : tuple of Standing
-        Ranked ones first, in order; then the others by their ratio.
-    best : dict of int to str
-        By condition, the entrant with the smallest error among those that may be ranked.
-    clusters : int
-        Rigs that were drawn again.
-    left_out : int
-        Conditions that are not counted for those with a rank, since not all of them were in.
-    """
-
-    metric: str
-    contest: Contest
-    standings: tuple[Standing, ...]
+    metric: str  #: Which error, summed over the channels
+    contest: Contest  #: Entrants and conditions
+    standings: tuple[Standing, ...]  #: Ranked ones first, in order; then the others by their ratio
+    #: By condition, the entrant with the smallest error among those that may be ranked
     best: Mapping[int, str] = field(default_factory=dict)
-    clusters: int = 0
+    clusters: int = 0  #: Rigs that were drawn again
+    #: Conditions that are not counted for those with a rank, since not all of them were in
     left_out: int = 0
 
     @property

@@ -52,36 +52,20 @@ _COUNTED = 60_000
 
 @dataclass(frozen=True)
 class Estimate:
-    """{V < level} around the equilibrium.
-
-    Attributes
-    ----------
-    method : Method
-    candidate : Candidate
-    level : float
-        Proved if ``proved``, else only sampled.
-    proved : bool
-    means : str
-        What proves it, in words.
-    sampled : float or None
-        Level at which sampling found V̇ = 0, an upper bound; None where it was not looked for.
-    samples : int
-        Points that were looked at for it.
-    boxes : int
-        That the proof needed.
-    frame : (n, n) array
-        The set lies in the image of the unit cube by it; what V does elsewhere does not count.
-    """
+    """{V < level} around the equilibrium."""
 
     method: Method
     candidate: Candidate
-    level: float
+    level: float  #: Proved if ``proved``, else only sampled
     proved: bool
-    means: str
+    means: str  #: What proves it, in words
+    #: (n, n) array; the set lies in the image of the unit cube by it; what V does elsewhere does
+    #: not count
     frame: FloatArray
+    #: Level at which sampling found V̇ = 0, an upper bound; None where it was not looked for
     sampled: float | None = None
-    samples: int = 0
-    boxes: int = 0
+    samples: int = 0  #: Points that were looked at for it
+    boxes: int = 0  #: That the proof needed
 
     @property
     def label(self) -> str:

@@ -35,20 +35,11 @@ _SWITCHES = {
 
 @dataclass(frozen=True)
 class Basis:
-    """Basis functions of y.
-
-    Attributes
-    ----------
-    system : Around
-    names : tuple of str
-        ``alpha_v·S_v``, ``∫S_v' d alpha_v``; of each function.
-    values : casadi.Function
-        ``y → b``, (k, 1).
-    """
+    """Basis functions of y."""
 
     system: Around
-    names: tuple[str, ...]
-    values: ca.Function
+    names: tuple[str, ...]  #: ``alpha_v·S_v``, ``∫S_v' d alpha_v``; of each function
+    values: ca.Function  #: ``y → b``, (k, 1)
 
     @cached_property
     def rates(self) -> ca.Function:
@@ -64,16 +55,10 @@ class Basis:
 
 @dataclass(frozen=True)
 class Candidate:
-    """V = weights · b.
-
-    Attributes
-    ----------
-    basis : Basis
-    weights : (k,) array
-    """
+    """V = weights · b."""
 
     basis: Basis
-    weights: FloatArray
+    weights: FloatArray  #: (k,) array
 
     @property
     def system(self) -> Around:

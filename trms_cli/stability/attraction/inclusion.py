@@ -49,15 +49,9 @@ _REMEMBERED, _FRESH, _ATTEMPTS = 8, 3, 12
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """{yᵀPy ≤ level}.
+    """{yᵀPy ≤ level}."""
 
-    Attributes
-    ----------
-    P : (n, n) array
-    level : float
-    """
-
-    P: FloatArray
+    P: FloatArray  #: (n, n) array
     level: float
 
     @property

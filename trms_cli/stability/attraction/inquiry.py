@@ -55,19 +55,11 @@ _DRAWN, _SHOWN = 6, 12.0
 
 @dataclass(frozen=True)
 class Starts:
-    """What starts deviate in: y = matrix d + offset.
+    """What starts deviate in: y = matrix d + offset."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        States of d.
-    matrix : (n, m) array
-    offset : (n,) array
-    """
-
-    names: tuple[str, ...]
-    matrix: FloatArray
-    offset: FloatArray
+    names: tuple[str, ...]  #: States of d
+    matrix: FloatArray  #: (n, m) array
+    offset: FloatArray  #: (n,) array
 
     @classmethod
     def of_all(cls, system: Around) -> Starts:
@@ -88,28 +80,16 @@ class Starts:
 
 @dataclass(frozen=True)
 class Options:
-    """How much is done; see the study.
-
-    Attributes
-    ----------
-    methods : sequence of Method or None
-    box : dict of str to float
-        Half-widths of the box of starts by state.
-    plane : sequence of str
-        Two states that the figure shows; empty: the first two of starts that are angle and rate.
-    boxes : int
-    samples, grid : int or None
-    duration : float or None
-        s.
-    """
+    """How much is done; see the study."""
 
     methods: Sequence[Method] | None
-    box: Mapping[str, float]
+    box: Mapping[str, float]  #: Half-widths of the box of starts by state
+    #: Two states that the figure shows; empty: the first two of starts that are angle and rate
     plane: Sequence[str]
     boxes: int
     samples: int | None
     grid: int | None
-    duration: float | None
+    duration: float | None  #: s
 
     def for_states(self, n: int) -> tuple[int, int]:
         """Samples and grid: fewer where motions of many states take long to arrive."""
@@ -119,83 +99,49 @@ class Options:
 
 @dataclass(frozen=True)
 class Verdict:
-    """An estimate beside the truth.
-
-    Attributes
-    ----------
-    estimate : Estimate
-    share : Share or None
-        Of the true region in the box that it covers; None where that is below what can be counted.
-    tested, failed : int
-        Starts in it that were simulated, and those that did not come to rest.
-    """
+    """An estimate beside the truth."""
 
     estimate: Estimate
+    #: Of the true region in the box that it covers; None where that is below what can be counted
     share: Share | None
+    #: ``tested``, ``failed``: Starts in it that were simulated, and those that did not come to rest
     tested: int
     failed: int
 
 
 @dataclass(frozen=True)
 class Plane:
-    """A section of the region.
+    """A section of the region."""
 
-    Attributes
-    ----------
-    axes : (int, int)
-        Positions in d.
-    x, y : (g,) arrays
-        Deviations of the grid.
-    fate : (g, g) array
-        At ``(x[j], y[i])``, see :mod:`~trms_cli.stability.attraction.truth`.
-    paths : tuple of ((k, n) array, bool)
-        Motions that begin in it, as deviations y, and whether they come to rest.
-    """
-
-    axes: tuple[int, int]
-    x: FloatArray
-    y: FloatArray
+    axes: tuple[int, int]  #: Positions in d
+    x: FloatArray  #: (g,) arrays; deviations of the grid
+    y: FloatArray  #: (g,) arrays; deviations of the grid
+    #: (g, g) array; at ``(x[j], y[i])``, see :mod:`~trms_cli.stability.attraction.truth`
     fate: npt.NDArray[np.int8]
+    #: tuple of ((k, n) array, bool); motions that begin in it, as deviations y, and whether they
+    #: come to rest
     paths: tuple[tuple[FloatArray, bool], ...]
 
 
 @dataclass(frozen=True)
 class Region:
-    """All that was found out.
-
-    Attributes
-    ----------
-    system : Around
-    starts : Starts
-    box : (m,) array
-        Half-widths of the box in d.
-    verdicts : tuple of Verdict
-    truth : Share
-        Of the box that comes to rest. Where time was cut off, what is undecided widens its upper
-        end.
-    samples, undecided : int
-        Random starts in the box, and those undecided when time was over.
-    duration : float
-        s, until a motion is undecided.
-    wanted : float
-        s, that the slowest mode would need; above ``duration`` where that was cut off.
-    plane : Plane
-    rests : tuple of OtherRest
-    nothing : tuple of str
-        Labels of methods that were tried and found no set, or none larger than a quadratic's.
-    """
+    """All that was found out."""
 
     system: Around
     starts: Starts
-    box: FloatArray
+    box: FloatArray  #: (m,) array; half-widths of the box in d
     verdicts: tuple[Verdict, ...]
+    #: Of the box that comes to rest. Where time was cut off, what is undecided widens its upper
+    #: end.
     truth: Share
+    #: ``samples``, ``undecided``: Random starts in the box, and those undecided when time was over
     samples: int
     undecided: int
-    duration: float
-    wanted: float
+    duration: float  #: s, until a motion is undecided
+    wanted: float  #: s, that the slowest mode would need; above ``duration`` where that was cut off
     plane: Plane
     rests: tuple[OtherRest, ...]
+    #: Labels of methods that were tried and found no set, or none larger than a quadratic's
     nothing: tuple[str, ...]
 
     @property
@@ -294,9 +240,7 @@ def require_states(
 ) -> None:
     """Refuse names that are not among the states that starts deviate in.
 
-    Raises
-    ------
-    ConfigurationError
+    Raises ConfigurationError.
     """
     for name in given:
         if name not in known:
@@ -346,10 +290,7 @@ def plane_axes(
 ) -> tuple[int, int]:
     """Positions of the two states of the figure.
 
-    Raises
-    ------
-    ConfigurationError
-        For names that starts do not deviate in, or not two of them.
+    Raises ConfigurationError for names that starts do not deviate in, or not two of them.
     """
     if wanted:
         require_states(wanted, names, "study.plane")

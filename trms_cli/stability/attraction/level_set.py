@@ -26,30 +26,14 @@ _ELSEWHERE = 1.02
 
 @dataclass(frozen=True)
 class SampledLevel:
-    """The lowest level at which V was found not to fall.
+    """The lowest level at which V was found not to fall."""
 
-    Attributes
-    ----------
-    level : float
-        No larger one is right.
-    at : (n,) array
-        The deviation where V̇ = 0, or where the level meets the limits.
-    at_limit : bool
-        Whether the limits of the search ended it, not V̇.
-    log_volume : float
-        Of {V < level}, natural logarithm, from the rays.
-    edge : (m, n) array
-        Where the rays leave {V < level}.
-    samples : int
-        Points that were looked at.
-    """
-
-    level: float
-    at: FloatArray
-    at_limit: bool
-    log_volume: float
-    edge: FloatArray
-    samples: int
+    level: float  #: No larger one is right
+    at: FloatArray  #: (n,) array; the deviation where V̇ = 0, or where the level meets the limits
+    at_limit: bool  #: Whether the limits of the search ended it, not V̇
+    log_volume: float  #: Of {V < level}, natural logarithm, from the rays
+    edge: FloatArray  #: (m, n) array; where the rays leave {V < level}
+    samples: int  #: Points that were looked at
 
     @property
     def extents(self) -> FloatArray:
@@ -59,18 +43,10 @@ class SampledLevel:
 
 @dataclass(frozen=True)
 class Rays:
-    """Directions from the equilibrium, the same for all functions.
+    """Directions from the equilibrium, the same for all functions."""
 
-    Attributes
-    ----------
-    root : (n, n) array
-        y = root z: coordinates in which V is about \\|z\\|².
-    ends : (m, n) array
-        Where each ray meets the limits.
-    """
-
-    root: FloatArray
-    ends: FloatArray
+    root: FloatArray  #: (n, n) array; y = root z: coordinates in which V is about \\|z\\|²
+    ends: FloatArray  #: (m, n) array; where each ray meets the limits
 
     @classmethod
     def drawn(cls, P: FloatArray, limits: FloatArray, count: int, seed: int) -> Rays:

@@ -29,33 +29,20 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LinearLaw:
-    """The law at an equilibrium.
-
-    Attributes
-    ----------
-    regulator : Regulator
-    period : float
-        Control period T, s.
-    point : OperatingPoint
-        x̄ and ū of the rig.
-    start : (n_r,) array
-        ξ at the start with x = x̄, rad s: not zero where the rig rests at another command than the
-        controller's model of it does.
-    """
+    """The law at an equilibrium."""
 
     regulator: Regulator
-    period: float
-    point: OperatingPoint
+    period: float  #: Control period T, s
+    point: OperatingPoint  #: x̄ and ū of the rig
+    #: (n_r,) array; ξ at the start with x = x̄, rad s: not zero where the rig rests at another
+    #: command than the controller's model of it does
     start: FloatArray
 
 
 def linear_law(model: Model, loop: LoopParts, point: OperatingPoint) -> LinearLaw | None:
     """The law of an LQR loop; None for other controllers, or where rig and belief differ in states.
 
-    Raises
-    ------
-    ConfigurationError
-        If the controller cannot be designed.
+    Raises ConfigurationError if the controller cannot be designed.
     """
     controller = loop.controller
     if not isinstance(controller, Lqr) or model.state_names != loop.model.state_names:

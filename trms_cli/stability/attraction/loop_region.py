@@ -40,17 +40,10 @@ _INSIDE = 8
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs of the loop.
+    """Runs of the loop."""
 
-    Attributes
-    ----------
-    d : (n, m) array
-        Starts, as deviations.
-    recovered : (n,) bool
-    """
-
-    d: FloatArray
-    recovered: npt.NDArray[np.bool_]
+    d: FloatArray  #: (n, m) array; starts, as deviations
+    recovered: npt.NDArray[np.bool_]  #: (n,) bool
 
     @property
     def share(self) -> Share:
@@ -69,10 +62,7 @@ def loop_findings(
 ) -> Findings:
     """The findings for a loop: by simulation, and by proof where the law is an LQR's.
 
-    Raises
-    ------
-    TrmsError
-        If the loop is unstable around the point, or a name is no state.
+    Raises TrmsError if the loop is unstable around the point, or a name is no state.
     """
     model, loop = subject.model, subject.require_loop("study=region_of_attraction")
     known = chosen or _deviating(subject)

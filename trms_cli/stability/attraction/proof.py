@@ -45,27 +45,13 @@ _PARTS = 8
 
 @dataclass(frozen=True)
 class LevelProof:
-    """What branch and bound proved.
+    """What branch and bound proved."""
 
-    Attributes
-    ----------
-    level : float
-        V falls in {V < level}, which is attracted; 0 where nothing is proved.
-    boxes : int
-        That were looked at.
-    complete : bool
-        Whether all boxes up to the level that was proposed are closed.
-    inner : float
-        Size of the box N as a share of Z.
-    frame : (n, n) array
-        T: Z is the image of the unit cube.
-    """
-
-    level: float
-    boxes: int
-    complete: bool
-    inner: float
-    frame: FloatArray
+    level: float  #: V falls in {V < level}, which is attracted; 0 where nothing is proved
+    boxes: int  #: That were looked at
+    complete: bool  #: Whether all boxes up to the level that was proposed are closed
+    inner: float  #: Size of the box N as a share of Z
+    frame: FloatArray  #: (n, n) array; T: Z is the image of the unit cube
 
 
 def proved_level(

@@ -47,22 +47,12 @@ _RADII = (1e-12, 1e-10, 1e-8, 1e-6)
 
 @dataclass(frozen=True)
 class Around:
-    """The equations of a model around an equilibrium.
-
-    Attributes
-    ----------
-    model : Model
-    point : OperatingPoint
-    kept : tuple of int
-        Positions in x of the states of y.
-    neutral : tuple of int
-        Positions of states that move nothing, left out.
-    """
+    """The equations of a model around an equilibrium."""
 
     model: Model
     point: OperatingPoint
-    kept: tuple[int, ...]
-    neutral: tuple[int, ...] = ()
+    kept: tuple[int, ...]  #: Positions in x of the states of y
+    neutral: tuple[int, ...] = ()  #: Positions of states that move nothing, left out
 
     @property
     def n(self) -> int:
@@ -119,10 +109,7 @@ class Around:
     def error(self) -> Interval:
         """Where x* − x̄ lies, (n_x,): in this box there is one equilibrium, and one only.
 
-        Raises
-        ------
-        ModelError
-            If that cannot be proved.
+        Raises ModelError if that cannot be proved.
         """
         n_x = self.model.n_x
         everything = tuple(i for i in range(n_x) if i not in self.neutral)
@@ -229,9 +216,7 @@ def around(model: Model, point: OperatingPoint, states: Sequence[str] | None = N
 def require_attractive(system: Around) -> None:
     """Refuse an equilibrium that is not asymptotically stable, with its eigenvalues.
 
-    Raises
-    ------
-    ModelError
+    Raises ModelError.
     """
     values = system.eigenvalues
     scale = max(1e-3, float(np.abs(values).max(initial=0.0)))

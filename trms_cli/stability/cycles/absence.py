@@ -42,28 +42,14 @@ _ROUNDING = 1e-8
 
 @dataclass(frozen=True)
 class Block:
-    """States that drive one another.
-
-    Attributes
-    ----------
-    states : tuple of str
-    divergence : (float, float) or None
-        Bounds, 1/s, of a block of two states.
-    everywhere : bool
-        Whether they hold for all states; else in the box.
-    constant : bool
-        Whether its periodic solutions are proved to be constant.
-    driven : bool
-        Whether a block that is not proved constant acts on it.
-    share : float
-        Of a block of more than two states: part of the box that holds no periodic orbit, from 0.
-    """
+    """States that drive one another."""
 
     states: tuple[str, ...]
-    divergence: tuple[float, float] | None
-    everywhere: bool
-    constant: bool
-    driven: bool = False
+    divergence: tuple[float, float] | None  #: Bounds, 1/s, of a block of two states
+    everywhere: bool  #: Whether they hold for all states; else in the box
+    constant: bool  #: Whether its periodic solutions are proved to be constant
+    driven: bool = False  #: Whether a block that is not proved constant acts on it
+    #: Of a block of more than two states: part of the box that holds no periodic orbit, from 0
     share: float = 0.0
 
     @property
@@ -89,15 +75,9 @@ class Block:
 
 @dataclass(frozen=True)
 class Absence:
-    """What is proved.
+    """What is proved."""
 
-    Attributes
-    ----------
-    blocks : sequence of Block
-        In the order in which they drive one another.
-    """
-
-    blocks: Sequence[Block]
+    blocks: Sequence[Block]  #: In the order in which they drive one another
 
     @property
     def proved(self) -> bool:

@@ -44,43 +44,25 @@ _BEYOND_STOPS = 1.5
 
 @dataclass(frozen=True)
 class Change:
-    """Where the stability of the cycles of a branch changes, between two of its orbits.
+    """Where the stability of the cycles of a branch changes, between two of its orbits."""
 
-    Attributes
-    ----------
-    kind : Kind
-        ``fold``: a multiplier passes +1; ``period doubling``: −1; ``torus``: a pair passes the
-        circle elsewhere.
-    command, period, swing : float
-        By interpolation. V, s, rad.
-    lowest, highest : float
-        Of the state, likewise.
-    after : int
-        Position of the orbit before it.
-    """
-
+    #: ``fold``: a multiplier passes +1; ``period doubling``: −1; ``torus``: a pair passes the
+    #: circle elsewhere
     kind: Kind
-    command: float
-    period: float
-    swing: float
-    lowest: float
-    highest: float
-    after: int = 0
+    command: float  #: By interpolation. V, s, rad.
+    period: float  #: By interpolation. V, s, rad.
+    swing: float  #: By interpolation. V, s, rad.
+    lowest: float  #: Of the state, likewise
+    highest: float  #: Of the state, likewise
+    after: int = 0  #: Position of the orbit before it
 
 
 @dataclass(frozen=True)
 class Branch:
-    """Orbits in their order along a branch.
-
-    Attributes
-    ----------
-    orbits : sequence of Orbit
-    ended : str
-        Why it was not followed further.
-    """
+    """Orbits in their order along a branch."""
 
     orbits: Sequence[Orbit]
-    ended: str
+    ended: str  #: Why it was not followed further
 
     def commands(self, channel: int) -> FloatArray:
         """V, (n,)."""

@@ -48,46 +48,22 @@ _BALANCED, _SLOWEST = 1e-3, 0.15
 
 @dataclass(frozen=True)
 class Answer:
-    """What an axis with friction does under a sine of the moment.
+    """What an axis with friction does under a sine of the moment."""
 
-    Attributes
-    ----------
-    ratio : complex
-        M: first harmonic of the rate over the moment, (rad/s)/(N m).
-    swing : float
-        Peak to peak of the angle, rad.
-    stuck : float
-        Share of the period at rest.
-    """
-
-    ratio: complex
-    swing: float
-    stuck: float
+    ratio: complex  #: M: first harmonic of the rate over the moment, (rad/s)/(N m)
+    swing: float  #: Peak to peak of the angle, rad
+    stuck: float  #: Share of the period at rest
 
 
 @dataclass(frozen=True)
 class Balance:
-    """A solution of the harmonic balance.
+    """A solution of the harmonic balance."""
 
-    Attributes
-    ----------
-    moment : float
-        X, N m.
-    omega : float
-        rad/s.
-    swing : float
-        Peak to peak of the angle, rad.
-    stuck : float
-        Share of the period.
-    misfit : float
-        |1 + Z M|.
-    """
-
-    moment: float
-    omega: float
-    swing: float
-    stuck: float
-    misfit: float
+    moment: float  #: X, N m
+    omega: float  #: rad/s
+    swing: float  #: Peak to peak of the angle, rad
+    stuck: float  #: Share of the period
+    misfit: float  #: |1 + Z M|
 
     @property
     def period(self) -> float:

@@ -20,35 +20,17 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Found:
-    """Everything that a search gave.
-
-    Attributes
-    ----------
-    model : Model
-    point : OperatingPoint
-    widths : (n_x,) array
-        Half-widths of the box of starts.
-    duration : float
-        s, of each motion.
-    smooth : bool
-        Whether there were slopes for Newton's method.
-    proof : Absence
-    search : Search
-    channel : int
-        Of the command that is varied.
-    over : OverCommand or None
-        None where there are no slopes.
-    """
+    """Everything that a search gave."""
 
     model: Model
     point: OperatingPoint
-    widths: FloatArray
-    duration: float
-    smooth: bool
+    widths: FloatArray  #: (n_x,) array; half-widths of the box of starts
+    duration: float  #: s, of each motion
+    smooth: bool  #: Whether there were slopes for Newton's method
     proof: Absence
     search: Search
-    channel: int
-    over: OverCommand | None
+    channel: int  #: Of the command that is varied
+    over: OverCommand | None  #: None where there are no slopes
 
     @property
     def state(self) -> int:

@@ -17,21 +17,11 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """``F(Ω) = F_c (1 + e exp(−(Ω/v_s)²))``; Coulomb friction for e = 0.
+    """``F(Ω) = F_c (1 + e exp(−(Ω/v_s)²))``; Coulomb friction for e = 0."""
 
-    Attributes
-    ----------
-    torque : float
-        F_c, N m.
-    excess : float
-        e = F_s/F_c − 1.
-    velocity : float
-        v_s, rad/s.
-    """
-
-    torque: float
-    excess: float = 0.0
-    velocity: float = 1.0
+    torque: float  #: F_c, N m
+    excess: float = 0.0  #: e = F_s/F_c − 1
+    velocity: float = 1.0  #: v_s, rad/s
 
     @property
     def breakaway(self) -> float:
@@ -58,17 +48,9 @@ class FrictionLaw:
 
 @dataclass(frozen=True)
 class Friction:
-    """The dry friction of an axis among a model's effects.
+    """The dry friction of an axis among a model's effects."""
 
-    Attributes
-    ----------
-    effect : str
-        Its name.
-    axis : str
-    law : FrictionLaw
-    """
-
-    effect: str
+    effect: str  #: Its name
     axis: str
     law: FrictionLaw
 

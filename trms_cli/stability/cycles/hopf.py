@@ -27,39 +27,23 @@ _NO_GROWTH = 1e-9
 
 @dataclass(frozen=True)
 class Curve:
-    """Equilibria over one command, the others held.
+    """Equilibria over one command, the others held."""
 
-    Attributes
-    ----------
-    commands : (n,) array
-        V, rising.
-    x : (n, n_x) array
-    growth : (n,) array
-        Largest real part of the eigenvalues, 1/s; directions that nothing pulls back left out.
-    """
-
-    commands: FloatArray
-    x: FloatArray
+    commands: FloatArray  #: (n,) array; V, rising
+    x: FloatArray  #: (n, n_x) array
+    #: (n,) array; largest real part of the eigenvalues, 1/s; directions that nothing pulls back
+    #: left out
     growth: FloatArray
 
 
 @dataclass(frozen=True)
 class Hopf:
-    """Where a pair of eigenvalues crosses the imaginary axis.
+    """Where a pair of eigenvalues crosses the imaginary axis."""
 
-    Attributes
-    ----------
-    x, u : arrays
-        The equilibrium.
-    omega : float
-        rad/s.
-    mode : (n_x,) complex array
-        The eigenvector, its largest entry of size 1.
-    """
-
-    x: FloatArray
-    u: FloatArray
-    omega: float
+    x: FloatArray  #: The equilibrium
+    u: FloatArray  #: The equilibrium
+    omega: float  #: rad/s
+    #: (n_x,) complex array; the eigenvector, its largest entry of size 1
     mode: npt.NDArray[np.complex128]
 
 

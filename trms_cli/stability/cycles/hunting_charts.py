@@ -21,18 +21,10 @@ _PERIODS, _SHOWN = 3.0, 60.0
 
 @dataclass(frozen=True)
 class Level:
-    """A level of friction or of integral action: what is predicted and what simulation gives.
+    """A level of friction or of integral action: what is predicted and what simulation gives."""
 
-    Attributes
-    ----------
-    factor : float
-    predicted : float or None
-        Swing, rad; None where the loop does not hunt.
-    seen : Watched
-    """
-
-    factor: float
-    predicted: float | None
+    factor: float  #: on the size of the friction
+    predicted: float | None  #: Swing, rad; None where the loop does not hunt
     seen: Watched
 
 

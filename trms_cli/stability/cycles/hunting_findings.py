@@ -40,72 +40,35 @@ _VERDICTS = {
 
 @dataclass(frozen=True)
 class Sweep:
-    """Runs over one quantity.
+    """Runs over one quantity."""
 
-    Attributes
-    ----------
-    name : str
-        ``torques`` or ``integrals``.
-    label : str
-        Of the axis of the figure.
-    x : (n,) array
-        Factors of the predicted curves.
-    curves : sequence of (words, (n,) array)
-        Predicted swings, rad.
-    levels : sequence of Level
-        That were simulated.
-    """
-
-    name: str
-    label: str
-    x: FloatArray
+    name: str  #: ``torques`` or ``integrals``
+    label: str  #: Of the axis of the figure
+    x: FloatArray  #: (n,) array; factors of the predicted curves
+    #: sequence of (words, (n,) array); predicted swings, rad
     curves: Sequence[tuple[str, FloatArray]]
-    levels: Sequence[Level]
+    levels: Sequence[Level]  #: That were simulated
 
 
 @dataclass(frozen=True)
 class Studied:
-    """Everything about one loop.
-
-    Attributes
-    ----------
-    model : Model
-    controller : str
-    words : str
-        The operating point.
-    friction : Friction
-    push : float
-        rad.
-    seen : Watched
-        The loop as asked for.
-    elsewhere : Watched or None
-        The run from the push, where it came to rest beside a predicted cycle; ``seen`` then begins
-        on that.
-    command : (n,) array
-        V, of the rotor that holds the axis.
-    channel : int
-        That command.
-    coulomb : Watched or None
-        The same with Coulomb friction alone; None where there is no excess.
-    prediction, harmonics, events : or None
-        Only for a PID.
-    sweeps : sequence of Sweep
-    warnings : sequence of str
-    """
+    """Everything about one loop."""
 
     model: Model
     controller: str
-    words: str
+    words: str  #: The operating point
     friction: Friction
-    push: float
-    seen: Watched
+    push: float  #: rad
+    seen: Watched  #: The loop as asked for
+    #: The run from the push, where it came to rest beside a predicted cycle; ``seen`` then begins
+    #: on that
     elsewhere: Watched | None
-    command: FloatArray
-    channel: int
-    coulomb: Watched | None
-    prediction: Prediction | None
-    harmonics: Harmonics | None
-    events: StickSlip | None
+    command: FloatArray  #: (n,) array; V, of the rotor that holds the axis
+    channel: int  #: That command
+    coulomb: Watched | None  #: The same with Coulomb friction alone; None where there is no excess
+    prediction: Prediction | None  #: Only for a PID
+    harmonics: Harmonics | None  #: Only for a PID
+    events: StickSlip | None  #: Only for a PID
     sweeps: Sequence[Sweep]
     warnings: Sequence[str]
 

@@ -25,25 +25,16 @@ _SETTLED = 1e-4
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the linear loop says.
+    """What the linear loop says."""
 
-    Attributes
-    ----------
-    errors, following : (n,) arrays
-        The map: the error at a stick, and that at the next one with its sign turned (positive:
-        the slip crossed the reference), rad; NaN where a slip does not end.
-    cycle : Cycle or None
-        The hunting cycle.
-    threshold : float or None
-        rad: a stick at a smaller error leads to rest, at a larger one to the cycle.
-    coulomb : float
-        The same map for Coulomb friction alone is linear: its factor. Below 1 in size: no hunting.
-    """
-
+    #: (n,) arrays; The map: the error at a stick, and that at the next one with its sign turned
+    #: (positive: the slip crossed the reference), rad
     errors: FloatArray
-    following: FloatArray
-    cycle: Cycle | None
+    following: FloatArray  #: (n,) arrays; NaN where a slip does not end
+    cycle: Cycle | None  #: The hunting cycle
+    #: rad: a stick at a smaller error leads to rest, at a larger one to the cycle
     threshold: float | None
+    #: The same map for Coulomb friction alone is linear: its factor. Below 1 in size: no hunting.
     coulomb: float
 
 
@@ -150,33 +141,17 @@ def _swing(events: StickSlip) -> float:
 
 @dataclass(frozen=True)
 class Harmonics:
-    """What one harmonic says.
+    """What one harmonic says."""
 
-    Attributes
-    ----------
-    omega : (n,) array
-        rad/s.
-    response : (n,) complex array
-        G(jω).
-    sliding : (float, float) or None
-        Amplitude (rad/s) and frequency (rad/s) of a cycle that never sticks.
-    balance : Balance or None
-        Of an axis that sticks.
-    impedance : (n,) complex array
-        Z(jω).
-    inverse : (k,) complex array
-        −1/M(X, ω*) over X at the balance's frequency (empty without one).
-    moments : (k,) array
-        X, N m.
-    """
-
-    omega: FloatArray
-    response: npt.NDArray[np.complex128]
+    omega: FloatArray  #: (n,) array; rad/s
+    response: npt.NDArray[np.complex128]  #: (n,) complex array; G(jω)
+    #: Amplitude (rad/s) and frequency (rad/s) of a cycle that never sticks
     sliding: tuple[float, float] | None
-    balance: Balance | None
-    impedance: npt.NDArray[np.complex128]
+    balance: Balance | None  #: Of an axis that sticks
+    impedance: npt.NDArray[np.complex128]  #: (n,) complex array; Z(jω)
+    #: (k,) complex array; −1/M(X, ω*) over X at the balance's frequency (empty without one)
     inverse: npt.NDArray[np.complex128]
-    moments: FloatArray
+    moments: FloatArray  #: (k,) array; X, N m
 
 
 def harmonics(loop: FrictionLoop, law: FrictionLaw) -> Harmonics:

@@ -37,39 +37,22 @@ _CALM = 1e-4
 
 @dataclass(frozen=True)
 class Watched:
-    """A run and what was seen in its second half.
+    """A run and what was seen in its second half."""
 
-    Attributes
-    ----------
-    time, angle, rate : (n,) arrays
-        s, rad (the deviation from the reference), rad/s.
-    stuck : (n,) bool array
-    verdict : Verdict
-        ``hunting``; ``rest``: no slips any more; ``dying out``: slips, each smaller;
-        ``undecided``: a slip or two, too few to tell;
-        ``oscillating``: a steady swing that never sticks; ``unstable``: the run had to end, or the
-        swing grows.
-    period : float or None
-        s, mean of whole cycles.
-    swing : float
-        Peak to peak of the angle, rad: over the last cycle where it hunts.
-    stuck_share : float
-    at_limit : bool
-        Whether a command reached its bound.
-    failures : int
-        Control samples whose solve failed.
-    """
-
+    #: ``time``, ``angle``, ``rate``: (n,) arrays; s, rad (the deviation from the reference), rad/s
     time: FloatArray
     angle: FloatArray
     rate: FloatArray
-    stuck: npt.NDArray[np.bool_]
+    stuck: npt.NDArray[np.bool_]  #: (n,) bool array
+    #: ``hunting``; ``rest``: no slips any more; ``dying out``: slips, each smaller; ``undecided``:
+    #: a slip or two, too few to tell; ``oscillating``: a steady swing that never sticks;
+    #: ``unstable``: the run had to end, or the swing grows
     verdict: Verdict
-    period: float | None
-    swing: float
-    stuck_share: float
-    at_limit: bool
-    failures: int
+    period: float | None  #: s, mean of whole cycles
+    swing: float  #: Peak to peak of the angle, rad: over the last cycle where it hunts
+    stuck_share: float  #: of the time, at rest
+    at_limit: bool  #: Whether a command reached its bound
+    failures: int  #: Control samples whose solve failed
 
     @property
     def hunts(self) -> bool:

@@ -22,20 +22,11 @@ _NEAR = 0.02
 
 @dataclass(frozen=True)
 class OverCommand:
-    """What there is over a command.
+    """What there is over a command."""
 
-    Attributes
-    ----------
-    curve : Curve
-        Equilibria, as far as the stops.
-    hopfs : sequence of Hopf
-        Within the stops.
-    branches : sequence of Branch
-        One for each Hopf point, then those of orbits that are on none of these.
-    """
-
-    curve: Curve
-    hopfs: Sequence[Hopf]
+    curve: Curve  #: Equilibria, as far as the stops
+    hopfs: Sequence[Hopf]  #: Within the stops
+    #: One for each Hopf point, then those of orbits that are on none of these
     branches: Sequence[Branch]
 
     def born(self, i: int) -> Branch:

@@ -40,23 +40,12 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class FrictionLoop:
-    """A linear loop with one axis' friction outside of it: ``ż = A z + b τ``, ``Ω = r z``.
+    """A linear loop with one axis' friction outside of it: ``ż = A z + b τ``, ``Ω = r z``."""
 
-    Attributes
-    ----------
-    A : (n, n) array
-    b : (n,) array
-        By the friction's moment, per N m.
-    rate : (n,) array
-        r.
-    angle : (n,) array
-        Row of the angle's deviation, rad.
-    """
-
-    A: FloatArray
-    b: FloatArray
-    rate: FloatArray
-    angle: FloatArray
+    A: FloatArray  #: (n, n) array
+    b: FloatArray  #: (n,) array; by the friction's moment, per N m
+    rate: FloatArray  #: (n,) array; r
+    angle: FloatArray  #: (n,) array; row of the angle's deviation, rad
 
     @property
     def mobility(self) -> float:

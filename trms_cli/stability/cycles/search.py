@@ -42,41 +42,23 @@ _SAME = 1e-4
 
 @dataclass(frozen=True)
 class Motion:
-    """One start and what became of it.
+    """One start and what became of it."""
 
-    Attributes
-    ----------
-    path : (n, n_x) array
-    fate : Fate
-        ``rest``; ``settling``: still moves, less and less; ``cycle``: repeats itself; ``moves on``:
-        neither; ``leaves``: all bounds, or over the top again and again.
-    swing : float
-        Of the most moving controlled state over the last quarter.
-    """
-
-    path: FloatArray
+    path: FloatArray  #: (n, n_x) array
+    #: ``rest``; ``settling``: still moves, less and less; ``cycle``: repeats itself; ``moves on``:
+    #: neither; ``leaves``: all bounds, or over the top again and again
     fate: Fate
-    swing: float
+    swing: float  #: Of the most moving controlled state over the last quarter
 
 
 @dataclass(frozen=True)
 class Search:
-    """What a search found.
-
-    Attributes
-    ----------
-    motions : sequence of Motion
-    orbits : sequence of Orbit
-        Different ones, by rising period.
-    step : float
-        s between the states of a motion's path.
-    continuum : sequence of Orbit
-        Orbits that are not isolated, by rising period: no limit cycles, and none of ``orbits``.
-    """
+    """What a search found."""
 
     motions: Sequence[Motion]
-    orbits: Sequence[Orbit]
-    step: float
+    orbits: Sequence[Orbit]  #: Different ones, by rising period
+    step: float  #: s between the states of a motion's path
+    #: Orbits that are not isolated, by rising period: no limit cycles, and none of ``orbits``
     continuum: Sequence[Orbit] = ()
 
     def count(self, fate: Fate) -> int:

@@ -46,30 +46,16 @@ MARGIN = 1e-6
 
 @dataclass(frozen=True)
 class Orbit:
-    """A closed orbit.
+    """A closed orbit."""
 
-    Attributes
-    ----------
-    nodes : (m, n_x) array
-        States at the beginnings of its pieces.
-    period : float
-        s.
-    u : (n_u,) array
-        The command held.
-    multipliers : (n_x,) complex array
-        Floquet multipliers, the trivial one first, then by falling size.
-    path : (n + 1, n_x) array
-        The orbit at equal steps of time, its first state again at the end.
-    misfit : float
-        Largest residual of the equations.
-    """
-
-    nodes: FloatArray
-    period: float
-    u: FloatArray
+    nodes: FloatArray  #: (m, n_x) array; states at the beginnings of its pieces
+    period: float  #: s
+    u: FloatArray  #: (n_u,) array; the command held
+    #: (n_x,) complex array; floquet multipliers, the trivial one first, then by falling size
     multipliers: npt.NDArray[np.complex128]
+    #: (n + 1, n_x) array; the orbit at equal steps of time, its first state again at the end
     path: FloatArray
-    misfit: float
+    misfit: float  #: Largest residual of the equations
 
     @property
     def swing(self) -> FloatArray:
@@ -99,24 +85,13 @@ class Orbit:
 
 @dataclass(frozen=True)
 class Pieces:
-    """What shooting from the nodes gives.
+    """What shooting from the nodes gives."""
 
-    Attributes
-    ----------
-    ends : (m, n_x) array
-    by_state : (m, n_x, n_x) array
-        ∂end/∂node.
-    by_period : (m, n_x) array
-    by_input : (m, n_x, n_u) array
-    path : (m, k + 1, n_x) array
-        The pieces' steps.
-    """
-
-    ends: FloatArray
-    by_state: FloatArray
-    by_period: FloatArray
-    by_input: FloatArray
-    path: FloatArray
+    ends: FloatArray  #: (m, n_x) array
+    by_state: FloatArray  #: (m, n_x, n_x) array; ∂end/∂node
+    by_period: FloatArray  #: (m, n_x) array
+    by_input: FloatArray  #: (m, n_x, n_u) array
+    path: FloatArray  #: (m, k + 1, n_x) array; the pieces' steps
 
 
 class Shooting:
@@ -280,18 +255,11 @@ class Row:
     """One more equation, which fixes the place on a branch while a command is free.
 
     ``weights · (z − place) = length``, z = [nodes, T, the free command].
-
-    Attributes
-    ----------
-    channel : int
-        Of the command that is free.
-    weights, place : (m n_x + 2,) arrays
-    length : float
     """
 
-    channel: int
-    weights: FloatArray
-    place: FloatArray
+    channel: int  #: Of the command that is free
+    weights: FloatArray  #: (m n_x + 2,) arrays
+    place: FloatArray  #: (m n_x + 2,) arrays
     length: float
 
 

@@ -47,43 +47,26 @@ _FIXED = 1e-9
 
 @dataclass(frozen=True)
 class Slip:
-    """A stick and the slip after it.
+    """A stick and the slip after it."""
 
-    Attributes
-    ----------
-    start, broken, end : (n,) arrays
-        States where the stick begins, where the slip begins, where it ends.
-    stick, slip : float
-        s.
-    direction : float
-        ±1, of the slip.
-    """
-
+    #: ``start``, ``broken``, ``end``: (n,) arrays; states where the stick begins, where the slip
+    #: begins, where it ends
     start: FloatArray
     broken: FloatArray
     end: FloatArray
-    stick: float
-    slip: float
-    direction: float
+    stick: float  #: s
+    slip: float  #: s
+    direction: float  #: ±1, of the slip
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """A symmetric hunting cycle.
+    """A symmetric hunting cycle."""
 
-    Attributes
-    ----------
-    half : Slip
-        One half of it.
-    multipliers : (n,) complex array
-        Floquet multipliers over the whole period, by falling size.
-    swing : float
-        Peak to peak of the angle, rad.
-    """
-
-    half: Slip
+    half: Slip  #: One half of it
+    #: (n,) complex array; floquet multipliers over the whole period, by falling size
     multipliers: npt.NDArray[np.complex128]
-    swing: float
+    swing: float  #: Peak to peak of the angle, rad
 
     @property
     def period(self) -> float:

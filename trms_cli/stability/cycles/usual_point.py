@@ -18,10 +18,7 @@ def usual_point(model: Model, at: Mapping[str, float]) -> OperatingPoint:
     """The point asked for; without one level, at a yaw of 0.3 rad, or the rest without command
     where the model cannot be level.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no such equilibrium.
+    Raises ConfigurationError if there is no such equilibrium.
     """
     if at:
         return operating_point(model, at)

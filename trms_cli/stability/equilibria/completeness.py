@@ -32,43 +32,22 @@ _MOST_RANGES_OF_MORE = 200
 
 @dataclass(frozen=True)
 class Enclosed:
-    """Bounds around one equilibrium, or around a place where one could not be told.
+    """Bounds around one equilibrium, or around a place where one could not be told."""
 
-    Attributes
-    ----------
-    z : Interval
-        (n,), of the unknowns.
-    x, u : Interval
-        (n_x,), (n_u,).
-    unique : bool
-        Whether exactly one equilibrium is proved to lie within.
-    exists : bool
-        Whether at least one is.
-    """
-
-    z: Interval
-    x: Interval
-    u: Interval
-    unique: bool
-    exists: bool
+    z: Interval  #: (n,), of the unknowns
+    x: Interval  #: (n_x,), (n_u,)
+    u: Interval  #: (n_x,), (n_u,)
+    unique: bool  #: Whether exactly one equilibrium is proved to lie within
+    exists: bool  #: Whether at least one is
 
 
 @dataclass(frozen=True)
 class Proof:
-    """All equilibria in a box for one input, or for each input of a small range.
+    """All equilibria in a box for one input, or for each input of a small range."""
 
-    Attributes
-    ----------
-    given : Interval
-        (n_v,).
-    found : tuple of Enclosed
-    open_ended : bool
-        Whether equilibria with a state beyond 1e6 are not excluded.
-    """
-
-    given: Interval
+    given: Interval  #: (n_v,)
     found: tuple[Enclosed, ...]
-    open_ended: bool
+    open_ended: bool  #: Whether equilibria with a state beyond 1e6 are not excluded
 
     @property
     def complete(self) -> bool:
@@ -186,18 +165,11 @@ class _Solutions:
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a range of one input, in which the number of equilibria is proved or not.
+    """A part of a range of one input, in which the number of equilibria is proved or not."""
 
-    Attributes
-    ----------
-    lower, upper : float
-    count : int or None
-        For every input of it; None where it could not be told.
-    """
-
-    lower: float
-    upper: float
-    count: int | None
+    lower: float  #: ends of the input
+    upper: float  #: ends of the input
+    count: int | None  #: For every input of it; None where it could not be told
 
 
 def over_range(

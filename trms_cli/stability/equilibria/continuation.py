@@ -29,20 +29,11 @@ _SEED = 20260
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve of equilibria, in order along it.
+    """A curve of equilibria, in order along it."""
 
-    Attributes
-    ----------
-    y : (m, n + 1) array
-        Unknowns and the varied input.
-    ends : (str, str)
-        Why it ends at its beginning and its end.
-    crossings : tuple of int
-        Points after which another curve may cross: a regular curve has none.
-    """
-
-    y: FloatArray
-    ends: tuple[str, str]
+    y: FloatArray  #: (m, n + 1) array; unknowns and the varied input
+    ends: tuple[str, str]  #: Why it ends at its beginning and its end
+    #: Points after which another curve may cross: a regular curve has none
     crossings: tuple[int, ...] = field(default=())
 
 

@@ -25,25 +25,14 @@ _ITERATIONS = 30
 
 @dataclass(frozen=True)
 class EquilibriumPoint:
-    """A point of a curve, complete.
+    """A point of a curve, complete."""
 
-    Attributes
-    ----------
-    x, u : arrays
-        (n_x,), (n_u,).
-    eigenvalues : (n_x,) complex array
-        Of ∂f/∂x there, rightmost first.
-    unstable : int
-        How many of them grow.
-    verdict : Verdict
-        ``marginal`` where none grows and one neither grows nor dies out.
-    """
-
-    x: FloatArray
-    u: FloatArray
+    x: FloatArray  #: (n_x,), (n_u,)
+    u: FloatArray  #: (n_x,), (n_u,)
+    #: (n_x,) complex array; of ∂f/∂x there, rightmost first
     eigenvalues: npt.NDArray[np.complex128]
-    unstable: int
-    verdict: Verdict
+    unstable: int  #: How many of them grow
+    verdict: Verdict  #: ``marginal`` where none grows and one neither grows nor dies out
 
 
 class CurveEquations:

@@ -17,21 +17,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Equations after elimination.
+    """Equations after elimination."""
 
-    Attributes
-    ----------
-    rows : list of casadi.SX
-        What must be zero, one expression each.
-    kept : list of int
-        Positions of the symbols that are left as unknowns.
-    state : casadi.SX
-        All symbols by those that are left, (n, 1).
-    """
-
-    rows: list[ca.SX]
-    kept: list[int]
-    state: ca.SX
+    rows: list[ca.SX]  #: What must be zero, one expression each
+    kept: list[int]  #: Positions of the symbols that are left as unknowns
+    state: ca.SX  #: All symbols by those that are left, (n, 1)
 
 
 def eliminated(

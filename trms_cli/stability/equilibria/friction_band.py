@@ -34,26 +34,15 @@ _LEAST = 1e-9  # N m
 
 @dataclass(frozen=True)
 class Band:
-    """Angles at which friction holds an axis.
-
-    Attributes
-    ----------
-    axis : str
-    angle : str
-        The state.
-    torque : float
-        F, N m.
-    lower, upper : float or None
-        rad; None where nothing else acts on the angle: any will do.
-    command : (str, float, float) or None
-        Where the angle is free: the input that balances it, and between what values it is held.
-    """
+    """Angles at which friction holds an axis."""
 
     axis: str
-    angle: str
-    torque: float
+    angle: str  #: The state
+    torque: float  #: F, N m
+    #: ``lower``, ``upper``: rad; None where nothing else acts on the angle: any will do
     lower: float | None
     upper: float | None
+    #: Where the angle is free: the input that balances it, and between what values it is held
     command: tuple[str, float, float] | None = None
 
 

@@ -45,30 +45,14 @@ _MOST_BOXES_IN_RANGES = 96
 
 @dataclass(frozen=True)
 class Roots:
-    """Roots of many problems of one block.
+    """Roots of many problems of one block."""
 
-    Attributes
-    ----------
-    owner : (r,) int array
-        Problem that each belongs to.
-    box : Interval
-        (r, n), around each.
-    unique : (r,) bool array
-        Whether exactly one root is proved to lie in it.
-    exists : (r,) bool array
-        Whether at least one is proved to.
-    open_ended : bool
-        Whether roots beyond :data:`FAR` are not excluded.
-    left : (k,) int array
-        Groups that were left at a doubt.
-    """
-
-    owner: IntArray
-    box: Interval
-    unique: BoolArray
-    exists: BoolArray
-    open_ended: bool
-    left: IntArray
+    owner: IntArray  #: (r,) int array; problem that each belongs to
+    box: Interval  #: (r, n), around each
+    unique: BoolArray  #: (r,) bool array; whether exactly one root is proved to lie in it
+    exists: BoolArray  #: (r,) bool array; whether at least one is proved to
+    open_ended: bool  #: Whether roots beyond :data:`FAR` are not excluded
+    left: IntArray  #: (k,) int array; groups that were left at a doubt
 
 
 def isolate(

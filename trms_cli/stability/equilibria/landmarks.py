@@ -27,30 +27,17 @@ _BESIDE = 1e-5
 
 @dataclass(frozen=True)
 class Landmark:
-    """A special point of a curve.
+    """A special point of a curve."""
 
-    Attributes
-    ----------
-    kind : Kind
-        ``fold``: the input has an extreme, to rounding. ``kink``: the same where the equations
-        have a kink, between two points of the curve. ``oscillation``: a pair of eigenvalues
-        crosses the imaginary axis (Hopf). ``exchange``: a real one does, away from a fold.
-        ``crossing``: another curve may cross. ``level``: a controlled angle is zero. ``zero``: the
-        input is.
-    name : str
-        The angle of a level; empty otherwise.
-    y : (n + 1,) array
-        Unknowns and the varied input.
-    at : EquilibriumPoint
-    frequency : float or None
-        Hz, of an oscillation.
-    """
-
+    #: ``fold``: the input has an extreme, to rounding. ``kink``: the same where the equations have
+    #: a kink, between two points of the curve. ``oscillation``: a pair of eigenvalues crosses the
+    #: imaginary axis (Hopf). ``exchange``: a real one does, away from a fold. ``crossing``: another
+    #: curve may cross. ``level``: a controlled angle is zero. ``zero``: the input is.
     kind: Kind
-    name: str
-    y: FloatArray
+    name: str  #: The angle of a level; empty otherwise
+    y: FloatArray  #: (n + 1,) array; unknowns and the varied input
     at: EquilibriumPoint
-    frequency: float | None = None
+    frequency: float | None = None  #: Hz, of an oscillation
 
 
 def landmarks(

@@ -23,18 +23,11 @@ _POINTS = 41
 
 @dataclass(frozen=True)
 class EquilibriumMap:
-    """Controlled angles of the stable equilibria over two inputs.
+    """Controlled angles of the stable equilibria over two inputs."""
 
-    Attributes
-    ----------
-    first, second : (n,), (m,) arrays
-        The inputs.
-    angles : dict of str to (m, n) array
-        rad; NaN where there is no stable equilibrium in the box.
-    """
-
-    first: FloatArray
-    second: FloatArray
+    first: FloatArray  #: (n,), (m,) arrays; the inputs
+    second: FloatArray  #: (n,), (m,) arrays; the inputs
+    #: dict of str to (m, n) array; rad; NaN where there is no stable equilibrium in the box
     angles: dict[str, FloatArray]
 
 

@@ -27,28 +27,16 @@ _SAME_ANGLE = 1e-6  # rad
 
 @dataclass(frozen=True)
 class NamedPoint:
-    """An equilibrium with a name.
-
-    Attributes
-    ----------
-    name : str
-    x, u : (n_x,), (n_u,) arrays
-    eigenvalues : (n_x,) complex array
-        Rightmost first.
-    verdict : Verdict
-    quantities : dict of str to float
-        What the model names: thrusts (N), currents (A), torques (N m), inertias (kg m²)…
-    bands : tuple of Band
-        Where dry friction holds the axes around it.
-    """
+    """An equilibrium with a name."""
 
     name: str
-    x: FloatArray
-    u: FloatArray
-    eigenvalues: npt.NDArray[np.complex128]
+    x: FloatArray  #: (n_x,), (n_u,) arrays
+    u: FloatArray  #: (n_x,), (n_u,) arrays
+    eigenvalues: npt.NDArray[np.complex128]  #: (n_x,) complex array; rightmost first
     verdict: Verdict
+    #: What the model names: thrusts (N), currents (A), torques (N m), inertias (kg m²)…
     quantities: Mapping[str, float]
-    bands: tuple[Band, ...]
+    bands: tuple[Band, ...]  #: Where dry friction holds the axes around it
 
     @property
     def unstable(self) -> int:

@@ -37,57 +37,29 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Block:
-    """Equations that are solved together, after the blocks before.
+    """Equations that are solved together, after the blocks before."""
 
-    Attributes
-    ----------
-    rows, unknowns : tuple of int
-        Positions in g and in z, equally many.
-    """
-
-    rows: tuple[int, ...]
-    unknowns: tuple[int, ...]
+    rows: tuple[int, ...]  #: Positions in g and in z, equally many
+    unknowns: tuple[int, ...]  #: Positions in g and in z, equally many
 
 
 @dataclass(frozen=True)
 class RestSystem:
-    """``g(z, v) = 0``.
-
-    Attributes
-    ----------
-    model : Model
-    unknowns : tuple of Signal
-        z: states and released inputs.
-    given : tuple of Signal
-        v: all inputs, then all disturbances; what is released or without effect is not read.
-    blocks : tuple of Block
-        In the order in which they are solved.
-    free : tuple of str
-        States that nothing determines; they stay as in :meth:`Model.rest`.
-    released : tuple of str
-        Inputs among the unknowns.
-    idle : tuple of str
-        Inputs that rest does not depend on.
-    held : dict of str to float
-        Angles that are given, rad.
-    residual : casadi.Function
-        ``(z, v, p) → g``, rates or torques.
-    point : casadi.Function
-        ``(z, v, p) → x, u, reached``: the whole state, all commands, what reaches the motors.
-    nonzero : casadi.Function
-        ``(z, v, p)`` → what the rows were divided by, (k, 1): g stands for f where none is zero.
-    """
+    """``g(z, v) = 0``."""
 
     model: Model
-    unknowns: tuple[Signal, ...]
+    unknowns: tuple[Signal, ...]  #: z: states and released inputs
+    #: v: all inputs, then all disturbances; what is released or without effect is not read
     given: tuple[Signal, ...]
-    blocks: tuple[Block, ...]
-    free: tuple[str, ...]
-    released: tuple[str, ...]
-    idle: tuple[str, ...]
-    held: Mapping[str, float]
-    residual: ca.Function
+    blocks: tuple[Block, ...]  #: In the order in which they are solved
+    free: tuple[str, ...]  #: States that nothing determines; they stay as in :meth:`Model.rest`
+    released: tuple[str, ...]  #: Inputs among the unknowns
+    idle: tuple[str, ...]  #: Inputs that rest does not depend on
+    held: Mapping[str, float]  #: Angles that are given, rad
+    residual: ca.Function  #: ``(z, v, p) → g``, rates or torques
+    #: ``(z, v, p) → x, u, reached``: the whole state, all commands, what reaches the motors
     point: ca.Function
+    #: ``(z, v, p)`` → what the rows were divided by, (k, 1): g stands for f where none is zero
     nonzero: ca.Function
 
     @property

@@ -67,9 +67,7 @@ def bounds_of(
 def _require_yaw(system: RestSystem, box: Interval, where: str) -> None:
     """Nothing upright in the box where an equation of rest then holds for whatever else.
 
-    Raises
-    ------
-    ModelError
+    Raises ModelError.
     """
     model = system.model
     pitch = model.axes["pitch"].angle if "pitch" in model.axes else ""

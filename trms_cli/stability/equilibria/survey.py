@@ -38,91 +38,48 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class Setting:
-    """What is varied, and what the rest is.
+    """What is varied, and what the rest is."""
 
-    Attributes
-    ----------
-    over : str
-        The varied input.
-    bounds : (float, float)
-        Its range.
-    inputs : dict of str to float
-        The other inputs, where they are given.
-    held : dict of str to float
-        Angles that are held by an input that follows, rad.
-    """
-
-    over: str
-    bounds: tuple[float, float]
-    inputs: Mapping[str, float]
-    held: Mapping[str, float]
+    over: str  #: The varied input
+    bounds: tuple[float, float]  #: Its range
+    inputs: Mapping[str, float]  #: The other inputs, where they are given
+    held: Mapping[str, float]  #: Angles that are held by an input that follows, rad
 
 
 @dataclass(frozen=True)
 class JudgedCurve:
-    """A curve with the stability of its points.
-
-    Attributes
-    ----------
-    curve : Curve
-    points : tuple of EquilibriumPoint
-        One for each point of the curve.
-    landmarks : tuple of Landmark
-    """
+    """A curve with the stability of its points."""
 
     curve: Curve
-    points: tuple[EquilibriumPoint, ...]
+    points: tuple[EquilibriumPoint, ...]  #: One for each point of the curve
     landmarks: tuple[Landmark, ...]
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A proof and the points of the curves at the same input.
-
-    Attributes
-    ----------
-    input : float
-    proof : Proof
-    points : tuple of EquilibriumPoint
-        Of the curves, in the order of the proof's equilibria where they agree.
-    agree : bool
-        Whether each proved equilibrium is on a curve, and each point of a curve in the bounds of
-        an equilibrium, proved or undecided.
-    """
+    """A proof and the points of the curves at the same input."""
 
     input: float
     proof: Proof
+    #: Of the curves, in the order of the proof's equilibria where they agree
     points: tuple[EquilibriumPoint, ...]
+    #: Whether each proved equilibrium is on a curve, and each point of a curve in the bounds of an
+    #: equilibrium, proved or undecided
     agree: bool
 
 
 @dataclass(frozen=True)
 class Survey:
-    """All equilibria over one input.
-
-    Attributes
-    ----------
-    setting : Setting
-    system : RestSystem
-    equations : CurveEquations
-    box : Interval
-        (n,), of the unknowns.
-    curves : tuple of JudgedCurve
-    checks : tuple of Checked
-    pieces : tuple of Piece
-        Numbers over the whole range; empty if not asked for.
-    late : int
-        Curves that only the proof led to.
-    """
+    """All equilibria over one input."""
 
     setting: Setting
     system: RestSystem
     equations: CurveEquations
-    box: Interval
+    box: Interval  #: (n,), of the unknowns
     curves: tuple[JudgedCurve, ...]
     checks: tuple[Checked, ...]
-    pieces: tuple[Piece, ...]
-    late: int
+    pieces: tuple[Piece, ...]  #: Numbers over the whole range; empty if not asked for
+    late: int  #: Curves that only the proof led to
 
     @property
     def landmarks(self) -> tuple[Landmark, ...]:

@@ -24,14 +24,10 @@ _LIBRARY_ERROR = 4
 
 @dataclass(frozen=True)
 class Interval:
-    """An array of intervals.
+    """An array of intervals."""
 
-    Attributes
-    ----------
-    lower, upper : arrays of one shape
-        ``lower <= upper``, infinite where there is no bound.
-    """
-
+    #: ``lower``, ``upper``: arrays of one shape; ``lower <= upper``, infinite where there is no
+    #: bound
     lower: FloatArray
     upper: FloatArray
 

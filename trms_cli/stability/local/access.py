@@ -26,26 +26,18 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Gramians:
-    """Gramians at a point, states and inputs scaled (a full command is 1, a motion is 1).
+    """Gramians at a point, states and inputs scaled (a full command is 1, a motion is 1)."""
 
-    Attributes
-    ----------
-    reach, sight : (n, n) arrays
-        Of controllability and of observability over the finite time.
-    reach_forever, sight_forever : (n, n) arrays or None
-        Of a stable system for ever.
-    hankel : (n,) array or None
-        Hankel singular values of a stable system, largest first.
-    residual : float or None
-        Largest entry of ``A W + W Aᵀ + B Bᵀ`` relative to that of ``B Bᵀ``.
-    """
-
+    #: ``reach``, ``sight``: (n, n) arrays; of controllability and of observability over the finite
+    #: time
     reach: FloatArray
     sight: FloatArray
+    #: ``reach_forever``, ``sight_forever``: (n, n) arrays or None; of a stable system for ever
     reach_forever: FloatArray | None
     sight_forever: FloatArray | None
+    #: (n,) array or None; hankel singular values of a stable system, largest first
     hankel: FloatArray | None
-    residual: float | None
+    residual: float | None  #: Largest entry of ``A W + W Aᵀ + B Bᵀ`` relative to that of ``B Bᵀ``
 
 
 def gramians(matrices: Matrices, scales: Scales, duration: float) -> Gramians:
@@ -89,20 +81,11 @@ def volts_table(model: Model, matrices: Matrices, scales: Scales, duration: floa
 
 @dataclass(frozen=True)
 class ModeAccess:
-    """What acts on a mode and sees it.
-
-    Attributes
-    ----------
-    mode : Mode
-    by_input : tuple of Reach
-        Each input alone, then all together.
-    by_sensors : tuple of Reach
-        Each set.
-    """
+    """What acts on a mode and sees it."""
 
     mode: Mode
-    by_input: tuple[Reach, ...]
-    by_sensors: tuple[Reach, ...]
+    by_input: tuple[Reach, ...]  #: Each input alone, then all together
+    by_sensors: tuple[Reach, ...]  #: Each set
 
 
 def mode_access(
@@ -132,18 +115,12 @@ def mode_access(
 
 @dataclass(frozen=True)
 class ReachAlong:
-    """What each input alone moves along a line of operating points.
+    """What each input alone moves along a line of operating points."""
 
-    Attributes
-    ----------
-    per_volt : (n, n_c, n_u) array
-        How far each controlled state is moved in the time given by one unit (rms) of each input,
-        at best; 0 where it is not.
-    margin : (n, n_c, n_u) array
-        PBH margin of the slowest mode of that state's axis by each input, 1/s.
-    """
-
+    #: (n, n_c, n_u) array; how far each controlled state is moved in the time given by one unit
+    #: (rms) of each input, at best; 0 where it is not
     per_volt: FloatArray
+    #: (n, n_c, n_u) array; PBH margin of the slowest mode of that state's axis by each input, 1/s
     margin: FloatArray
 
 

@@ -47,10 +47,7 @@ def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str)
 def in_order(given: tuple[float, float], where: str) -> tuple[float, float]:
     """A range as given.
 
-    Raises
-    ------
-    ConfigurationError
-        For one that is empty or reversed.
+    Raises ConfigurationError for one that is empty or reversed.
     """
     low, high = given
     if low == high:

@@ -40,21 +40,11 @@ _JUMP = 0.5
 
 @dataclass(frozen=True)
 class Held:
-    """What is held at an operating point.
+    """What is held at an operating point."""
 
-    Attributes
-    ----------
-    by_angle : bool
-        Whether the controlled states are held, and not the commands.
-    values : (n,) array
-        Theirs, in the order of ``model.controlled`` or of the inputs.
-    p : (n_p,) array
-        The parameters.
-    """
-
-    by_angle: bool
-    values: FloatArray
-    p: FloatArray
+    by_angle: bool  #: Whether the controlled states are held, and not the commands
+    values: FloatArray  #: (n,) array; theirs, in the order of ``model.controlled`` or of the inputs
+    p: FloatArray  #: (n_p,) array; the parameters
 
 
 class Balance:
@@ -87,10 +77,8 @@ class Balance:
     def held(self, at: Mapping[str, float], where: str = "at") -> Held:
         """What a request holds.
 
-        Raises
-        ------
-        ConfigurationError
-            For a name that is no input and no controlled state, or names of both kinds.
+        Raises ConfigurationError for a name that is no input and no controlled state, or names of
+        both kinds.
         """
         model = self.model
         by_angle = asked_by_angle(model, at, where)
@@ -101,10 +89,7 @@ class Balance:
     def first(self, at: Mapping[str, float], where: str = "at") -> OperatingPoint:
         """The operating point of a request, from nowhere.
 
-        Raises
-        ------
-        TrmsError
-            For a wrong request, and where there is none.
+        Raises TrmsError for a wrong request, and where there is none.
         """
         held = self.held(at, where)
         if self.model.sample_time is None:

@@ -25,28 +25,13 @@ _JUMPED = 1e-6
 
 @dataclass(frozen=True)
 class Crossing:
-    """A crossing of the imaginary axis.
+    """A crossing of the imaginary axis."""
 
-    Attributes
-    ----------
-    track : int
-        Of the sweep.
-    value : float
-        Of what is varied.
-    frequency : float
-        Im λ there, rad/s; 0 for a real eigenvalue.
-    unstable_above : bool
-        Whether the mode is unstable for larger values.
-    jumps : bool
-        Whether Re λ jumps there (a switch is passed) instead of going through zero.
-    place : Place
-    """
-
-    track: int
-    value: float
-    frequency: float
-    unstable_above: bool
-    jumps: bool
+    track: int  #: Of the sweep
+    value: float  #: Of what is varied
+    frequency: float  #: Im λ there, rad/s; 0 for a real eigenvalue
+    unstable_above: bool  #: Whether the mode is unstable for larger values
+    jumps: bool  #: Whether Re λ jumps there (a switch is passed) instead of going through zero
     place: Place
 
     @property

@@ -21,52 +21,26 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Found:
-    """What was found at the operating point.
-
-    Attributes
-    ----------
-    model : Model
-    point : OperatingPoint
-    matrices : Matrices
-    scales : Scales
-    duration, reading_time : float
-        s.
-    sets : tuple of tuple of str
-        Sensors.
-    access : tuple of ModeAccess
-    volts : (n_x, n_u) array
-        Least rms command that moves each state by its size.
-    gramians : Gramians
-    torques : dict
-        By set of sensors; the first error is that after ``duration``, the others after ``times``.
-    times : tuple of float
-        s.
-    """
+    """What was found at the operating point."""
 
     model: Model
     point: OperatingPoint
     matrices: Matrices
     scales: Scales
-    duration: float
-    reading_time: float
-    sets: tuple[tuple[str, ...], ...]
+    duration: float  #: s
+    reading_time: float  #: s
+    sets: tuple[tuple[str, ...], ...]  #: Sensors
     access: tuple[ModeAccess, ...]
-    volts: FloatArray
+    volts: FloatArray  #: (n_x, n_u) array; least rms command that moves each state by its size
     gramians: Gramians
+    #: By set of sensors; the first error is that after ``duration``, the others after ``times``
     torques: Mapping[tuple[str, ...], TorquesSeen]
-    times: tuple[float, ...]
+    times: tuple[float, ...]  #: s
 
 
 @dataclass(frozen=True)
 class Along:
-    """What was found over the range.
-
-    Attributes
-    ----------
-    path : Path
-    sweep : Sweep
-    reach : ReachAlong
-    """
+    """What was found over the range."""
 
     path: Path
     sweep: Sweep

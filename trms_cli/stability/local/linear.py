@@ -37,46 +37,23 @@ _ROUNDING = 1e-8
 
 @dataclass(frozen=True)
 class Switch:
-    """A state whose sign of change decides some coefficients at a point.
+    """A state whose sign of change decides some coefficients at a point."""
 
-    Attributes
-    ----------
-    state : int
-        Position of the state.
-    entries : tuple of (int, int)
-        Entries of A that differ between the sides.
-    upper, lower : tuple of float
-        Their values on either side.
-    """
-
-    state: int
-    entries: tuple[tuple[int, int], ...]
-    upper: tuple[float, ...]
-    lower: tuple[float, ...]
+    state: int  #: Position of the state
+    entries: tuple[tuple[int, int], ...]  #: Entries of A that differ between the sides
+    upper: tuple[float, ...]  #: Their values on either side
+    lower: tuple[float, ...]  #: Their values on either side
 
 
 @dataclass(frozen=True)
 class Matrices:
-    """The linear model at a point.
+    """The linear model at a point."""
 
-    Attributes
-    ----------
-    a : (n_x, n_x) array
-        ∂f/∂x, or ∂x⁺/∂x of a model that steps.
-    b : (n_x, n_u) array
-    e : (n_x, n_w) array
-        By the disturbances.
-    c : (n_y, n_x) array
-        Of the measured outputs.
-    sample_time : float or None
-        s, of a model that steps.
-    """
-
-    a: FloatArray
-    b: FloatArray
-    e: FloatArray
-    c: FloatArray
-    sample_time: float | None = None
+    a: FloatArray  #: (n_x, n_x) array; ∂f/∂x, or ∂x⁺/∂x of a model that steps
+    b: FloatArray  #: (n_x, n_u) array
+    e: FloatArray  #: (n_x, n_w) array; by the disturbances
+    c: FloatArray  #: (n_y, n_x) array; of the measured outputs
+    sample_time: float | None = None  #: s, of a model that steps
 
 
 class Linear:

@@ -23,21 +23,14 @@ _EXACT = 1e-10
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """The largest growth rate over two numbers.
+    """The largest growth rate over two numbers."""
 
-    Attributes
-    ----------
-    over, against : (n,), (m,) arrays
-    growth : (m, n) array
-        Largest Re λ of what is not at rest on the imaginary axis throughout, 1/s; NaN where there
-        is no operating point within the rig's limits.
-    boundary : (k, 2) array
-        Points (over, against) where it is zero, each located along ``over``.
-    """
-
-    over: FloatArray
-    against: FloatArray
+    over: FloatArray  #: (n,), (m,) arrays
+    against: FloatArray  #: (n,), (m,) arrays
+    #: (m, n) array; largest Re λ of what is not at rest on the imaginary axis throughout, 1/s; NaN
+    #: where there is no operating point within the rig's limits
     growth: FloatArray
+    #: (k, 2) array; points (over, against) where it is zero, each located along ``over``
     boundary: FloatArray
 
 

@@ -37,34 +37,17 @@ _FORGOTTEN = 1e-3
 
 @dataclass(frozen=True)
 class Mode:
-    """An eigenvalue, or a conjugate pair by that of positive frequency.
+    """An eigenvalue, or a conjugate pair by that of positive frequency."""
 
-    Attributes
-    ----------
-    name : str
-        After the states that take part.
-    eigenvalue : complex
-        λ, 1/s.
-    participation : (n_x,) array
-        Shares of the states; they add up to 1.
-    multiplicity : int
-        How many equal eigenvalues it stands for.
-    defective : bool
-        Whether they have fewer eigenvectors than that: motions grow as t e^{λt}.
-    alternating : bool
-        Whether it changes sign at each sample of a model that steps.
-    right, left : (n_x,) arrays
-        Eigenvectors with ``leftᵀ right = 1``; of a defective one, any of its own.
-    """
-
-    name: str
-    eigenvalue: complex
-    participation: FloatArray
-    right: ComplexArray
-    left: ComplexArray
-    multiplicity: int = 1
+    name: str  #: After the states that take part
+    eigenvalue: complex  #: λ, 1/s
+    participation: FloatArray  #: (n_x,) array; shares of the states; they add up to 1
+    right: ComplexArray  #: (n_x,) arrays; Eigenvectors with ``leftᵀ right = 1``
+    left: ComplexArray  #: (n_x,) arrays; of a defective one, any of its own
+    multiplicity: int = 1  #: How many equal eigenvalues it stands for
+    #: Whether they have fewer eigenvectors than that: motions grow as t e^{λt}
     defective: bool = False
-    alternating: bool = False
+    alternating: bool = False  #: Whether it changes sign at each sample of a model that steps
 
     @property
     def oscillates(self) -> bool:
@@ -103,18 +86,10 @@ class Mode:
 
 @dataclass(frozen=True)
 class Modes:
-    """All modes of a linear model.
+    """All modes of a linear model."""
 
-    Attributes
-    ----------
-    modes : tuple of Mode
-        The slowest last.
-    forgotten : int
-        States that are memory and gone within a sample.
-    """
-
-    modes: tuple[Mode, ...]
-    forgotten: int = 0
+    modes: tuple[Mode, ...]  #: The slowest last
+    forgotten: int = 0  #: States that are memory and gone within a sample
 
     @property
     def verdict(self) -> Verdict:

@@ -31,17 +31,10 @@ _ROTOR_OF = {"v": "main", "h": "tail"}
 
 @dataclass(frozen=True)
 class Part:
-    """What a state is of.
+    """What a state is of."""
 
-    Attributes
-    ----------
-    name : str
-        ``pitch``, ``main rotor``, an effect's name…
-    role : str
-        ``angle`` or ``rate`` of an axis, ``past`` of what a network remembers; empty for any other.
-    """
-
-    name: str
+    name: str  #: ``pitch``, ``main rotor``, an effect's name…
+    #: ``angle`` or ``rate`` of an axis, ``past`` of what a network remembers; empty for any other
     role: str = ""
 
 

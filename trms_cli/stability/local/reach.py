@@ -37,20 +37,13 @@ WEAK_REACH, WEAK_SIGHT = 1.0, 3.0
 
 @dataclass(frozen=True)
 class Reach:
-    """What an input, or a sensor set, has to do with a mode.
+    """What an input, or a sensor set, has to do with a mode."""
 
-    Attributes
-    ----------
-    margin : float
-        Smallest singular value of the scaled PBH matrix, 1/s (1 of a model that steps). Zero: out
-        of reach.
-    strength : float
-        Of inputs: how far a full command can pump the mode in the time given, relative to a motion
-        worth speaking of. Of sensors: the reading of such a motion in standard deviations.
-    grade : {"none", "weak", "yes"}
-    """
-
+    #: Smallest singular value of the scaled PBH matrix, 1/s (1 of a model that steps). Zero: out of
+    #: reach.
     margin: float
+    #: Of inputs: how far a full command can pump the mode in the time given, relative to a motion
+    #: worth speaking of. Of sensors: the reading of such a motion in standard deviations.
     strength: float
     grade: Grade
 

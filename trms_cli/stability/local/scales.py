@@ -25,20 +25,11 @@ _SHARE = 0.1
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes, each in its own unit.
+    """Sizes, each in its own unit."""
 
-    Attributes
-    ----------
-    x : (n_x,) array
-    u : (n_u,) array
-        Limits.
-    y : (n_y,) array
-        Standard deviation of one reading of each output.
-    """
-
-    x: FloatArray
-    u: FloatArray
-    y: FloatArray
+    x: FloatArray  #: (n_x,) array
+    u: FloatArray  #: (n_u,) array; limits
+    y: FloatArray  #: (n_y,) array; standard deviation of one reading of each output
 
 
 def scales_of(model: Model, matrices: Matrices, angle_noise: float, other_noise: float) -> Scales:

@@ -34,57 +34,29 @@ _LONGEST = 6
 
 @dataclass(frozen=True)
 class Share:
-    """Part of dλ/dp that one entry of A has.
+    """Part of dλ/dp that one entry of A has."""
 
-    Attributes
-    ----------
-    row, column : int
-        The entry.
-    change : float
-        dA_ij/dp.
-    part : complex
-        Its part of dλ/dp, 1/s per unit of what is varied.
-    """
-
-    row: int
-    column: int
-    change: float
-    part: complex
+    row: int  #: The entry
+    column: int  #: The entry
+    change: float  #: dA_ij/dp
+    part: complex  #: Its part of dλ/dp, 1/s per unit of what is varied
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A cycle of the signal flow graph.
+    """A cycle of the signal flow graph."""
 
-    Attributes
-    ----------
-    states : tuple of int
-        In the order of cause and effect; the last acts on the first.
-    gain : complex
-        At s = λ.
-    """
-
-    states: tuple[int, ...]
-    gain: complex
+    states: tuple[int, ...]  #: In the order of cause and effect; the last acts on the first
+    gain: complex  #: At s = λ
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """dλ/dp of one eigenvalue at one place.
+    """dλ/dp of one eigenvalue at one place."""
 
-    Attributes
-    ----------
-    total : complex
-        dλ/dp, 1/s per unit.
-    direct : complex
-        What of it would remain if the operating point did not move.
-    shares : tuple of Share
-        By the size of their real parts, largest first.
-    """
-
-    total: complex
-    direct: complex
-    shares: tuple[Share, ...]
+    total: complex  #: dλ/dp, 1/s per unit
+    direct: complex  #: What of it would remain if the operating point did not move
+    shares: tuple[Share, ...]  #: By the size of their real parts, largest first
 
 
 def sensitivity(path: Path, place: Place, track: int) -> Sensitivity:

@@ -17,10 +17,7 @@ def sensor_sets(
     The usual ones are everything, the angles with each tachometer, the angles alone, and each
     sensor alone.
 
-    Raises
-    ------
-    ConfigurationError
-        For a name that the model does not measure, and for an empty set.
+    Raises ConfigurationError for a name that the model does not measure, and for an empty set.
     """
     known = names(model.outputs)
     if given is not None:

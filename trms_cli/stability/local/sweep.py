@@ -39,40 +39,21 @@ _WIDE = 1.0
 
 @dataclass(frozen=True)
 class Place:
-    """An operating point of a sweep.
+    """An operating point of a sweep."""
 
-    Attributes
-    ----------
-    value : float
-        Of what is varied.
-    held : Held
-        What is held there.
-    point : OperatingPoint
-    spectrum : Spectrum
-        In the order of the sweep's tracks.
-    """
-
-    value: float
-    held: Held
+    value: float  #: Of what is varied
+    held: Held  #: What is held there
     point: OperatingPoint
-    spectrum: Spectrum
+    spectrum: Spectrum  #: In the order of the sweep's tracks
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """What was found along a line.
+    """What was found along a line."""
 
-    Attributes
-    ----------
-    places : tuple of Place
-        By rising value; eigenvalue i of each belongs to track i.
-    low, high : str
-        Why it ended before the range did, on either side; empty if it did not.
-    """
-
-    places: tuple[Place, ...]
-    low: str = ""
-    high: str = ""
+    places: tuple[Place, ...]  #: By rising value; eigenvalue i of each belongs to track i
+    low: str = ""  #: Why it ended before the range did, on either side
+    high: str = ""  #: empty if it did not
 
     @property
     def values(self) -> FloatArray:
@@ -123,10 +104,7 @@ class Path:
     def moved(self, name: str, value: float) -> Path:
         """The same with another angle, command or parameter held at a value.
 
-        Raises
-        ------
-        ConfigurationError
-            For an angle where commands are held, and the reverse.
+        Raises ConfigurationError for an angle where commands are held, and the reverse.
         """
         kind = _kind(self.model, name)
         other = copy.copy(self)
@@ -186,10 +164,7 @@ class Path:
     def first(self, low: float, high: float) -> Place:
         """The place where a sweep begins: where the request stands, or the end next to it.
 
-        Raises
-        ------
-        TrmsError
-            Where there is none.
+        Raises TrmsError where there is none.
         """
         begin = self._begin()
         value = min(max(self.began, low), high)
@@ -228,10 +203,7 @@ class Path:
     ) -> tuple[float, float]:
         """The range asked for, or the usual one.
 
-        Raises
-        ------
-        ConfigurationError
-            For one that is empty, reversed or outside the parameter's bounds.
+        Raises ConfigurationError for one that is empty, reversed or outside the parameter's bounds.
         """
         if given is None:
             return self._usual()
@@ -289,10 +261,7 @@ class Path:
 def swept(path: Path, low: float, high: float, points: int, also: tuple[float, ...] = ()) -> Sweep:
     """Go through a range, by way of further values where they lie within.
 
-    Raises
-    ------
-    TrmsError
-        Where there is no operating point to begin at.
+    Raises TrmsError where there is no operating point to begin at.
     """
     begin = path.first(low, high)
     grid = np.linspace(low, high, points)

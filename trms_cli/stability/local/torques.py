@@ -33,37 +33,21 @@ _PRIOR = 10.0
 
 @dataclass(frozen=True)
 class TorqueSight:
-    """Whether sensors tell a constant torque.
+    """Whether sensors tell a constant torque."""
 
-    Attributes
-    ----------
-    name : str
-        Of the disturbance.
-    seen : bool
-        If it is the only one.
-    errors : tuple of (float or None)
-        Standard deviation of its estimate after each of the times asked for, in its unit; None
-        where it is not seen.
-    """
-
-    name: str
-    seen: bool
+    name: str  #: Of the disturbance
+    seen: bool  #: If it is the only one
+    #: Standard deviation of its estimate after each of the times asked for, in its unit; None where
+    #: it is not seen
     errors: tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
 class TorquesSeen:
-    """All constant torques by one set of sensors.
-
-    Attributes
-    ----------
-    torques : tuple of TorqueSight
-    together : int
-        How many of them can be told at once.
-    """
+    """All constant torques by one set of sensors."""
 
     torques: tuple[TorqueSight, ...]
-    together: int
+    together: int  #: How many of them can be told at once
 
 
 def torques_seen(

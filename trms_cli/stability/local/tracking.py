@@ -25,17 +25,10 @@ _MOVE = 1.0
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Eigenvalues of one matrix in an order, with eigenvectors.
+    """Eigenvalues of one matrix in an order, with eigenvectors."""
 
-    Attributes
-    ----------
-    values : (n,) complex array
-        Of the matrix: λ, or z of a model that steps.
-    left, right : (n, n) complex arrays
-        Columns, ``leftᵢᵀ rightᵢ = 1``.
-    """
-
-    values: ComplexArray
+    values: ComplexArray  #: (n,) complex array; of the matrix: λ, or z of a model that steps
+    #: ``left``, ``right``: (n, n) complex arrays; columns, ``leftᵢᵀ rightᵢ = 1``
     left: ComplexArray
     right: ComplexArray
 

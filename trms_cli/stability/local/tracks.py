@@ -21,26 +21,13 @@ _FAR = 8.0
 
 @dataclass(frozen=True)
 class Track:
-    """A mode over a sweep.
+    """A mode over a sweep."""
 
-    Attributes
-    ----------
-    name : str
-        After the states that take part, on average.
-    part : str
-        The part of the rig with the largest share.
-    members : tuple of int
-        Columns of the sweep: one, or a pair that is conjugate somewhere.
-    rates : (n, m) complex array
-        λ of the members, 1/s.
-    fast : bool
-        Too fast to be shown beside the motions of the axes: armature currents, a network's memory.
-    """
-
-    name: str
-    part: str
-    members: tuple[int, ...]
-    rates: ComplexArray
+    name: str  #: After the states that take part, on average
+    part: str  #: The part of the rig with the largest share
+    members: tuple[int, ...]  #: Columns of the sweep: one, or a pair that is conjugate somewhere
+    rates: ComplexArray  #: (n, m) complex array; λ of the members, 1/s
+    #: Too fast to be shown beside the motions of the axes: armature currents, a network's memory
     fast: bool
 
     @property

@@ -33,46 +33,25 @@ _COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange"
 
 @dataclass(frozen=True)
 class Reason:
-    """Why an eigenvalue moves as it does at one place.
-
-    Attributes
-    ----------
-    mode : str
-    value : float
-        Of what is varied.
-    sensitivity : Sensitivity
-    loops : tuple of Loop
-        Through the entry with the largest share, the strongest first.
-    course : Course or None
-        What the growth rate does around the place, where the derivative is none.
-    """
+    """Why an eigenvalue moves as it does at one place."""
 
     mode: str
-    value: float
+    value: float  #: Of what is varied
     sensitivity: Sensitivity
-    loops: tuple[Loop, ...]
+    loops: tuple[Loop, ...]  #: Through the entry with the largest share, the strongest first
+    #: What the growth rate does around the place, where the derivative is none
     course: Course | None = None
 
 
 @dataclass(frozen=True)
 class Course:
-    """How the growth rate of a mode goes over the range, for a place where it does not move.
+    """How the growth rate of a mode goes over the range, for a place where it does not move."""
 
-    Attributes
-    ----------
-    growth : float
-        Re λ at the place, 1/s.
-    least, most : float
-        Of Re λ over the range, 1/s.
-    below, above : float
-        d Re λ/dp at the place before and after, 1/s per unit; NaN where there is none.
-    """
-
-    growth: float
-    least: float
-    most: float
-    below: float
-    above: float
+    growth: float  #: Re λ at the place, 1/s
+    least: float  #: Of Re λ over the range, 1/s
+    most: float  #: Of Re λ over the range, 1/s
+    below: float  #: d Re λ/dp at the place before and after, 1/s per unit
+    above: float  #: NaN where there is none
 
 
 def moves(found: Sensitivity) -> bool:

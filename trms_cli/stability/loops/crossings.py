@@ -19,41 +19,21 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Limit:
-    """The first change that makes a loop unstable.
+    """The first change that makes a loop unstable."""
 
-    Attributes
-    ----------
-    value : float
-        A factor, rad or s.
-    omega : float
-        rad/s at which the loop then swings.
-    """
-
-    value: float
-    omega: float
+    value: float  #: A factor, rad or s
+    omega: float  #: rad/s at which the loop then swings
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Limits of a loop; None where no such change of any size makes the measured curve run into −1.
+    """Limits of a loop; None where no such change makes the measured curve run into −1."""
 
-    Attributes
-    ----------
-    up, down : Limit or None
-        Factor of the loop's gain, above and below 1.
-    phase : Limit or None
-        Least phase lost or gained at a unit gain, rad.
-    delay : Limit or None
-        s.
-    crossover : float
-        Highest frequency at which the gain is 1, rad/s; 0 if it never is.
-    """
-
-    up: Limit | None
-    down: Limit | None
-    phase: Limit | None
-    delay: Limit | None
-    crossover: float
+    up: Limit | None  #: Factor of the loop's gain, above and below 1
+    down: Limit | None  #: Factor of the loop's gain, above and below 1
+    phase: Limit | None  #: Least phase lost or gained at a unit gain, rad
+    delay: Limit | None  #: s
+    crossover: float  #: Highest frequency at which the gain is 1, rad/s; 0 if it never is
 
 
 def crossings(omega: FloatArray, loops: ComplexArray) -> Crossings:

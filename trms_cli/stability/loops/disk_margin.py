@@ -35,18 +35,10 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """The largest disk.
+    """The largest disk."""
 
-    Attributes
-    ----------
-    alpha : float
-        Its size.
-    omega : float
-        Where it is reached, rad/s.
-    """
-
-    alpha: float
-    omega: float
+    alpha: float  #: Its size
+    omega: float  #: Where it is reached, rad/s
 
     @property
     def gain_up(self) -> float:

@@ -50,55 +50,32 @@ _SOON = 50
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured.
+    """What was measured."""
 
-    Attributes
-    ----------
-    omega : (n,) array
-        rad/s.
-    S, T : (n, n_u, n_u) arrays
-        Sensitivity and complementary sensitivity at the rig's input.
-    inputs : tuple of str
-    step : float
-        Control period, s.
-    drift : float
-        Part of the response that still changed from the last period but one to the last.
-    beside : float
-        Power of the commands off the lines, as a share of that on them.
-    nonlinearity : float
-        Part of the answer to the signal at half the amplitude on all inputs that T does not
-        predict.
-    rest : (n_r,) array
-        Mean of the controlled angles in the last period, less the operating point's, rad.
-    swing : (n_r,) array
-        Largest excursion of the controlled angles from that mean, rad.
-    statuses : dict of str to int
-        Control samples by how their computation ended.
-    limited : int
-        Control samples at a limit of the command.
-    reversed : tuple of str
-        Rotors' speeds that were zero or changed their sign: their thrust has no slope there.
-    duration : float
-        s simulated.
-    held : tuple of str
-        Angles and rotor speeds that dry friction holds at the point: the response is that of the
-        rig without it.
-    """
-
-    omega: FloatArray
+    omega: FloatArray  #: (n,) array; rad/s
+    #: ``S``, ``T``: (n, n_u, n_u) arrays; sensitivity and complementary sensitivity at the rig's
+    #: input
     S: ComplexArray
     T: ComplexArray
     inputs: tuple[str, ...]
-    step: float
+    step: float  #: Control period, s
+    #: Part of the response that still changed from the last period but one to the last
     drift: float
-    beside: float
+    beside: float  #: Power of the commands off the lines, as a share of that on them
+    #: Part of the answer to the signal at half the amplitude on all inputs that T does not predict
     nonlinearity: float
+    #: (n_r,) array; mean of the controlled angles in the last period, less the operating point's,
+    #: rad
     rest: FloatArray
+    #: (n_r,) array; largest excursion of the controlled angles from that mean, rad
     swing: FloatArray
-    statuses: Mapping[str, int]
-    limited: int
+    statuses: Mapping[str, int]  #: Control samples by how their computation ended
+    limited: int  #: Control samples at a limit of the command
+    #: Rotors' speeds that were zero or changed their sign: their thrust has no slope there
     reversed: tuple[str, ...]
-    duration: float
+    duration: float  #: s simulated
+    #: Angles and rotor speeds that dry friction holds at the point: the response is that of the rig
+    #: without it
     held: tuple[str, ...] = ()
 
     @property
@@ -109,25 +86,14 @@ class Measured:
 
 @dataclass(frozen=True)
 class NotHeld:
-    """A loop that has no response: it leaves the point, or swings by itself.
+    """A loop that has no response: it leaves the point, or swings by itself."""
 
-    Attributes
-    ----------
-    run : LoopRun
-        Of the experiment that showed it.
-    words : str
-        What it did: ``alpha_v is 0.31 rad away after 100 s, further and further``.
-    leaves : bool
-        Whether it leaves the point; else it stays near, but does not answer periodically.
-    reversed, held : tuple of str
-        As of :class:`Measured`.
-    """
-
-    run: LoopRun
-    words: str
+    run: LoopRun  #: Of the experiment that showed it
+    words: str  #: What it did: ``alpha_v is 0.31 rad away after 100 s, further and further``
+    #: Whether it leaves the point; else it stays near, but does not answer periodically
     leaves: bool
-    reversed: tuple[str, ...]
-    held: tuple[str, ...] = ()
+    reversed: tuple[str, ...]  #: As of :class:`Measured`
+    held: tuple[str, ...] = ()  #: As of :class:`Measured`
 
 
 class NoLoopError(Exception):
@@ -136,33 +102,20 @@ class NoLoopError(Exception):
 
 @dataclass(frozen=True)
 class Analyser:
-    """How a response is measured.
+    """How a response is measured."""
 
-    Attributes
-    ----------
-    lowest : float
-        Lowest line, rad/s.
-    ratio : float
-        Of a line to the one below it, where the harmonics of the lowest are denser.
-    amplitude : float
-        rms of the signal, as a share of half the range of each input.
-    periods : int
-        Periods after which the loop has to have settled; two at the least.
-    """
-
-    lowest: float = 0.1
+    lowest: float = 0.1  #: Lowest line, rad/s
+    #: Of a line to the one below it, where the harmonics of the lowest are denser
     ratio: float = 1.06
-    amplitude: float = 0.001
-    periods: int = 6
+    amplitude: float = 0.001  #: rms of the signal, as a share of half the range of each input
+    periods: int = 6  #: Periods after which the loop has to have settled; two at the least
 
     def measure(
         self, model: Model, loop: LoopParts, point: OperatingPoint, tell: Tell
     ) -> Measured | NotHeld:
         """The response around an operating point.
 
-        Raises
-        ------
-        NoLoopError
+        Raises NoLoopError.
         """
         step = getattr(loop.controller, "sample_time", None) or loop.sample_time
         probe = multisine(step, self.lowest, self.ratio)

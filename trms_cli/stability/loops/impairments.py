@@ -73,17 +73,10 @@ class Delayed:
 
     Between two samples the delayed command has its mean over the sample: the mixture of two
     neighbours, so that any time is possible.
-
-    Attributes
-    ----------
-    samples : float
-        The time over the sample time.
-    before : (n_u,) array
-        In force before the first command.
     """
 
-    samples: float
-    before: FloatArray
+    samples: float  #: The time over the sample time
+    before: FloatArray  #: (n_u,) array; in force before the first command
     _past: deque[FloatArray] = field(init=False)
     _share: float = field(init=False)
 
@@ -99,19 +92,13 @@ class Delayed:
 
 @dataclass(frozen=True)
 class Delay:
-    """All commands reach the motors late.
+    """All commands reach the motors late."""
 
-    Attributes
-    ----------
-    key, words, kind, unit, none
-        See :class:`Impairment`.
-    """
-
-    key: str = "delay"
-    words: str = "delay of all commands"
-    kind: Class = "delay"
-    unit: str = "s"
-    none: float = 0.0
+    key: str = "delay"  #: See :class:`Impairment`
+    words: str = "delay of all commands"  #: See :class:`Impairment`
+    kind: Class = "delay"  #: See :class:`Impairment`
+    unit: str = "s"  #: See :class:`Impairment`
+    none: float = 0.0  #: See :class:`Impairment`
 
     def shown(self, size: float) -> float:
         return size
@@ -127,28 +114,16 @@ class Delay:
 
 @dataclass(frozen=True)
 class Gain:
-    """One command reaches its motor too large, or too small, within its limits.
-
-    Attributes
-    ----------
-    channel : int
-    name : str
-        The input.
-    up : bool
-        Whether too large: a factor of size, else of 1/size.
-    of_changes : bool
-        Whether only the command's distance to the point's is changed, as in linear theory.
-    kind, unit, none
-        See :class:`Impairment`.
-    """
+    """One command reaches its motor too large, or too small, within its limits."""
 
     channel: int
-    name: str
-    up: bool
+    name: str  #: The input
+    up: bool  #: Whether too large: a factor of size, else of 1/size
+    #: Whether only the command's distance to the point's is changed, as in linear theory
     of_changes: bool = False
-    kind: Class = "gain"
-    unit: str = ""
-    none: float = 1.0
+    kind: Class = "gain"  #: See :class:`Impairment`
+    unit: str = ""  #: See :class:`Impairment`
+    none: float = 1.0  #: See :class:`Impairment`
 
     @property
     def key(self) -> str:
@@ -179,19 +154,12 @@ class Gain:
 
 @dataclass(frozen=True)
 class Friction:
-    """Coulomb friction of an axis.
-
-    Attributes
-    ----------
-    axis : str
-    kind, unit, none
-        See :class:`Impairment`.
-    """
+    """Coulomb friction of an axis."""
 
     axis: str
-    kind: Class = "friction"
-    unit: str = "N m"
-    none: float = 0.0
+    kind: Class = "friction"  #: See :class:`Impairment`
+    unit: str = "N m"  #: See :class:`Impairment`
+    none: float = 0.0  #: See :class:`Impairment`
 
     @property
     def key(self) -> str:

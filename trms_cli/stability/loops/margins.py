@@ -31,50 +31,27 @@ _DENSE = 4000
 
 @dataclass(frozen=True)
 class Peak:
-    """The largest value of a norm.
-
-    Attributes
-    ----------
-    value : float
-    omega : float
-        rad/s.
-    """
+    """The largest value of a norm."""
 
     value: float
-    omega: float
+    omega: float  #: rad/s
 
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """One loop, opened at its command while the others stay closed: ``L_i = 1/S_ii − 1``.
+    """One loop, opened at its command while the others stay closed: ``L_i = 1/S_ii − 1``."""
 
-    Attributes
-    ----------
-    name : str
-        The input.
-    crossings : Crossings
-    sensitivity : Peak
-        max |S_ii|; its inverse is the distance of the Nyquist curve to −1, the modulus margin.
-    complementary : Peak
-        max |T_ii|.
-    disk : DiskMargin
-    """
-
-    name: str
+    name: str  #: The input
     crossings: Crossings
+    #: max |S_ii|; its inverse is the distance of the Nyquist curve to −1, the modulus margin
     sensitivity: Peak
-    complementary: Peak
+    complementary: Peak  #: max |T_ii|
     disk: DiskMargin
 
 
 @dataclass(frozen=True)
 class Margins:
-    """All margins of a measured response.
-
-    Attributes
-    ----------
-    measured : Measured
-    """
+    """All margins of a measured response."""
 
     measured: Measured
 

@@ -20,21 +20,12 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Probe:
-    """One period of a multisine of rms 1.
+    """One period of a multisine of rms 1."""
 
-    Attributes
-    ----------
-    step : float
-        Control period over which each value is held, s.
-    lines : (n,) array of int
-        Harmonics of the period that are in it, the lowest first.
-    values : (N,) array
-        One period.
-    """
-
-    step: float
+    step: float  #: Control period over which each value is held, s
+    #: (n,) array of int; harmonics of the period that are in it, the lowest first
     lines: npt.NDArray[np.int64]
-    values: FloatArray
+    values: FloatArray  #: (N,) array; one period
 
     @property
     def length(self) -> int:

@@ -33,9 +33,7 @@ _OF_THE_RIG, _OF_THE_CONTROLLER = 10, 2
 def point_of(subject: Subject, at: Mapping[str, float]) -> OperatingPoint:
     """The operating point asked for; :data:`DEFAULT` where nothing is.
 
-    Raises
-    ------
-    TrmsError
+    Raises TrmsError.
     """
     model = subject.model
     asked = at or {name: value for name, value in DEFAULT.items() if name in model.controlled}
@@ -75,11 +73,8 @@ def measured(
 ) -> Measured | NotHeld:
     """The response; that of the rig without its dry friction where that holds it at the point.
 
-    Raises
-    ------
-    ConfigurationError
-        If the controller does not answer, samples slower than the rig swings, or leaves no band
-        above the lowest line.
+    Raises ConfigurationError if the controller does not answer, samples slower than the rig swings,
+    or leaves no band above the lowest line.
     """
     _require_band(analyser.lowest, subject, loop, point)
     held = held_by_friction(subject.model, point)

@@ -21,30 +21,15 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trial:
-    """How a loop is tried.
-
-    Attributes
-    ----------
-    subject : Subject
-    loop : LoopParts
-    point : OperatingPoint
-        Also the reference.
-    offset : dict of str to float
-        By how much the start differs, by state.
-    duration : float
-        s.
-    bounds : Bounds
-    lost : float
-        rad from the point at which a run is ended.
-    """
+    """How a loop is tried."""
 
     subject: Subject
     loop: LoopParts
-    point: OperatingPoint
-    offset: Mapping[str, float]
-    duration: float
+    point: OperatingPoint  #: Also the reference
+    offset: Mapping[str, float]  #: By how much the start differs, by state
+    duration: float  #: s
     bounds: Bounds
-    lost: float
+    lost: float  #: rad from the point at which a run is ended
 
     def errors(self, x: FloatArray) -> FloatArray:
         """Controlled angles' distances from the point, rad, (n, n_r)."""
@@ -83,26 +68,14 @@ class Trial:
 
 @dataclass(frozen=True)
 class Limits:
-    """What was found of an impairment.
-
-    Attributes
-    ----------
-    impairment : Impairment
-    back : Found
-        Up to where the loop comes back to the point.
-    calm : Found
-        Up to where it does not swing on, wherever it rests.
-    predicted : float or None
-        Size at which the linear loop becomes unstable; None: at none, or nothing is foretold.
-    foretold : bool
-        Whether the linear margins say anything of this impairment.
-    """
+    """What was found of an impairment."""
 
     impairment: Impairment
-    back: Found
-    calm: Found
+    back: Found  #: Up to where the loop comes back to the point
+    calm: Found  #: Up to where it does not swing on, wherever it rests
+    #: Size at which the linear loop becomes unstable; None: at none, or nothing is foretold
     predicted: float | None
-    foretold: bool
+    foretold: bool  #: Whether the linear margins say anything of this impairment
 
 
 def limits_of(

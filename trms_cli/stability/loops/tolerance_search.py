@@ -20,14 +20,7 @@ _HALVINGS = 10
 
 @dataclass(frozen=True)
 class Tried:
-    """One size.
-
-    Attributes
-    ----------
-    size : float
-    run : LoopRun
-    verdict : Verdict
-    """
+    """One size."""
 
     size: float
     run: LoopRun
@@ -36,24 +29,12 @@ class Tried:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search found.
+    """What a search found."""
 
-    Attributes
-    ----------
-    tried : tuple of Tried
-        By size.
-    below : Tried
-        The largest size before the first failure.
-    above : Tried or None
-        The first failure; None: all sizes were stood.
-    again : tuple of float
-        Sizes of the scan beyond it that are stood again.
-    """
-
-    tried: tuple[Tried, ...]
-    below: Tried
-    above: Tried | None
-    again: tuple[float, ...]
+    tried: tuple[Tried, ...]  #: By size
+    below: Tried  #: The largest size before the first failure
+    above: Tried | None  #: The first failure; None: all sizes were stood
+    again: tuple[float, ...]  #: Sizes of the scan beyond it that are stood again
 
     @property
     def limit(self) -> float | None:

@@ -31,27 +31,16 @@ _LIMIT = 1 - 1e-6
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a run ended.
+    """How a run ended."""
 
-    Attributes
-    ----------
-    kind : str
-        ``settles``: within the bounds; ``dies out``: not yet, but getting there; ``still
-        creeping``: beyond the bounds, but closer and closer, too slowly for the run to show where
-        to; ``rests beside`` the point; ``chatters``: commands swing on, too fast to be seen in
-        the angles; ``swings`` on; ``is lost``: it went too far from the point.
-    rest : (n_r,) array
-        Mean error in the last third, rad.
-    swing : (n_r,) array
-        Half of the range in the last third, rad.
-    axis : int
-        The angle that is worst.
-    """
-
+    #: ``settles``: within the bounds; ``dies out``: not yet, but getting there; ``still creeping``:
+    #: beyond the bounds, but closer and closer, too slowly for the run to show where to; ``rests
+    #: beside`` the point; ``chatters``: commands swing on, too fast to be seen in the angles;
+    #: ``swings`` on; ``is lost``: it went too far from the point
     kind: Kind
-    rest: FloatArray
-    swing: FloatArray
-    axis: int
+    rest: FloatArray  #: (n_r,) array; mean error in the last third, rad
+    swing: FloatArray  #: (n_r,) array; half of the range in the last third, rad
+    axis: int  #: The angle that is worst
 
     @property
     def calm(self) -> bool:
@@ -66,21 +55,11 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What is told apart.
+    """What is told apart."""
 
-    Attributes
-    ----------
-    rest : float
-        rad that a loop may rest beside the point.
-    swing : float
-        rad by which it may swing.
-    chatter : float
-        Share of half the range of a command by which that may swing.
-    """
-
-    rest: float
-    swing: float
-    chatter: float
+    rest: float  #: rad that a loop may rest beside the point
+    swing: float  #: rad by which it may swing
+    chatter: float  #: Share of half the range of a command by which that may swing
 
     def closer(self, factor: float) -> Bounds:
         """Those for a loop that begins that much closer to its point."""

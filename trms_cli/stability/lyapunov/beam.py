@@ -31,50 +31,25 @@ from trms_cli.models.twin_rotor import TwinRotor
 
 @dataclass(frozen=True)
 class Place:
-    """Symbols of the beam's motion; zero for what is locked.
+    """Symbols of the beam's motion; zero for what is locked."""
 
-    Attributes
-    ----------
-    rate_h, rate_v : casadi.SX
-        Ω, rad/s.
-    omega_v : casadi.SX
-        Speed of the main rotor, rad/s.
-    thrust_v : casadi.SX
-        F_v, N.
-    alpha_v : casadi.SX
-        rad.
-    """
-
-    rate_h: ca.SX
-    rate_v: ca.SX
-    omega_v: ca.SX
-    thrust_v: ca.SX
-    alpha_v: ca.SX
+    rate_h: ca.SX  #: Ω, rad/s
+    rate_v: ca.SX  #: Ω, rad/s
+    omega_v: ca.SX  #: Speed of the main rotor, rad/s
+    thrust_v: ca.SX  #: F_v, N
+    alpha_v: ca.SX  #: rad
 
 
 @dataclass(frozen=True)
 class Beam:
-    """Matrices of the form above, (2, 2), yaw first.
+    """Matrices of the form above, (2, 2), yaw first."""
 
-    Attributes
-    ----------
-    mass : casadi.SX
-        M(α_v), kg m².
-    power : casadi.SX
-        P with q̇ᵀP q̇ = q̇ᵀΓ(N + ½Ṁ) q̇, the power of the motion itself, N m s; Γ = diag(γ, 1).
-    drift : casadi.SX
-        N + Ṁ, N m s.
-    arms : casadi.SX
-        Lever of each thrust, m, (2, 1).
-    reaction : casadi.SX
-        Moments by the rotors' accelerations, kg m².
-    """
-
-    mass: ca.SX
+    mass: ca.SX  #: M(α_v), kg m²
+    #: P with q̇ᵀP q̇ = q̇ᵀΓ(N + ½Ṁ) q̇, the power of the motion itself, N m s; Γ = diag(γ, 1)
     power: ca.SX
-    drift: ca.SX
-    arms: ca.SX
-    reaction: ca.SX
+    drift: ca.SX  #: N + Ṁ, N m s
+    arms: ca.SX  #: Lever of each thrust, m, (2, 1)
+    reaction: ca.SX  #: Moments by the rotors' accelerations, kg m²
 
 
 def beam_of(model: TwinRotor, c: Mapping[str, float], at: Place, yaw_weight: ca.SX) -> Beam:

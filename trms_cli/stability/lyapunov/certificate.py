@@ -24,30 +24,15 @@ _DEEPEST = 1.0
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is known of a function.
-
-    Attributes
-    ----------
-    found : Found
-    everywhere : bool
-        Whether N is the whole space.
-    outer : float
-        N is the part of {V < outer} about the equilibrium, J; 0: none is proved.
-    inner : float
-        N′ is the part of {V <= inner} about it, J; 0: there is none.
-    bounded_by : str
-        What ends N′: ``the saddle``, ``the stop alpha_v = 1.05 rad``, ``the decay of V``.
-    rising : Rising or None
-        The state of lowest V at which V rises, of those found.
-    claims : tuple of Claim
-    """
+    """What is known of a function."""
 
     found: Found
-    everywhere: bool
-    outer: float
-    inner: float
+    everywhere: bool  #: Whether N is the whole space
+    outer: float  #: N is the part of {V < outer} about the equilibrium, J; 0: none is proved
+    inner: float  #: N′ is the part of {V <= inner} about it, J; 0: there is none
+    #: What ends N′: ``the saddle``, ``the stop alpha_v = 1.05 rad``, ``the decay of V``
     bounded_by: str
-    rising: Rising | None
+    rising: Rising | None  #: The state of lowest V at which V rises, of those found
     claims: tuple[Claim, ...]
 
     @property

@@ -37,22 +37,12 @@ _PARTS = 64
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement.
+    """One statement."""
 
-    Attributes
-    ----------
-    name : str
-        Short, for programs: ``falls``.
-    statement : str
-    how : How
-    detail : str
-        Figures of the check.
-    """
-
-    name: str
+    name: str  #: Short, for programs: ``falls``
     statement: str
     how: How
-    detail: str
+    detail: str  #: Figures of the check
 
     @property
     def holds(self) -> bool:

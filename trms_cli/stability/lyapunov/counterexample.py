@@ -26,21 +26,12 @@ _FAR = 0.14
 
 @dataclass(frozen=True)
 class Rising:
-    """A state at which V rises.
+    """A state at which V rises."""
 
-    Attributes
-    ----------
-    x : (n_x,) array
-    y : (3k,) array
-        The same as a state of motion.
-    value, derivative : float
-        V in J and V̇ in W; V̇ > 0 is confirmed with outward rounding.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    value: float
-    derivative: float
+    x: FloatArray  #: (n_x,) array
+    y: FloatArray  #: (3k,) array; the same as a state of motion
+    value: float  #: V in J and V̇ in W
+    derivative: float  #: V̇ > 0 is confirmed with outward rounding
 
     @property
     def speed(self) -> float:

@@ -46,23 +46,13 @@ SLOPES = ("psi_h", "psi_v", "lambda_h", "lambda_v", "sigma", "thrust_h")
 
 @dataclass(frozen=True)
 class Weights:
-    """What is free in V.
+    """What is free in V."""
 
-    Attributes
-    ----------
-    rotor_h, rotor_v : float
-        c, J per (rad/s)²/s.
-    yaw : float
-        γ.
-    cross_h, cross_v : float
-        Diagonal of E, 1/s; 0 is the plain energy.
-    """
-
-    rotor_h: float = 1.0
-    rotor_v: float = 1.0
-    yaw: float = 1.0
-    cross_h: float = 0.0
-    cross_v: float = 0.0
+    rotor_h: float = 1.0  #: c, J per (rad/s)²/s
+    rotor_v: float = 1.0  #: c, J per (rad/s)²/s
+    yaw: float = 1.0  #: γ
+    cross_h: float = 0.0  #: Diagonal of E, 1/s
+    cross_v: float = 0.0  #: 0 is the plain energy
 
     @property
     def strict(self) -> bool:

@@ -35,24 +35,13 @@ _CLOSE = 0.01
 
 @dataclass(frozen=True)
 class Falling:
-    """How far decay reaches.
+    """How far decay reaches."""
 
-    Attributes
-    ----------
-    level : float
-        Q is proved positive definite where V < level, within the first box; infinite if all over.
-    fails : float
-        V at the lowest state found where Q is not; infinite if there is none.
-    point : (n_y,) array or None
-        That state.
-    examined : int
-        Boxes bounded.
-    """
-
+    #: Q is proved positive definite where V < level, within the first box; infinite if all over
     level: float
-    fails: float
-    point: FloatArray | None
-    examined: int
+    fails: float  #: V at the lowest state found where Q is not; infinite if there is none
+    point: FloatArray | None  #: (n_y,) array or None; that state
+    examined: int  #: Boxes bounded
 
 
 def falling(

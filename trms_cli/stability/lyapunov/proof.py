@@ -40,26 +40,13 @@ _JUMPS = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL}
 
 @dataclass(frozen=True)
 class Proof:
-    """What became of a claim.
-
-    Attributes
-    ----------
-    status : {"proved", "counterexample", "undecided"}
-    point : (n,) array or None
-        Where it does not hold, if that was found.
-    value : float or None
-        The largest row of g there.
-    examined : int
-        Boxes bounded.
-    left : Interval
-        (m, n), boxes on which nothing is known yet; none when proved.
-    """
+    """What became of a claim."""
 
     status: Status
-    point: FloatArray | None
-    value: float | None
-    examined: int
-    left: Interval
+    point: FloatArray | None  #: (n,) array or None; where it does not hold, if that was found
+    value: float | None  #: The largest row of g there
+    examined: int  #: Boxes bounded
+    left: Interval  #: (m, n), boxes on which nothing is known yet; none when proved
 
     @property
     def holds(self) -> bool:

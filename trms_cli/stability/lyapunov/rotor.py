@@ -30,33 +30,15 @@ _ROTOR_OF_AXIS = {"v": "mr", "h": "tr"}
 
 @dataclass(frozen=True)
 class RotorAtRest:
-    """Expressions of one rotor with its command held.
+    """Expressions of one rotor with its command held."""
 
-    Attributes
-    ----------
-    axis : str
-        ``h`` or ``v``.
-    omega : casadi.SX
-        The speed, rad/s, of which the others are functions.
-    settling : casadi.SX
-        s, rad/s².
-    stored : casadi.SX
-        An antiderivative of s, (rad/s)²/s.
-    thrust : casadi.SX
-        F, N.
-    ratio : casadi.SX
-        F'/s', N s²/rad, written so that the speed stands in it once.
-    bound : float
-        What the ratio stays below at all speeds; infinite without drag of the air.
-    """
-
-    axis: str
-    omega: ca.SX
-    settling: ca.SX
-    stored: ca.SX
-    thrust: ca.SX
-    ratio: ca.SX
-    bound: float
+    axis: str  #: ``h`` or ``v``
+    omega: ca.SX  #: The speed, rad/s, of which the others are functions
+    settling: ca.SX  #: s, rad/s²
+    stored: ca.SX  #: An antiderivative of s, (rad/s)²/s
+    thrust: ca.SX  #: F, N
+    ratio: ca.SX  #: F'/s', N s²/rad, written so that the speed stands in it once
+    bound: float  #: What the ratio stays below at all speeds; infinite without drag of the air
 
 
 def rotor_at_rest(axis: str, volt: float, c: Mapping[str, float]) -> RotorAtRest:

@@ -37,21 +37,12 @@ _HEAVY = (8.0, 32.0, 128.0)
 
 @dataclass(frozen=True)
 class Found:
-    """A function and how far it reaches.
-
-    Attributes
-    ----------
-    candidate : Candidate
-    wells : Wells
-    falling : Falling
-    asked : float
-        The level up to which decay was to be proved, J.
-    """
+    """A function and how far it reaches."""
 
     candidate: Candidate
     wells: Wells
     falling: Falling
-    asked: float
+    asked: float  #: The level up to which decay was to be proved, J
 
     @property
     def level(self) -> float:

@@ -26,24 +26,12 @@ _ERROR = 1e-6
 
 @dataclass(frozen=True)
 class Motions:
-    """Motions from one level set.
+    """Motions from one level set."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        s.
-    y : (n, m, 3k) array
-        States of motion.
-    value : (n, m) array
-        V, J.
-    level : float
-        V at the start, J.
-    """
-
-    time: FloatArray
-    y: FloatArray
-    value: FloatArray
-    level: float
+    time: FloatArray  #: (n,) array; s
+    y: FloatArray  #: (n, m, 3k) array; states of motion
+    value: FloatArray  #: (n, m) array; V, J
+    level: float  #: V at the start, J
 
     @property
     def rise(self) -> float:

@@ -23,17 +23,11 @@ _INSTEAD = "study=region_of_attraction finds functions by computation for any mo
 
 @dataclass(frozen=True)
 class Rig:
-    """What the energy is of.
+    """What the energy is of."""
 
-    Attributes
-    ----------
-    model : TwinRotor
-        Without effects.
-    resisting, dry : tuple of str
-        Names of the effects that resist motion, and of those among them that hold it at rest.
-    """
-
-    model: TwinRotor
+    model: TwinRotor  #: Without effects
+    #: ``resisting``, ``dry``: Names of the effects that resist motion, and of those among them that
+    #: hold it at rest
     resisting: tuple[str, ...]
     dry: tuple[str, ...]
 
@@ -41,10 +35,8 @@ class Rig:
 def rig_of(subject: Subject) -> Rig:
     """The rig beneath a subject.
 
-    Raises
-    ------
-    ModelError
-        For a model whose energy is not stated here, and for an effect that changes it.
+    Raises ModelError for a model whose energy is not stated here, and for an effect that changes
+    it.
     """
     model: Model = subject.require_equations("a Lyapunov function")
     resisting: list[str] = []

@@ -29,24 +29,13 @@ _BEFORE = 1e-4
 
 @dataclass(frozen=True)
 class Wells:
-    """The wells of all axes that move.
+    """The wells of all axes that move."""
 
-    Attributes
-    ----------
-    ends : Interval
-        (k,), rad: between them every U rises away from the equilibrium.
-    depth : float
-        J, a lower bound of V wherever an angle is at one of its ends; infinite without a saddle.
-    saddles : (float, float) or None
-        α_v below and above, rad.
-    proofs : tuple of Proof
-        That they rise.
-    """
-
-    ends: Interval
+    ends: Interval  #: (k,), rad: between them every U rises away from the equilibrium
+    #: J, a lower bound of V wherever an angle is at one of its ends; infinite without a saddle
     depth: float
-    saddles: tuple[float, float] | None
-    proofs: tuple[Proof, ...]
+    saddles: tuple[float, float] | None  #: α_v below and above, rad
+    proofs: tuple[Proof, ...]  #: That they rise
 
     @property
     def ends_of_pitch(self) -> tuple[float, float]:

@@ -106,23 +106,12 @@ def merged(ends: Sequence[End]) -> tuple[End, ...]:
 
 @dataclass(frozen=True)
 class Told:
-    """What the words are about.
+    """What the words are about."""
 
-    Attributes
-    ----------
-    picture : Picture
-        With all ends apart.
-    duration : float
-        s of each trajectory.
-    invariant : bool
-    loop : str
-        The controller; empty for the model alone.
-    """
-
-    picture: Picture
-    duration: float
+    picture: Picture  #: With all ends apart
+    duration: float  #: s of each trajectory
     invariant: bool
-    loop: str = ""
+    loop: str = ""  #: The controller; empty for the model alone
 
 
 def lead_of_model(told: Told) -> list[str]:

@@ -32,21 +32,11 @@ _LEAST_SLOPE = 1e-2
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A coordinate of a portrait.
+    """A coordinate of a portrait."""
 
-    Attributes
-    ----------
-    name : str
-        As it is asked for: a state, or ``rate_v``.
-    unit : str
-    state : int
-        The state, or the angle whose rate it is.
-    is_rate : bool
-    """
-
-    name: str
+    name: str  #: As it is asked for: a state, or ``rate_v``
     unit: str
-    state: int
+    state: int  #: The state, or the angle whose rate it is
     is_rate: bool = False
 
     @property

@@ -61,36 +61,19 @@ _NO_ROOM, _LITTLE_ROOM = 0.06, 0.15
 
 @dataclass(frozen=True)
 class Picture:
-    """What a portrait shows.
-
-    Attributes
-    ----------
-    section : Section
-    window : (n_c, 2) array
-    rests : sequence of RestPoint
-    journeys : sequence of Journey
-    ends : sequence of End
-        Of the journeys.
-    labels : sequence of str
-        What the legend calls each end.
-    separatrices : sequence of Separatrix
-    sticking : sequence of StickingSet
-    beside : sequence of Journey
-        Drawn faintly: the model alone, beside its loop.
-    loop : bool
-        Whether the trajectories are those of a closed loop.
-    """
+    """What a portrait shows."""
 
     section: Section
-    window: FloatArray
+    window: FloatArray  #: (n_c, 2) array
     rests: Sequence[RestPoint]
     journeys: Sequence[Journey]
-    ends: Sequence[End]
-    labels: Sequence[str]
+    ends: Sequence[End]  #: Of the journeys
+    labels: Sequence[str]  #: What the legend calls each end
     separatrices: Sequence[Separatrix] = ()
     sticking: Sequence[StickingSet] = ()
+    #: Drawn faintly: the model alone, beside its loop
     beside: Sequence[Journey] = field(default_factory=tuple)
-    loop: bool = False
+    loop: bool = False  #: Whether the trajectories are those of a closed loop
 
 
 def portrait(picture: Picture, name: str, caption: str) -> Chart:

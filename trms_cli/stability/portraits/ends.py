@@ -26,27 +26,16 @@ _TAIL = 0.1
 
 @dataclass(frozen=True)
 class End:
-    """Where some of the motions end.
+    """Where some of the motions end."""
 
-    Attributes
-    ----------
-    what : What
-        ``rest``: at an equilibrium of the window; ``rest outside``: at one outside; ``line``: on a
-        line of them. ``held``: on a
-        sticking set; ``stuck``: standing still elsewhere under dry friction. ``moving``: still on
-        its way in the window; ``turning``: half a turn or more outside it and moving; ``gone``:
-        outside otherwise.
-    members : tuple of int
-        Numbers of the journeys.
-    times : tuple of float
-        s after which each stays within 2 % of the window's width of its end; empty where nothing
-        is reached.
-    rest : RestPoint or None
-    held : StickingSet or None
-    """
-
+    #: ``rest``: at an equilibrium of the window; ``rest outside``: at one outside; ``line``: on a
+    #: line of them. ``held``: on a sticking set; ``stuck``: standing still elsewhere under dry
+    #: friction. ``moving``: still on its way in the window; ``turning``: half a turn or more
+    #: outside it and moving; ``gone``: outside otherwise.
     what: What
-    members: tuple[int, ...]
+    members: tuple[int, ...]  #: Numbers of the journeys
+    #: s after which each stays within 2 % of the window's width of its end; empty where nothing is
+    #: reached
     times: tuple[float, ...] = ()
     rest: RestPoint | None = None
     held: StickingSet | None = None

@@ -19,22 +19,12 @@ _MOST_AT_ONCE = 64
 
 @dataclass(frozen=True)
 class Journey:
-    """A trajectory.
+    """A trajectory."""
 
-    Attributes
-    ----------
-    time : (n,) array
-        s.
-    x : (n, n_x) array
-    c : (n, n_c) array
-        Coordinates.
-    saturated : (n,) bool array
-        Whether a command is at its bound; False throughout for the model alone.
-    """
-
-    time: FloatArray
-    x: FloatArray
-    c: FloatArray
+    time: FloatArray  #: (n,) array; s
+    x: FloatArray  #: (n, n_x) array
+    c: FloatArray  #: (n, n_c) array; coordinates
+    #: (n,) bool array; whether a command is at its bound; False throughout for the model alone
     saturated: npt.NDArray[np.bool_]
 
 

@@ -25,20 +25,11 @@ _AT_BOUND = 1e-6
 
 @dataclass(frozen=True)
 class LoopJourneys:
-    """Trajectories of a loop.
-
-    Attributes
-    ----------
-    journeys : tuple of Journey
-    failures : int
-        Control samples whose solve failed, of all runs.
-    ended : tuple of str
-        Why runs ended early.
-    """
+    """Trajectories of a loop."""
 
     journeys: tuple[Journey, ...]
-    failures: int
-    ended: tuple[str, ...]
+    failures: int  #: Control samples whose solve failed, of all runs
+    ended: tuple[str, ...]  #: Why runs ended early
 
 
 def loop_journeys(

@@ -51,26 +51,14 @@ _INVARIANCE_GRID = {2: 11, 3: 5}
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked for.
-
-    Attributes
-    ----------
-    section : Section
-    window : dict of int to (float, float)
-        Limits that were given, by the coordinate's place.
-    starts : int, sequence of dict, or None
-    duration : float or None
-        s.
-    step : float
-        s.
-    open_loop_too : bool
-    """
+    """What is asked for."""
 
     section: Section
-    window: Mapping[int, tuple[float, float]]
+    window: Mapping[int, tuple[float, float]]  #: Limits that were given, by the coordinate's place
+    #: number of states, or the states in SI units
     starts: int | tuple[Mapping[str, float], ...] | None = None
-    duration: float | None = None
-    step: float = 0.02
+    duration: float | None = None  #: s
+    step: float = 0.02  #: s
     open_loop_too: bool = False
 
 

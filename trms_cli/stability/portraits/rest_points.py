@@ -42,36 +42,21 @@ _SHOWN = 0.3
 
 @dataclass(frozen=True)
 class RestPoint:
-    """An equilibrium in the window.
+    """An equilibrium in the window."""
 
-    Attributes
-    ----------
-    x : (n_x,) array
-    c : (n_c,) array
-        Its coordinates.
-    eigenvalues : (n_x,) complex array
-        Of the whole model, the slowest first, 1/s; on a switch those of the mean of both sides'
-        slopes.
-    kind : Kind
-        By all of them.
-    in_section : bool
-        Whether the section goes through it; otherwise it is seen in projection.
-    shown : (n_x,) bool array
-        Whether a mode moves what the portrait shows: its participation in the coordinates' states.
-    line : bool
-        Whether it is one of a line of rest points that the portrait shows.
-    switches : tuple of int
-        The states on either side of which the slopes differ there (the cable's stiffness by the
-        sign of the yaw).
-    """
-
-    x: FloatArray
-    c: FloatArray
+    x: FloatArray  #: (n_x,) array
+    c: FloatArray  #: (n_c,) array; its coordinates
+    #: (n_x,) complex array; of the whole model, the slowest first, 1/s; on a switch those of the
+    #: mean of both sides' slopes
     eigenvalues: npt.NDArray[np.complex128]
-    kind: Kind
-    in_section: bool
+    kind: Kind  #: By all of them
+    in_section: bool  #: Whether the section goes through it; otherwise it is seen in projection
+    #: (n_x,) bool array; whether a mode moves what the portrait shows: its participation in the
+    #: coordinates' states
     shown: npt.NDArray[np.bool_]
-    line: bool
+    line: bool  #: Whether it is one of a line of rest points that the portrait shows
+    #: The states on either side of which the slopes differ there (the cable's stiffness by the sign
+    #: of the yaw)
     switches: tuple[int, ...] = ()
 
     @property

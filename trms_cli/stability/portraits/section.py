@@ -42,20 +42,11 @@ _INVARIANT = 1e-6
 
 @dataclass(frozen=True)
 class Section:
-    """A section through a model's states.
-
-    Attributes
-    ----------
-    coordinates : Coordinates
-    point : OperatingPoint
-        What is held is held there, under its command.
-    settled : tuple of int
-        Other states that follow from f_k = 0; the rest is held.
-    """
+    """A section through a model's states."""
 
     coordinates: Coordinates
-    point: OperatingPoint
-    settled: tuple[int, ...] = ()
+    point: OperatingPoint  #: What is held is held there, under its command
+    settled: tuple[int, ...] = ()  #: Other states that follow from f_k = 0; the rest is held
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -225,10 +216,7 @@ def section_of(
 def settled_states(coordinates: Coordinates, others: str | Sequence[str]) -> tuple[int, ...]:
     """Which of the other states settle: none (``held``), all (``settled``), or those named.
 
-    Raises
-    ------
-    ConfigurationError
-        For a name that is none of the other states.
+    Raises ConfigurationError for a name that is none of the other states.
     """
     model = coordinates.model
     if others == "held":

@@ -40,21 +40,11 @@ _NO_RATE = 1e-6
 
 @dataclass(frozen=True)
 class Separatrix:
-    """A motion out of a saddle, or into one.
+    """A motion out of a saddle, or into one."""
 
-    Attributes
-    ----------
-    c : (n, n_c) array
-        Coordinates, in the order of time.
-    into : bool
-        Into the saddle.
-    surface : bool
-        One of many motions that show a surface.
-    """
-
-    c: FloatArray
-    into: bool
-    surface: bool = False
+    c: FloatArray  #: (n, n_c) array; coordinates, in the order of time
+    into: bool  #: Into the saddle
+    surface: bool = False  #: One of many motions that show a surface
 
 
 def separatrices(

@@ -29,10 +29,7 @@ def given_starts(section: Section, starts: Sequence[Mapping[str, float]]) -> Flo
 
     What is not named is at the operating point.
 
-    Raises
-    ------
-    ConfigurationError
-        For unknown names, and where a start has no place in the section.
+    Raises ConfigurationError for unknown names, and where a start has no place in the section.
     """
     coordinates, point = section.coordinates, section.point
     model = coordinates.model

@@ -32,21 +32,11 @@ _HELD = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class StickingSet:
-    """A part of the portrait in which dry friction holds something still.
+    """A part of the portrait in which dry friction holds something still."""
 
-    Attributes
-    ----------
-    what : str
-        ``α_v`` or ``ω_v``: what is held.
-    c : (n, n_c) array
-        Points along it, from one end to the other.
-    along : int
-        The coordinate along which the set extends.
-    """
-
-    what: str
-    c: FloatArray
-    along: int
+    what: str  #: ``α_v`` or ``ω_v``: what is held
+    c: FloatArray  #: (n, n_c) array; points along it, from one end to the other
+    along: int  #: The coordinate along which the set extends
 
     @property
     def reach(self) -> tuple[float, float]:

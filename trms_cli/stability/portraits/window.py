@@ -43,10 +43,8 @@ def checked_window(
 ) -> dict[int, tuple[float, float]]:
     """The limits that were given, by place.
 
-    Raises
-    ------
-    ConfigurationError
-        For a name that is no coordinate of the portrait, and limits in reverse.
+    Raises ConfigurationError for a name that is no coordinate of the portrait, and limits in
+    reverse.
     """
     found = {}
     for name, (low, high) in given.items():

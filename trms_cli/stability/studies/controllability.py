@@ -38,52 +38,33 @@ _TIMES = tuple(float(share) for share in np.geomspace(0.05, 5.0, 21))
 
 @dataclass(frozen=True, kw_only=True)
 class Controllability:
-    """Controllability and observability of the linearised rig.
+    """Controllability and observability of the linearised rig."""
 
-    Attributes
-    ----------
-    at : dict of str to float
-        Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
-        tail rotor turns; with pitch at 0.2 rad where the rotors would stand; rest at last.
-    over : str or None
-        What is varied: a controlled state, an input or a parameter; None: the last angle
-        (yaw), the first where nothing depends on that, the first command where ``at`` names
-        commands, or the command of a motor alone.
-    range : (float, float) or None
-        In the unit of ``over``; None: 0.6 rad to either side, or what is usual for it.
-    points : int
-        Steps over the range.
-    duration : float
-        s, that inputs have to move and sensors to see.
-    sensors : list of lists of str or None
-        Sets of measured outputs; None: all, the angles with each tachometer, the angles, each
-        alone.
-    angle_noise, speed_noise : float
-        Standard deviation of a reading of an angle (rad) and of a rotor's speed (rad/s).
-    sample_time : float
-        s, between two readings.
-    side : {"mean", "upper", "lower"}
-        Whose slopes are taken where a coefficient depends on a direction.
-    """
-
+    #: Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
+    #: tail rotor turns; with pitch at 0.2 rad where the rotors would stand; rest at last.
     at: Mapping[str, float] = field(default_factory=dict)
+    #: What is varied: a controlled state, an input or a parameter; None: the last angle (yaw), the
+    #: first where nothing depends on that, the first command where ``at`` names commands, or the
+    #: command of a motor alone
     over: str | None = None
+    #: In the unit of ``over``; None: 0.6 rad to either side, or what is usual for it
     range: tuple[float, float] | None = None
-    points: Annotated[int, Meta(ge=2, le=2000)] = 61
-    duration: Annotated[float, Meta(gt=0)] = 2.0
+    points: Annotated[int, Meta(ge=2, le=2000)] = 61  #: Steps over the range
+    duration: Annotated[float, Meta(gt=0)] = 2.0  #: s, that inputs have to move and sensors to see
+    #: list of lists of str or None; sets of measured outputs; None: all, the angles with each
+    #: tachometer, the angles, each alone
     sensors: tuple[tuple[str, ...], ...] | None = None
+    #: ``angle_noise``, ``speed_noise``: Standard deviation of a reading of an angle (rad) and of a
+    #: rotor's speed (rad/s)
     angle_noise: Annotated[float, Meta(gt=0)] = 0.00044
     speed_noise: Annotated[float, Meta(gt=0)] = 1.6
-    sample_time: Annotated[float, Meta(gt=0)] = 0.01
-    side: Side = "mean"
+    sample_time: Annotated[float, Meta(gt=0)] = 0.01  #: s, between two readings
+    side: Side = "mean"  #: Whose slopes are taken where a coefficient depends on a direction
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Test each mode, and weigh the Gramians.
 
-        Raises
-        ------
-        TrmsError
-            Where there is no such operating point, or with a controller.
+        Raises TrmsError where there is no such operating point, or with a controller.
         """
         subject.require_no_loop("study=controllability", "leave it out; for loops: study=margins")
         model = subject.model

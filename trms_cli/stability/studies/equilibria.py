@@ -43,46 +43,30 @@ _TOLD = ("fold", "kink", "oscillation", "exchange", "crossing")
 
 @dataclass(frozen=True, kw_only=True)
 class Equilibria:
-    """All equilibria of a model in a box of inputs and states.
+    """All equilibria of a model in a box of inputs and states."""
 
-    Attributes
-    ----------
-    over : sequence of str or None
-        Inputs: a curve over each. None: all that act on the rest.
-    range : dict of str to (float, float)
-        Range by input, in its unit; what is not named reaches to its limits.
-    at : dict of str to float
-        The other inputs: commands, or angles (rad) that an input holds. Empty: no tail command over
-        the main rotor's, the beam held level over the tail rotor's.
-    box : dict of str to (float, float)
-        Bounds by state; what is not named as of
-        :func:`trms_cli.stability.equilibria.search_box.bounds_of`.
-    proof_points : int
-        Inputs of each range at which the number of equilibria is proved.
-    proof_range : bool
-        Whether it is proved for every input between them too.
-    special : dict of str to dict
-        More points by name, by angles or commands.
-    map : bool
-        Whether the angles over both inputs are drawn.
-    """
-
+    #: Inputs: a curve over each. None: all that act on the rest.
     over: tuple[str, ...] | None = None
+    #: Range by input, in its unit; what is not named reaches to its limits
     range: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: The other inputs: commands, or angles (rad) that an input holds. Empty: no tail command over
+    #: the main rotor's, the beam held level over the tail rotor's.
     at: Mapping[str, float] = field(default_factory=dict)
+    #: Bounds by state; what is not named as of
+    #: :func:`trms_cli.stability.equilibria.search_box.bounds_of`
     box: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: Inputs of each range at which the number of equilibria is proved
     proof_points: Annotated[int, Meta(ge=2, le=201)] = 21
-    proof_range: bool = True
+    proof_range: bool = True  #: Whether it is proved for every input between them too
+    #: More points by name, by angles or commands
     special: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    map: bool = True
+    map: bool = True  #: Whether the angles over both inputs are drawn
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Find, prove and follow them.
 
-        Raises
-        ------
-        TrmsError
-            For a model that only steps, a controller, or names and ranges that do not fit.
+        Raises TrmsError for a model that only steps, a controller, or names and ranges that do not
+        fit.
         """
         subject.require_no_loop(
             "study=equilibria",

@@ -41,29 +41,18 @@ _EXCESSES = (0.5, 1.0, 2.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Hunting:
-    """Stick-slip in a closed loop.
+    """Stick-slip in a closed loop."""
 
-    Attributes
-    ----------
-    axis : {"pitch", "yaw"} or None
-        None: the one axis with dry friction.
-    at : dict of str to float
-        Operating point by angles (rad) or by commands (V); nothing: level, at a yaw of 0.3 rad.
-    push : float
-        rad, by which the axis starts beside its reference.
-    duration : float or None
-        s, of each run; None: 200, or eight predicted periods.
-    torques, integrals : tuple of float or None
-        Factors of the friction, and of k_i of a PID, for further runs; None: half and twice for a
-        PID, none for others.
-    """
-
-    axis: Literal["pitch", "yaw"] | None = None
+    axis: Literal["pitch", "yaw"] | None = None  #: None: the one axis with dry friction
+    #: Operating point by angles (rad) or by commands (V); nothing: level, at a yaw of 0.3 rad
     at: Mapping[str, float] = field(default_factory=dict)
+    #: rad, by which the axis starts beside its reference
     push: Annotated[float, Meta(ge=-3, le=3)] = 0.3
+    #: s, of each run; None: 200, or eight predicted periods
     duration: Annotated[float, Meta(ge=20, le=100000)] | None = None
+    #: Factors of the friction, and of k_i of a PID, for further runs
     torques: _Factors | None = None
-    integrals: _Factors | None = None
+    integrals: _Factors | None = None  #: None: half and twice for a PID, none for others
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Simulate, predict, confirm.

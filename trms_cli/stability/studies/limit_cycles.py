@@ -30,30 +30,17 @@ from trms_cli.stability.subject import Subject
 
 @dataclass(frozen=True, kw_only=True)
 class LimitCycles:
-    """A search for periodic orbits, a proof of their absence where one is possible.
+    """A search for periodic orbits, a proof of their absence where one is possible."""
 
-    Attributes
-    ----------
-    at : dict of str to float
-        Operating point by angles (rad) or by commands (V); nothing: level, at a yaw of 0.3 rad.
-    over : str or None
-        Input over which Hopf points are sought and cycles are followed; None: the first.
-    box : dict of str to float
-        Half-widths of the box of starts, by state.
-    starts : int
-        Motions.
-    duration : float
-        s, of each.
-    orbits : int
-        Most cycles of a branch.
-    """
-
+    #: Operating point by angles (rad) or by commands (V); nothing: level, at a yaw of 0.3 rad
     at: Mapping[str, float] = field(default_factory=dict)
+    #: Input over which Hopf points are sought and cycles are followed; None: the first
     over: str | None = None
+    #: Half-widths of the box of starts, by state
     box: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
-    starts: Annotated[int, Meta(ge=1, le=1000)] = 24
-    duration: Annotated[float, Meta(ge=10, le=10000)] = 150.0
-    orbits: Annotated[int, Meta(ge=10, le=2000)] = 90
+    starts: Annotated[int, Meta(ge=1, le=1000)] = 24  #: Motions
+    duration: Annotated[float, Meta(ge=10, le=10000)] = 150.0  #: s, of each
+    orbits: Annotated[int, Meta(ge=10, le=2000)] = 90  #: Most cycles of a branch
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Search, prove, follow.

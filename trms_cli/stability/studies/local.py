@@ -40,36 +40,23 @@ from trms_cli.stability.subject import Subject
 
 @dataclass(frozen=True, kw_only=True)
 class Local:
-    """Eigenvalues with names.
+    """Eigenvalues with names."""
 
-    Attributes
-    ----------
-    at : dict of str to float
-        Operating point: angles (rad) or commands (V); empty: the rest without command.
-    over : str or None
-        What is varied: a controlled state, an input or a parameter; None: the first angle,
-        the first command where ``at`` names commands, or the command of a motor alone.
-    range : (float, float) or None
-        In the unit of ``over``; None: as far as the rig has operating points.
-    points : int
-        Steps over the range.
-    side : {"mean", "upper", "lower"}
-        Whose slopes are taken over the range where a coefficient depends on a direction.
-    """
-
+    #: Operating point: angles (rad) or commands (V); empty: the rest without command
     at: Mapping[str, float] = field(default_factory=dict)
+    #: What is varied: a controlled state, an input or a parameter; None: the first angle, the first
+    #: command where ``at`` names commands, or the command of a motor alone
     over: str | None = None
+    #: In the unit of ``over``; None: as far as the rig has operating points
     range: tuple[float, float] | None = None
-    points: Annotated[int, Meta(ge=2, le=2000)] = 81
+    points: Annotated[int, Meta(ge=2, le=2000)] = 81  #: Steps over the range
+    #: Whose slopes are taken over the range where a coefficient depends on a direction
     side: Side = "mean"
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """The modes.
 
-        Raises
-        ------
-        TrmsError
-            Where there is no such operating point, or with a controller.
+        Raises TrmsError where there is no such operating point, or with a controller.
         """
         subject.require_no_loop("study=local", "leave it out; for loops: study=margins")
         model, at = subject.model, dict(self.at)

@@ -41,40 +41,24 @@ _IN_PLANE = {"h": (8, 6.0), "v": (2, 25.0)}
 
 @dataclass(frozen=True, kw_only=True)
 class Lyapunov:
-    """A Lyapunov function of the Newtonian or the Lagrangian rig at a constant command.
+    """A Lyapunov function of the Newtonian or the Lagrangian rig at a constant command."""
 
-    Attributes
-    ----------
-    at : dict of str to float
-        Operating point: angles (rad) or commands (V); empty: the rest without command.
-    function : {"auto", "energy", "strict"}
-        The energy; or with cross terms of angles and rates, so that V̇ < 0 at once. ``auto``: the
-        energy, but for two axes with the tail rotor turning, where it cannot fall.
-    budget : int
-        Boxes for the proof that V falls.
-    starts : int
-        Motions from the edge of N′.
-    duration : float
-        s, of each.
-    seed : int
-        Of the random states at which identities are evaluated and motions begin.
-    """
-
+    #: Operating point: angles (rad) or commands (V); empty: the rest without command
     at: Mapping[str, float] = field(default_factory=dict)
+    #: The energy; or with cross terms of angles and rates, so that V̇ < 0 at once. ``auto``: the
+    #: energy, but for two axes with the tail rotor turning, where it cannot fall.
     function: Literal["auto", "energy", "strict"] = "auto"
-    budget: Annotated[int, Meta(ge=1, le=1_000_000)] = 4000
-    starts: Annotated[int, Meta(ge=1, le=500)] = 12
-    duration: Annotated[float, Meta(gt=0, le=3600)] = 30.0
+    budget: Annotated[int, Meta(ge=1, le=1_000_000)] = 4000  #: Boxes for the proof that V falls
+    starts: Annotated[int, Meta(ge=1, le=500)] = 12  #: Motions from the edge of N′
+    duration: Annotated[float, Meta(gt=0, le=3600)] = 30.0  #: s, of each
+    #: Of the random states at which identities are evaluated and motions begin
     seed: Annotated[int, Meta(ge=0)] = 0
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Find the function, check the claims, and follow motions.
 
-        Raises
-        ------
-        TrmsError
-            For a model or an effect whose energy is not stated, where the model has no such
-            equilibrium, and with a controller.
+        Raises TrmsError for a model or an effect whose energy is not stated, where the model has no
+        such equilibrium, and with a controller.
         """
         subject.require_no_loop(
             "study=lyapunov",

@@ -21,37 +21,24 @@ _Positive = Annotated[float, Meta(gt=0)]
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """Gain, phase, delay and disk margins, and sensitivity.
+    """Gain, phase, delay and disk margins, and sensitivity."""
 
-    Attributes
-    ----------
-    at : dict of str to float
-        Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
-        tail rotor turns.
-    lowest : float
-        Lowest frequency of the response, rad/s.
-    ratio : float
-        Of a frequency to the one below it, where the harmonics of the lowest are denser.
-    amplitude : float
-        rms of the test signal as a share of half the range of each input.
-    periods : int
-        Periods of the test signal after which the loop has to have settled.
-    """
-
+    #: Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
+    #: tail rotor turns.
     at: Mapping[str, float] = field(default_factory=dict)
-    lowest: _Positive = 0.1
+    lowest: _Positive = 0.1  #: Lowest frequency of the response, rad/s
+    #: Of a frequency to the one below it, where the harmonics of the lowest are denser
     ratio: Annotated[float, Meta(gt=1, le=2)] = 1.06
+    #: rms of the test signal as a share of half the range of each input
     amplitude: Annotated[float, Meta(gt=0, le=0.5)] = 0.001
+    #: Periods of the test signal after which the loop has to have settled
     periods: Annotated[int, Meta(ge=2, le=100)] = 6
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Measure the response, and read the margins off it.
 
-        Raises
-        ------
-        TrmsError
-            Without a controller, for one that does not look at the rig, and where the rig cannot
-            rest.
+        Raises TrmsError without a controller, for one that does not look at the rig, and where the
+        rig cannot rest.
         """
         loop = subject.require_loop("study=margins")
         point = point_of(subject, self.at)

@@ -18,48 +18,32 @@ from trms_cli.stability.subject import Subject
 
 @dataclass(frozen=True, kw_only=True)
 class PhasePortrait:
-    """Trajectories, nullclines, equilibria and separatrices.
+    """Trajectories, nullclines, equilibria and separatrices."""
 
-    Attributes
-    ----------
-    states : tuple of str or None
-        Two or three states, or rates of angles (``rate_v`` is dα_v/dt); None: the first axis'
-        angle and rate, or the two states of a motor.
-    at : dict of str to float
-        Operating point: controlled angles (rad) or commands (V); empty: rest without command.
-    window : dict of str to (float, float)
-        Limits by coordinate; others are chosen.
-    starts : int, tuple of dict, or None
-        How many, or each by coordinates and other states; None: 28 in a plane, 16 in space, 8 for
-        a loop.
-    others : {"held", "settled"} or tuple of str
-        The states that are no coordinates: held at the operating point, or where their own rates
-        are zero; names: these settle, the others are held.
-    duration : float or None
-        s of a trajectory; None: five time constants of the slowest mode, 20 s for a loop.
-    step : float
-        s between two points of a trajectory of the model alone.
-    open_loop_too : bool
-        For a loop: trajectories without the controller beside it.
-    """
-
+    #: Two or three states, or rates of angles (``rate_v`` is dα_v/dt); None: the first axis' angle
+    #: and rate, or the two states of a motor
     states: tuple[str, ...] | None = None
+    #: Operating point: controlled angles (rad) or commands (V); empty: rest without command
     at: Mapping[str, float] = field(default_factory=dict)
+    #: Limits by coordinate; others are chosen
     window: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: How many, or each by coordinates and other states; None: 28 in a plane, 16 in space, 8 for a
+    #: loop
     starts: Annotated[int, Meta(ge=1, le=500)] | tuple[Mapping[str, float], ...] | None = None
+    #: The states that are no coordinates: held at the operating point, or where their own rates are
+    #: zero; names: these settle, the others are held
     others: Literal["held", "settled"] | tuple[str, ...] = "held"
+    #: s of a trajectory; None: five time constants of the slowest mode, 20 s for a loop
     duration: Annotated[float, Meta(gt=0, le=1000)] | None = None
+    #: s between two points of a trajectory of the model alone
     step: Annotated[float, Meta(ge=1e-4, le=0.5)] = 0.02
-    open_loop_too: bool = False
+    open_loop_too: bool = False  #: For a loop: trajectories without the controller beside it
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """The portrait.
 
-        Raises
-        ------
-        ConfigurationError, ModelError
-            For a model that only steps or has a single state, and for names and limits that make
-            no window.
+        Raises ConfigurationError, ModelError for a model that only steps or has a single state, and
+        for names and limits that make no window.
         """
         model = subject.require_equations("study=phase_portrait")
         tell("operating point")

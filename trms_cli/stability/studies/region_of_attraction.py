@@ -26,60 +26,41 @@ TITLE = "Region of attraction"
 
 @dataclass(frozen=True, kw_only=True)
 class RegionOfAttraction:
-    """Estimates of a region of attraction beside the region by simulation.
+    """Estimates of a region of attraction beside the region by simulation."""
 
-    Attributes
-    ----------
-    at : dict of str to float
-        Equilibrium: angles (rad) or commands (V). Empty: a main command of 1.8 V, or the rest
-        without command where the model has no equilibrium at that; with a controller, level, and
-        yaw at 0.3 rad, where the tail rotor turns.
-    states : sequence of str, "all" or None
-        In which starts deviate. None: the angles and what moves with them, the rotors at their
-        speed.
-    box : dict of str to float
-        Half-widths of the box of starts by state; what is not named is chosen.
-    plane : sequence of str
-        The two states of the figure. Empty: the last angle and its rate; in a loop of two axes
-        both angles.
-    methods : sequence of str or None
-        ``lyapunov``, ``inclusion``, ``level_set``, ``integrals``, ``quartic``. None: all; of more
-        than three states without the last two.
-    boxes : int
-        Boxes that one proof may take.
-    samples : int or None
-        Random starts, from which the share of the true region is counted. None: 2000, of more than
-        three states 500.
-    grid : int or None
-        Starts along each side of the figure. None: 61, of more than three states 31.
-    duration : float or None
-        s, after which a motion is undecided. None: ten time constants of the slowest mode, at
-        most 240 s, of more than three states 120 s; 20 s in a loop.
-    loop_starts : int
-        Starts from which the loop itself is run, with controller and observer.
-    tolerance : float
-        Of the angles at the end of such a run, rad.
-    """
-
+    #: Equilibrium: angles (rad) or commands (V). Empty: a main command of 1.8 V, or the rest
+    #: without command where the model has no equilibrium at that; with a controller, level, and yaw
+    #: at 0.3 rad, where the tail rotor turns.
     at: Mapping[str, float] = field(default_factory=dict)
+    #: sequence of str, "all" or None; in which starts deviate. None: the angles and what moves with
+    #: them, the rotors at their speed.
     states: Sequence[str] | Literal["all"] | None = None
+    #: Half-widths of the box of starts by state; what is not named is chosen
     box: Mapping[str, _HalfWidth] = field(default_factory=dict)
+    #: The two states of the figure. Empty: the last angle and its rate; in a loop of two axes both
+    #: angles.
     plane: Sequence[str] = ()
+    #: ``lyapunov``, ``inclusion``, ``level_set``, ``integrals``, ``quartic``. None: all; of more
+    #: than three states without the last two.
     methods: Sequence[Method] | None = None
-    boxes: Annotated[int, Meta(ge=100, le=10_000_000)] = 40_000
+    boxes: Annotated[int, Meta(ge=100, le=10_000_000)] = 40_000  #: Boxes that one proof may take
+    #: Random starts, from which the share of the true region is counted. None: 2000, of more than
+    #: three states 500.
     samples: Annotated[int, Meta(ge=20, le=1_000_000)] | None = None
+    #: Starts along each side of the figure. None: 61, of more than three states 31.
     grid: Annotated[int, Meta(ge=5, le=401)] | None = None
+    #: s, after which a motion is undecided. None: ten time constants of the slowest mode, at most
+    #: 240 s, of more than three states 120 s; 20 s in a loop.
     duration: Annotated[float, Meta(gt=0)] | None = None
+    #: Starts from which the loop itself is run, with controller and observer
     loop_starts: Annotated[int, Meta(ge=2, le=100_000)] = 24
-    tolerance: Annotated[float, Meta(gt=0)] = 0.02
+    tolerance: Annotated[float, Meta(gt=0)] = 0.02  #: Of the angles at the end of such a run, rad
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Estimate, prove, and simulate.
 
-        Raises
-        ------
-        TrmsError
-            For an equilibrium that is unstable or marginal, and for a model without equations.
+        Raises TrmsError for an equilibrium that is unstable or marginal, and for a model without
+        equations.
         """
         model = subject.require_equations(
             "study=region_of_attraction", "replay the model from the starts of interest (trms run)"

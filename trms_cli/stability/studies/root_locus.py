@@ -42,46 +42,29 @@ _USUAL_AGAINST, _USUAL_AGAINST_RANGE = "alpha_v", (-0.6, 0.9)
 
 @dataclass(frozen=True, kw_only=True)
 class RootLocus:
-    """Eigenvalues over one number, with their crossings explained.
+    """Eigenvalues over one number, with their crossings explained."""
 
-    Attributes
-    ----------
-    at : dict of str to float
-        What is held: angles (rad) or commands (V). It is solved anew for each value.
-    over : str or None
-        An input, a controlled state, or a parameter (an effect's size: ``effect.size``). None:
-        ``k_g`` where the model has it, at 0.4 rad; else the first angle, or
-        the command of a motor alone. Where ``at`` names commands: the first of them.
-    range : (float, float) or None
-        In the unit of ``over``; None: what is usual for it.
-    points : int
-        Steps over the range.
-    side : {"mean", "upper", "lower"}
-        Whose slopes are taken where a coefficient depends on a direction.
-    against : str or None
-        A second number, for the map of stability; None: ``alpha_v`` with ``k_g``, else no map.
-    against_range : (float, float) or None
-        In the unit of ``against``; None: what is usual for it.
-    map_points : int
-        Values of ``over`` on the map; of ``against`` it has twice as many.
-    """
-
+    #: What is held: angles (rad) or commands (V). It is solved anew for each value.
     at: Mapping[str, float] = field(default_factory=dict)
+    #: An input, a controlled state, or a parameter (an effect's size: ``effect.size``). None:
+    #: ``k_g`` where the model has it, at 0.4 rad; else the first angle, or the command of a motor
+    #: alone. Where ``at`` names commands: the first of them.
     over: str | None = None
-    range: tuple[float, float] | None = None
-    points: Annotated[int, Meta(ge=2, le=2000)] = 81
-    side: Side = "mean"
+    range: tuple[float, float] | None = None  #: In the unit of ``over``; None: what is usual for it
+    points: Annotated[int, Meta(ge=2, le=2000)] = 81  #: Steps over the range
+    side: Side = "mean"  #: Whose slopes are taken where a coefficient depends on a direction
+    #: A second number, for the map of stability; None: ``alpha_v`` with ``k_g``, else no map
     against: str | None = None
+    #: In the unit of ``against``; None: what is usual for it
     against_range: tuple[float, float] | None = None
+    #: Values of ``over`` on the map; of ``against`` it has twice as many
     map_points: Annotated[int, Meta(ge=3, le=400)] = 21
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Follow the eigenvalues.
 
-        Raises
-        ------
-        TrmsError
-            Where there is no such operating point, parameter or range, or with a controller.
+        Raises TrmsError where there is no such operating point, parameter or range, or with a
+        controller.
         """
         subject.require_no_loop("study=root_locus", "leave it out; for loops: study=margins")
         model = subject.model

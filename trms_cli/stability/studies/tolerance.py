@@ -29,56 +29,31 @@ _Factor = Annotated[float, Meta(gt=1)]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """What the loop stands from a start beside its operating point.
+    """What the loop stands from a start beside its operating point."""
 
-    Attributes
-    ----------
-    at : dict of str to float
-        Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
-        tail rotor turns.
-    offset : dict of str to float
-        By how much the start differs, by state; rad for angles. Those of axes that the model does
-        not have are left out.
-    duration : float
-        s, of a run; judged are its last two thirds.
-    rest : float
-        rad that a loop may rest beside the point.
-    swing : float
-        rad by which it may swing on.
-    chatter : float
-        Share of half its range by which a command may swing on.
-    lost : float
-        rad from the point at which a run is ended.
-    delays : sequence of float
-        s, the scan.
-    gains : sequence of float
-        Factors above 1, the scan upwards; their inverses downwards.
-    frictions : sequence of float
-        N m, the scan.
-    precision : float
-        Factor between a size that is stood and one that is not, at which the search ends.
-    """
-
+    #: Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
+    #: tail rotor turns.
     at: Mapping[str, float] = field(default_factory=dict)
+    #: By how much the start differs, by state; rad for angles. Those of axes that the model does
+    #: not have are left out.
     offset: Mapping[str, float] = field(default_factory=lambda: {"alpha_v": -0.2, "alpha_h": -0.2})
-    duration: _Positive = 30.0
-    rest: _Positive = 0.02
-    swing: _Positive = 0.002
-    chatter: _Positive = 0.02
-    lost: _Positive = 1.0
-    delays: Sequence[_Positive] = (0.05, 0.1, 0.2, 0.4)
+    duration: _Positive = 30.0  #: s, of a run; judged are its last two thirds
+    rest: _Positive = 0.02  #: rad that a loop may rest beside the point
+    swing: _Positive = 0.002  #: rad by which it may swing on
+    chatter: _Positive = 0.02  #: Share of half its range by which a command may swing on
+    lost: _Positive = 1.0  #: rad from the point at which a run is ended
+    delays: Sequence[_Positive] = (0.05, 0.1, 0.2, 0.4)  #: s, the scan
+    #: Factors above 1, the scan upwards; their inverses downwards
     gains: Sequence[_Factor] = (2.0, 4.0, 8.0, 16.0)
-    frictions: Sequence[_Positive] = (0.001, 0.003, 0.01, 0.03)
+    frictions: Sequence[_Positive] = (0.001, 0.003, 0.01, 0.03)  #: N m, the scan
+    #: Factor between a size that is stood and one that is not, at which the search ends
     precision: Annotated[float, Meta(gt=1)] = 1.1
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Measure the linear margins, then make everything worse until the loop fails.
 
-        Raises
-        ------
-        TrmsError
-            Without a controller, where the rig cannot rest, and for a loop that does not come back
-            with nothing wrong.
+        Raises TrmsError without a controller, where the rig cannot rest, and for a loop that does
+        not come back with nothing wrong.
         """
         loop = subject.require_loop("study=tolerance")
         model, point = subject.model, point_of(subject, self.at)

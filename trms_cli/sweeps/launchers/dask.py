@@ -31,22 +31,15 @@ _numbers = itertools.count()
 
 @dataclass(frozen=True, kw_only=True)
 class DaskLauncher:
-    """Workers of Dask.
+    """Workers of Dask."""
 
-    Attributes
-    ----------
-    address : str or None
-        Of a scheduler that runs, ``tcp://head:8786``; None: a cluster of processes on this
-        machine, for this sweep.
-    workers : int or None
-        Processes of the cluster on this machine; None: one for each core. A scheduler that runs
-        has the workers that it has.
-    patience : float
-        Time that a scheduler, and its first worker, have to answer, s.
-    """
-
+    #: Of a scheduler that runs, ``tcp://head:8786``; None: a cluster of processes on this machine,
+    #: for this sweep
     address: str | None = None
+    #: Processes of the cluster on this machine; None: one for each core. A scheduler that runs has
+    #: the workers that it has.
     workers: Annotated[int, Meta(ge=1, le=4096)] | None = None
+    #: Time that a scheduler, and its first worker, have to answer, s
     patience: Annotated[float, Meta(gt=0)] = 30.0
 
     @contextmanager
@@ -77,10 +70,7 @@ class DaskLauncher:
 def require_distributed(launcher: str) -> Any:
     """The package ``distributed``.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is not installed; it tells the line that installs it.
+    Raises ConfigurationError if it is not installed; it tells the line that installs it.
     """
     try:
         import distributed
@@ -129,10 +119,7 @@ def cluster(workers: int, **more: Any) -> Iterator[Any]:
 def connected(distributed: Any, target: Any, patience: float, **more: Any) -> Iterator[Any]:
     """A client of a scheduler.
 
-    Raises
-    ------
-    ConfigurationError
-        If it does not answer.
+    Raises ConfigurationError if it does not answer.
     """
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
@@ -157,10 +144,7 @@ def connected(distributed: Any, target: Any, patience: float, **more: Any) -> It
 def wait_for_workers(client: Any, patience: float, where: str) -> None:
     """Wait for the first worker.
 
-    Raises
-    ------
-    ConfigurationError
-        If none comes.
+    Raises ConfigurationError if none comes.
     """
     try:
         client.wait_for_workers(1, timeout=patience)

@@ -33,16 +33,11 @@ _GRACE = 15.0  # s
 
 @dataclass(frozen=True, kw_only=True)
 class LocalLauncher:
-    """Worker processes on this machine.
+    """Worker processes on this machine."""
 
-    Attributes
-    ----------
-    workers : int or None
-        Processes; None: as many as this process may use cores (affinity and the limits of its
-        control group count). 0: no process is started, the runs are made in this one, one after
-        another, as a debugger needs it.
-    """
-
+    #: Processes; None: as many as this process may use cores (affinity and the limits of its
+    #: control group count). 0: no process is started, the runs are made in this one, one after
+    #: another, as a debugger needs it.
     workers: Annotated[int, Meta(ge=0, le=4096)] | None = None
 
     @contextmanager
@@ -62,15 +57,9 @@ class LocalLauncher:
 
 @dataclass
 class InProcess:
-    """Makes the runs in this process, when it is asked for what has ended.
+    """Makes the runs in this process, when it is asked for what has ended."""
 
-    Attributes
-    ----------
-    work : callable
-        Makes one run.
-    """
-
-    work: Work
+    work: Work  #: Makes one run
     _waiting: list[Attempt] = field(default_factory=list)
 
     @property

@@ -45,46 +45,28 @@ _GRACE = 20.0
 
 @dataclass(frozen=True, kw_only=True)
 class SlurmLauncher:
-    """Jobs of SLURM.
+    """Jobs of SLURM."""
 
-    Attributes
-    ----------
-    workers : int
-        Jobs of the array, each making one run at a time.
-    cluster : "slurm", "local" or "debug"
-        ``local``: the jobs are processes on this machine, ``debug``: the runs are made in this
-        process; both to try a sweep before it goes to the cluster.
-    partition : str or None
-        Of SLURM; None: its default.
-    timeout_min : int
-        Time limit of a job, min.
-    cpus : int
-        Processors of a job.
-    mem_gb : float or None
-        Memory of a job, GB; None: SLURM's default.
-    parallelism : int or None
-        Jobs of the array that run at once at most; None: all.
-    parameters : dict
-        Further parameters of submitit: ``slurm_account``, ``slurm_qos``, …
-    host : str or None
-        Name or address of this machine as the jobs reach it; None: by its host name.
-    logs : str or None
-        Folder for what the jobs print, seen by all machines; None: ``slurm-logs`` in the sweep's
-        own folder.
-    patience : float
-        Time that the first job may wait in the queue, s.
-    """
-
+    #: Jobs of the array, each making one run at a time
     workers: Annotated[int, Meta(ge=1, le=10000)] = 8
+    #: "slurm", "local" or "debug"; ``local``: the jobs are processes on this machine, ``debug``:
+    #: the runs are made in this process; both to try a sweep before it goes to the cluster
     cluster: Literal["slurm", "local", "debug"] = "slurm"
-    partition: str | None = None
-    timeout_min: Annotated[int, Meta(ge=1)] = 60
-    cpus: Annotated[int, Meta(ge=1)] = 1
+    partition: str | None = None  #: Of SLURM; None: its default
+    timeout_min: Annotated[int, Meta(ge=1)] = 60  #: Time limit of a job, min
+    cpus: Annotated[int, Meta(ge=1)] = 1  #: Processors of a job
+    #: Memory of a job, GB; None: SLURM's default
     mem_gb: Annotated[float, Meta(gt=0)] | None = None
+    #: Jobs of the array that run at once at most; None: all
     parallelism: Annotated[int, Meta(ge=1)] | None = None
+    #: Further parameters of submitit: ``slurm_account``, ``slurm_qos``, …
     parameters: dict[str, Any] = field(default_factory=dict)
+    #: Name or address of this machine as the jobs reach it; None: by its host name
     host: str | None = None
+    #: Folder for what the jobs print, seen by all machines; None: ``slurm-logs`` in the sweep's own
+    #: folder
     logs: str | None = None
+    #: Time that the first job may wait in the queue, s
     patience: Annotated[float, Meta(gt=0)] = 86400.0
 
     @contextmanager
@@ -184,10 +166,7 @@ class _Jobs:
     def submit(self, count: int) -> None:
         """Submit jobs as one array.
 
-        Raises
-        ------
-        TrmsError
-            If SLURM does not take them.
+        Raises TrmsError if SLURM does not take them.
         """
         try:
             with _deaf_to_interrupts(self._played), self._executor.batch():
@@ -205,10 +184,7 @@ class _Jobs:
     def wait_for_first(self, client: Any, patience: float) -> None:
         """Wait for a worker, and look meanwhile whether jobs end before they have begun.
 
-        Raises
-        ------
-        TrmsError
-            If none comes.
+        Raises TrmsError if none comes.
         """
         until = time.monotonic() + patience
         while time.monotonic() < until:
@@ -230,10 +206,7 @@ class _Jobs:
     def replace(self) -> None:
         """Submit jobs for those that have ended, preempted, out of time or killed.
 
-        Raises
-        ------
-        TrmsError
-            If they end again and again without a finished run.
+        Raises TrmsError if they end again and again without a finished run.
         """
         if time.monotonic() - self._looked < _LOOK:
             return

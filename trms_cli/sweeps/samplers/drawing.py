@@ -80,18 +80,10 @@ def as_data(varied: Range | Prior, value: float) -> float | int:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a point: some keys with their values.
+    """A part of a point: some keys with their values."""
 
-    Attributes
-    ----------
-    overrides : tuple of str
-        As they would be typed.
-    values : dict
-        The same as data.
-    """
-
-    overrides: tuple[str, ...] = ()
-    values: Mapping[str, Any] | None = None
+    overrides: tuple[str, ...] = ()  #: As they would be typed
+    values: Mapping[str, Any] | None = None  #: The same as data
 
     def __add__(self, other: Part) -> Part:
         values = {**(self.values or {}), **(other.values or {})}
@@ -109,10 +101,7 @@ def drawn_part(continuous: Sequence[Range | Prior], row: Sequence[float]) -> Par
 def chosen_part(choices: Sequence[Choice], number: int) -> Part:
     """The part of a point that makes each choice: combination `number`, the last varying fastest.
 
-    Raises
-    ------
-    IndexError
-        If there are not so many combinations.
+    Raises IndexError if there are not so many combinations.
     """
     picked: list[tuple[str, str]] = []
     for choice in reversed(choices):
@@ -137,10 +126,7 @@ def all_chosen(choices: Sequence[Choice]) -> Iterator[Part]:
 def require_drawn(space: Space, sampler: str) -> None:
     """Refuse a space in which there is nothing to draw.
 
-    Raises
-    ------
-    ConfigurationError
-        It names what to write.
+    Raises ConfigurationError: it names what to write.
     """
     if not space.continuous:
         raise ConfigurationError(

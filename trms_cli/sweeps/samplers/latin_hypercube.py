@@ -25,28 +25,17 @@ from trms_cli.sweeps.space import Space
 
 @dataclass(frozen=True, kw_only=True)
 class LatinHypercube:
-    """Stratified draws.
+    """Stratified draws."""
 
-    Attributes
-    ----------
-    samples : int
-        Draws, and shares into which each distribution is cut; each is run with every combination
-        of the choices.
-    seed : int
-        Of the draws; the runs' own ``seed`` is another.
-    decorrelated : bool
-        Take chance correlations between the columns out, where there are more samples than
-        columns.
-    figures : tuple of str
-        Figures that are told of at the end, by the names of ``trms runs``.
-    limits : dict of str to float
-        Largest allowed value of some figures: a run beyond one counts as a failure.
-    """
-
+    #: Draws, and shares into which each distribution is cut; each is run with every combination of
+    #: the choices
     samples: Annotated[int, Meta(ge=1)] = 100
-    seed: Annotated[int, Meta(ge=0)] = 0
+    seed: Annotated[int, Meta(ge=0)] = 0  #: Of the draws; the runs' own ``seed`` is another
+    #: Take chance correlations between the columns out, where there are more samples than columns
     decorrelated: bool = True
+    #: Figures that are told of at the end, by the names of ``trms runs``
     figures: tuple[str, ...] = ()
+    #: Largest allowed value of some figures: a run beyond one counts as a failure
     limits: Mapping[str, float] = field(default_factory=dict)
 
     def start(self, space: Space, known: Sequence[Point] = ()) -> Planned:

@@ -26,51 +26,32 @@ _BATCHES = {"tpe": 4, "nsga2": 20}
 
 @dataclass(frozen=True, kw_only=True)
 class Optimise:
-    """A search.
+    """A search."""
 
-    Attributes
-    ----------
-    objectives : tuple of str
-        Figures by the names of ``trms runs``; several give a Pareto front. None: the command's own
-        figure of merit.
-    maximise : tuple of str
-        Those among them of which more is better; of all others less is.
-    limits : dict of str to float
-        Largest allowed value of some figures, which no condition may exceed.
-    trials : int
-        The first is the configuration as it is, if ``baseline``.
-    method : {"tpe", "nsga2", "random"}
-        Tree-structured Parzen estimator (few trials), the genetic algorithm NSGA-II (hundreds of
-        trials, several objectives), or values at random, to compare with.
-    startup_trials : int
-        Trials of a Latin hypercube before ``tpe`` learns.
-    batch : int or None
-        Trials proposed together, from the results of the batches before: more keep more workers
-        busy, fewer learn sooner. Of ``nsga2`` the population. None: 4, of ``nsga2`` 20.
-    seed : int
-        Of the search; the runs' own ``seed`` is another.
-    over_conditions : {"mean", "worst"}
-        What of the conditions an objective is.
-    draws : int
-        Rigs drawn from the priors, if there are any, the same for all trials.
-    baseline : bool
-        Begin with the configuration as it is, so that the gain is told.
-    confirm : int
-        Fresh conditions under which the best trials, and the first, are run again: the score of
-        the best of many is better than it will be again.
-    """
-
+    #: Figures by the names of ``trms runs``; several give a Pareto front. None: the command's own
+    #: figure of merit.
     objectives: tuple[str, ...] = ()
+    #: Those among them of which more is better; of all others less is
     maximise: tuple[str, ...] = ()
+    #: Largest allowed value of some figures, which no condition may exceed
     limits: Mapping[str, float] = field(default_factory=dict)
+    #: The first is the configuration as it is, if ``baseline``
     trials: Annotated[int, Meta(ge=2)] = 60
+    #: Tree-structured Parzen estimator (few trials), the genetic algorithm NSGA-II (hundreds of
+    #: trials, several objectives), or values at random, to compare with
     method: Literal["tpe", "nsga2", "random"] = "tpe"
+    #: Trials of a Latin hypercube before ``tpe`` learns
     startup_trials: Annotated[int, Meta(ge=1)] = 12
+    #: Trials proposed together, from the results of the batches before: more keep more workers
+    #: busy, fewer learn sooner. Of ``nsga2`` the population. None: 4, of ``nsga2`` 20.
     batch: Annotated[int, Meta(ge=1)] | None = None
-    seed: Annotated[int, Meta(ge=0)] = 0
-    over_conditions: Literal["mean", "worst"] = "mean"
+    seed: Annotated[int, Meta(ge=0)] = 0  #: Of the search; the runs' own ``seed`` is another
+    over_conditions: Literal["mean", "worst"] = "mean"  #: What of the conditions an objective is
+    #: Rigs drawn from the priors, if there are any, the same for all trials
     draws: Annotated[int, Meta(ge=1)] = 4
-    baseline: bool = True
+    baseline: bool = True  #: Begin with the configuration as it is, so that the gain is told
+    #: Fresh conditions under which the best trials, and the first, are run again: the score of the
+    #: best of many is better than it will be again
     confirm: Annotated[int, Meta(ge=0)] = 0
 
     def start(self, space: Space, known: Sequence[Point] = ()) -> Trials:

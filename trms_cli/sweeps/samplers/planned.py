@@ -26,22 +26,13 @@ class Planned:
 
     Every combination of choices sees every sample, and those of one sample follow each other: a
     sweep that was stopped has compared like with like.
-
-    Attributes
-    ----------
-    space : Space
-    samples : (n, d) array
-        Values of the ranges and priors; n = 1 and d = 0 for a grid.
-    given : int
-        Points that have been proposed.
-    robustness : Robustness or None
-        What is told of the samples at the end.
     """
 
     space: Space
+    #: (n, d) array; values of the ranges and priors; n = 1 and d = 0 for a grid
     samples: FloatArray
-    given: int = 0
-    robustness: Robustness | None = None
+    given: int = 0  #: Points that have been proposed
+    robustness: Robustness | None = None  #: What is told of the samples at the end
 
     @property
     def total(self) -> int:

@@ -18,24 +18,15 @@ from trms_cli.sweeps.space import Space
 
 @dataclass(frozen=True, kw_only=True)
 class Random:
-    """Independent draws.
+    """Independent draws."""
 
-    Attributes
-    ----------
-    samples : int
-        Draws; each is run with every combination of the choices. The first
-        hundred of two hundred are the hundred.
-    seed : int
-        Of the draws; the runs' own ``seed`` is another.
-    figures : tuple of str
-        Figures that are told of at the end, by the names of ``trms runs``.
-    limits : dict of str to float
-        Largest allowed value of some figures: a run beyond one counts as a failure.
-    """
-
+    #: Draws; each is run with every combination of the choices. The first hundred of two hundred
+    #: are the hundred.
     samples: Annotated[int, Meta(ge=1)] = 100
-    seed: Annotated[int, Meta(ge=0)] = 0
+    seed: Annotated[int, Meta(ge=0)] = 0  #: Of the draws; the runs' own ``seed`` is another
+    #: Figures that are told of at the end, by the names of ``trms runs``
     figures: tuple[str, ...] = ()
+    #: Largest allowed value of some figures: a run beyond one counts as a failure
     limits: Mapping[str, float] = field(default_factory=dict)
 
     def start(self, space: Space, known: Sequence[Point] = ()) -> Planned:

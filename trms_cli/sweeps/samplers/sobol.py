@@ -19,23 +19,14 @@ from trms_cli.sweeps.space import Space
 
 @dataclass(frozen=True, kw_only=True)
 class Sobol:
-    """A sequence of low discrepancy, scrambled after Owen and Matoušek.
+    """A sequence of low discrepancy, scrambled after Owen and Matoušek."""
 
-    Attributes
-    ----------
-    samples : int
-        Draws; best a power of two. The first 64 of 128 are the 64.
-    seed : int
-        Of the scrambling; the runs' own ``seed`` is another.
-    figures : tuple of str
-        Figures that are told of at the end, by the names of ``trms runs``.
-    limits : dict of str to float
-        Largest allowed value of some figures: a run beyond one counts as a failure.
-    """
-
+    #: Draws; best a power of two. The first 64 of 128 are the 64.
     samples: Annotated[int, Meta(ge=1)] = 128
-    seed: Annotated[int, Meta(ge=0)] = 0
+    seed: Annotated[int, Meta(ge=0)] = 0  #: Of the scrambling; the runs' own ``seed`` is another
+    #: Figures that are told of at the end, by the names of ``trms runs``
     figures: tuple[str, ...] = ()
+    #: Largest allowed value of some figures: a run beyond one counts as a failure
     limits: Mapping[str, float] = field(default_factory=dict)
 
     def start(self, space: Space, known: Sequence[Point] = ()) -> Planned:

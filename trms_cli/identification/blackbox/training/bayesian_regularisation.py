@@ -29,17 +29,10 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, kw_only=True)
 class BayesianRegularisation:
-    """MacKay's evidence framework within Levenberg–Marquardt steps.
+    """MacKay's evidence framework within Levenberg–Marquardt steps."""
 
-    Attributes
-    ----------
-    damping : float
-        μ at the start, relative to β N.
-    growth, decay : float
-        Factors of μ after a step that fails and after one that succeeds.
-    """
-
-    damping: Annotated[float, Meta(gt=0)] = 5e-3
+    damping: Annotated[float, Meta(gt=0)] = 5e-3  #: μ at the start, relative to β N
+    #: ``growth``, ``decay``: Factors of μ after a step that fails and after one that succeeds
     growth: Annotated[float, Meta(gt=1)] = 10.0
     decay: Annotated[float, Meta(gt=0, lt=1)] = 0.1
 

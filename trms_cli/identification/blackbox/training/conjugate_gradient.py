@@ -34,16 +34,10 @@ _DESCENT = (0.8, 1.2)
 
 @dataclass(frozen=True, kw_only=True)
 class ConjugateGradient:
-    """Conjugate gradients with a strong Wolfe line search.
-
-    Attributes
-    ----------
-    update : {"fletcher_reeves", "polak_ribiere", "powell_beale"}
-    curvature : float
-        Largest share of the slope along the line that a search leaves.
-    """
+    """Conjugate gradients with a strong Wolfe line search."""
 
     update: Update
+    #: Largest share of the slope along the line that a search leaves
     curvature: Annotated[float, Meta(gt=0, lt=0.5)] = 0.1
 
     regularised: ClassVar[bool] = False

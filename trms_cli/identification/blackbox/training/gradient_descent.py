@@ -26,28 +26,15 @@ _LEAST_RATE = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class GradientDescent:
-    """Steps down the gradient.
+    """Steps down the gradient."""
 
-    Attributes
-    ----------
-    learning_rate : float
-        η at the start.
-    momentum : float
-        μ; 0 for none.
-    adaptive : bool
-        Whether η adapts and bad steps are taken back.
-    growth, decay : float
-        Factors of η after a good and after a bad step.
-    tolerance : float
-        Factor by which a step may raise the loss.
-    """
-
-    learning_rate: Annotated[float, Meta(gt=0)] = 0.05
-    momentum: Annotated[float, Meta(ge=0, lt=1)] = 0.0
-    adaptive: bool = False
+    learning_rate: Annotated[float, Meta(gt=0)] = 0.05  #: η at the start
+    momentum: Annotated[float, Meta(ge=0, lt=1)] = 0.0  #: μ; 0 for none
+    adaptive: bool = False  #: Whether η adapts and bad steps are taken back
+    #: ``growth``, ``decay``: Factors of η after a good and after a bad step
     growth: Annotated[float, Meta(ge=1)] = 1.05
     decay: Annotated[float, Meta(gt=0, lt=1)] = 0.7
-    tolerance: Annotated[float, Meta(ge=1)] = 1.04
+    tolerance: Annotated[float, Meta(ge=1)] = 1.04  #: Factor by which a step may raise the loss
 
     regularised: ClassVar[bool] = False
 

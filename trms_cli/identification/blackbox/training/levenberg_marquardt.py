@@ -26,17 +26,10 @@ _LEAST_DAMPING, _MOST_DAMPING = 1e-20, 1e10
 
 @dataclass(frozen=True, kw_only=True)
 class LevenbergMarquardt:
-    """Hagan & Menhaj's training.
+    """Hagan & Menhaj's training."""
 
-    Attributes
-    ----------
-    damping : float
-        μ at the start, per residual.
-    growth, decay : float
-        Factors of μ after a step that fails and after one that succeeds.
-    """
-
-    damping: Annotated[float, Meta(gt=0)] = 1e-3
+    damping: Annotated[float, Meta(gt=0)] = 1e-3  #: μ at the start, per residual
+    #: ``growth``, ``decay``: Factors of μ after a step that fails and after one that succeeds
     growth: Annotated[float, Meta(gt=1)] = 10.0
     decay: Annotated[float, Meta(gt=0, lt=1)] = 0.1
 

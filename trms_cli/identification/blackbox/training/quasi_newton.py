@@ -37,14 +37,9 @@ class Bfgs:
 
 @dataclass(frozen=True, kw_only=True)
 class OneStepSecant:
-    """Battiti's memoryless BFGS with a strong Wolfe line search.
+    """Battiti's memoryless BFGS with a strong Wolfe line search."""
 
-    Attributes
-    ----------
-    curvature : float
-        Largest share of the slope along the line that a search leaves.
-    """
-
+    #: Largest share of the slope along the line that a search leaves
     curvature: Annotated[float, Meta(gt=0, lt=1)] = 0.4
 
     regularised: ClassVar[bool] = False

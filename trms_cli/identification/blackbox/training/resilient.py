@@ -21,21 +21,15 @@ from trms_cli.identification.blackbox.training.training import Report
 
 @dataclass(frozen=True, kw_only=True)
 class Resilient:
-    """RPROP.
+    """RPROP."""
 
-    Attributes
-    ----------
-    first_step, least_step, most_step : float
-        Step of each weight at the start and its bounds.
-    growth, decay : float
-        η⁺ and η⁻.
-    """
-
+    #: ``first_step``, ``least_step``, ``most_step``: Step of each weight at the start and its
+    #: bounds
     first_step: Annotated[float, Meta(gt=0)] = 0.01
     least_step: Annotated[float, Meta(gt=0)] = 1e-7
     most_step: Annotated[float, Meta(gt=0)] = 5.0
-    growth: Annotated[float, Meta(gt=1)] = 1.2
-    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.5
+    growth: Annotated[float, Meta(gt=1)] = 1.2  #: η⁺ and η⁻
+    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.5  #: η⁺ and η⁻
 
     regularised: ClassVar[bool] = False
 

@@ -24,18 +24,11 @@ _MOST_SCALE = 1e15
 
 @dataclass(frozen=True, kw_only=True)
 class ScaledConjugateGradient:
-    """Møller's algorithm.
+    """Møller's algorithm."""
 
-    Attributes
-    ----------
-    difference : float
-        σ, length of the step for the second derivative.
-    first_scale : float
-        λ at the start.
-    """
-
+    #: σ, length of the step for the second derivative
     difference: Annotated[float, Meta(gt=0, le=1e-2)] = 5e-5
-    first_scale: Annotated[float, Meta(gt=0, le=1e-2)] = 5e-7
+    first_scale: Annotated[float, Meta(gt=0, le=1e-2)] = 5e-7  #: λ at the start
 
     regularised: ClassVar[bool] = False
 

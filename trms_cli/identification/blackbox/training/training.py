@@ -50,10 +50,7 @@ class Report(Protocol):
         """Take note of the weights, the loss, the norm of its gradient and, of a regularised
         training, the effective number of parameters.
 
-        Raises
-        ------
-        TrainingStopped
-            When it is time to end.
+        Raises TrainingStopped when it is time to end.
         """
         ...
 
@@ -71,41 +68,25 @@ class TrainingAlgorithm(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Stopping:
-    """When a training ends.
+    """When a training ends."""
 
-    Attributes
-    ----------
-    epochs : int
-        At the most.
-    gradient : float
-        Ends below this norm of the loss's gradient.
-    progress : float
-        Ends when the loss has changed by less than this share of itself over 20 epochs.
-    goal : float
-        Ends below this loss.
-    patience : int
-        Epochs without a lower validation error until it ends; 0: no early stopping.
-    """
-
-    epochs: Annotated[int, Meta(ge=1)] = 300
-    gradient: Annotated[float, Meta(ge=0)] = 1e-7
+    epochs: Annotated[int, Meta(ge=1)] = 300  #: At the most
+    gradient: Annotated[float, Meta(ge=0)] = 1e-7  #: Ends below this norm of the loss's gradient
+    #: Ends when the loss has changed by less than this share of itself over 20 epochs
     progress: Annotated[float, Meta(ge=0)] = 1e-7
-    goal: Annotated[float, Meta(ge=0)] = 0.0
+    goal: Annotated[float, Meta(ge=0)] = 0.0  #: Ends below this loss
+    #: Epochs without a lower validation error until it ends; 0: no early stopping
     patience: Annotated[int, Meta(ge=0)] = 20
 
 
 @dataclass(frozen=True)
 class History:
-    """A training epoch by epoch; entry 0 is the start.
+    """A training epoch by epoch; entry 0 is the start."""
 
-    Attributes
-    ----------
-    seconds, losses, validation, slopes, effective : lists of float
-        Processor time since the start (without what validation takes), mean squared residuals of
-        the fitted data and of the validation data (NaN where there are none), norm of the
-        gradient, effective number of parameters (NaN where not known).
-    """
-
+    #: ``seconds``, ``losses``, ``validation``, ``slopes``, ``effective``: lists of float; processor
+    #: time since the start (without what validation takes), mean squared residuals of the fitted
+    #: data and of the validation data (NaN where there are none), norm of the gradient, effective
+    #: number of parameters (NaN where not known)
     seconds: list[float] = field(default_factory=list)
     losses: list[float] = field(default_factory=list)
     validation: list[float] = field(default_factory=list)
@@ -119,24 +100,15 @@ class History:
 
 @dataclass(frozen=True)
 class Training:
-    """What a training gave.
+    """What a training gave."""
 
-    Attributes
-    ----------
-    theta : (P,) array
-        Weights of the smallest validation error where early stopping is on, of the smallest loss
-        where it is not; of a training that regularises itself the last, for its loss alone is
-        not what it reduces.
-    history : History
-    outcome : Outcome
-    best_epoch : int
-        The epoch whose weights are kept.
-    """
-
+    #: (P,) array; weights of the smallest validation error where early stopping is on, of the
+    #: smallest loss where it is not; of a training that regularises itself the last, for its loss
+    #: alone is not what it reduces
     theta: FloatArray
     history: History
     outcome: Outcome
-    best_epoch: int
+    best_epoch: int  #: The epoch whose weights are kept
 
 
 #: Told after each epoch: the epoch, the loss, the validation loss. May raise KeyboardInterrupt.

@@ -22,18 +22,11 @@ _UNSETTLED = ", which exists where there are steps and every one settles"
 
 @dataclass(frozen=True)
 class Tried:
-    """What came of a trial.
+    """What came of a trial."""
 
-    Attributes
-    ----------
-    figures : dict of str to float
-        Objectives and limited figures over its conditions; empty for a trial that failed.
-    problem : str
-        Why it failed.
-    """
-
+    #: Objectives and limited figures over its conditions; empty for a trial that failed
     figures: Mapping[str, float] = field(default_factory=dict)
-    problem: str = ""
+    problem: str = ""  #: Why it failed
 
     @property
     def failed(self) -> bool:
@@ -43,27 +36,14 @@ class Tried:
 
 @dataclass(frozen=True)
 class Aims:
-    """Objectives and limits.
+    """Objectives and limits."""
 
-    Attributes
-    ----------
-    objectives : tuple of str
-        Names as scores have them.
-    maximised : frozenset of str
-        Those of which more is better.
-    limits : dict of str to float
-        Largest allowed value of figures, in each condition.
-    worst : bool
-        An objective is that of the worst condition, not the mean.
-    typed : tuple of str
-        Objectives and limited figures as they were typed, for messages.
-    """
-
-    objectives: tuple[str, ...]
-    maximised: frozenset[str] = frozenset()
+    objectives: tuple[str, ...]  #: Names as scores have them
+    maximised: frozenset[str] = frozenset()  #: Those of which more is better
+    #: Largest allowed value of figures, in each condition
     limits: Mapping[str, float] = field(default_factory=dict)
-    worst: bool = False
-    typed: tuple[str, ...] = ()
+    worst: bool = False  #: An objective is that of the worst condition, not the mean
+    typed: tuple[str, ...] = ()  #: Objectives and limited figures as they were typed, for messages
 
     def tried(self, results: Sequence[Result]) -> Tried:
         """A trial by the results of its conditions.
