@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trms_cli.core.chart import Axis, Chart, Panel, Points
-from trms_cli.stability.findings import Findings, Judged, Section, Table
+from trms_cli.core.findings import Findings, Judged, Section, Table
 from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.vector_field import VectorField
 

@@ -9,6 +9,7 @@ import pytest
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.chart import Note, as_data
 from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
+from trms_cli.core.findings import Findings
 from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.models.driven import DrivenModel
@@ -19,7 +20,6 @@ from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.tras import Tras
 from trms_cli.stability.equilibria.friction_band import Band
 from trms_cli.stability.equilibria.telling import band_words
-from trms_cli.stability.findings import Findings
 from trms_cli.stability.studies.equilibria import Equilibria
 from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import LoopParts, Subject

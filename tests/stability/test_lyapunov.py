@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.findings import Findings
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.inflow import Inflow
@@ -18,7 +19,6 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
-from trms_cli.stability.findings import Findings
 from trms_cli.stability.lyapunov import told
 from trms_cli.stability.lyapunov.certificate import Certificate, certified
 from trms_cli.stability.lyapunov.claims import Claim, identity_residual

@@ -14,6 +14,7 @@ from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.findings import Table
 from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
@@ -22,7 +23,6 @@ from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.observers.full_state import FullState
-from trms_cli.stability.findings import Table
 from trms_cli.stability.portraits.account import Told, lead_of_model
 from trms_cli.stability.portraits.drawing import Picture, has_field
 from trms_cli.stability.portraits.ends import ends_of

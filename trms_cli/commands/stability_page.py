@@ -9,10 +9,10 @@ from typing import Any
 
 from trms_cli.commands.stability_screen import subject_words
 from trms_cli.core.chart import Chart
+from trms_cli.core.findings import Findings, Judged, Table
 from trms_cli.reporting.chart_picture import picture_of
 from trms_cli.reporting.page import Marked, Page
 from trms_cli.reporting.style import house_style, save_png
-from trms_cli.stability.findings import Findings, Judged, Table
 
 
 def write_page(
@@ -48,7 +48,7 @@ def page_of(document: Mapping[str, Any], findings: Findings, folder: Path) -> Pa
                         block.caption,
                         heads=block.heads,
                     )
-                else:
+                elif isinstance(block, Chart):
                     _figure(page, block, folder)
     return page
 

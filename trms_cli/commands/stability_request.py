@@ -13,8 +13,8 @@ from trms_cli.commands.recording_request import model_of
 from trms_cli.commands.run_assembly import check_out, number, versions
 from trms_cli.core.chart import as_data
 from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.core.findings import Findings, Judged, Table
 from trms_cli.core.plugins import TARGET, build
-from trms_cli.stability.findings import Findings, Judged, Table
 from trms_cli.stability.study import Study
 from trms_cli.stability.subject import LoopParts, Subject, effects_of
 

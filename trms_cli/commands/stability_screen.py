@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.core.findings import Findings, Judged, Table
 from trms_cli.reporting.page import shown_cell
-from trms_cli.stability.findings import Findings, Judged, Table
 
 if TYPE_CHECKING:
     from trms_cli.commands.composition import Composition

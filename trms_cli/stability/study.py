@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-from trms_cli.stability.findings import Findings
+from trms_cli.core.findings import Findings
 from trms_cli.stability.subject import Subject
 
 #: Told what is being done, in a few words; may be called as often as one likes.

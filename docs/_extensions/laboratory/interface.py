@@ -62,7 +62,7 @@ SUBJECTS: dict[str, Subject] = {
     "study": Subject(
         "Study",
         "A question to a model or a loop.",
-        ("trms_cli.stability.study", "trms_cli.stability.findings", "trms_cli.stability.subject"),
+        ("trms_cli.stability.study", "trms_cli.core.findings", "trms_cli.stability.subject"),
     ),
     "errors": Subject(
         "Errors",

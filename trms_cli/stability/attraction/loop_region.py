@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
+from trms_cli.core.findings import Block, Findings, Judged, Section, Table
 from trms_cli.stability.attraction import report
 from trms_cli.stability.attraction.inquiry import (
     Options,
@@ -23,7 +24,6 @@ from trms_cli.stability.attraction.linear_law import LinearLaw, LinearLawLoop, l
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.attraction.truth import Share, share_of
 from trms_cli.stability.closed_loop import run_loop
-from trms_cli.stability.findings import Findings, Judged, Section, Table
 from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
@@ -188,7 +188,7 @@ def _told(
         "Runs of the loop start with the observer and the controller at rest; mechanical stops do "
         "not act."
     ]
-    blocks: list[Table | Chart] = []
+    blocks: list[Block] = []
     if found is not None:
         said += _law_lead(found, inside)
         blocks = [*report.sections(found)[0].blocks]

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.chart import Chart
+from trms_cli.core.findings import Judged, Section, Table
 from trms_cli.stability.attraction.charts import plane_chart
 from trms_cli.stability.attraction.estimates import LABELS, Estimate
 from trms_cli.stability.attraction.inquiry import Region, Verdict
 from trms_cli.stability.attraction.system import written
 from trms_cli.stability.attraction.truth import Share
-from trms_cli.stability.findings import Judged, Section, Table
 
 METHOD = (
     "With y the deviation from the equilibrium, V falls along the motions in each of the sets and "

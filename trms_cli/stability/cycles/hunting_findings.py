@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.chart import Chart
+from trms_cli.core.findings import Findings, Judged, Section, Table, Value
 from trms_cli.models.model import Model
 from trms_cli.stability.cycles.friction_law import Friction
 from trms_cli.stability.cycles.hunting_charts import (
@@ -24,7 +25,6 @@ from trms_cli.stability.cycles.hunting_prediction import Harmonics, Prediction
 from trms_cli.stability.cycles.hunting_runs import Watched
 from trms_cli.stability.cycles.orbit_charts import symbol
 from trms_cli.stability.cycles.stick_slip import StickSlip
-from trms_cli.stability.findings import Findings, Judged, Section, Table, Value
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trms_cli.core.chart import Chart
+from trms_cli.core.findings import Findings, Judged, Section, Table, Value
 from trms_cli.stability.cycles.branch import Branch
 from trms_cli.stability.cycles.found_orbits import Found, results_of
 from trms_cli.stability.cycles.hopf import Hopf
@@ -12,7 +13,6 @@ from trms_cli.stability.cycles.orbit_charts import diagram, multipliers, plane, 
 from trms_cli.stability.cycles.over_command import OverCommand
 from trms_cli.stability.cycles.search import Fate, Search
 from trms_cli.stability.cycles.shooting import Orbit
-from trms_cli.stability.findings import Findings, Judged, Section, Table, Value
 from trms_cli.stability.local.linear import Linear
 
 #: Orbits with a multiplier along themselves that is further from 1 are told with a warning.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from trms_cli.core.findings import Judged, Table, Value
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.stability.equilibria.charts import symbol
 from trms_cli.stability.equilibria.completeness import Piece
@@ -14,7 +15,6 @@ from trms_cli.stability.equilibria.friction_band import Band
 from trms_cli.stability.equilibria.landmarks import Landmark, state_of
 from trms_cli.stability.equilibria.named_points import NamedPoint
 from trms_cli.stability.equilibria.survey import Survey
-from trms_cli.stability.findings import Judged, Table, Value
 from trms_cli.stability.local.linear import Linear
 
 _MOST_PIECES = 7

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.findings import Judged, Judgement, Section, Table, Value
 from trms_cli.models.model import Model
-from trms_cli.stability.findings import Judged, Judgement, Section, Table, Value
 from trms_cli.stability.local.access_charts import loss_chart, torque_chart, volts_chart
 from trms_cli.stability.local.entries import state_words
 from trms_cli.stability.local.found import Along, Found

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.chart import Axis
-from trms_cli.stability.findings import Judged, Section, Table
+from trms_cli.core.findings import Judged, Section, Table
 from trms_cli.stability.local.charts import over_range, plane
 from trms_cli.stability.local.crossings import Crossing
 from trms_cli.stability.local.map import StabilityMap

@@ -9,7 +9,7 @@ import numpy as np
 
 from trms_cli.core.chart import Axis, Chart, Contour, Line, Mark, Panel, Points, Region
 from trms_cli.core.errors import TrmsError
-from trms_cli.stability.findings import Section, Table
+from trms_cli.core.findings import Section, Table
 from trms_cli.stability.local.crossings import crossings
 from trms_cli.stability.local.map import StabilityMap
 from trms_cli.stability.local.sweep import Path, swept

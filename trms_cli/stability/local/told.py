@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from trms_cli.core.findings import Judged, Judgement, Table, Value
 from trms_cli.models.model import Model
-from trms_cli.stability.findings import Judged, Judgement, Table, Value
 from trms_cli.stability.local.crossings import Crossing
 from trms_cli.stability.local.linear import Switch
 from trms_cli.stability.local.modes import Mode, Modes

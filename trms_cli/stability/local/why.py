@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel
+from trms_cli.core.findings import Table
 from trms_cli.models.model import Model
-from trms_cli.stability.findings import Table
 from trms_cli.stability.local.entries import entry_symbol, entry_words, state_words
 from trms_cli.stability.local.modes import rate_of
 from trms_cli.stability.local.sensitivity import Loop, Sensitivity, loops_through, sensitivity

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from trms_cli.controllers.controller import Status
-from trms_cli.stability.findings import Findings, Judged, Judgement, Section, Table, Value
+from trms_cli.core.findings import Findings, Judged, Judgement, Section, Table, Value
 from trms_cli.stability.loops import margin_charts
 from trms_cli.stability.loops.crossings import Limit
 from trms_cli.stability.loops.disk_margin import DiskMargin

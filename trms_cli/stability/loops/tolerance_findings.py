@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from trms_cli.stability.findings import Findings, Judged, Section, Table, Value
+from trms_cli.core.findings import Findings, Judged, Section, Table, Value
 from trms_cli.stability.loops import tolerance_charts
 from trms_cli.stability.loops.impairments import Impairment
 from trms_cli.stability.loops.margin_findings import (

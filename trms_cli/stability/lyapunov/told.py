@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.findings import Judged, Judgement, Table, Value
+from trms_cli.core.findings import Judged, Judgement, Table, Value
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.certificate import Certificate
 from trms_cli.stability.lyapunov.claims import Claim

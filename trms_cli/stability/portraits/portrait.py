@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from trms_cli.core.chart import Chart
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.stability.findings import Findings
-from trms_cli.stability.findings import Section as Part
+from trms_cli.core.findings import Findings
+from trms_cli.core.findings import Section as Part
 from trms_cli.stability.portraits import account, captions, tables
 from trms_cli.stability.portraits.account import Told
 from trms_cli.stability.portraits.drawing import Picture, portrait

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.findings import Judged, Table
 from trms_cli.models.model import names
-from trms_cli.stability.findings import Judged, Table
 from trms_cli.stability.portraits.account import Told, label, place, seconds, short
 from trms_cli.stability.portraits.coordinates import symbol
 from trms_cli.stability.portraits.ends import NEAR, End

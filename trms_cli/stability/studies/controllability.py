@@ -10,8 +10,8 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model
-from trms_cli.stability.findings import Findings
 from trms_cli.stability.local.access import gramians, mode_access, reach_along, volts_table
 from trms_cli.stability.local.access_data import data_of
 from trms_cli.stability.local.access_told import lead_of, sections_of, warnings_of

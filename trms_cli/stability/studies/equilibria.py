@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from trms_cli.core.chart import Chart
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
 from trms_cli.stability.equilibria.charts import curves_chart, map_chart, shown_signals, symbol
@@ -33,7 +34,6 @@ from trms_cli.stability.equilibria.telling import (
     switch_words,
     undecided_words,
 )
-from trms_cli.stability.findings import Findings, Section, Table
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject

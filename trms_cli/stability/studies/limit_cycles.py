@@ -9,6 +9,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.findings import Findings
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import names
 from trms_cli.stability.cycles.absence import absence
@@ -23,7 +24,6 @@ from trms_cli.stability.cycles.search import (
 )
 from trms_cli.stability.cycles.shooting import Shooting
 from trms_cli.stability.cycles.usual_point import not_level, usual_point
-from trms_cli.stability.findings import Findings
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 

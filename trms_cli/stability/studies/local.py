@@ -11,8 +11,8 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.chart import Axis
+from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.models.model import Model, names
-from trms_cli.stability.findings import Findings, Section, Table
 from trms_cli.stability.local.asked import line_of
 from trms_cli.stability.local.charts import over_range, plane, points_alone
 from trms_cli.stability.local.crossings import Crossing, crossings

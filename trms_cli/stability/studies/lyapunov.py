@@ -11,7 +11,7 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.core.chart import Chart
-from trms_cli.stability.findings import Findings, Section, Table
+from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.stability.lyapunov import pictures, told
 from trms_cli.stability.lyapunov.certificate import Certificate, certified
 from trms_cli.stability.lyapunov.claims import Claim

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from trms_cli.stability.findings import Findings
+from trms_cli.core.findings import Findings
 from trms_cli.stability.loops.frequency_response import Analyser, NotHeld
 from trms_cli.stability.loops.margin_findings import findings_of, not_held
 from trms_cli.stability.loops.margins import Margins as LoopMargins

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from trms_cli.stability.findings import Findings
+from trms_cli.core.findings import Findings
 from trms_cli.stability.portraits.portrait import Wish, portrait_of_loop, portrait_of_model
 from trms_cli.stability.portraits.section import section_of
 from trms_cli.stability.portraits.window import checked_window

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model
-from trms_cli.stability.findings import Findings
 from trms_cli.stability.local.asked import line_of
 from trms_cli.stability.local.crossings import Crossing, crossings
 from trms_cli.stability.local.linear import Side

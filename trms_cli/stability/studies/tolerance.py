@@ -9,8 +9,8 @@ from typing import Annotated
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.findings import Findings
 from trms_cli.core.plugins import nearest
-from trms_cli.stability.findings import Findings
 from trms_cli.stability.loops.frequency_response import Analyser, NotHeld
 from trms_cli.stability.loops.impairments import impairments_of
 from trms_cli.stability.loops.margin_findings import condition_of, not_held

@@ -1,0 +1,142 @@
+"""What a command has to tell: sentences, figures, tables, charts and what to type next, as data.
+
+Screen, page, pictures, notebook and JSON document are views of the same findings
+(:mod:`trms_cli.reporting`), so that no two of them can differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from trms_cli.core.chart import Chart
+
+#: A judgement on a cell: coloured where there is colour, told by the text too.
+Judgement = Literal["good", "bad", "doubtful", ""]
+Value = str | float | int | None
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A value with a judgement on it."""
+
+    value: Value  #: What is shown
+    judgement: Judgement = ""  #: How it is coloured
+    sd: float | None = None  #: Standard deviation, to whose second digit the value is shown
+
+
+Cell = Value | Judged
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table."""
+
+    columns: Sequence[str]  #: Heads with units: ``α_v [rad]``
+    rows: Sequence[Sequence[Cell]]  #: None for what does not exist
+    caption: str = ""
+    heads: int = 1  #: Columns on the left that name the row
+    on_screen: bool = True  #: Whether the terminal shows it; page and document always have it
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a :func:`table`: its head, and how a row's cell is had from an item."""
+
+    head: str  #: With its unit: ``rate [rad/s]``
+    cell: str | Callable[[Any], Cell]  #: Name of an attribute or key, or a function of the item
+
+
+def table(items: Iterable[Any], columns: Sequence[Column], caption: str = "", **how: Any) -> Table:
+    """A table with a row an item.
+
+    Parameters
+    ----------
+    items : iterable
+        Objects with attributes, or mappings.
+    columns : sequence of Column
+    **how
+        ``heads``, ``on_screen``: as of :class:`Table`.
+    """
+    rows = [[_cell(item, column.cell) for column in columns] for item in items]
+    return Table([column.head for column in columns], rows, caption, **how)
+
+
+def _cell(item: Any, cell: str | Callable[[Any], Cell]) -> Cell:
+    if callable(cell):
+        return cell(item)
+    value: Cell = item.get(cell) if isinstance(item, Mapping) else getattr(item, cell)
+    return value
+
+
+@dataclass(frozen=True)
+class Command:
+    """A line to be typed next."""
+
+    text: str  #: ``trms score first/run.mcap``
+    why: str = ""  #: What it is good for
+
+
+@dataclass(frozen=True)
+class Details:
+    """Text as it stands (a configuration, a log), folded away where that is possible."""
+
+    summary: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One of the few figures that come first: ``RMSE pitch  0.134 rad``."""
+
+    label: str
+    value: Value
+    unit: str = ""
+    judgement: Judgement = ""
+    note: str = ""  #: The condition: ``worst of 4 steps``
+
+
+Block = Table | Chart | Command | Details
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the findings."""
+
+    heading: str
+    text: Sequence[str] = ()  #: Paragraphs: the method, what the figures mean, what they do not
+    blocks: Sequence[Block] = ()  #: In order
+    folded: bool = False  #: Whether a page shows the heading alone until it is opened
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a command has to tell."""
+
+    title: str  #: ``Equilibria``
+    #: What a colleague would say of it: the answer first, a sentence each, figures with units
+    lead: Sequence[str]
+    sections: Sequence[Section] = ()
+    #: The result as JSON data (SI units; plain lists, dicts, numbers, text), which a program reads:
+    #: keys are part of the command's contract. Numbers must be finite or None.
+    results: Mapping[str, Any] = field(default_factory=dict)
+    warnings: Sequence[str] = ()  #: What limits the answer
+    measures: Sequence[Measure] = ()  #: The few figures that come first
+    facts: Mapping[str, str] = field(default_factory=dict)  #: Circumstances, by name: model, date
+    files: Mapping[str, Path] = field(default_factory=dict)  #: What was written, by what it is
+    next: Sequence[Command] = ()  #: What to type next
+
+    @property
+    def charts(self) -> tuple[Chart, ...]:
+        """All figures, in order."""
+        return tuple(block for block in self._blocks() if isinstance(block, Chart))
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """All tables, in order."""
+        return tuple(block for block in self._blocks() if isinstance(block, Table))
+
+    def _blocks(self) -> Iterator[Block]:
+        return (block for section in self.sections for block in section.blocks)
