@@ -1,0 +1,74 @@
+"""Numbers and names in words: one way of writing each."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trms_cli.core import wording
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"), (math.nan, "–"), (math.inf, "∞"), (-math.inf, "−∞"), (0.0, "0"), (7, "7"),
+        (-3, "−3"), (0.12345, "0.123"), (-0.5, "−0.5"), (1234.5, "1234"), (99_999.0, "99999"),
+        (1e5, "1.00e05"), (-2.5e-4, "−2.50e−04"), (100.0, "100"),
+    ],
+)  # fmt: skip
+def test_a_number_has_three_digits_and_a_true_minus(value, text):
+    assert wording.number(value) == text
+
+
+def test_a_number_with_a_deviation_goes_to_its_second_digit():
+    assert wording.number(1.23456, sd=0.0123) == "1.235"
+    assert wording.number(1.2, sd=0.0012) == "1.2000"
+
+
+@given(st.floats(min_value=-1e4, max_value=1e4))
+def test_a_number_reads_back_to_its_digits(value):
+    text = wording.number(value).replace("−", "-")
+    assert float(text) == pytest.approx(value, rel=6e-3, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(0.0, "0 %"), (1.0, "100 %"), (0.9999, "over 99 %"), (1e-9, "under 1 %"), (0.456, "46 %"),
+     (-0.1, "−10 %"), (4.56, "456 %"), (math.nan, "–"), (None, "–")],
+)  # fmt: skip
+def test_a_share_is_never_rounded_to_all_or_nothing(share, text):
+    assert wording.percent(share) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"),
+    [("N*m*s^2", "N m s²"), ("1", ""), ("", ""), ("kg m²", "kg m²"), ("V^2*s", "V² s"),
+     ("rad/s^2", "rad/s²"), ("s^-1", "s⁻¹")],
+)  # fmt: skip
+def test_units_are_printed_one_way(unit, text):
+    assert wording.unit(unit) == text
+
+
+def test_names_are_listed_as_prose_does():
+    assert wording.listing([]) == ""
+    assert wording.listing(["a"]) == "a"
+    assert wording.listing(["a", "b"], "or") == "a or b"
+    assert wording.listing(["a", "b", "c"]) == "a, b and c"
+    assert wording.listing(["a", "b", "c", "d"], most=2) == "a, b and 2 more"
+
+
+def test_counts_and_names_and_times():
+    assert wording.count(1, "step") == "1 step"
+    assert wording.count(0, "step") == "no step"
+    assert wording.count(2, "deadline missed", "deadlines missed") == "2 deadlines missed"
+    assert wording.signal("alpha_v") == "pitch"
+    assert wording.readable("yaw_coulomb_friction") == "yaw Coulomb friction"
+    assert wording.interval(0.1, 0.25, "rad") == "0.1 to 0.25 rad"
+    assert wording.percent_interval(0.182, 0.456) == "18 to 46 %"
+    assert wording.titled("friction", "N*m") == "friction [N m]"
+    assert [wording.seconds(s) for s in (0.25, 12.34, 250.0, 7500.0)] == [
+        "250 ms", "12.3 s", "4 min 10 s", "2 h 05 min",
+    ]  # fmt: skip

@@ -1,0 +1,154 @@
+"""Numbers, intervals, units and names as a person reads them, the same on screen and page.
+
+Each value has one way of being written: three digits, a true minus, a dash for what does not
+exist, ``N m`` for ``N*m``, *pitch* for ``alpha_v``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from types import MappingProxyType
+
+MISSING = "–"
+
+#: What the channels of the twin rotor are called in words.
+SIGNALS = MappingProxyType(
+    {
+        "alpha_v": "pitch",
+        "alpha_h": "yaw",
+        "omega_v": "main rotor",
+        "omega_h": "tail rotor",
+        "u_v": "main rotor",
+        "u_h": "tail rotor",
+    }
+)
+_SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+_PROPER = (("coulomb", "Coulomb"), ("stribeck", "Stribeck"))
+
+
+def number(value: float | int | None, digits: int = 3, *, sd: float | None = None) -> str:
+    """A number with a few digits; a dash for None and NaN.
+
+    Parameters
+    ----------
+    value : float, int or None
+        Whole numbers are written out.
+    digits : int
+        Significant digits.
+    sd : float or None
+        Standard deviation, to whose second digit the value is then written: at least `digits`,
+        at most six.
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return MISSING
+    if isinstance(value, float):
+        if math.isinf(value):
+            return "∞" if value > 0 else "−∞"
+        known = _known_digits(value, sd, digits)
+        if value != 0 and not 1e-3 <= abs(value) < 1e5:
+            return f"{value:.{known - 1}e}".replace("-", "−").replace("e+", "e")
+        if known > digits:  # the zeros at the end are known ones
+            text = f"{value:#.{known}g}".rstrip(".")
+        else:
+            whole = abs(value) >= 10**digits
+            text = f"{value:.0f}" if whole else f"{value:.{digits}g}"
+        return text.replace("-", "−")
+    return str(value).replace("-", "−")
+
+
+def _known_digits(value: float, sd: float | None, digits: int) -> int:
+    """Digits down to the second one of a standard deviation, at most six."""
+    if not value or not sd or not math.isfinite(sd):
+        return digits
+    known = math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2
+    return min(max(known, digits), 6)
+
+
+def cell(value: str | float | int | None, sd: float | None = None) -> str:
+    """What stands in a cell of a table: text as it is, numbers as of :func:`number`."""
+    return value if isinstance(value, str) else number(value, sd=sd)
+
+
+def unit(text: str) -> str:
+    """A unit as it is printed: ``N*m*s^2`` as ``N m s²``; nothing for ``1``."""
+    if text in ("", "1"):
+        return ""
+    raised = re.sub(r"(?:\^|\*\*)(-?\d+)", lambda m: m[1].translate(_SUPERSCRIPTS), text)
+    return raised.replace("*", " ")
+
+
+def quantity(value: float | int | None, unit_text: str, digits: int = 3) -> str:
+    """A number with its unit."""
+    return f"{number(value, digits)} {unit(unit_text)}".rstrip()
+
+
+def titled(label: str, unit_text: str = "") -> str:
+    """The head of a column or an axis: ``RMSE [rad]``."""
+    shown = unit(unit_text)
+    return f"{label} [{shown}]" if shown else label
+
+
+def percent(share: float | None, decimals: int = 0) -> str:
+    """A share in per cent, never rounded up to all or down to nothing."""
+    if share is None or math.isnan(share):
+        return MISSING
+    value, step = 100 * share, 10.0**-decimals
+    if share < 1 and round(value, decimals) >= 100:
+        return f"over {100 - step:.{decimals}f} %"
+    if share > 0 and round(value, decimals) == 0:
+        return f"under {step:.{decimals}f} %"
+    return f"{value:.{decimals}f} %".replace("-", "−")
+
+
+def interval(low: float, high: float, unit_text: str = "", digits: int = 3) -> str:
+    """Two ends: ``0.12 to 0.15 rad``."""
+    return f"{number(low, digits)} to {quantity(high, unit_text, digits)}"
+
+
+def percent_interval(low: float, high: float) -> str:
+    """An interval of a share: ``18 to 46 %``."""
+    return f"{percent(low).removesuffix(' %')} to {percent(high)}"
+
+
+def listing(names: Sequence[str], word: str = "and", most: int | None = None) -> str:
+    """Names as prose lists them: ``a, b and c``; beyond `most`, how many more there are."""
+    shown = list(names)
+    if most is not None and len(shown) > most:
+        shown = [*shown[:most], f"{len(shown) - most} more"]
+    if len(shown) < 2:
+        return "".join(shown)
+    return f"{', '.join(shown[:-1])} {word} {shown[-1]}"
+
+
+def count(amount: int, noun: str, plural: str = "") -> str:
+    """``1 step``, ``2 steps``, ``no step``."""
+    if amount == 1:
+        return f"1 {noun}"
+    return f"{amount or 'no'} {plural or noun + 's' if amount else noun}"
+
+
+def signal(name: str) -> str:
+    """What a channel is called in words: ``alpha_v`` is pitch; others keep their name."""
+    return SIGNALS.get(name, name)
+
+
+def readable(name: str) -> str:
+    """A plugin's name as prose has it: ``yaw_coulomb_friction`` as yaw Coulomb friction."""
+    words = name.replace("_", " ")
+    for plain, proper in _PROPER:
+        words = words.replace(plain, proper)
+    return words
+
+
+def seconds(value: float) -> str:
+    """A duration: ``820 ms``, ``12.3 s``, ``4 min 10 s``, ``2 h 05 min``."""
+    if value < 1:
+        return f"{1e3 * value:.3g} ms"
+    if value < 60:
+        return f"{value:.3g} s"
+    minutes, rest = divmod(round(value), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
