@@ -21,8 +21,8 @@ FULL_STATE = ("observer=full_state", "plant=ideal")
 
 def experiment(*overrides: str) -> Experiment:
     """What ``trms run`` would run with these overrides."""
-    from trms_cli.commands.composition import compose
     from trms_cli.commands.run_assembly import experiment_of
+    from trms_cli.composition.composer import compose
 
     return experiment_of(compose(list(overrides)).config)
 

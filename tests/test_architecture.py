@@ -26,6 +26,7 @@ LEVELS = [
     {"controllers", "observers", "references", "effects"},
     {"simulation", "plants"},
     {"gap", "identification", "stability", "reporting", "scoring", "runs", "sweeps"},
+    {"composition"},
     {"commands"},
     {"library"},
     {"cli", "__main__"},
@@ -35,8 +36,8 @@ READERS_OF_RECORDINGS = {"commands", "library", "plants", "references", "runs", 
 
 # Who may import what, everywhere in a module, inside functions too.
 RESTRICTED = {
-    "hydra": {"commands"},
-    "omegaconf": {"commands"},
+    "hydra": {"composition"},
+    "omegaconf": {"composition"},
     "rich": {"commands"},
     "matplotlib": {"reporting"},
     "mcap": {"recordings"},
@@ -162,12 +163,12 @@ class TestConfiguration:
     """Rules for each YAML that travels with the program."""
 
     def test_begins_with_its_description(self, file):
-        from trms_cli.commands.catalogue import first_comment
+        from trms_cli.composition.catalogue import first_comment
 
         assert len(first_comment(file)) >= 10
 
     def test_its_class_is_there(self, file):
-        from trms_cli.commands.catalogue import read_yaml
+        from trms_cli.composition.catalogue import read_yaml
         from trms_cli.core.plugins import TARGET, locate
 
         nodes = [read_yaml(file)]
@@ -194,7 +195,7 @@ class TestConfiguration:
 
 
 def test_every_option_of_the_groups_has_a_line_for_trms_list():
-    from trms_cli.commands.catalogue import read_groups
+    from trms_cli.composition.catalogue import read_groups
 
     for options in read_groups().values():
         for option in options.values():
@@ -202,7 +203,7 @@ def test_every_option_of_the_groups_has_a_line_for_trms_list():
 
 
 def test_the_defaults_of_run_are_explained_and_exist():
-    from trms_cli.commands.catalogue import read_groups, read_primary
+    from trms_cli.composition.catalogue import read_groups, read_primary
 
     declared, groups = read_primary("run"), read_groups()
     for group, option in declared.defaults.items():

@@ -109,7 +109,7 @@ def _dispatch(arguments: list[str]) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     module = load_command(word)
     if any(text.partition("=")[0] == "--allow" for text in rest):
-        from trms_cli.commands.catalogue import take_allowed
+        from trms_cli.composition.catalogue import take_allowed
 
         rest = take_allowed(rest)  # here alone: words that a log or a file holds allow nothing
     if "--help" in rest or "-h" in rest:
@@ -140,7 +140,7 @@ def help_text(module: ModuleType) -> str:
     text = str(module.HELP).strip("\n") + "\n"
     primary = getattr(module, "COMPOSES", None)
     if primary is not None:
-        from trms_cli.commands.catalogue import describe_choices
+        from trms_cli.commands.list_ import describe_choices
 
         text += "\n" + describe_choices(primary)
         if "--multirun" in text:
@@ -161,7 +161,7 @@ def overview(*, try_these: bool) -> str:
 
 
 def _try_lines() -> str:
-    from trms_cli.commands.invocation import program
+    from trms_cli.core.invocation import program
 
     return TRY.replace("  trms ", f"  {program()} ")
 
@@ -199,7 +199,7 @@ def _describe_bug(error: Exception, arguments: Sequence[str]) -> str:
     import shlex
     import traceback
 
-    from trms_cli.commands.invocation import program
+    from trms_cli.core.invocation import program
 
     frame = traceback.extract_tb(error.__traceback__)[-1]
     command = f"{program()} {shlex.join(['--debug', *arguments])}"

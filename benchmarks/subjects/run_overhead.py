@@ -20,7 +20,7 @@ from benchmarks.options import Options
 from benchmarks.setups import experiment
 from benchmarks.setups import run as run_in_memory
 from trms_cli.commands import run as command
-from trms_cli.commands.composition import Composition, compose
+from trms_cli.composition.composer import Composition, compose
 from trms_cli.simulation.closed_loop import Loop
 
 TITLE = "a run of 60 s with pid in a process that makes many"

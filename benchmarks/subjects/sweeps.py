@@ -87,8 +87,8 @@ def _add(table: Table, way: str, seconds: float, loop: float, limit: float) -> N
 
 def _loop(place: Path, words: list[str], count: int) -> float:
     """Time of a run in a plain loop, s."""
-    from trms_cli.commands.recomposition import recomposer
     from trms_cli.commands.run import perform
+    from trms_cli.composition.recomposition import recomposer
 
     composer = recomposer("run", ())
     begin = time.perf_counter()

@@ -7,9 +7,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from trms_cli.commands.composition import compose
 from trms_cli.commands.validate_pictures import correlation_rows, error_growths, free_run_traces
 from trms_cli.commands.validate_request import validation_of
+from trms_cli.composition.composer import compose
 from trms_cli.identification.validation.validate import validate_all
 from trms_cli.reporting.style import save_png
 from trms_cli.reporting.validation_figures import free_run_figure, growth_figure, region_figure

@@ -67,7 +67,7 @@ def run_case(
 def recorded(words: Sequence[str], folder: Path) -> Path:
     """The folder of a run."""
     from trms_cli.commands import run
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     with _silence():
         run.perform(compose([*words, "picture=false", f"out='{folder}'"]))
@@ -77,8 +77,8 @@ def recorded(words: Sequence[str], folder: Path) -> Path:
 def _fit(
     outcome: CaseOutcome, method: str, words: Sequence[str], fit: Path, held_out: Path
 ) -> None:
-    from trms_cli.commands.composition import compose
     from trms_cli.commands.identify_request import identification_of
+    from trms_cli.composition.composer import compose
     from trms_cli.identification.population.simulation_cost import SimulationCost
 
     overrides = [f"real='{fit}'", f"validation.real='{held_out}'", "jobs=1"]

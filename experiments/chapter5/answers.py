@@ -25,7 +25,7 @@ COUNT = "#"
 def answer(question: Question, pictures: str | None) -> dict[str, Any]:
     """The document of one question; its pictures are kept in a folder, if there is one."""
     from trms_cli.commands import stability
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     with tempfile.TemporaryDirectory(prefix="trms-chapter5-") as scratch:
         folder = Path(scratch, "answer")

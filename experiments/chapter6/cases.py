@@ -68,7 +68,7 @@ def study_cases(study: Cases) -> list[Run]:
 def run_case(name: str, case: Case, controller: str, words: list[str], duration: float) -> Run:
     """One of them, exactly as ``trms run`` does it."""
     from trms_cli.commands import run
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
     from trms_cli.recordings.log_reader import read_log
 
     with tempfile.TemporaryDirectory(prefix="trms-chapter6-") as scratch:

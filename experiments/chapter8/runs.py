@@ -83,7 +83,7 @@ def cases(study: Study, *, quick: bool = False) -> list[Case]:
 def run_case(case: Case) -> Ran:
     """Run a case into a folder that is thrown away."""
     from trms_cli.commands import run
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
     from trms_cli.recordings.log_reader import read_log
 
     with tempfile.TemporaryDirectory(prefix="trms-chapter8-") as scratch:

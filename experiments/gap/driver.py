@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import Controller, ControlSample, ControlSetup
 from trms_cli.core.plugins import build
 from trms_cli.gap.blind.rig import COMMAND_LIMIT, PITCH_QUANTUM, SPEED_NOISE, SPEED_QUANTUM

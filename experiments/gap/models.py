@@ -23,7 +23,7 @@ def identified(recording: Path, out: Path, effect: str = "") -> Path:
         Of the fitted model; an earlier fit in the same folder is taken.
     """
     from trms_cli.commands import identify
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     model = out / identify.MODEL_NAME
     if not model.exists():
@@ -45,7 +45,7 @@ def diagnosed(recordings: Sequence[Path], out: Path, words: Sequence[str] = ()) 
         taken.
     """
     from trms_cli.commands import diagnose
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     if not (out / "corrected_model.yaml").exists():
         real = ",".join(f"'{path}'" for path in recordings)

@@ -159,7 +159,7 @@ def commands_of(command: str, scratch: Path, sample_time: float) -> FloatArray:
 
 def _designed(words: Sequence[str], scratch: Path) -> tuple[FloatArray, FloatArray]:
     from trms_cli.commands import excite
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     excite.perform(compose(words, "excite"))
     lines = (scratch / excite.TABLE_NAME).read_text(encoding="utf-8").splitlines()
@@ -171,8 +171,8 @@ def _designed(words: Sequence[str], scratch: Path) -> tuple[FloatArray, FloatArr
 
 def _played(words: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """The signals of an open-loop controller; the run itself is the rig's."""
-    from trms_cli.commands.composition import compose
     from trms_cli.commands.run_assembly import experiment_of
+    from trms_cli.composition.composer import compose
     from trms_cli.controllers.controller import ControlSample, ControlSetup
     from trms_cli.observers.observer import Estimate
 

@@ -38,7 +38,7 @@ class Outcome:
 def run_case(case: Case) -> Outcome:
     """Compose a case and run it into a folder that is thrown away; never raises but on Ctrl-C."""
     from trms_cli.commands import run
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     begin = perf_counter()
     outcome = Outcome(case)

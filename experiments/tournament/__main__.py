@@ -59,7 +59,7 @@ def _tournament(given: argparse.Namespace) -> int:
     from experiments.tournament import figures, page
     from experiments.tournament.published import put_beside, read_published
     from experiments.tournament.verdict import read_results
-    from trms_cli.commands.run_folder import write_document
+    from trms_cli.runs.run_folder import write_document
 
     if given.jobs < 1:
         raise ConfigurationError(f"{given.jobs} given", where="--jobs", remedy="one at the least")

@@ -209,7 +209,7 @@ def _logged(run: Run, folder: Path) -> tuple[dict[str, Any], int]:
 
 @cache
 def _composition(words: tuple[str, ...]) -> Any:
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     return compose([*words, "picture=false"])
 

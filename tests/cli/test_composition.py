@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from trms_cli.commands.composition import Composition, compose, execute
+from trms_cli.commands.execution import execute
+from trms_cli.composition.composer import Composition, compose
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from trms_cli.commands.invocation import program
+from trms_cli.core.invocation import program
 
 
 @pytest.fixture

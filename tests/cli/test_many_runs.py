@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from trms_cli.commands.composition import Composition, compose
 from trms_cli.commands.run import perform
+from trms_cli.composition.composer import Composition, compose
 from trms_cli.core import process_cache
 
 #: Fields of /controller that tell of the wall clock.

@@ -2,7 +2,7 @@
 
 import pytest
 
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError
 
 

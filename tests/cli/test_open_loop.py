@@ -46,7 +46,7 @@ def command(folder: Path, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_signal_is_played_as_it_is(kind, tmp_path):
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
     from trms_cli.core.plugins import build
 
     overrides = (f"signal@controller.u_v={kind}", "sim.duration=6", f"out={tmp_path / 'run'}")
@@ -58,7 +58,7 @@ def test_every_signal_is_played_as_it_is(kind, tmp_path):
 
 
 def test_all_kinds_of_signals_are_tried_here():
-    from trms_cli.commands.catalogue import read_groups
+    from trms_cli.composition.catalogue import read_groups
 
     assert {*KINDS, "from_csv"} == set(read_groups()["signal"])
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.commands import recomposition
-from trms_cli.commands.composition import compose
-from trms_cli.commands.recomposition import Recomposer
+from trms_cli.composition import recomposition
+from trms_cli.composition.composer import compose
+from trms_cli.composition.recomposition import Recomposer
 from trms_cli.core.errors import TrmsError
 
 CHOICES = [
@@ -119,7 +119,7 @@ def test_what_sweeps_vary_is_not_composed_again(known, monkeypatch, words):
     def refuse(*_):
         raise AssertionError("composed from the start")
 
-    monkeypatch.setattr(recomposition, "_compose", refuse)
+    monkeypatch.setattr(recomposition, "compose_request", refuse)
     monkeypatch.setattr(recomposition, "_hydra_compose", refuse)
     again = known.compose([*words, "sim.prediction_every=3"], job=7)
     assert again.job == 7 and again.config["sim"]["prediction_every"] == 3

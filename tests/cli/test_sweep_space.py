@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trms_cli.commands.composition import compose
-from trms_cli.commands.overrides import read_request
-from trms_cli.commands.sweep_space import first_of, space_of
+from trms_cli.composition.composer import compose
+from trms_cli.composition.overrides import read_request
+from trms_cli.composition.sweep_space import first_of, space_of
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.models.parameters import DRAW_LIMIT_SD

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc

@@ -124,7 +124,7 @@ def _commands():
 
 @pytest.mark.parametrize("line", _commands())
 def test_each_command_of_the_document_composes(line):
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     effects = compose(line.split()).config["effect"]
     assert effects
@@ -148,7 +148,7 @@ def test_the_document_knows_every_effect_and_every_key(rig, effect_name):
 
 @pytest.mark.skipif(not DOCUMENT.exists(), reason="an installed package has no docs")
 def test_the_effect_that_the_document_writes_works(rig, tmp_path, monkeypatch):
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     text = DOCUMENT.read_text("utf-8")
     code = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]

@@ -14,7 +14,7 @@ from experiments.chapter4 import page
 from experiments.chapter4.__main__ import main
 from experiments.chapter4.cases import Case, read_study
 from experiments.chapter4.fitting import CaseOutcome, Fitted, run_case
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError
 
 

@@ -14,7 +14,7 @@ from experiments.chapter5.__main__ import EXPECTED, FIGURES, PAGE, main, read_ex
 from experiments.chapter5.answers import answers, differences, figures_of
 from experiments.chapter5.page import parts_of
 from experiments.chapter5.study import Question, Study, Tolerance, read_study
-from trms_cli.commands.catalogue import read_groups
+from trms_cli.composition.catalogue import read_groups
 from trms_cli.core.errors import ConfigurationError
 
 #: What issue and thesis ask for, by the study that answers it.

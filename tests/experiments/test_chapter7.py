@@ -19,7 +19,7 @@ from experiments.chapter7.observers.study import jobs_of as observer_jobs
 from experiments.chapter7.observers.study import read_study as read_observer_study
 from experiments.chapter7.runs import run_job as run_case
 from experiments.chapter7.study import jobs_of, read_study
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError
 
 

@@ -19,7 +19,7 @@ from experiments.regression.__main__ import main
 from experiments.regression.expectation import write_expectation
 from experiments.regression.matrix import MATRIX, Case, read_matrix
 from experiments.regression.runs import Outcome, run_case
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.scoring.baseline import Tolerance
 

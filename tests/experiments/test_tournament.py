@@ -23,7 +23,7 @@ from experiments.tournament.schedule import (
     runs_of,
 )
 from experiments.tournament.verdict import read_results
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.scoring.comparison.compared_run import State
 from trms_cli.scoring.comparison.gathering import gather

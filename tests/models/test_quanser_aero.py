@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from trms_cli.cli import main
-from trms_cli.commands.composition import compose
 from trms_cli.commands.run_assembly import experiment_of
+from trms_cli.composition.composer import compose
 from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extended

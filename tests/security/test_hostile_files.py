@@ -36,7 +36,7 @@ _READERS = {
     "mat": "from trms_cli.recordings.mat_recording import read_mat as read",
     "model": "from trms_cli.effects.model_file import load_model as read",
     "network": "from trms_cli.models.narx_file import narx\ndef read(path): narx(network=path)",
-    "yaml": "from trms_cli.commands.catalogue import read_yaml\n"
+    "yaml": "from trms_cli.composition.catalogue import read_yaml\n"
     "def read(path): read_yaml(Path(path))",
     "baseline": "from trms_cli.scoring.baseline import read_baseline\n"
     "def read(path): read_baseline(Path(path))",

@@ -19,7 +19,7 @@ _MANY = 8
 _CLAIM = """
 import sys, time
 from pathlib import Path
-from trms_cli.commands.run_folder import new_folder
+from trms_cli.runs.run_folder import new_folder
 from trms_cli.core.errors import TrmsError
 out = None if sys.argv[1] == "dated" else sys.argv[1]
 Path(f"ready-{sys.argv[2]}").touch()
@@ -83,7 +83,7 @@ def test_dated_folders_are_all_different(tmp_path: Path) -> None:
 
 def test_a_folder_whose_process_was_killed_can_be_taken(tmp_path: Path) -> None:
     program = (
-        "import sys, time\nfrom trms_cli.commands.run_folder import new_folder\n"
+        "import sys, time\nfrom trms_cli.runs.run_folder import new_folder\n"
         "new_folder('one', 'run')\nprint('held', flush=True)\ntime.sleep(60)\n"
     )
     with subprocess.Popen(
@@ -104,7 +104,7 @@ def test_a_process_may_take_its_own_folder_again(tmp_path: Path) -> None:
 
 
 def test_no_descriptor_is_kept_of_folders_that_are_written(tmp_path: Path) -> None:
-    from trms_cli.commands.run_folder import new_folder
+    from trms_cli.runs.run_folder import new_folder
 
     before = len(os.listdir("/proc/self/fd"))
     for number in range(300):

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 import trms_cli
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.core import trust
 from trms_cli.core.allowed import allowed_for_good, allowed_for_now, write_allowed
 from trms_cli.core.errors import ConfigurationError, TrmsError
@@ -154,7 +154,7 @@ def test_a_namesake_in_a_folder_replaces_nothing(lab: Path) -> None:
         "trms_cli.core.whole_file.replace_whole",
         "trms_cli.core.allowed.write_allowed",
         "trms_cli.core.allowed.allow_for_now",
-        "trms_cli.commands.run_folder.new_folder",
+        "trms_cli.runs.run_folder.new_folder",
         "trms_cli.commands.sweep.subprocess",
         "trms_cli.recordings.run_log.RunLog",
         "trms_cli.recordings.output_file.whole_file",
@@ -225,7 +225,7 @@ def test_no_value_class_of_ours_does_anything_when_it_is_made() -> None:
     "name", ["os", "trms_cli", "builtins", "my_lab.x", "a b", "", "../x", "1a"]
 )
 def test_what_cannot_be_allowed(name: str, lab: Path) -> None:
-    from trms_cli.commands.catalogue import take_allowed
+    from trms_cli.composition.catalogue import take_allowed
 
     with pytest.raises(ConfigurationError):
         take_allowed(["--allow", name])

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from trms_cli.commands import run_assembly
-from trms_cli.commands.composition import compose
 from trms_cli.commands.run_score import score_of
+from trms_cli.composition.composer import compose
 from trms_cli.core.resources import config_folder
 from trms_cli.scoring.score import Series
 from trms_cli.simulation.closed_loop import Loop

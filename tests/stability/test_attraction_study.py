@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trms_cli.commands import stability_request as request
-from trms_cli.commands.composition import compose
+from trms_cli.composition.composer import compose
 from trms_cli.core.chart import as_data
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.newtonian import Newtonian

@@ -232,7 +232,7 @@ def test_a_black_box_has_modes_in_continuous_time():
 
 
 def _narx():
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
     from trms_cli.core.plugins import build
 
     return build(compose(["study=local", "model=narx_2dof"], "stability").config["model"], "model")

@@ -8,8 +8,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from trms_cli.commands.composition import compose
 from trms_cli.commands.recording_request import model_of
+from trms_cli.composition.composer import compose
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data

@@ -8,8 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from trms_cli.commands.catalogue import take_config_dirs
-from trms_cli.commands.invocation import program
+from trms_cli.composition.catalogue import take_config_dirs
 from trms_cli.core.allowed import (
     ENVIRONMENT,
     SCHEMA,
@@ -20,6 +19,7 @@ from trms_cli.core.allowed import (
     write_allowed,
 )
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
+from trms_cli.core.invocation import program
 from trms_cli.core.trust import place_of
 
 SUMMARY = "let the classes of a package of yours, or of somebody else's, run"

@@ -45,7 +45,7 @@ _PATHS = ("in", "out", "key", "diagnoses")
 
 def main(argv: Sequence[str]) -> int:
     """Do the one of the three that is asked for."""
-    from trms_cli.commands.composition import execute
+    from trms_cli.commands.execution import execute
 
     tasks: dict[str, Callable[[], object]] = {"make": _make, "run": _run, "score": _score}
     word, *rest = argv or ["nothing"]
@@ -61,7 +61,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _quoted(word: str) -> str:
     """A path, or a list of NAME=FOLDER, in Hydra's words."""
-    from trms_cli.commands.overrides import quoted
+    from trms_cli.composition.overrides import quoted
 
     key, equals, value = word.partition("=")
     if key not in _PATHS or not equals or not value or value == "null":

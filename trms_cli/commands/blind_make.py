@@ -10,7 +10,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from trms_cli.commands.composition import Composition
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.plugins import TARGET, build, nearest
 
@@ -36,10 +36,10 @@ class MakeOptions:
 
 def perform(composition: Composition) -> int:
     """Make the set that a configuration asks for."""
-    from trms_cli.commands.run_folder import new_folder
     from trms_cli.gap.blind.cases import SETS
     from trms_cli.gap.blind.recording import Timing
     from trms_cli.gap.blind.sealing import KEY, Asked, make
+    from trms_cli.runs.run_folder import new_folder
 
     begin = perf_counter()
     options = build({TARGET: f"{__name__}.MakeOptions", **composition.config})

@@ -17,11 +17,11 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from trms_cli.commands.composition import Composition
-from trms_cli.commands.run_folder import in_use
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.held_folder import hold
 from trms_cli.core.plugins import TARGET, build
+from trms_cli.runs.run_folder import in_use
 
 #: In the folder of a diagnosis: what it says, what was printed on the way, how long it took.
 DOCUMENT_NAME, LOG_NAME, TIMING_NAME = "diagnosis.json", "printed.txt", "blind.json"
@@ -139,7 +139,7 @@ def _diagnose(recording: Path, out: Path, words: list[str]) -> str:
     from contextlib import redirect_stderr, redirect_stdout
 
     from trms_cli.commands import diagnose
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     draft = out / f".{recording.stem}"
     shutil.rmtree(draft, ignore_errors=True)

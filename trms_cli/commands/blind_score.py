@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
-from trms_cli.commands.composition import Composition
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.plugins import TARGET, build, nearest
 
@@ -37,11 +37,11 @@ class ScoreOptions:
 def perform(composition: Composition) -> int:
     """Judge what a configuration asks for."""
     from trms_cli.commands.blind_make import key_folder_of
-    from trms_cli.commands.run_folder import new_folder, write_document
     from trms_cli.core.whole_file import replace_whole
     from trms_cli.gap.blind.measures import table
     from trms_cli.gap.blind.sealing import open_key
     from trms_cli.gap.blind.verdicts import document_of, judge, markdown, with_fresh
+    from trms_cli.runs.run_folder import new_folder, write_document
 
     keys = dict(composition.config)
     options = build({TARGET: f"{__name__}.ScoreOptions", "source": keys.pop("in"), **keys})

@@ -9,9 +9,10 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from trms_cli.commands.composition import Composition, Outcome, execute
-from trms_cli.commands.invocation import command_line
+from trms_cli.commands.execution import Outcome, execute
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, EXIT_TERMINATED, Terminated
+from trms_cli.core.invocation import command_line
 
 if TYPE_CHECKING:
     from trms_cli.commands.diagnose_request import Asked
@@ -73,9 +74,9 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     from trms_cli.commands.diagnose_request import diagnosis_asked
     from trms_cli.commands.diagnose_screen import DiagnoseScreen
     from trms_cli.commands.identify_files import write_config
-    from trms_cli.commands.run_folder import write_document
     from trms_cli.gap.diagnose import diagnose
     from trms_cli.gap.document import document_of
+    from trms_cli.runs.run_folder import write_document
 
     asked = diagnosis_asked(composition)
     origin = model_origin(composition, asked)

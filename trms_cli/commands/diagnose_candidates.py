@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.catalogue import read_groups, read_yaml
+from trms_cli.composition.catalogue import read_groups, read_yaml
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import TARGET, build, nearest
 from trms_cli.effects.effect import Effect

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.catalogue import config_folder
-from trms_cli.commands.composition import Composition
 from trms_cli.commands.diagnose_request import Asked
 from trms_cli.commands.identify_files import effect_arguments, origin_of
-from trms_cli.commands.invocation import command_line
+from trms_cli.composition.catalogue import config_folder
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.invocation import command_line
 from trms_cli.effects.extended_model import extended
 from trms_cli.gap.diagnosis import NO_EFFECT, Cause, Diagnosis
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model

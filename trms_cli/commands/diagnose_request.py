@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from trms_cli.commands.composition import Composition
 from trms_cli.commands.diagnose_candidates import Suspects, suspects_of
 from trms_cli.commands.recording_request import model_of, several
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.gap.problem import GapProblem

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.composition import Composition
 from trms_cli.commands.diagnose_request import Asked
-from trms_cli.commands.invocation import program
+from trms_cli.composition.composer import Composition
+from trms_cli.core.invocation import program
 from trms_cli.gap.diagnosis import Cause, Diagnosis, Gap
 from trms_cli.gap.document import horizon_key
 from trms_cli.reporting.diagnosis_words import (

@@ -9,10 +9,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from trms_cli.commands.composition import Composition, Outcome, execute
-from trms_cli.commands.invocation import program
+from trms_cli.commands.execution import Outcome, execute
 from trms_cli.commands.run_assembly import number, whole_number
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
+from trms_cli.core.invocation import program
 
 SUMMARY = "design an excitation: band and amplitude from the model"
 COMPOSES = "excite"
@@ -60,10 +61,10 @@ def main(argv: Sequence[str]) -> int:
 
 def perform(composition: Composition) -> Outcome:
     """Design one composed excitation; write, print and draw it."""
-    from trms_cli.commands.run_folder import write_document, write_whole
     from trms_cli.core.plugins import build
     from trms_cli.identification.excitation.design import design
     from trms_cli.identification.excitation.spectra import spectra_of, summary
+    from trms_cli.runs.run_folder import write_document, write_whole
 
     begin = perf_counter()
     config = composition.config

@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.composition import Composition, execute
+from trms_cli.commands.execution import execute
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
 
 def perform(composition: Composition) -> int:
     """Export one composed controller: write, measure, print."""
-    from trms_cli.commands.run_folder import write_document, write_whole
+    from trms_cli.runs.run_folder import write_document, write_whole
 
     config = composition.config
     _check(config)

@@ -7,7 +7,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from trms_cli.commands.composition import Composition, Outcome, execute
+from trms_cli.commands.execution import Outcome, execute
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, SimulationError
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     from trms_cli.commands.identify_progress import STATE_NAME, FitProgress
     from trms_cli.commands.identify_request import identification_of
     from trms_cli.commands.identify_screen import IdentifyScreen
-    from trms_cli.commands.run_folder import write_document
+    from trms_cli.runs.run_folder import write_document
 
     asked = identification_of(composition)
     origin = files.origin_of(composition) if asked.problem.free else None

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.commands.composition import Composition
 from trms_cli.commands.identify_assessment import Assessment, at_bounds
 from trms_cli.commands.identify_request import Identification
-from trms_cli.commands.invocation import command_line
 from trms_cli.commands.run_assembly import versions
+from trms_cli.composition.composer import Composition
+from trms_cli.core.invocation import command_line
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.judgement import Judged, figures
 from trms_cli.models.model import names

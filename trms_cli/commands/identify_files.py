@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.catalogue import config_folder, read_yaml
-from trms_cli.commands.composition import Composition
 from trms_cli.commands.identify_request import Identification
-from trms_cli.commands.invocation import command_line
+from trms_cli.composition.catalogue import config_folder, read_yaml
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.invocation import command_line
 from trms_cli.core.plugins import TARGET
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.identification.method import FitResult

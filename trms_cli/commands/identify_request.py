@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from trms_cli.commands.composition import Composition
 from trms_cli.commands.recording_request import (
     driven_model,
     driven_recordings,
     model_of,
     several,
 )
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.identification.admission import admit

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.composition import Composition
 from trms_cli.commands.identify_request import Identification
-from trms_cli.commands.invocation import program
+from trms_cli.composition.composer import Composition
+from trms_cli.core.invocation import program
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.method import FitResult
 

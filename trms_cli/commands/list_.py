@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.catalogue import (
+from trms_cli.composition.catalogue import (
     Groups,
-    Option,
+    about,
+    find_group,
+    find_option,
+    primary_file,
     read_groups,
     read_primary,
-    row,
     take_config_dirs,
 )
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
-from trms_cli.core.resources import config_folder
 
 SUMMARY = "the plugins there are, with one line each"
 
@@ -34,20 +36,6 @@ examples
   trms list controller         the controllers
   trms list controller pid     the keys of one
 """
-
-#: Primary configurations; what an earlier one says of a group counts.
-_PRIMARIES = ("run", "identify", "validate", "excite", "stability", "sweep")
-
-#: Groups that the primary configurations do not have: they are chosen inside others.
-_INSIDE_OTHERS = {
-    "disturbance": "torques on the rig: disturbance@plant.disturbances=NAME",
-    "parameters": "values of a model: model.parameter_set=NAME",
-    "networks": "trained networks of the models narx_…: model.network=NAME",
-    "qp_solver": "of newton_mpc: qp_solver@controller.qp=NAME",
-    "shaping": "smooths a reference: shaping@ref.shaping=NAME",
-    "training": "of a network: training@method.training=NAME",
-    "signal": "what one axis follows: signal@ref.alpha_v=NAME",
-}
 
 
 def main(argv: Sequence[str]) -> int:
@@ -83,51 +71,11 @@ def _refuse_options(words: Sequence[str]) -> None:
         )
 
 
-def find_group(groups: Groups, name: str) -> dict[str, Option]:
-    """The options of a group.
-
-    Raises ConfigurationError if there is no such group; it names the nearest.
-    """
-    from trms_cli.core.plugins import nearest
-
-    if name not in groups:
-        raise ConfigurationError(
-            f"there is no group {name!r}", where="trms list", remedy=nearest(name, groups)
-        )
-    return groups[name]
-
-
-def find_option(groups: Groups, group: str, name: str) -> Option:
-    """An option of a group.
-
-    Raises ConfigurationError if there is none; it names the nearest.
-    """
-    from trms_cli.core.plugins import nearest
-
-    options = find_group(groups, group)
-    if name not in options:
-        raise ConfigurationError(
-            f"group {group} has no option {name!r}",
-            where="trms list",
-            remedy=nearest(name, options),
-        )
-    return options[name]
-
-
-def about(config_dirs: Sequence[Path]) -> dict[str, str]:
-    """What each group is for, as the primary configurations' defaults tell it."""
-    about = dict(_INSIDE_OTHERS)
-    for primary in reversed(_PRIMARIES):
-        if (config_folder() / f"{primary}.yaml").is_file():
-            about |= read_primary(primary, config_dirs).about
-    return about
-
-
-def _table(groups: Groups, about: dict[str, str], config_dirs: Sequence[Path]) -> str:
+def _table(groups: Groups, purposes: dict[str, str], config_dirs: Sequence[Path]) -> str:
     width = max((len(name) for options in groups.values() for name in options), default=0) + 2
     blocks = []
     for group, options in groups.items():
-        purpose = about.get(group, "")
+        purpose = purposes.get(group, "")
         lines = [row(f"{group}  ", f"({purpose})") if purpose else group]
         for option in options.values():
             own = f"  [{option.source}]" if option.source in config_dirs else ""
@@ -136,13 +84,13 @@ def _table(groups: Groups, about: dict[str, str], config_dirs: Sequence[Path]) -
     return "\n".join(blocks)
 
 
-def document_of(groups: Groups, about: dict[str, str]) -> dict[str, Any]:
+def document_of(groups: Groups, purposes: dict[str, str]) -> dict[str, Any]:
     """``trms.list/1``: groups with their options."""
     return {
         "schema": "trms.list/1",
         "groups": {
             group: {
-                "about": about.get(group, ""),
+                "about": purposes.get(group, ""),
                 "options": [
                     {"name": option.name, "summary": option.summary, "file": str(option.file)}
                     for option in options.values()
@@ -153,8 +101,42 @@ def document_of(groups: Groups, about: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def _print_json(groups: Groups, about: dict[str, str]) -> None:
+def _print_json(groups: Groups, purposes: dict[str, str]) -> None:
     import json
 
-    document = document_of(groups, about)
+    document = document_of(groups, purposes)
     sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
+
+
+def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:
+    """The part of a command's help that tells which groups and options its overrides choose."""
+    declared = read_primary(primary, config_dirs)
+    groups = read_groups(config_dirs)
+    lines = ["choices (the default is marked *; `trms list GROUP OPTION` shows an option's keys)"]
+    for group, chosen in declared.defaults.items():
+        lines.append(row(f"  {group:12}", declared.about.get(group, "")))
+        for name, option in groups.get(group, {}).items():
+            mark = "*" if name == chosen else " "
+            lines.append(row(f"   {mark} {name:24} ", option.summary))
+    lines += ["", "other keys", *_key_lines(primary_file(primary, config_dirs))]
+    return "\n".join(lines) + "\n"
+
+
+def row(head: str, text: str) -> str:
+    """One line of a table; on a terminal that is narrower, `text` goes on under itself."""
+    if not sys.stdout.isatty():
+        return f"{head}{text}".rstrip()
+    import shutil
+    import textwrap
+
+    width = max(shutil.get_terminal_size().columns - len(head), 20)
+    margin = f"\n{' ' * len(head)}"
+    return (head + margin.join(textwrap.wrap(text, width, break_on_hyphens=False))).rstrip()
+
+
+def _key_lines(file: Path) -> list[str]:
+    """The own keys of a primary configuration as its file has them, comments included."""
+    text = file.read_text(encoding="utf-8").splitlines()
+    after = next((i for i, line in enumerate(text) if re.match(r"defaults\s*:", line)), -1) + 1
+    body = next((i for i in range(after, len(text)) if re.match(r"\w", text[i])), len(text))
+    return [f"  {line}" for line in text[body:] if line.strip()]

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from trms_cli.commands.composition import Composition
+    from trms_cli.composition.composer import Composition
     from trms_cli.simulation.closed_loop import Experiment
 
 _TO_THE_END = 1e-9  # s; what begins so shortly before the end has no sample either

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.invocation import program
 from trms_cli.commands.plain_options import PlainOptions
-from trms_cli.commands.run_folder import LOG_NAME, log_of
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError
+from trms_cli.core.invocation import program
+from trms_cli.runs.run_folder import LOG_NAME, log_of
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun

@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.invocation import program
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.invocation import program
 from trms_cli.core.printable import printable
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.run_folder import LOG_NAME
 from trms_cli.core.errors import RecordingError
+from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun

@@ -26,8 +26,8 @@ from trms_cli.commands.report_sweeps import (
     rows_of,
     sweep_document,
 )
-from trms_cli.commands.run_folder import LOG_NAME
 from trms_cli.core.errors import RecordingError
+from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
     from trms_cli.reporting.page import Page

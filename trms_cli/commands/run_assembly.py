@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import yaml
 
 from trms_cli import __version__
-from trms_cli.commands.composition import Composition
-from trms_cli.commands.invocation import command_line
-from trms_cli.commands.plugin_contract import check_contract
+from trms_cli.composition.composer import Composition
+from trms_cli.core.invocation import command_line
+from trms_cli.core.plugin_contract import check_contract
 from trms_cli.core.plugins import build
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import ParameterSet
@@ -96,7 +96,7 @@ def raise_explained(
     log : Path or None
         Where the run up to there can be read.
     """
-    from trms_cli.commands.plugin_failure import plugin_failure
+    from trms_cli.core.plugin_contract import plugin_failure
 
     parts = {
         "controller": experiment.controller,

@@ -9,13 +9,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.composition import Composition, Outcome, Task, compose, execute
-from trms_cli.commands.given_object import refuse_given
-from trms_cli.commands.invocation import program
-from trms_cli.commands.run_folder import log_of
+from trms_cli.commands.execution import Outcome, Task, execute
+from trms_cli.composition.composer import Composition, compose
+from trms_cli.composition.given_object import refuse_given
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
+from trms_cli.core.invocation import program
 from trms_cli.core.plugins import TARGET
+from trms_cli.runs.run_folder import log_of
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
@@ -179,7 +180,7 @@ def _completed(logged: Mapping[str, Any], primary: str) -> dict[str, Any]:
 def _as_logged(
     run: LoggedRun, logged: Mapping[str, Any], own: Sequence[str], folders: Sequence[Path]
 ) -> Composition:
-    from trms_cli.commands.catalogue import make_importable
+    from trms_cli.composition.catalogue import make_importable
 
     make_importable(folders)
     config = {**logged, "out": None}

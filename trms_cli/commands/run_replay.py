@@ -11,20 +11,20 @@ from time import perf_counter
 from typing import Any
 
 from trms_cli.commands import run_assembly as assembly
-from trms_cli.commands.composition import Composition, Outcome
+from trms_cli.commands.execution import Outcome
 from trms_cli.commands.git_revision import GitRevision
-from trms_cli.commands.invocation import program
-from trms_cli.commands.plugin_contract import check_contract
-from trms_cli.commands.plugin_failure import plugin_failure
-from trms_cli.commands.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.commands.run_scene import RunScene
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError, interrupted_code
+from trms_cli.core.invocation import program
+from trms_cli.core.plugin_contract import check_contract, plugin_failure
 from trms_cli.core.plugins import TARGET, build, locate
 from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig, RecordedRun
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
 from trms_cli.runs.place import tell_of_run
+from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.scoring.innovations import innovation_table
 from trms_cli.scoring.score import Series, score_tables
 from trms_cli.simulation.history import History

@@ -12,10 +12,10 @@ from time import perf_counter
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO
 
-from trms_cli.commands.invocation import program
+from trms_cli.core.invocation import program
 
 if TYPE_CHECKING:
-    from trms_cli.commands.composition import Composition
+    from trms_cli.composition.composer import Composition
     from trms_cli.simulation.closed_loop import Experiment
 
 #: The figures that tell most of a channel: key, label, unit ({} is the channel's).

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
-from trms_cli.commands.run_folder import log_of
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, RecordingError
+from trms_cli.runs.run_folder import log_of
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun

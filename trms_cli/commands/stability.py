@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from time import perf_counter
 
-from trms_cli.commands.composition import Composition, Outcome, execute
+from trms_cli.commands.execution import Outcome, execute
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK
 
 SUMMARY = "equilibria, modes, phase portraits, limit cycles, Lyapunov sets, margins"
@@ -60,8 +61,8 @@ def perform(composition: Composition) -> Outcome:
     """
     from trms_cli.commands import stability_request as request
     from trms_cli.commands.progress_line import ProgressLine
-    from trms_cli.commands.run_folder import removed_if_empty, write_document
     from trms_cli.commands.stability_screen import say_finished
+    from trms_cli.runs.run_folder import removed_if_empty, write_document
 
     begin = perf_counter()
     asked = request.asked_of(composition)

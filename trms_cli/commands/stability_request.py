@@ -6,14 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
-from trms_cli.commands.composition import Composition
-from trms_cli.commands.invocation import command_line
-from trms_cli.commands.plugin_contract import check_contract
 from trms_cli.commands.recording_request import model_of
 from trms_cli.commands.run_assembly import check_out, number, versions
+from trms_cli.composition.composer import Composition
 from trms_cli.core.chart import as_data
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.findings import Findings, Judged, Table
+from trms_cli.core.invocation import command_line
+from trms_cli.core.plugin_contract import check_contract
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.stability.study import Study
 from trms_cli.stability.subject import LoopParts, Subject, effects_of

@@ -11,7 +11,7 @@ from trms_cli.core.findings import Findings, Judged, Table
 from trms_cli.reporting.page import shown_cell
 
 if TYPE_CHECKING:
-    from trms_cli.commands.composition import Composition
+    from trms_cli.composition.composer import Composition
 
 _COLOURS = {"good": "green", "bad": "red", "doubtful": "yellow", "": ""}
 #: Rows of a table on the screen; the page and the document have them all.

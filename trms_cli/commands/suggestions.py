@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.cli import COMMANDS, load_command
-from trms_cli.commands.catalogue import (
+from trms_cli.composition.catalogue import (
     read_groups,
     read_primary,
     take_config_dirs,
 )
-from trms_cli.commands.declared_keys import DeclaredKeys
-from trms_cli.commands.overrides import PATH_KEYS
+from trms_cli.composition.declared_keys import DeclaredKeys
+from trms_cli.composition.overrides import PATH_KEYS
 from trms_cli.core.errors import TrmsError
 
 _OPTIONS_OF_ALL = ("--help", "--debug")

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.composition import Composition, Task, compose
-from trms_cli.commands.overrides import Request
+from trms_cli.commands.execution import Task
+from trms_cli.composition.composer import Composition, compose
+from trms_cli.composition.overrides import Request
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, TrmsError
 
 if TYPE_CHECKING:
@@ -153,9 +154,9 @@ def make_sweep(
     """
     import shutil
 
-    from trms_cli.commands.run_folder import new_folder
     from trms_cli.commands.sweep_check import check_choices
-    from trms_cli.commands.sweep_settings import built, divided, settings_of
+    from trms_cli.composition.sweep_settings import built, divided, settings_of
+    from trms_cli.runs.run_folder import new_folder
     from trms_cli.sweeps.record import Record, driven
 
     mine = divided(overrides, primary, config_dirs)
@@ -206,7 +207,7 @@ def go_on(
         If there is no sweep, another process drives it, or it cannot go on.
     """
     from trms_cli.commands.sweep_resume import place_of, resumed_settings, task_of
-    from trms_cli.commands.sweep_settings import built
+    from trms_cli.composition.sweep_settings import built
     from trms_cli.sweeps.record import Record, driven
 
     folder = folder.resolve()
@@ -236,7 +237,7 @@ def go_on(
 
 def first_job(request: Request, primary: str) -> Composition:
     """The configuration of a sweep's first run, for ``-m --cfg job``."""
-    from trms_cli.commands.sweep_settings import divided
+    from trms_cli.composition.sweep_settings import divided
 
     mine = divided(request.overrides, primary, request.config_dirs)
     return _checked(mine.runs, primary, request.config_dirs)[1]
@@ -246,7 +247,7 @@ def _checked(
     overrides: Sequence[str], primary: str, config_dirs: tuple[Path, ...]
 ) -> tuple[Any, Composition]:
     """The space, and its first run composed: what is wrong with the input is told now."""
-    from trms_cli.commands.sweep_space import first_of, space_of
+    from trms_cli.composition.sweep_space import first_of, space_of
 
     request = Request(tuple(overrides), config_dirs, show=False, multirun=True)
     space = space_of(request, primary)
@@ -260,8 +261,8 @@ def _plan(
     import os
 
     from trms_cli.commands.git_revision import GitRevision
-    from trms_cli.commands.invocation import command_line
     from trms_cli.commands.run_assembly import versions
+    from trms_cli.core.invocation import command_line
     from trms_cli.sweeps.record import Plan
 
     revision = GitRevision.ask()

@@ -39,7 +39,7 @@ def check_choices(space: Space, primary: str, config_dirs: tuple[Path, ...]) -> 
     TrmsError
         For the first value that no run can be made with; it names the value.
     """
-    from trms_cli.commands.recomposition import recomposer
+    from trms_cli.composition.recomposition import recomposer
 
     composer = recomposer(primary, config_dirs)
     seen: set[str] = set()
@@ -57,7 +57,7 @@ def check_choices(space: Space, primary: str, config_dirs: tuple[Path, ...]) -> 
 
 def _runs(space: Space) -> Iterator[tuple[str, tuple[str, ...]]]:
     """What a run has of its own, and its overrides."""
-    from trms_cli.commands.sweep_space import first_of
+    from trms_cli.composition.sweep_space import first_of
 
     first = first_of(space)
     yield "", first

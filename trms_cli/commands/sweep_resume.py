@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.composition import Task
-from trms_cli.commands.sweep_settings import Settings, names_of, settings_of
+from trms_cli.commands.execution import Task
+from trms_cli.composition.sweep_settings import Settings, names_of, settings_of
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, RecordingError
 from trms_cli.core.plugins import nearest
 from trms_cli.sweeps.record import Plan
@@ -65,7 +65,7 @@ def _read(
     argv: Sequence[str], word: str, allowed: Sequence[str]
 ) -> tuple[Path, list[str], list[str]]:
     """The folder, the overrides and the options of a command line."""
-    from trms_cli.commands.catalogue import take_allowed
+    from trms_cli.composition.catalogue import take_allowed
 
     argv = take_allowed(argv)
     options = [text for text in argv if text.startswith("-")]
@@ -102,7 +102,7 @@ def resumed_settings(plan: Plan, changed: Sequence[str]) -> Settings:
     Raises ConfigurationError for what cannot change: a sweep goes on with the points that its
     sampler has begun.
     """
-    from trms_cli.commands.catalogue import read_primary
+    from trms_cli.composition.catalogue import read_primary
 
     config_dirs = tuple(map(Path, plan.config_dirs))
     names = names_of(read_primary("sweep", config_dirs))
@@ -131,8 +131,8 @@ def place_of(plan: Plan) -> Iterator[None]:
 
     Raises RecordingError if the folder, or one of options, is gone.
     """
-    from trms_cli.commands.catalogue import make_importable
     from trms_cli.commands.run_assembly import versions
+    from trms_cli.composition.catalogue import make_importable
 
     for place in (plan.directory, *plan.config_dirs):
         if not Path(place).is_dir():

@@ -13,9 +13,9 @@ from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from trms_cli.commands.invocation import program
 from trms_cli.commands.progress_line import ProgressLine
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.invocation import program
 
 if TYPE_CHECKING:
     from trms_cli.sweeps.driver import Progress

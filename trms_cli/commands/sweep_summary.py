@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.invocation import program
+from trms_cli.core.invocation import program
 
 #: What runs are given because they are many.
 _OF_SWEEPS = ("picture", "sim.scene_every")

@@ -20,14 +20,15 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from trms_cli.commands.composition import Composition, Outcome, Task
+from trms_cli.commands.execution import Outcome, Task
 from trms_cli.commands.git_revision import known_revision
-from trms_cli.commands.invocation import called_as
-from trms_cli.commands.recomposition import recomposer
-from trms_cli.commands.run_folder import SCORE_NAME
+from trms_cli.composition.composer import Composition
+from trms_cli.composition.recomposition import recomposer
 from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
+from trms_cli.core.invocation import called_as
 from trms_cli.runs.columns import figures_of
+from trms_cli.runs.run_folder import SCORE_NAME
 from trms_cli.sweeps.driver import DISK_FULL
 from trms_cli.sweeps.launcher import Attempt
 from trms_cli.sweeps.leaving import leaving

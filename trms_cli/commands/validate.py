@@ -6,8 +6,9 @@ import sys
 from collections.abc import Sequence
 from time import perf_counter
 
-from trms_cli.commands.composition import Composition, Outcome, compose, execute
+from trms_cli.commands.execution import Outcome, execute
 from trms_cli.commands.validate_models import model_list, named_sets, one_of
+from trms_cli.composition.composer import Composition, compose
 from trms_cli.core.errors import EXIT_OK
 
 SUMMARY = "how well models foretell recordings: errors, residual tests, spectra"
@@ -75,10 +76,10 @@ def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Ou
     """
     from trms_cli.commands import validate_request as request
     from trms_cli.commands.progress_line import ProgressLine
-    from trms_cli.commands.run_folder import write_document
     from trms_cli.commands.validate_screen import ValidateScreen
     from trms_cli.identification.validation.document import document_of
     from trms_cli.identification.validation.validate import validate_all
+    from trms_cli.runs.run_folder import write_document
 
     begin = perf_counter()
     asked = request.validation_of(compositions, given)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from trms_cli.commands.model_files import with_parameter_sets
+from trms_cli.composition.model_files import with_parameter_sets
 from trms_cli.core.errors import ConfigurationError
 
 _KEY = "model="
@@ -57,7 +57,7 @@ def one_of(argv: Sequence[str], name: str) -> list[str]:
 
 def named_sets(argv: Sequence[str]) -> list[str]:
     """The command line with its file for a parameter set that is chosen as the model."""
-    from trms_cli.commands.catalogue import read_groups, take_config_dirs
+    from trms_cli.composition.catalogue import read_groups, take_config_dirs
 
     return with_parameter_sets(argv, read_groups(take_config_dirs(argv)[0]))
 

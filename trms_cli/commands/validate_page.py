@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trms_cli.commands.invocation import command_line
 from trms_cli.commands.validate_pictures import (
     correlation_rows,
     error_growths,
     free_run_traces,
     spectra_of,
 )
+from trms_cli.core.invocation import command_line
 from trms_cli.identification.admission_issue import Issue
 from trms_cli.identification.validation.characteristics import characteristics_of
 from trms_cli.identification.validation.validate import ModelValidation

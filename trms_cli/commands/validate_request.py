@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trms_cli.commands.composition import Composition
 from trms_cli.commands.recording_request import (
     driven_model,
     driven_recordings,
@@ -18,6 +17,7 @@ from trms_cli.commands.recording_request import (
 from trms_cli.commands.run_assembly import check_out
 from trms_cli.commands.run_assembly import versions as versions
 from trms_cli.commands.validate_models import shown_names
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.identification.admission import admit

@@ -14,8 +14,8 @@ from trms_cli.identification.validation.verdict import (
 )
 
 if TYPE_CHECKING:
-    from trms_cli.commands.composition import Composition
     from trms_cli.commands.validate_request import Asked
+    from trms_cli.composition.composer import Composition
 
 _MARKS = {"good": ("✓", "green"), "bad": ("✗", "red"), "doubtful": ("?", "yellow"), "": ("·", "")}
 

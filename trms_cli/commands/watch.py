@@ -6,9 +6,9 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.invocation import program
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, RecordingError
+from trms_cli.core.invocation import program
 
 if TYPE_CHECKING:
     from rich.text import Text

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from rich.text import Text
 
-from trms_cli.commands.invocation import program
 from trms_cli.commands.watch_frame import between, fitted, tail_of
+from trms_cli.core.invocation import program
 from trms_cli.runs.sweep_progress import Job, Sweep
 
 #: Of a sweep whose process has gone; ``trms sweep status`` says the same.

@@ -15,8 +15,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.catalogue import Groups, Primary, read_groups, read_primary
-from trms_cli.commands.overrides import parse, quoted
+from trms_cli.composition.catalogue import Groups, Primary, read_groups, read_primary
+from trms_cli.composition.overrides import parse, quoted
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.library.paths import folders_of, path_of
 from trms_cli.library.result import Result

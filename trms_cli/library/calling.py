@@ -19,7 +19,8 @@ from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, Configuratio
 from trms_cli.library.arguments import Arguments
 
 if TYPE_CHECKING:
-    from trms_cli.commands.composition import Composition, Outcome
+    from trms_cli.commands.execution import Outcome
+    from trms_cli.composition.composer import Composition
 
 #: One call at a time: a composition and the standard streams are the process's own.
 _TURN = threading.RLock()
@@ -109,8 +110,8 @@ def called(words: str, objects: Sequence[Any] = (), *, verbose: bool = False) ->
     verbose : bool
         Whether what is printed is shown.
     """
-    from trms_cli.commands.given_object import given
-    from trms_cli.commands.invocation import called_as
+    from trms_cli.composition.given_object import given
+    from trms_cli.core.invocation import called_as
 
     heard = Heard()
     with _TURN:
@@ -150,7 +151,7 @@ def perform(
     Interrupted
         If it was stopped, and has left something.
     """
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     objects = list(asked.objects.values())
     with called(words_of(command, asked), objects, verbose=verbose) as heard:
@@ -176,7 +177,7 @@ def with_objects(composition: Composition, objects: Mapping[str, Any]) -> Compos
     ConfigurationError
         If there is no such place.
     """
-    from trms_cli.commands.given_object import node_of
+    from trms_cli.composition.given_object import node_of
 
     if not objects:
         return composition
@@ -222,7 +223,7 @@ def _put(config: dict[str, Any], place: str, node: Any) -> None:
 
 def words_of(command: str, asked: Arguments) -> str:
     """A call in words: as it would be typed, or in Python where it has objects."""
-    from trms_cli.commands.given_object import words_of as said
+    from trms_cli.composition.given_object import words_of as said
 
     if not asked.objects:
         return shlex.join(["trms", command, *asked.argv])
@@ -232,7 +233,7 @@ def words_of(command: str, asked: Arguments) -> str:
 
 def label_of(plugin: Any) -> str:
     """What tells an object from others of its class: its fields that are not as by default."""
-    from trms_cli.commands.given_object import words_of as said
+    from trms_cli.composition.given_object import words_of as said
 
     name = type(plugin).__name__
     if not is_dataclass(plugin):

@@ -91,19 +91,18 @@ def options(
     >>> options("controller")
     >>> options("controller", "lqr")
     """
-    from trms_cli.commands import list_ as command
-    from trms_cli.commands.catalogue import read_groups
+    from trms_cli.composition import catalogue
 
     places = _folders(config_dir)
-    groups, about = read_groups(places), command.about(places)
+    groups, about = catalogue.read_groups(places), catalogue.about(places)
     if group is None:
         if name is not None:
             raise ConfigurationError(f"{name!r} of which group?", where="group")
         return Options("groups", {key: about.get(key, "") for key in groups})
     if name is not None:
-        option = command.find_option(groups, group, name)
+        option = catalogue.find_option(groups, group, name)
         return OptionFile(option.file, option.file.read_text(encoding="utf-8"))
-    found = command.find_group(groups, group)
+    found = catalogue.find_group(groups, group)
     return Options(group, {key: option.summary for key, option in found.items()})
 
 
@@ -136,8 +135,8 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
     >>> model.parameters["k_g"].value
     0.1
     """
-    from trms_cli.commands.catalogue import read_primary
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.catalogue import read_primary
+    from trms_cli.composition.composer import compose
     from trms_cli.core.plugins import build as built
     from trms_cli.core.plugins import nearest
     from trms_cli.library.arguments import arguments_of

@@ -44,7 +44,7 @@ class Result:
     @cached_property
     def config(self) -> dict[str, Any]:
         """The resolved configuration, every key with its value."""
-        from trms_cli.commands.catalogue import read_yaml
+        from trms_cli.composition.catalogue import read_yaml
 
         file = self.folder / "config.yaml"
         if not file.is_file():

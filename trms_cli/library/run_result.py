@@ -235,7 +235,7 @@ def run_in(path: Path) -> Run:
     RecordingError
         If there is none.
     """
-    from trms_cli.commands.run_folder import log_of
+    from trms_cli.runs.run_folder import log_of
 
     log = log_of(path)
     if not log.is_file():

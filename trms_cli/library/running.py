@@ -13,7 +13,8 @@ from trms_cli.library.paths import path_of
 from trms_cli.library.run_result import Run, run_in
 
 if TYPE_CHECKING:
-    from trms_cli.commands.composition import Composition, Outcome
+    from trms_cli.commands.execution import Outcome
+    from trms_cli.composition.composer import Composition
     from trms_cli.simulation.closed_loop import Experiment
 
 #: A path, or several.

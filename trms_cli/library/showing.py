@@ -102,10 +102,10 @@ def plot(
     --------
     >>> plot(lqr, pid, what=["tracking", "errors"], start=5, end=15)
     """
-    from trms_cli.commands.run_folder import log_of
     from trms_cli.recordings.log_reader import read_log
     from trms_cli.reporting.notebook_figure import shown
     from trms_cli.reporting.plot import plot as drawn
+    from trms_cli.runs.run_folder import log_of
 
     if "scene" in ([what] if isinstance(what, str) else what):
         raise ConfigurationError(

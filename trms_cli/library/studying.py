@@ -142,7 +142,7 @@ def validate(
         asked = Arguments(tuple(named_sets(asked.words)), asked.objects, asked.config_dirs)
         return _performed(Validation, "validate", asked, one, verbose)
 
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     names = [text_of(m, "model").strip('"') for m in several]
     whole = Arguments((*asked.words, f"model=[{','.join(names)}]"), {}, asked.config_dirs)

@@ -51,7 +51,7 @@ class TimeFunction:
         try:
             value = self.function(time)
         except Exception as error:
-            from trms_cli.commands.invocation import whole_trace
+            from trms_cli.core.invocation import whole_trace
 
             last = traceback.extract_tb(error.__traceback__)[-1]
             raise SimulationError(

@@ -48,7 +48,7 @@ def _primaries(name: str, composes: str | None, *, sweeps: bool) -> list[str]:
 
 
 def _composition(primary: str, *, alone: bool) -> str:
-    from trms_cli.commands.catalogue import primary_file, read_primary
+    from trms_cli.composition.catalogue import primary_file, read_primary
 
     declared = read_primary(primary)
     title = "" if alone else f" of {primary.replace('_', ' ')}"

@@ -69,8 +69,8 @@ def run_job(study: Study, job: Job) -> Outcome:
 
 def make_record(overrides: Sequence[str]) -> Record:
     """Close the loop in memory, as ``trms run`` would."""
-    from trms_cli.commands.composition import compose
     from trms_cli.commands.run_assembly import experiment_of, topics_of
+    from trms_cli.composition.composer import compose
 
     chosen = experiment_of(compose(list(overrides)).config)
     rigs: list[PlantRun] = []
@@ -102,7 +102,7 @@ def make_record(overrides: Sequence[str]) -> Record:
 
 def observer_of(name: str, torques: str) -> Any:
     """An observer as its configuration has it."""
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     given = [f"observer={name}"]
     if torques == "none":

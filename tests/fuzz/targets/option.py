@@ -18,7 +18,7 @@ def seeds(folder: Path) -> Iterator[bytes]:
 
 def read(data: bytes, folder: Path) -> None:
     """The composed experiment, shown and built as far as its controller."""
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
     from trms_cli.core.plugins import build
 
     options = folder / "configs"

@@ -16,6 +16,6 @@ def seeds(folder: Path) -> Iterator[bytes]:
 
 def read(data: bytes, folder: Path) -> None:
     """The composed experiment."""
-    from trms_cli.commands.composition import compose
+    from trms_cli.composition.composer import compose
 
     compose(data.decode("utf-8", "replace").split("\n"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.commands.catalogue import read_yaml
+from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder

@@ -37,7 +37,7 @@ THESIS = {"gd", "gdm", "gda", "gdx", "rp", "cgf", "cgp", "cgb", "scg", "bfgs", "
 
 
 def option(name: str):
-    from trms_cli.commands.catalogue import read_yaml
+    from trms_cli.composition.catalogue import read_yaml
 
     return build(read_yaml(config_folder() / "training" / f"{name}.yaml"), "training")
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trms_cli.commands.catalogue import Groups, Primary, read_yaml
+from trms_cli.composition.catalogue import Groups, Primary, read_yaml
 
 _PLACED = re.compile(r"^(?:override\s+)?/?([\w/]+)@([\w.]+)$")
 

@@ -17,8 +17,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from trms_cli.commands.catalogue import Groups
-from trms_cli.commands.composition import Composition
+from trms_cli.composition.catalogue import Groups
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build, nearest
 from trms_cli.models.parameters import DRAW_LIMIT_SD, Parameter

@@ -1,31 +1,29 @@
 """Composes an experiment: overrides and YAML groups → one plain, resolved, checked mapping.
 
-Hydra's compose API is used: no folder is made, no logging set up, no directory changed. Sweeps
-(``-m``) are :mod:`trms_cli.commands.sweep`'s.
+Hydra's compose API is used: no folder is made, no logging set up, no directory changed.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.catalogue import (
+from trms_cli.composition.catalogue import (
     Primary,
     config_folder,
     make_importable,
     read_groups,
     read_primary,
 )
-from trms_cli.commands.interpolations import check_interpolations
-from trms_cli.commands.overrides import Request, prepare, read_request
-from trms_cli.commands.placed_choices import drop_foreign_keys
-from trms_cli.commands.run_folder import new_folder
-from trms_cli.core.errors import EXIT_OK, ConfigurationError
+from trms_cli.composition.interpolations import check_interpolations
+from trms_cli.composition.overrides import Request, prepare, read_request
+from trms_cli.composition.placed_choices import drop_foreign_keys
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, nearest
+from trms_cli.runs.run_folder import new_folder
 
 
 @dataclass(frozen=True)
@@ -57,55 +55,8 @@ class Composition:
         return str(yaml.dump(self.config, Dumper=dumper, **options))
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a task may return instead of a bare `exit_code`: also a figure to minimise."""
-
-    exit_code: int = EXIT_OK
-    objective: float | None = None  #: smaller is better; None where a sweeper does not search
-    folder: Path | None = None  #: what it wrote into
-
-
-Task = Callable[[Composition], "int | Outcome"]
-
-
-def execute(argv: Sequence[str], primary: str, task: Task) -> int:
-    """Do what `argv` asks: show the configuration, run `task` on it, or sweep.
-
-    Parameters
-    ----------
-    argv : sequence of str
-        Overrides, and ``--config-dir DIR``, ``--cfg job``, ``-m``.
-    primary : str
-        Name of the primary configuration, ``run`` for ``configs/run.yaml``.
-    task : callable
-        A module's function (a launcher may send it to another process): gets a `Composition`,
-        returns the exit code or an `Outcome`.
-
-    Returns
-    -------
-    int
-        Exit code; that of a sweep is 1 when any job failed.
-    """
-    swept = any(word in ("-m", "--multirun") for word in argv)
-    request = read_request([word for word in argv if not (swept and word == "--json")])
-    if request.multirun:
-        from trms_cli.commands.sweep import first_job, sweep
-
-        if not request.show:
-            return sweep(request, primary, task, as_json="--json" in argv)
-        composition = first_job(request, primary)
-    else:
-        composition = _compose(request, primary)
-    if request.show:
-        sys.stdout.write(composition.yaml)
-        return EXIT_OK
-    outcome = task(composition)
-    return outcome.exit_code if isinstance(outcome, Outcome) else outcome
-
-
 def compose(argv: Sequence[str] = (), primary: str = "run") -> Composition:
-    """Compose one experiment from `argv`; ``-m`` and ``--cfg`` are `execute`'s and refused here."""
+    """Compose one experiment from `argv`; ``-m`` and ``--cfg`` are a command's and refused here."""
     request = read_request(argv)
     if request.multirun or request.show:
         raise ConfigurationError(
@@ -113,16 +64,16 @@ def compose(argv: Sequence[str] = (), primary: str = "run") -> Composition:
             where="the command line",
             remedy="leave out -m and --cfg",
         )
-    return _compose(request, primary)
+    return compose_request(request, primary)
 
 
-def _compose(request: Request, primary: str) -> Composition:
+def compose_request(request: Request, primary: str) -> Composition:
     declared = read_primary(primary, request.config_dirs)
     groups = read_groups(request.config_dirs)
     overrides = prepare(request, declared, groups)
     make_importable(request.config_dirs)
 
-    from trms_cli.commands.composition_errors import explained
+    from trms_cli.composition.errors import explained
 
     def keys(fewer: Sequence[str]) -> Mapping[str, Any]:
         from omegaconf import OmegaConf
@@ -141,7 +92,7 @@ def _hydra_compose(primary: str, overrides: Sequence[str], config_dirs: Sequence
     import hydra
     from omegaconf import OmegaConf
 
-    from trms_cli.commands.search_path import HYDRA_VERSION_BASE, user_folders
+    from trms_cli.composition.hydra_folders import HYDRA_VERSION_BASE, user_folders
 
     with user_folders(config_dirs):
         hydra.initialize_config_dir(

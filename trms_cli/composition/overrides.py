@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from trms_cli.commands.catalogue import Groups, Primary, take_config_dirs
-from trms_cli.commands.declared_keys import DeclaredKeys, is_path
-from trms_cli.commands.model_files import with_model_files
+from trms_cli.composition.catalogue import Groups, Primary, take_config_dirs
+from trms_cli.composition.declared_keys import DeclaredKeys, is_path
+from trms_cli.composition.model_files import with_model_files
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 

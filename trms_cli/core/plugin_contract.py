@@ -1,4 +1,4 @@
-"""Whose fault it was: an exception inside a plugin, as a message that names the plugin."""
+"""What a run asks of its plugins: the methods that it calls, and whose fault a failure was."""
 
 from __future__ import annotations
 
@@ -6,11 +6,35 @@ import traceback
 from collections.abc import Mapping
 from typing import Any
 
-from trms_cli.commands.invocation import whole_trace
 from trms_cli.core.errors import ConfigurationError, SimulationError, TrmsError
+from trms_cli.core.invocation import whole_trace
 
+#: The methods of each kind of plugin, by its key in the configuration.
+_METHODS = {
+    "controller": ("preview", "init", "step"),
+    "observer": ("init", "step"),
+    "plant": ("init",),
+    "ref": ("restricted_to", "sample"),
+    "supervisor": ("init",),
+}
 #: First words of a key that names its place in the whole configuration.
 _PLACES = ("model", "plant", "observer", "controller", "ref", "effect", "sim")
+
+
+def check_contract(plugin: Any, key: str) -> None:
+    """Refuse a plugin that lacks a method.
+
+    Raises ConfigurationError: it names the class and what it lacks.
+    """
+    needed = _METHODS[key]
+    lacking = [name for name in needed if not callable(getattr(plugin, name, None))]
+    if lacking:
+        kind = type(plugin)
+        raise ConfigurationError(
+            f"{key} {kind.__module__}.{kind.__qualname__} lacks {' and '.join(lacking)}",
+            where=f"{key}._target_",
+            remedy=f"it needs the methods {', '.join(needed)}: see docs/writing-a-plugin.md",
+        )
 
 
 def plugin_failure(error: Exception, parts: Mapping[str, Any], time: float) -> TrmsError | None:

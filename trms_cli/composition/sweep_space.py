@@ -3,7 +3,7 @@
 Choices are written in Hydra's grammar: ``a,b``, ``choice(a,b)``, ``range(5)``, ``glob(yaw_*)``,
 ``sort(…)``, ``shuffle(…)`` (in an order that is the same each time). Numbers between bounds are
 ``interval(a,b)`` and ``tag(log,interval(a,b))``; ``prior`` is read by
-:mod:`trms_cli.commands.sweep_priors`.
+:mod:`trms_cli.composition.sweep_priors`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from trms_cli.commands.catalogue import Groups, Primary, make_importable, read_groups, read_primary
-from trms_cli.commands.composition import Composition, compose
-from trms_cli.commands.composition_errors import explained
-from trms_cli.commands.declared_keys import DeclaredKeys
-from trms_cli.commands.overrides import PATH_KEYS, Override, Request, parse, prepare
-from trms_cli.commands.sweep_priors import PRIOR, PriorTables
+from trms_cli.composition.catalogue import (
+    Groups,
+    Primary,
+    make_importable,
+    read_groups,
+    read_primary,
+)
+from trms_cli.composition.composer import Composition, compose
+from trms_cli.composition.declared_keys import DeclaredKeys
+from trms_cli.composition.errors import explained
+from trms_cli.composition.overrides import PATH_KEYS, Override, Request, parse, prepare
+from trms_cli.composition.sweep_priors import PRIOR, PriorTables
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.space import Choice, Prior, Range, Space
 

@@ -17,8 +17,8 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.version import VersionBase
 from omegaconf import ListConfig
 
-from trms_cli.commands.catalogue import yaml_error
-from trms_cli.commands.interpolations import refuse_outward
+from trms_cli.composition.catalogue import yaml_error
+from trms_cli.composition.interpolations import refuse_outward
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.yaml_data import MOST_BYTES, check_yaml

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from trms_cli.commands.catalogue import Groups, Primary, read_groups, read_primary
-from trms_cli.commands.composition import compose
-from trms_cli.commands.overrides import parse
+from trms_cli.composition.catalogue import Groups, Primary, read_groups, read_primary
+from trms_cli.composition.composer import compose
+from trms_cli.composition.overrides import parse
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 

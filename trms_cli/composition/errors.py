@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from trms_cli.commands.catalogue import Groups, Primary, yaml_error
-from trms_cli.commands.overrides import parse
+from trms_cli.composition.catalogue import Groups, Primary, yaml_error
+from trms_cli.composition.overrides import parse
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 

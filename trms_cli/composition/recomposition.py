@@ -17,23 +17,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.catalogue import (
+from trms_cli.composition.catalogue import (
     Groups,
     Primary,
     make_importable,
     read_groups,
     read_primary,
 )
-from trms_cli.commands.composition import (
+from trms_cli.composition.composer import (
     Composition,
     _check_keys,
     _chosen,
-    _compose,
     _hydra_compose,
+    compose_request,
 )
-from trms_cli.commands.declared_keys import DeclaredKeys
-from trms_cli.commands.overrides import Override, Request, _value, parse, prepare
-from trms_cli.commands.placed_choices import _replaced, drop_foreign_keys
+from trms_cli.composition.declared_keys import DeclaredKeys
+from trms_cli.composition.overrides import Override, Request, _value, parse, prepare
+from trms_cli.composition.placed_choices import _replaced, drop_foreign_keys
 from trms_cli.core.errors import TrmsError
 
 #: Choices of options that are kept.
@@ -104,7 +104,7 @@ class Recomposer:
         try:
             composition = self._composed(request)
         except (_Unusual, TrmsError):
-            composition = _compose(request, self.primary)
+            composition = compose_request(request, self.primary)
         return composition if job is None else _numbered(composition, job)
 
     def _composed(self, request: Request) -> Composition:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 from pathlib import Path
 
-from trms_cli.commands.catalogue import Groups, Primary
+from trms_cli.composition.catalogue import Groups, Primary
 from trms_cli.core.errors import ConfigurationError
 
 #: The model in the folder of a fit.

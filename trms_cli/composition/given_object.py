@@ -17,6 +17,8 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET
 
 _TARGET = f"{__name__}.taken"
+#: Its name in logs of former versions.
+_FORMER = "trms_cli.commands.given_object.taken"
 #: Letters of an object's own words that a log keeps.
 _LONGEST = 400
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
@@ -75,7 +77,7 @@ def refuse_given(config: Any, where: str, source: str) -> None:
     """
     if not isinstance(config, Mapping):
         return
-    if config.get(TARGET) == _TARGET:
+    if config.get(TARGET) in (_TARGET, _FORMER):
         raise ConfigurationError(
             f"its {where} was {config.get('words')}, an object in a Python session, which a log "
             "cannot hold: the run cannot be repeated from it",

@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.catalogue import Primary, read_yaml, roots
-from trms_cli.commands.declared_keys import included
-from trms_cli.commands.overrides import parse
+from trms_cli.composition.catalogue import Primary, read_yaml, roots
+from trms_cli.composition.declared_keys import included
+from trms_cli.composition.overrides import parse
 
 
 def drop_foreign_keys(

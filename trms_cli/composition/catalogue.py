@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +17,19 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.resources import config_folder
 
 _DEFAULT_LINE = re.compile(r"^\s*-\s+(?:optional\s+)?([\w/]+):[^#]*?(?:#\s*(.*))?$")
+#: Primary configurations; what an earlier one says of a group counts.
+_PRIMARIES = ("run", "identify", "validate", "excite", "stability", "sweep")
+
+#: Groups that the primary configurations do not have: they are chosen inside others.
+_INSIDE_OTHERS = {
+    "disturbance": "torques on the rig: disturbance@plant.disturbances=NAME",
+    "parameters": "values of a model: model.parameter_set=NAME",
+    "networks": "trained networks of the models narx_…: model.network=NAME",
+    "qp_solver": "of newton_mpc: qp_solver@controller.qp=NAME",
+    "shaping": "smooths a reference: shaping@ref.shaping=NAME",
+    "training": "of a network: training@method.training=NAME",
+    "signal": "what one axis follows: signal@ref.alpha_v=NAME",
+}
 
 
 class Option(NamedTuple):
@@ -208,35 +220,41 @@ def read_primary(primary: str, config_dirs: Sequence[Path] = ()) -> Primary:
     return Primary(defaults, about, content)
 
 
-def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:
-    """The part of a command's help that tells which groups and options its overrides choose."""
-    declared = read_primary(primary, config_dirs)
-    groups = read_groups(config_dirs)
-    lines = ["choices (the default is marked *; `trms list GROUP OPTION` shows an option's keys)"]
-    for group, chosen in declared.defaults.items():
-        lines.append(row(f"  {group:12}", declared.about.get(group, "")))
-        for name, option in groups.get(group, {}).items():
-            mark = "*" if name == chosen else " "
-            lines.append(row(f"   {mark} {name:24} ", option.summary))
-    lines += ["", "other keys", *_key_lines(primary_file(primary, config_dirs))]
-    return "\n".join(lines) + "\n"
+def find_group(groups: Groups, name: str) -> dict[str, Option]:
+    """The options of a group.
+
+    Raises ConfigurationError if there is no such group; it names the nearest.
+    """
+    from trms_cli.core.plugins import nearest
+
+    if name not in groups:
+        raise ConfigurationError(
+            f"there is no group {name!r}", where="trms list", remedy=nearest(name, groups)
+        )
+    return groups[name]
 
 
-def row(head: str, text: str) -> str:
-    """One line of a table; on a terminal that is narrower, `text` goes on under itself."""
-    if not sys.stdout.isatty():
-        return f"{head}{text}".rstrip()
-    import shutil
-    import textwrap
+def find_option(groups: Groups, group: str, name: str) -> Option:
+    """An option of a group.
 
-    width = max(shutil.get_terminal_size().columns - len(head), 20)
-    margin = f"\n{' ' * len(head)}"
-    return (head + margin.join(textwrap.wrap(text, width, break_on_hyphens=False))).rstrip()
+    Raises ConfigurationError if there is none; it names the nearest.
+    """
+    from trms_cli.core.plugins import nearest
+
+    options = find_group(groups, group)
+    if name not in options:
+        raise ConfigurationError(
+            f"group {group} has no option {name!r}",
+            where="trms list",
+            remedy=nearest(name, options),
+        )
+    return options[name]
 
 
-def _key_lines(file: Path) -> list[str]:
-    """The own keys of a primary configuration as its file has them, comments included."""
-    text = file.read_text(encoding="utf-8").splitlines()
-    after = next((i for i, line in enumerate(text) if re.match(r"defaults\s*:", line)), -1) + 1
-    body = next((i for i in range(after, len(text)) if re.match(r"\w", text[i])), len(text))
-    return [f"  {line}" for line in text[body:] if line.strip()]
+def about(config_dirs: Sequence[Path]) -> dict[str, str]:
+    """What each group is for, as the primary configurations' defaults tell it."""
+    about = dict(_INSIDE_OTHERS)
+    for primary in reversed(_PRIMARIES):
+        if (config_folder() / f"{primary}.yaml").is_file():
+            about |= read_primary(primary, config_dirs).about
+    return about

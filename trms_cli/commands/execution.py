@@ -1,0 +1,59 @@
+"""Does what a composing command is asked: show the configuration, run a task on it, or sweep."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from trms_cli.composition.composer import Composition, compose_request
+from trms_cli.composition.overrides import read_request
+from trms_cli.core.errors import EXIT_OK
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a task may return instead of a bare `exit_code`: also a figure to minimise."""
+
+    exit_code: int = EXIT_OK
+    objective: float | None = None  #: smaller is better; None where a sweeper does not search
+    folder: Path | None = None  #: what it wrote into
+
+
+Task = Callable[[Composition], "int | Outcome"]
+
+
+def execute(argv: Sequence[str], primary: str, task: Task) -> int:
+    """Do what `argv` asks: show the configuration, run `task` on it, or sweep.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Overrides, and ``--config-dir DIR``, ``--cfg job``, ``-m``.
+    primary : str
+        Name of the primary configuration, ``run`` for ``configs/run.yaml``.
+    task : callable
+        A module's function (a launcher may send it to another process): gets a `Composition`,
+        returns the exit code or an `Outcome`.
+
+    Returns
+    -------
+    int
+        Exit code; that of a sweep is 1 when any job failed.
+    """
+    swept = any(word in ("-m", "--multirun") for word in argv)
+    request = read_request([word for word in argv if not (swept and word == "--json")])
+    if request.multirun:
+        from trms_cli.commands.sweep import first_job, sweep
+
+        if not request.show:
+            return sweep(request, primary, task, as_json="--json" in argv)
+        composition = first_job(request, primary)
+    else:
+        composition = compose_request(request, primary)
+    if request.show:
+        sys.stdout.write(composition.yaml)
+        return EXIT_OK
+    outcome = task(composition)
+    return outcome.exit_code if isinstance(outcome, Outcome) else outcome
