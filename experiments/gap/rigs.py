@@ -18,7 +18,7 @@ from trms_cli.identification.model_writer import write_model
 from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import ParameterSet
-from trms_cli.observers.initial_state import resting_state
+from trms_cli.models.rest import resting_state
 from trms_cli.simulation.rollout import Rollout
 
 FloatArray = npt.NDArray[np.float64]

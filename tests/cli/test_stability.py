@@ -14,8 +14,8 @@ import numpy as np
 
 from trms_cli.core.chart import Axis, Chart, Panel, Points
 from trms_cli.core.findings import Findings, Judged, Section, Table
-from trms_cli.stability.operating_point import operating_point
-from trms_cli.stability.vector_field import VectorField
+from trms_cli.models.operating_point import operating_point
+from trms_cli.models.vector_field import VectorField
 
 
 @dataclass(frozen=True, kw_only=True)

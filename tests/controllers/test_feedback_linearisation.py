@@ -10,7 +10,6 @@ from closed_loop_case import SAMPLE_TIME, run, squares
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.feedback_linearisation import FeedbackLinearisation, gains_of
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.controllers.virtual_moments import virtual_moments
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
@@ -20,6 +19,7 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
 from trms_cli.observers.observer import Estimate
 

@@ -7,15 +7,15 @@ import pytest
 from closed_loop_case import SAMPLE_TIME, Trajectory, run, squares
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
-from trms_cli.controllers.linear_design import Linearisation
 from trms_cli.controllers.lqr import Lqr, LqrState
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.linearisation import Linearisation
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.observer import Estimate
 
 BOTH = Newtonian()

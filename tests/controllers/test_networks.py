@@ -14,12 +14,12 @@ from linear_model import DoubleMass, matrices
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.narx import Narx
 from trms_cli.models.network import NarxStructure, Network
+from trms_cli.models.steady_state import SteadyState
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "models"))
 from network_case import rig_like

@@ -98,13 +98,13 @@ class SteadyStart:
 
     @staticmethod
     def of(model: Model) -> np.ndarray:
-        from trms_cli.controllers.operating_point import SteadyState
+        from trms_cli.models.steady_state import SteadyState
 
         return SteadyState(model).solve(np.array([0.0, 0.3])).x
 
     @staticmethod
     def command(model: Model) -> np.ndarray:
-        from trms_cli.controllers.operating_point import SteadyState
+        from trms_cli.models.steady_state import SteadyState
 
         return SteadyState(model).solve(np.array([0.0, 0.3])).u
 

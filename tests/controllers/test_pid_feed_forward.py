@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from trms_cli.controllers.controller import ControlSetup
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.controllers.pid import Pid, _guided
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
@@ -21,6 +20,7 @@ from trms_cli.controllers.pid_feed_forward import (
     torque_curve,
 )
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.steady_state import SteadyState
 
 MODEL = Newtonian()
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.models.feedback_manual import FeedbackManual
+from trms_cli.models.steady_state import SteadyState
 
 PAGE = Path(__file__).parents[2] / "docs" / "model.md"
 

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.effects.gyroscopic_coupling import GyroscopicCoupling
 from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.models.model import Axis, Model, Signal
 from trms_cli.models.parameters import Parameter, ParameterSet
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
 
 

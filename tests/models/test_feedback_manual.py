@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ModelError
 from trms_cli.models.feedback_manual import FeedbackManual
+from trms_cli.models.steady_state import SteadyState
 
 from .simulate import simulate
 

@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.quadratic_damping import QuadraticDamping
@@ -16,7 +15,8 @@ from trms_cli.models.driven import DrivenModel
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.rig_bodies import bodies, energies
-from trms_cli.observers.state_kinds import kinds_of_states
+from trms_cli.models.state_kinds import kinds_of_states
+from trms_cli.models.steady_state import SteadyState
 
 from .simulate import simulate
 

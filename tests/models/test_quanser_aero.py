@@ -9,13 +9,13 @@ import pytest
 from trms_cli.cli import main
 from trms_cli.commands.run_assembly import experiment_of
 from trms_cli.composition.composer import compose
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.simulation.closed_loop import Loop
 from trms_cli.simulation.history import History

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ModelError
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
+from trms_cli.models.steady_state import SteadyState
 
 from .simulate import simulate
 

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.static_curve import read_static_curve, rising_spline
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
 
 RPM = np.pi / 30

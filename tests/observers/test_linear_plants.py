@@ -7,11 +7,11 @@ import pytest
 from observed_rigs import NOISE_SD, SAMPLE_TIME, Pendulum, Rig
 from scipy.linalg import solve_discrete_are
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.ekf import Ekf
 from trms_cli.observers.kalman import Kalman
 from trms_cli.observers.mhe import Mhe

@@ -12,10 +12,10 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.rest import resting_state
+from trms_cli.models.state_kinds import kinds_of_disturbances, kinds_of_states
 from trms_cli.observers.full_state import FullState
-from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.observer import ObserverSetup
-from trms_cli.observers.state_kinds import kinds_of_disturbances, kinds_of_states
 from trms_cli.observers.ukf import Ukf
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "models"))

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.models.model import Model, Signal
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.parameters import ParameterSet
-from trms_cli.stability.operating_point import OperatingPoint
 
 
 class Planar(Model):

@@ -10,9 +10,9 @@ import numpy as np
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
 from trms_cli.observers.full_state import FullState
 from trms_cli.stability.loops.frequency_response import Analyser
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.subject import LoopParts, Subject
 
 MODEL = Newtonian()

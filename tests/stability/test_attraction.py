@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.attraction.definite import corners, decays, positive_definite
 from trms_cli.stability.attraction.estimates import estimates, methods_for
 from trms_cli.stability.attraction.functions import basis_of, quadratic
@@ -30,7 +31,6 @@ from trms_cli.stability.attraction.proof import proved_level
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.attraction.truth import SETTLED, failures, fates, share_of
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.study import silent
 
 #: Without `integrals`: the rates of van der Pol are straight along the axes.

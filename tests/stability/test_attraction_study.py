@@ -12,13 +12,13 @@ from trms_cli.composition.composer import compose
 from trms_cli.core.chart import as_data
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.attraction.linear_law import LinearLawLoop, linear_law
 from trms_cli.stability.attraction.report import percent
 from trms_cli.stability.attraction.truth import Share, share_of
 from trms_cli.stability.closed_loop import run_loop
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.study import silent
-from trms_cli.stability.vector_field import VectorField
 
 FEW = ("study.samples=100", "study.grid=9")
 

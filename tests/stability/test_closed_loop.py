@@ -9,9 +9,9 @@ from trms_cli.controllers.lqr import Lqr
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
 from trms_cli.observers.full_state import FullState
 from trms_cli.stability.closed_loop import Enough, run_loop
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.subject import LoopParts
 
 MODEL = Newtonian()

@@ -12,6 +12,7 @@ from scipy.special import ellipk
 
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.stability.cycles.absence import absence
 from trms_cli.stability.cycles.branch import born_at, followed
@@ -19,7 +20,6 @@ from trms_cli.stability.cycles.continuum import continuum
 from trms_cli.stability.cycles.hopf import equilibria_over, hopf_points
 from trms_cli.stability.cycles.search import half_widths, has_impulses, searched, starts_in
 from trms_cli.stability.cycles.shooting import Shooting
-from trms_cli.stability.operating_point import operating_point
 
 
 class Oscillator(Model):

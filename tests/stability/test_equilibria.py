@@ -18,6 +18,7 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian, geometry
 from trms_cli.models.tras import Tras
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.equilibria.completeness import Prover, over_range
 from trms_cli.stability.equilibria.continuation import curves_through, starts
 from trms_cli.stability.equilibria.named_points import named_points
@@ -33,7 +34,6 @@ from trms_cli.stability.equilibria.survey import (
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
-from trms_cli.stability.vector_field import VectorField
 
 #: Table of the design: u_v [V] → ω_v [rad/s], α_v [rad].
 TABLE = {

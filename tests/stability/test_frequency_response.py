@@ -14,6 +14,7 @@ from trms_cli.controllers.pid_design import Design
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.loops.frequency_response import (
     Analyser,
     Measured,
@@ -22,7 +23,6 @@ from trms_cli.stability.loops.frequency_response import (
 )
 from trms_cli.stability.loops.margins import Margins
 from trms_cli.stability.loops.multisine import multisine
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.study import silent
 
 

@@ -10,17 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup
-from trms_cli.controllers.linear_design import Linearisation
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.open_loop import OpenLoop
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.controllers.pid import Pid
 from trms_cli.controllers.pid_tuning import AxisPlant, Filters, Gains, closed_loop
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.stribeck_friction import StribeckFriction
+from trms_cli.models.linearisation import Linearisation
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.full_state import FullState
 from trms_cli.observers.observer import Estimate
 from trms_cli.stability.cycles.friction_law import FrictionLaw, frictions_of
@@ -28,7 +29,6 @@ from trms_cli.stability.cycles.hunting_prediction import predicted
 from trms_cli.stability.cycles.hunting_runs import slips, watched, with_sizes
 from trms_cli.stability.cycles.pid_loop import FrictionLoop, friction_loop, law_matrices
 from trms_cli.stability.cycles.stick_slip import StickSlip
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.studies.hunting import Hunting
 from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import LoopParts, Subject

@@ -14,16 +14,16 @@ from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
+from trms_cli.models.vector_field import VectorField
 from trms_cli.observers.full_state import FullState
 from trms_cli.stability.cycles.search import searched
 from trms_cli.stability.cycles.shooting import Shooting
 from trms_cli.stability.cycles.usual_point import not_level
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.studies.limit_cycles import LimitCycles
 from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import LoopParts, Subject
-from trms_cli.stability.vector_field import VectorField
 
 SHORT = {"starts": 6, "duration": 40.0, "orbits": 45}
 

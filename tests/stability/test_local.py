@@ -11,6 +11,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.local.balance import Balance
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.local.modes import modes_of, modes_of_matrix
@@ -21,7 +22,6 @@ from trms_cli.stability.local.tracks import tracks_of
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
-from trms_cli.stability.vector_field import VectorField
 
 
 def modes_at(model, at, side="mean"):

@@ -18,17 +18,17 @@ from trms_cli.effects.sensor_bias import SensorBias
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
 from trms_cli.models.tras import Tras
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.lyapunov import told
 from trms_cli.stability.lyapunov.certificate import Certificate, certified
 from trms_cli.stability.lyapunov.claims import Claim, identity_residual
 from trms_cli.stability.lyapunov.seen import motions, on_level, random_directions
 from trms_cli.stability.lyapunov.subject import rig_of
-from trms_cli.stability.operating_point import operating_point
 from trms_cli.stability.studies.lyapunov import Lyapunov
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
-from trms_cli.stability.vector_field import VectorField
 
 #: Enough for the claims; the study itself takes more boxes.
 BUDGET = 600

@@ -14,10 +14,10 @@ import sympy as sp
 
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.lyapunov.claims import identity_residual
 from trms_cli.stability.lyapunov.energy import Energy, Weights
 from trms_cli.stability.lyapunov.function import Candidate
-from trms_cli.stability.operating_point import operating_point
 
 k_oh, k_ov, k_c, l_t, l_m, k_m, k_t, k_g = sp.symbols("k_oh k_ov k_c l_t l_m k_m k_t k_g")
 J_v, D, E, F, H, G, delta = sp.symbols("J_v D E F H G delta", positive=True)

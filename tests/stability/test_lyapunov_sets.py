@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.energy import Energy, Weights
 from trms_cli.stability.lyapunov.falling import definite, falling
 from trms_cli.stability.lyapunov.function import Candidate
 from trms_cli.stability.lyapunov.seen import on_level, random_directions
 from trms_cli.stability.lyapunov.well import stop_level, wells_of
-from trms_cli.stability.operating_point import operating_point
 
 RNG = np.random.default_rng(5)
 

@@ -40,11 +40,11 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.controllers.virtual_moments import VirtualMoments, virtual_moments
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.models.steady_state import SteadyState, Target
 
 FloatArray = npt.NDArray[np.float64]
 _Positive = Annotated[float, Meta(gt=0)]

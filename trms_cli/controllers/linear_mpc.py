@@ -38,7 +38,6 @@ from trms_cli.controllers.controller import (
     Status,
 )
 from trms_cli.controllers.fallback import Policy, fall_back
-from trms_cli.controllers.linear_design import Linearisation, require_drivable
 from trms_cli.controllers.linear_prediction import Condensed, Limits, StageCost
 from trms_cli.controllers.newton_problem import (
     SoftLimits,
@@ -47,14 +46,15 @@ from trms_cli.controllers.newton_problem import (
     check_names,
     check_problem,
 )
-from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.controllers.qp.daqp import Daqp
 from trms_cli.controllers.qp.problem import QpResult, QpSolver
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.linearisation import Linearisation, require_drivable
 from trms_cli.models.model import names
+from trms_cli.models.steady_state import SteadyState, Target
 
 FloatArray = npt.NDArray[np.float64]
 _Positive = Annotated[float, Meta(gt=0)]

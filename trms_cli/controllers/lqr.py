@@ -30,13 +30,13 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.linear_design import Linearisation, LinearModel, require_drivable
 from trms_cli.controllers.named_weights import in_order
-from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discretisation import DiscreteModel
+from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import names
+from trms_cli.models.steady_state import SteadyState, Target
 
 FloatArray = npt.NDArray[np.float64]
 _Positive = Annotated[float, Meta(gt=0)]

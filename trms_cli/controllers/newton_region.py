@@ -38,9 +38,9 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.horizon import Horizon
-from trms_cli.controllers.operating_point import Target
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.model import names
+from trms_cli.models.steady_state import Target
 
 FloatArray = npt.NDArray[np.float64]
 

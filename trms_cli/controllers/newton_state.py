@@ -28,11 +28,11 @@ from trms_cli.controllers.newton_region import RegionDesign
 from trms_cli.controllers.newton_sizes import typical_sizes
 from trms_cli.controllers.newton_step import NewtonStep
 from trms_cli.controllers.newton_terminal import TerminalRegions
-from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.errors import SimulationError
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
+from trms_cli.models.steady_state import SteadyState, Target
 
 if TYPE_CHECKING:
     from trms_cli.controllers.newton_mpc import NewtonMpc

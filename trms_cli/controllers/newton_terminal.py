@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from trms_cli.controllers.newton_region import RegionDesign, TerminalRegion
 from trms_cli.controllers.newton_step import NewtonStep
-from trms_cli.controllers.operating_point import Target
+from trms_cli.models.steady_state import Target
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -16,10 +16,10 @@ from typing import ClassVar
 import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, FloatArray
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import names
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.references.signal import Signal, require_signal
 
 #: Samples for which the signals are evaluated at once.
@@ -126,7 +126,7 @@ class OpenLoop:
                 )
         asked = np.array([self.operating_point.get(name, 0.0) for name in model.controlled])
         target = SteadyState(model).solve(asked)
-        if not target.converged or target.projected:
+        if not target.exact:
             reached = ", ".join(
                 f"{name} {value:.3g} rad"
                 for name, value in zip(model.controlled, target.reference_reached, strict=True)

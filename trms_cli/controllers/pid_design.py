@@ -13,8 +13,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.linear_design import Linearisation, LinearModel, require_drivable
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
     RotorTables,
@@ -36,7 +34,9 @@ from trms_cli.controllers.pid_tuning import (
 )
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import kept
+from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import Model, names
+from trms_cli.models.steady_state import SteadyState
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -4,7 +4,7 @@ The thrust of a rotor goes as ω|ω|, so that a volt is worth little where the r
 much where it turns fast: the loop gain of an axis would change with its angle and with what pushes
 it. The law therefore asks for a torque on its axis, and the :func:`torque_curve` of its rotor turns
 that into an input. Both the curve and the holding torques are read off the steady states of the
-model (:mod:`trms_cli.controllers.operating_point`), dead zones and supply limits included. That
+model (:mod:`trms_cli.models.steady_state`), dead zones and supply limits included. That
 takes some hundred solutions, so the tables are kept between runs.
 """
 
@@ -20,10 +20,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers import operating_point, steady_state_step
-from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.core.result_cache import cached_result
+from trms_cli.models import steady_state
 from trms_cli.models.model import Model, names
+from trms_cli.models.steady_state import SteadyState, Target
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -123,7 +123,7 @@ def _all_that_steady_states_follow_from(model: Model) -> list[object]:
         sorted(model.axes.items()),
         sorted(model.input_limits.items()),
         sorted(model.stops.items()),
-        *(Path(str(m.__file__)).read_bytes() for m in (operating_point, steady_state_step)),
+        Path(str(steady_state.__file__)).read_bytes(),
     ]
 
 
@@ -141,7 +141,7 @@ def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> 
         w = np.zeros(model.n_w)
         w[equation] = -torque
         target = steady.solve(zero, w, guess)
-        return target if target.converged and not target.projected else None
+        return target if target.exact else None
 
     middle = solved(0.0, None)
     sides: list[list[tuple[float, float]]] = []
@@ -206,7 +206,7 @@ def holding_torques(
             reference = np.zeros(len(model.controlled))
             reference[position] = value
             target = steady.solve(reference, None, last)
-            if target.projected or not target.converged:
+            if not target.exact:
                 break
             last = target
             found.append((value, torque_of.at(float(target.u[channel]))))

@@ -63,7 +63,7 @@ class RobustMpcOffline(Design):
         farthest = np.array([regulation.angles(row) for row in np.diag(widest)])
         corners = itertools.product((0.0, -1.0, 1.0), repeat=len(reach))
         every = [regulation.aim_at(np.array(corner) * reach) for corner in corners]
-        aims = [aim for aim in every if aim.steady.converged and not aim.steady.projected]
+        aims = [aim for aim in every if aim.steady.exact]
         positions = np.geomspace(1.0, self.smallest, self.rings).tolist()
         return RobustMpcOfflineState(
             regulation, make_family(self, regulation, aims, farthest, positions)

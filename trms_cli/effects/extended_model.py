@@ -63,6 +63,9 @@ class ExtendedModel(Model):
         self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
         self.stiff, self.sample_time = base.stiff, base.sample_time
 
+    def without_effects(self) -> Model:
+        return self.base.without_effects()
+
     def rest(self) -> FloatArray:
         return np.concatenate([self.base.rest(), np.zeros(self.n_x - self.base.n_x)])
 

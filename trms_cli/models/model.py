@@ -198,6 +198,10 @@ class Model(ABC):
         upper = np.array([self.input_limits[signal.name] for signal in self.inputs])
         return -upper, upper
 
+    def without_effects(self) -> Model:
+        """The model beneath all effects: itself, where it has none."""
+        return self
+
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Fresh symbols (x, u, p, w)."""
         return (

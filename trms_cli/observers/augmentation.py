@@ -25,11 +25,11 @@ from trms_cli.core.plugins import nearest
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
+from trms_cli.models.rest import resting_state
+from trms_cli.models.state_kinds import kinds_of_disturbances, kinds_of_states
 from trms_cli.models.state_noise import noise_of_states
-from trms_cli.observers.initial_state import resting_state
 from trms_cli.observers.noise_tables import InitialSd, Positive, ProcessNoise, by_state
 from trms_cli.observers.observer import ObserverSetup
-from trms_cli.observers.state_kinds import kinds_of_disturbances, kinds_of_states
 
 FloatArray = npt.NDArray[np.float64]
 

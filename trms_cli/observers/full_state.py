@@ -19,7 +19,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discrete import copied_states
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model
-from trms_cli.observers.initial_state import resting_state
+from trms_cli.models.rest import resting_state
 from trms_cli.observers.observer import Estimate, ObserverSetup
 
 FloatArray = npt.NDArray[np.float64]

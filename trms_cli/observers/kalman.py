@@ -21,14 +21,14 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.linear_design import Linearisation
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.linearisation import Linearisation
+from trms_cli.models.state_kinds import kinds_of_states
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.augmentation import Augmentation, augment
 from trms_cli.observers.kalman_step import exact_measurement, exact_transition, kalman_step
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState, RecursiveFilter
-from trms_cli.observers.state_kinds import kinds_of_states
 
 FloatArray = npt.NDArray[np.float64]
 

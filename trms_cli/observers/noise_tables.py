@@ -1,7 +1,7 @@
 """What an observer is told of noise and of its own ignorance: tables by kind of state.
 
 A kind (an angle, a rotor's speed, a torque on an axis) is read off the model's structure, so that
-one table serves every model; see :mod:`trms_cli.observers.state_kinds`.
+one table serves every model; see :mod:`trms_cli.models.state_kinds`.
 """
 
 from __future__ import annotations

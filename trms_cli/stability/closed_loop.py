@@ -24,6 +24,7 @@ from trms_cli.controllers.controller import (
 )
 from trms_cli.core.errors import SimulationError
 from trms_cli.models.model import Model, names
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.rest import rest_equations
 from trms_cli.plants.plant import PlantRun, PlantSetup
 from trms_cli.plants.sensors import Sensors
@@ -32,7 +33,6 @@ from trms_cli.references.constant import Constant
 from trms_cli.references.trajectory import ReferenceTrajectory
 from trms_cli.simulation.closed_loop import Experiment, Loop
 from trms_cli.simulation.history import History
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.subject import LoopParts
 
 FloatArray = npt.NDArray[np.float64]

@@ -152,10 +152,7 @@ def _without_paths(model: Model) -> Model:
     kept = {name: e for name, e in effects if _overrides(e, (*_INSIDE, *_IMPULSES))}
     if len(kept) == len(effects):
         return model
-    plain = model
-    while isinstance(plain, ExtendedModel):
-        plain = plain.base
-    moving = extended(plain, kept)
+    moving = extended(model.without_effects(), kept)
     values = {p.name: p.value for p in model.parameters if p.name in moving.parameters}
     moving.parameters = moving.parameters.replaced(values)
     return moving

@@ -12,9 +12,8 @@ import numpy as np
 from trms_cli.controllers.code.literals import number, table, text, whole_table
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model
-from trms_cli.models.rest import rest_equations
+from trms_cli.models.rest import equation_weights, rest_equations
 from trms_cli.observers.augmentation import augment
-from trms_cli.observers.initial_state import equation_weights
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import INPUTS, RecursiveFilter
 
@@ -97,7 +96,7 @@ def observer_source(observer: RecursiveFilter, setup: ObserverSetup) -> Observer
 
 
 def resting_step(model: Model, outputs: tuple[str, ...]) -> ca.Function:
-    """One Gauss–Newton step of :func:`trms_cli.observers.initial_state.resting_state`.
+    """One Gauss–Newton step of :func:`trms_cli.models.rest.resting_state`.
 
     ``(s, u, p) → next s, largest move (as a share of its scale), whole state at s`` with the
     measured channels among s known and the others solved for.

@@ -11,16 +11,16 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from trms_cli.controllers import operating_point
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.controllers.named_weights import in_order
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.controllers.robust.coordinates import Coordinates
 from trms_cli.controllers.robust.demand import thrust_demand
 from trms_cli.controllers.robust.lmi import Task
 from trms_cli.controllers.robust.polytope import Coefficients, Polytope, Region, Target
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.models import steady_state
 from trms_cli.models.model import Model, names
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.observer import Estimate
 
 FloatArray = npt.NDArray[np.float64]
@@ -62,7 +62,7 @@ class Design:
 class Aim:
     """Where the regulation is going."""
 
-    steady: operating_point.Target
+    steady: steady_state.Target
     target: Target  #: The same in the coordinates
     message: str
     asked: FloatArray  #: (n_r,) array; the reference, rad

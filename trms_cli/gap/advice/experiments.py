@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import TrmsError
 from trms_cli.identification.excitation.band import band_of, linearised
 from trms_cli.identification.excitation.excitation import Excitation, Plan
@@ -22,6 +21,7 @@ from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import MultisineExcitation
 from trms_cli.identification.excitation.prbs import PrbsExcitation
 from trms_cli.models.model import Model, names
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.references.sawtooth import Sawtooth
 from trms_cli.references.signal import Signal
 from trms_cli.references.square import Square
@@ -211,7 +211,7 @@ def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[Ex
     angles = [_FROM_REST * float(rest[model.state_index(name)]) for name in model.controlled]
     try:
         target = SteadyState(model).solve(np.array(angles))
-        if not target.converged or target.projected:
+        if not target.exact:
             return
         points = {
             False: (np.array(target.u), np.array(target.x)),

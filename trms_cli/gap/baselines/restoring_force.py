@@ -21,7 +21,7 @@ from trms_cli.core.compilation import compiled
 from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
 from trms_cli.identification.greybox.starts import estimated_starts
 from trms_cli.models.model import Model
-from trms_cli.observers.state_kinds import kinds_of_states
+from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.simulation.rollout import Rollout
 
 #: s, over which a polynomial of the third degree is laid; and the fewest samples of it.

@@ -13,7 +13,7 @@ from trms_cli.gap.baselines.marks import marks
 from trms_cli.identification.dataset import Dataset, FloatArray
 from trms_cli.models.model import Model, index_of
 from trms_cli.models.parameters import Parameter
-from trms_cli.observers.initial_state import resting_state
+from trms_cli.models.rest import resting_state
 from trms_cli.simulation.rollout import Rollout
 
 #: s, of a training recording, and what is left out at its beginning.

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.identification.dataset import FloatArray
@@ -21,6 +20,7 @@ from trms_cli.identification.excitation.band import Linearised, band_of, lineari
 from trms_cli.identification.excitation.excitation import Excitation, Plan, Shape, crest_factor
 from trms_cli.identification.excitation.request import Request
 from trms_cli.models.model import Model, names
+from trms_cli.models.steady_state import SteadyState
 
 #: rad, for an axis without a stop.
 _WITHOUT_STOP = 1.5
@@ -201,7 +201,7 @@ def _operating_point(
                 remedy=f"within the bound of ±{bounds[name]:.3g} rad",
             )
     target = SteadyState(model).solve(np.array([asked[name] for name in model.controlled]))
-    if not target.converged or target.projected:
+    if not target.exact:
         raise ConfigurationError(
             f"model {model.name!r} cannot rest at "
             + ", ".join(f"{n} {value:.3g} {_unit(model, n)}" for n, value in asked.items()),

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
-from trms_cli.observers.initial_state import resting_state
-from trms_cli.observers.state_kinds import Kind, kinds_of_states
+from trms_cli.models.rest import resting_state
+from trms_cli.models.state_kinds import Kind, kinds_of_states
 from trms_cli.simulation.rollout import Rollout
 
 FloatArray = npt.NDArray[np.float64]

@@ -22,8 +22,8 @@ from trms_cli.identification.dataset import Dataset, FloatArray
 from trms_cli.identification.validation.lagged_state import measured_states
 from trms_cli.identification.validation.options import PredictorOptions
 from trms_cli.models.model import Model, index_of, names
+from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.observer import ObserverSetup
-from trms_cli.observers.state_kinds import kinds_of_states
 from trms_cli.observers.ukf import Ukf
 from trms_cli.simulation.rollout import Rollout
 

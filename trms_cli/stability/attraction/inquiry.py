@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.attraction.estimates import (
     LABELS,
     Estimate,
@@ -31,7 +32,6 @@ from trms_cli.stability.attraction.truth import (
     share_of,
 )
 from trms_cli.stability.study import Tell
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 

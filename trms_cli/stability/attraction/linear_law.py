@@ -21,7 +21,7 @@ import numpy.typing as npt
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.lqr import Lqr, Regulator
 from trms_cli.models.model import Model, Signal
-from trms_cli.stability.operating_point import OperatingPoint
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.subject import LoopParts
 
 FloatArray = npt.NDArray[np.float64]

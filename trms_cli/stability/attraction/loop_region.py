@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
 from trms_cli.core.findings import Block, Findings, Judged, Section, Table
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.attraction import report
 from trms_cli.stability.attraction.inquiry import (
     Options,
@@ -24,7 +25,6 @@ from trms_cli.stability.attraction.linear_law import LinearLaw, LinearLawLoop, l
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.attraction.truth import Share, share_of
 from trms_cli.stability.closed_loop import run_loop
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 

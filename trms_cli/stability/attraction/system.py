@@ -27,10 +27,10 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
 

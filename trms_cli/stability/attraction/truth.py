@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.operating_point import refined
+from trms_cli.models.vector_field import LONGEST_STEP, VectorField, without_impulses
 from trms_cli.stability.attraction.estimates import Estimate
 from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
 from trms_cli.stability.attraction.system import Around
-from trms_cli.stability.operating_point import refined
-from trms_cli.stability.vector_field import LONGEST_STEP, VectorField, without_impulses
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int8]

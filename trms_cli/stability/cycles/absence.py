@@ -27,10 +27,10 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.cycles.contracting_areas import share_without_orbits
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 

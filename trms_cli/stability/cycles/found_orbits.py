@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model, names
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.cycles.absence import Absence
 from trms_cli.stability.cycles.over_command import OverCommand
 from trms_cli.stability.cycles.search import FATES, Search
 from trms_cli.stability.cycles.shooting import Orbit
-from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import refined
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.operating_point import refined
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 

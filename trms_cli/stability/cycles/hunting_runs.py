@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.closed_loop import LoopRun, run_loop
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.subject import LoopParts
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 Verdict = Literal["hunting", "rest", "dying out", "undecided", "oscillating", "unstable"]

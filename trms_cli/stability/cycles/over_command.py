@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.cycles.branch import Branch, born_at, followed
 from trms_cli.stability.cycles.hopf import Curve, Hopf, equilibria_over, hopf_points
 from trms_cli.stability.cycles.shooting import Orbit, Shooting
-from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
 

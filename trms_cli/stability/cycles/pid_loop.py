@@ -30,9 +30,9 @@ from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.pid import AxisState, Pid
 from trms_cli.models.dry_friction import moment_index
 from trms_cli.models.model import Model
-from trms_cli.stability.operating_point import OperatingPoint
+from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.subject import LoopParts
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.cycles.continuum import continuum, gone_round_once
 from trms_cli.stability.cycles.shooting import Orbit, Shooting
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 Fate = Literal["rest", "settling", "cycle", "moves on", "leaves"]

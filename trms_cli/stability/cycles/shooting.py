@@ -27,8 +27,8 @@ import numpy.typing as npt
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.cycles.in_periods import InPeriods
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 

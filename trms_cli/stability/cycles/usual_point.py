@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model
-from trms_cli.stability.operating_point import OperatingPoint, operating_point
+from trms_cli.models.operating_point import OperatingPoint, operating_point
 
 #: rad. Yaw is off the place where the cable's stiffness jumps: a cycle that small has no slopes.
 _LEVEL = {"alpha_v": 0.0, "alpha_h": 0.3}

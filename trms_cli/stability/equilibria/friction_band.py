@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model, names
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.equilibria.continuation import curve_through
 from trms_cli.stability.equilibria.curve_equations import CurveEquations
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.search_box import bounds_of
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint, operating_point, refined
 from trms_cli.models.rest import arriving
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.equilibria.friction_band import Band, bands
 from trms_cli.stability.equilibria.stability_of_points import GROWTH, eigenvalues_at
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.local.modes import Verdict
-from trms_cli.stability.operating_point import OperatingPoint, operating_point, refined
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 

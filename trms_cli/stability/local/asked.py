@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model, names
-from trms_cli.stability.operating_point import asked_by_angle
+from trms_cli.models.operating_point import asked_by_angle
 
 
 def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str) -> str:

@@ -14,15 +14,15 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model, names
-from trms_cli.models.rest import rest_equations
-from trms_cli.stability.operating_point import (
+from trms_cli.models.operating_point import (
     OperatingPoint,
     asked_by_angle,
     operating_point,
 )
+from trms_cli.models.rest import rest_equations
+from trms_cli.models.steady_state import SteadyState
 
 FloatArray = npt.NDArray[np.float64]
 

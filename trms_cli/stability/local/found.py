@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.access import Gramians, ModeAccess, ReachAlong
 from trms_cli.stability.local.linear import Matrices
 from trms_cli.stability.local.scales import Scales
 from trms_cli.stability.local.sweep import Path, Sweep
 from trms_cli.stability.local.torques import TorquesSeen
-from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 
 from trms_cli.core.errors import TrmsError
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.modes import rate_of
 from trms_cli.stability.local.parts import STILL
 from trms_cli.stability.local.sweep import Path
-from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
 

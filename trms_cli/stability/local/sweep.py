@@ -18,11 +18,11 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.asked import in_order
 from trms_cli.stability.local.balance import Balance, Held
 from trms_cli.stability.local.linear import Linear, Side
 from trms_cli.stability.local.tracking import Spectrum, matched, spectrum_of
-from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
 Kind = Literal["angle", "command", "parameter"]

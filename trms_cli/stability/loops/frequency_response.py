@@ -29,9 +29,9 @@ import numpy.typing as npt
 
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import Enough, LoopRun, run_loop
 from trms_cli.stability.loops.multisine import ComplexArray, multisine
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
 

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.model import Model, names
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import Path
-from trms_cli.stability.operating_point import OperatingPoint
 
 FloatArray = npt.NDArray[np.float64]
 Class = Literal["delay", "gain", "friction"]

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 
 from trms_cli.controllers.controller import Status
 from trms_cli.core.findings import Findings, Judged, Judgement, Section, Table, Value
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.loops import margin_charts
 from trms_cli.stability.loops.crossings import Limit
 from trms_cli.stability.loops.disk_margin import DiskMargin
 from trms_cli.stability.loops.frequency_response import NotHeld
 from trms_cli.stability.loops.margin_data import results_of, value_of
 from trms_cli.stability.loops.margins import Margins
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.subject import LoopParts, Subject
 
 #: Parts of the answer above which a warning is due: change from period to period, what the linear

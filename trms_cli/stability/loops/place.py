@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint, operating_point
+from trms_cli.models.steady_state import SteadyState
+from trms_cli.models.vector_field import VectorField, without_impulses
 from trms_cli.stability.loops.frequency_response import Analyser, Measured, NoLoopError, NotHeld
 from trms_cli.stability.loops.multisine import harmonics_of
 from trms_cli.stability.loops.sticking import held_by_friction
-from trms_cli.stability.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
-from trms_cli.stability.vector_field import VectorField, without_impulses
 
 #: Level, and yaw where the cable pulls and the tail rotor turns: at ω_h = 0 its thrust, ω|ω|, has
 #: no slope, and no linear loop of yaw exists.
@@ -55,7 +55,7 @@ def _of_a_black_box(subject: Subject, at: Mapping[str, float]) -> OperatingPoint
             )
     wanted = np.array([at.get(name, 0.0) for name in model.controlled])
     target = SteadyState(model).solve(wanted)
-    if not target.converged or target.projected:
+    if not target.exact:
         reached = ", ".join(
             f"{name}={value:.4g}"
             for name, value in zip(model.controlled, target.reference_reached, strict=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model
-from trms_cli.stability.operating_point import OperatingPoint
-from trms_cli.stability.vector_field import VectorField
+from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.models.vector_field import VectorField
 
 #: Step of the commands, as a share of half their range: any dry friction takes up so little.
 _STEP = 1e-6

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.loops.impairments import Gain, Impairment
 from trms_cli.stability.loops.margins import Margins
 from trms_cli.stability.loops.tolerance_search import Found, Tried, searched
 from trms_cli.stability.loops.verdict import Bounds
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.subject import LoopParts, Subject
 
 FloatArray = npt.NDArray[np.float64]

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.lyapunov import claims
 from trms_cli.stability.lyapunov.claims import Claim
 from trms_cli.stability.lyapunov.counterexample import Rising, fastest_rising, lowest_rising
@@ -13,7 +14,6 @@ from trms_cli.stability.lyapunov.energy import Energy
 from trms_cli.stability.lyapunov.search import Found, searched
 from trms_cli.stability.lyapunov.subject import Rig
 from trms_cli.stability.lyapunov.well import stop_level
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
 
 #: N′ is closed, and strictly inside N.

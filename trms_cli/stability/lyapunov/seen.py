@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.model import Model
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.lyapunov.claims import Claim
 from trms_cli.stability.lyapunov.function import Candidate
 from trms_cli.stability.lyapunov.search import rays
 from trms_cli.stability.lyapunov.well import Wells
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -12,7 +12,6 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.twin_rotor import TwinRotor
-from trms_cli.stability.operating_point import without_effects
 from trms_cli.stability.subject import Subject, effects_of
 
 #: Effects that only take energy from an axis: power −F_c|Ω| and the like.
@@ -52,7 +51,7 @@ def rig_of(subject: Subject) -> Rig:
                 where=f"effect.{name}",
                 remedy="leave it out; friction and damping of an axis may stay. " + _INSTEAD,
             )
-    model = without_effects(model)
+    model = model.without_effects()
     if not isinstance(model, Newtonian | Lagrangian):
         raise ModelError(
             f"the energy of model {subject.name!r} is not stated here, only that of the Newtonian "

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.findings import Judged, Judgement, Table, Value
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.certificate import Certificate
 from trms_cli.stability.lyapunov.claims import Claim
 from trms_cli.stability.lyapunov.function import Candidate
 from trms_cli.stability.lyapunov.subject import Rig
-from trms_cli.stability.operating_point import OperatingPoint
 
 ComplexArray = npt.NDArray[np.complex128]
 

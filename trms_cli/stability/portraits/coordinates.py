@@ -18,9 +18,9 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.operating_point import OperatingPoint
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.operating_point import refined
+from trms_cli.models.operating_point import refined
 from trms_cli.stability.portraits.journeys import Journey
 from trms_cli.stability.portraits.rest_points import RestPoint, rest_point
 from trms_cli.stability.portraits.section import Section

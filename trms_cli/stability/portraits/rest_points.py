@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.operating_point import refined
+from trms_cli.models.operating_point import refined
 from trms_cli.stability.portraits.section import Section
 
 FloatArray = npt.NDArray[np.float64]

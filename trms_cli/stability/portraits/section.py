@@ -27,9 +27,9 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
-from trms_cli.stability.operating_point import OperatingPoint, operating_point
+from trms_cli.models.operating_point import OperatingPoint, operating_point
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.portraits.coordinates import Coordinates, check_states, default_states
-from trms_cli.stability.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -188,7 +188,7 @@ def section_of(
     states : sequence of str or None
         Two or three coordinates; None: :func:`default_states`.
     at : dict of str to float or None
-        Operating point; see :func:`trms_cli.stability.operating_point.operating_point`.
+        Operating point; see :func:`trms_cli.models.operating_point.operating_point`.
     others : str or sequence of str
         See :func:`settled_states`.
 

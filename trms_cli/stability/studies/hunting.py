@@ -16,6 +16,7 @@ from trms_cli.controllers.pid_tuning import Gains
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model, names
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.cycles.friction_law import Friction, FrictionLaw, frictions_of
 from trms_cli.stability.cycles.hunting_charts import Level
 from trms_cli.stability.cycles.hunting_findings import Studied, Sweep, findings_of
@@ -24,7 +25,6 @@ from trms_cli.stability.cycles.hunting_runs import Watched, watched, with_sizes
 from trms_cli.stability.cycles.pid_loop import friction_loop
 from trms_cli.stability.cycles.stick_slip import StickSlip
 from trms_cli.stability.cycles.usual_point import not_level, usual_point
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
 

@@ -13,6 +13,7 @@ from msgspec import Meta
 from trms_cli.core.chart import Axis
 from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.models.model import Model, names
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.asked import line_of
 from trms_cli.stability.local.charts import over_range, plane, points_alone
 from trms_cli.stability.local.crossings import Crossing, crossings
@@ -33,7 +34,6 @@ from trms_cli.stability.local.told import (
     switch_words,
 )
 from trms_cli.stability.local.tracks import Track, tracks_of
-from trms_cli.stability.operating_point import OperatingPoint
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 

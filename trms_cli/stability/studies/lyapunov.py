@@ -12,6 +12,8 @@ from msgspec import Meta
 
 from trms_cli.core.chart import Chart
 from trms_cli.core.findings import Findings, Section, Table
+from trms_cli.models.operating_point import OperatingPoint, operating_point
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.lyapunov import pictures, told
 from trms_cli.stability.lyapunov.certificate import Certificate, certified
 from trms_cli.stability.lyapunov.claims import Claim
@@ -24,10 +26,8 @@ from trms_cli.stability.lyapunov.seen import (
     random_directions,
 )
 from trms_cli.stability.lyapunov.subject import Rig, rig_of
-from trms_cli.stability.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
-from trms_cli.stability.vector_field import VectorField
 
 ComplexArray = npt.NDArray[np.complex128]
 

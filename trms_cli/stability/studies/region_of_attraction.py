@@ -11,11 +11,11 @@ from msgspec import Meta
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.attraction.inquiry import Options, inquire
 from trms_cli.stability.attraction.loop_region import loop_findings
 from trms_cli.stability.attraction.report import lead, results, sections, warnings
 from trms_cli.stability.attraction.system import around, require_attractive
-from trms_cli.stability.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.steady_state import SteadyState, Target
 
 BOTH = Newtonian()
 SOLVER = SteadyState(BOTH)

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.operating_point import SteadyState
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
-from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.models.model import Model, names
-from trms_cli.stability.vector_field import VectorField
+from trms_cli.models.steady_state import SteadyState
+from trms_cli.models.vector_field import VectorField
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -67,7 +66,7 @@ def operating_point(model: Model, at: Mapping[str, float], where: str = "at") ->
         For names that are neither, and where the model has no such equilibrium.
     """
     by_angle = asked_by_angle(model, at, where)
-    plain = without_effects(model)
+    plain = model.without_effects()
     if plain.n_x < model.n_x:
         # An effect with a memory (a hysteresis) rests at any of a line of points: this is the one
         # that a rig without a past has.
@@ -104,13 +103,6 @@ def asked_by_angle(model: Model, at: Mapping[str, float], where: str = "at") -> 
     return any(by_angle)
 
 
-def without_effects(model: Model) -> Model:
-    """The model beneath all effects."""
-    while isinstance(model, ExtendedModel):
-        model = model.base
-    return model
-
-
 def _beside(
     model: Model, at: Mapping[str, float], by_angle: bool, plain: OperatingPoint
 ) -> OperatingPoint | None:
@@ -138,7 +130,7 @@ def _beside(
 def _at_angles(model: Model, at: Mapping[str, float], where: str) -> OperatingPoint:
     asked = np.array([at.get(name, 0.0) for name in model.controlled])
     target = SteadyState(model).solve(asked)
-    if not target.converged or target.projected:
+    if not target.exact:
         wanted, reached = (
             ", ".join(
                 f"{n}={round(v, 6) + 0.0:.4g}"

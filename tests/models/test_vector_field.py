@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.stability.operating_point import operating_point
-from trms_cli.stability.vector_field import VectorField
+from trms_cli.models.operating_point import operating_point
+from trms_cli.models.vector_field import VectorField
 
 MODEL = Newtonian()
 FIELD = VectorField(MODEL)

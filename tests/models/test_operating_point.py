@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import operating_point
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.tras import Tras
-from trms_cli.stability.operating_point import operating_point
-from trms_cli.stability.vector_field import VectorField
+from trms_cli.models.vector_field import VectorField
 
 MODEL = Newtonian()
 FIELD = VectorField(MODEL)

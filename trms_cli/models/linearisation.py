@@ -7,20 +7,19 @@ back from; :func:`require_drivable` refuses the others.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.operating_point import SteadyState, Target
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model
+from trms_cli.models.steady_state import SteadyState, Target
+from trms_cli.models.vector_field import without_impulses
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -64,7 +63,7 @@ class Linearisation:
         substeps = max(1, int(np.ceil(step_length / _LONGEST_SUBSTEP)))
         self.model = model
         self._steady = steady
-        self._discrete = discretise(_gliding(model), step_length, substeps)
+        self._discrete = discretise(without_impulses(model), step_length, substeps)
         # Evaluated a few times only: not worth compiling.
         self._slopes = self._discrete.slopes()
 
@@ -93,7 +92,7 @@ class Linearisation:
                 )
         asked = np.array([angles.get(name, 0.0) for name in model.controlled])
         target = self._steady.solve(asked)
-        if target.projected or not target.converged:
+        if not target.exact:
             wanted, reached = (
                 ", ".join(f"{n}={v:.3g}" for n, v in zip(model.controlled, values, strict=True))
                 for values in (asked, target.reference_reached)
@@ -112,21 +111,6 @@ class Linearisation:
         for row, name in enumerate(model.controlled):
             C[row, model.state_index(name)] = 1.0
         return LinearModel(discrete, target, A, B, C)
-
-
-def _gliding(model: Model) -> Model:
-    """The model without its impulses.
-
-    Set-valued friction holds an axis that rests: the rig would have no slopes there.
-    """
-    gliding = copy.copy(model)
-    gliding.impulse = _no_impulse  # type: ignore[method-assign]
-    return gliding
-
-
-def _no_impulse(x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
-    """In place of a model's own; see :meth:`trms_cli.models.model.Model.impulse`."""
-    return x
 
 
 def require_drivable(linear: LinearModel, where: str) -> None:

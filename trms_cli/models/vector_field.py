@@ -134,7 +134,15 @@ class VectorField:
 
 
 def without_impulses(model: Model) -> Model:
-    """The model with its axes gliding freely: no dry friction, no stops."""
+    """The model with its axes gliding freely: no dry friction, no stops.
+
+    Set-valued friction holds an axis that rests: the rig would have no slopes there.
+    """
     gliding = copy.copy(model)
-    gliding.impulse = lambda x, u, p, w, duration: x  # type: ignore[method-assign]
+    gliding.impulse = _no_impulse  # type: ignore[method-assign]
     return gliding
+
+
+def _no_impulse(x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
+    """In place of a model's own; see :meth:`trms_cli.models.model.Model.impulse`."""
+    return x
