@@ -38,7 +38,7 @@ READERS_OF_RECORDINGS = {"commands", "library", "plants", "references", "runs", 
 RESTRICTED = {
     "hydra": {"composition"},
     "omegaconf": {"composition"},
-    "rich": {"commands"},
+    "rich": {"commands", "reporting"},
     "matplotlib": {"reporting"},
     "mcap": {"recordings"},
     "pyarrow": {"recordings"},

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from experiments.chapter5.study import Question, Study
-from trms_cli.reporting.page import shown_cell
+from trms_cli.core import wording
 
 
 def parts_of(study: Study, documents: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
@@ -31,7 +31,7 @@ def _part(question: Question, document: Mapping[str, Any]) -> str:
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
-    body = [[shown_cell(cell).replace("|", "\\|") for cell in row] for row in rows]
+    body = [[wording.cell(cell).replace("|", "\\|") for cell in row] for row in rows]
     heads = [column.replace("|", "\\|") for column in columns]
     lines = [heads, ["---"] * len(columns), *body]
     return [f"| {' | '.join(line)} |" for line in lines]

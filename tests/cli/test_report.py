@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from trms_cli.cli import main
+from trms_cli.core import wording
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, standard_topics
-from trms_cli.reporting.page import shown_cell
 
 QUICK = ("observer=full_state", "plant=ideal", "sim.duration=3", "picture=false")
 FIELD = "<img src=x onerror=window.harmed=1>"  # a field's name may hold no quotes
@@ -138,7 +138,7 @@ class TestWhatItIsOf:
             r'<tr><th scope="row">(\d+)</th><th scope="row">(.*?)</th><td.*?>(.*?)</td>', section
         )
         expected = [
-            (str(e["rank"]), e["name"], shown_cell(e["tracking"]["ratio"]))
+            (str(e["rank"]), e["name"], wording.cell(e["tracking"]["ratio"]))
             for e in compared["entrants"]
         ]
         assert rows == expected and len(rows) == 4

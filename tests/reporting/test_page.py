@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trms_cli.reporting.page import Marked, Page, embedded, shown_cell
+from trms_cli.core import wording
+from trms_cli.core.findings import Judged
+from trms_cli.reporting.page import Page, embedded
 from trms_cli.reporting.style import new_figure
 
 
@@ -48,10 +50,10 @@ def drawing(points: int = 50):
 def page() -> Page:
     page = Page("A <title>", ["It is **good**.", "See `x & y`."], {"file": "a<b>.csv"})
     page.section("Errors", "RMS & more.")
-    page.table(["channel", "RMS [rad]"], [["pitch", 0.0123], ["yaw", Marked(None, "bad")]], "Cap")
+    page.table(["channel", "RMS [rad]"], [["pitch", 0.0123], ["yaw", Judged(None, "bad")]], "Cap")
     page.figure(drawing(), "A sine")
     page.section("Errors", ["One.", "Two."])
-    page.points(["plain", Marked("wrong <here>", "bad")])
+    page.points(["plain", Judged("wrong <here>", "bad")])
     page.section("End")
     return page
 
@@ -83,7 +85,7 @@ def test_a_column_of_numbers_stands_right(page):
      (7, "7"), ("text", "text")],
 )  # fmt: skip
 def test_cells(value, shown):
-    assert shown_cell(value) == shown
+    assert wording.cell(value) == shown
 
 
 def test_few_points_are_curves_many_are_pixels_and_both_are_reproducible():
@@ -125,13 +127,12 @@ def test_content_before_the_first_section_has_a_place():
     ],
 )  # fmt: skip
 def test_a_value_is_shown_to_the_digits_of_its_deviation(value, sd, shown):
-    assert shown_cell(value, sd) == shown
-    assert Marked(value, sd=sd).text == shown
+    assert wording.cell(value, sd) == shown
 
 
 @given(st.floats(1e-8, 1e8), st.floats(1e-4, 1.0))
 def test_what_is_shown_is_within_the_deviation(value, share):
-    text = shown_cell(value, share * value).replace("−", "-")
+    text = wording.cell(value, share * value).replace("−", "-")
     assert abs(float(text) - value) <= 0.06 * share * value + 1e-2 * share * value
 
 

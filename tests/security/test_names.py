@@ -89,16 +89,17 @@ def _page(word: str) -> str:
     """A page with every kind of block, and a word wherever one can stand."""
     from matplotlib.figure import Figure
 
+    from trms_cli.core.findings import Judged
     from trms_cli.reporting.interactive import Plot
-    from trms_cli.reporting.page import Marked, Page
+    from trms_cli.reporting.page import Page
     from trms_cli.reporting.page_rows import Linked, RowColumn
 
     page = Page(word, [word, word], {word: word})
     page.section(word, word)
     page.text(word)
-    page.points([word, Marked(word)])
+    page.points([word, Judged(word)])
     page.command(word)
-    page.table([word], [[word], [Marked(word)]], word)
+    page.table([word], [[word], [Judged(word)]], word)
     figure = Figure()
     figure.add_subplot(title="drawn").plot([0, 1], [0, 1], label="curve")
     page.figure(figure, word, alternative=word)

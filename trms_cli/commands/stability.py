@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from time import perf_counter
 
 from trms_cli.commands.execution import Outcome, execute
@@ -59,24 +60,31 @@ def perform(composition: Composition) -> Outcome:
 
     Raises TrmsError if the question makes no sense for the model; it says what is possible.
     """
-    from trms_cli.commands import stability_request as request
+    from trms_cli.commands import stability_request
     from trms_cli.commands.progress_line import ProgressLine
-    from trms_cli.commands.stability_screen import say_finished
+    from trms_cli.reporting.screen import show, show_job
     from trms_cli.runs.run_folder import removed_if_empty, write_document
 
     begin = perf_counter()
-    asked = request.asked_of(composition)
+    request = stability_request.request_of(composition)
+    subject = stability_request.subject_words(request.subject)
     folder = composition.folder("stability")  # before the work, which a wrong name would lose
+    files = {"figures": folder / DOCUMENT_NAME}
     with ProgressLine() as line, removed_if_empty(folder):
-        findings = request.answered(asked, line.tell)
-        document = request.document_of(composition, asked, findings)
-        write_document(document, folder / DOCUMENT_NAME)
-        page = None
-        if asked.page:
-            from trms_cli.commands.stability_page import write_page
+        findings = stability_request.findings_of(request, line.tell)
+        document = stability_request.document_of(composition, request, findings)
+        write_document(document, files["figures"])
+        facts = {"model": document["model"], "command": f"`{document['command']}`"}
+        facts["versions"] = ", ".join(f"{name} {v}" for name, v in document["versions"].items())
+        if request.page:
+            from trms_cli.reporting.findings_page import write_page
 
             line.tell("figures")
-            page = write_page(document, findings, folder, PAGE_NAME)
-    spent = perf_counter() - begin
-    say_finished(composition, document, findings, folder / DOCUMENT_NAME, page, spent)
+            page = write_page(replace(findings, facts=facts), folder / PAGE_NAME, subject)
+            files |= {"page": page} if page else {}
+    spent = {"time": f"{perf_counter() - begin:.1f} s"}
+    if composition.job is not None:
+        show_job(findings, composition.job, composition.overrides)
+    else:
+        show(replace(findings, facts=spent, files=files), "stability", subject)
     return Outcome(EXIT_OK, folder=folder)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from trms_cli.commands.recording_request import model_of
 from trms_cli.commands.run_assembly import check_out, number, versions
 from trms_cli.composition.composer import Composition
-from trms_cli.core.chart import as_data
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.core.findings import Findings, Judged, Table
+from trms_cli.core.findings import Findings, as_data
 from trms_cli.core.invocation import command_line
 from trms_cli.core.plugin_contract import check_contract
 from trms_cli.core.plugins import TARGET, build
@@ -22,7 +21,7 @@ SCHEMA = "trms.stability/1"
 
 
 @dataclass(frozen=True)
-class Asked:
+class StabilityRequest:
     """What is studied, and how."""
 
     study: Study
@@ -30,7 +29,7 @@ class Asked:
     page: bool  #: Whether figures and page are made
 
 
-def asked_of(composition: Composition) -> Asked:
+def request_of(composition: Composition) -> StabilityRequest:
     """Build everything that was asked for.
 
     Raises TrmsError for the first key that is wrong.
@@ -49,7 +48,9 @@ def asked_of(composition: Composition) -> Asked:
     name = str(composition.choices.get("model"))
     if name == "from_file":
         name = str(config["model"].get("path", name))
-    return Asked(study, Subject(model_of(config), name, _loop_of(composition)), page=config["page"])
+    return StabilityRequest(
+        study, Subject(model_of(config), name, _loop_of(composition)), page=config["page"]
+    )
 
 
 def _loop_of(composition: Composition) -> LoopParts | None:
@@ -68,66 +69,68 @@ def _loop_of(composition: Composition) -> LoopParts | None:
     return LoopParts(parts["model"], parts["controller"], parts["observer"], sample_time, chosen)
 
 
-def answered(asked: Asked, tell: Callable[[str], None]) -> Findings:
-    """What the study finds.
+def findings_of(request: StabilityRequest, tell: Callable[[str], None]) -> Findings:
+    """The findings of the study, with what of the effects it leaves out.
 
     Raises TrmsError: a study's own keys are named as they are typed.
     """
     try:
-        return asked.study.run(asked.subject, tell)
+        findings = request.study.run(request.subject, tell)
     except TrmsError as error:
-        own = {field.name for field in fields(asked.study)}  # type: ignore[arg-type]
+        own = {field.name for field in fields(request.study)}  # type: ignore[arg-type]
         if error.where.split(".")[0].split("[")[0] in own:
             error.where = f"study.{error.where}"
         raise
+    return replace(findings, warnings=[*findings.warnings, *_left_out(request.subject)])
 
 
-def document_of(composition: Composition, asked: Asked, findings: Findings) -> dict[str, Any]:
+def document_of(
+    composition: Composition, request: StabilityRequest, findings: Findings
+) -> dict[str, Any]:
     """The JSON twin: ``trms.stability/1``."""
-    subject = asked.subject
-    loop = None if subject.loop is None else dict(subject.loop.names)
+    subject, data = request.subject, as_data(findings)
     return {
         "schema": SCHEMA,
         "study": str(composition.choices.get("study")),
-        "title": findings.title,
+        "title": data.pop("title"),
         "model": subject.name,
         "effects": [name for name, _ in effects_of(subject.model)],
-        "loop": loop,
-        "lead": list(findings.lead),
-        "warnings": [*findings.warnings, *_left_out(subject)],
-        "results": dict(findings.results),
-        "tables": [_table(table) for table in findings.tables],
-        "charts": [as_data(chart) for chart in findings.charts],
+        "loop": None if subject.loop is None else dict(subject.loop.names),
+        **data,
         "settings": composition.config["study"],
         "command": command_line(),
         "versions": versions(),
     }
 
 
+def subject_words(subject: Subject) -> str:
+    """``newtonian with pitch_coulomb_friction, under pid with full_state``."""
+    words, effects = subject.name, [name for name, _ in effects_of(subject.model)]
+    if effects:
+        words += f" with {', '.join(effects)}"
+    if subject.loop is not None:
+        names = subject.loop.names
+        words += f", under {names['controller']} with {names['observer']}"
+    return words
+
+
 def _left_out(subject: Subject) -> list[str]:
     """What of the effects is no part of ẋ = f(x, u), for a study of the model alone."""
     if subject.loop is not None:
         return []
-    told = []
+    left_out = []
     if subject.dry:
-        told.append(
+        left_out.append(
             f"{', '.join(subject.dry)}: dry friction acts by impulses, which are no part of "
             "ẋ = f(x, u); eigenvalues and equilibria are those without"
         )
     if subject.on_commands:
-        told.append(
+        left_out.append(
             f"{', '.join(subject.on_commands)}: on the commands' way to the motors; eigenvalues "
             "are those of the rig behind it"
         )
     if subject.on_sensors:
-        told.append(
+        left_out.append(
             f"{', '.join(subject.on_sensors)}: changes what is measured, not how the rig moves"
         )
-    return told
-
-
-def _table(table: Table) -> dict[str, Any]:
-    rows = [
-        [cell.value if isinstance(cell, Judged) else cell for cell in row] for row in table.rows
-    ]
-    return {"caption": table.caption, "columns": list(table.columns), "rows": rows}
+    return left_out

@@ -11,6 +11,8 @@ from trms_cli.commands.validate_pictures import (
     free_run_traces,
     spectra_of,
 )
+from trms_cli.core import wording
+from trms_cli.core.findings import Judged, Judgement
 from trms_cli.core.invocation import command_line
 from trms_cli.identification.admission_issue import Issue
 from trms_cli.identification.validation.characteristics import characteristics_of
@@ -25,7 +27,7 @@ from trms_cli.identification.validation.verdict import (
     word,
 )
 from trms_cli.reporting import validation_figures, validation_spectra
-from trms_cli.reporting.page import Mark, Marked, Page, shown_cell
+from trms_cli.reporting.page import Page
 
 _START_WORDS = {
     "estimated": "estimated by the filter from all samples before the window",
@@ -97,13 +99,13 @@ def _comparison(page: Page, document: Mapping[str, Any]) -> None:
             cells: list[Any] = []
             for figures in horizons.values():
                 low, high = figures["ci95"]
-                mark: Mark = ""
+                mark: Judgement = ""
                 if low is not None and abs(figures["ratio"] - 1.0) >= SMALL:
                     mark = "good" if high < 1 else "bad" if low > 1 else ""
                 text = "–" if figures["ratio"] is None else f"{figures['ratio']:.3g}"
                 if low is not None:
                     text += f" ({low:.3g} … {high:.3g})"
-                cells.append(Marked(text, mark))
+                cells.append(Judged(text, mark))
             detail.append([" / ".join(pair["models"]), word(channel), *cells])
     horizons = list(next(iter(document["comparison"][0]["by_channel"].values()), {}))
     if detail:
@@ -142,7 +144,7 @@ def _errors(
                     figures["rms"] < (figures["unchanged_rms"] or 0)
                 )
                 rows.append(
-                    ["", f"{float(horizon):g} s", Marked(figures["rms"], "" if better else "bad"),
+                    ["", f"{float(horizon):g} s", Judged(figures["rms"], "" if better else "bad"),
                      _between(figures["ci95"]), figures["at_end"], figures["max"],
                      figures["unchanged_rms"], figures["fit_percent"], figures["vaf_percent"]]
                 )  # fmt: skip
@@ -223,7 +225,7 @@ def _tests(
                     continue
                 meaning, formula = one["meaning"], one["formula"]
                 text = p_words(one["p_holm"]).removeprefix("p ").removeprefix("= ")
-                cells.append(Marked(("✗ " if one["failed"] else "") + text,
+                cells.append(Judged(("✗ " if one["failed"] else "") + text,
                                     "bad" if one["failed"] else "good"))  # fmt: skip
             rows.append([formula, *cells, meaning])
         page.table(
@@ -325,11 +327,11 @@ def _method(
 
 def _between(ends: Sequence[float | None]) -> str | None:
     low, high = ends
-    return None if low is None or high is None else f"{shown_cell(low)} … {shown_cell(high)}"
+    return None if low is None or high is None else f"{wording.cell(low)} … {wording.cell(high)}"
 
 
-def _marked(remark: Remark) -> Marked:
-    return Marked(remark.text, remark.judgement)
+def _marked(remark: Remark) -> Judged:
+    return Judged(remark.text, remark.judgement)
 
 
 def _listed(items: Sequence[str]) -> str:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from trms_cli.core import chart
 from trms_cli.core.chart import Chart
 
 #: A judgement on a cell: coloured where there is colour, told by the text too.
-Judgement = Literal["good", "bad", "doubtful", ""]
+Judgement = Literal["good", "bad", "doubtful", "best", ""]
 Value = str | float | int | None
 
 
@@ -140,3 +141,27 @@ class Findings:
 
     def _blocks(self) -> Iterator[Block]:
         return (block for section in self.sections for block in section.blocks)
+
+
+def as_data(findings: Findings) -> dict[str, Any]:
+    """Findings as JSON data: answer, limits, results, tables and charts."""
+    return {
+        "title": findings.title,
+        "lead": list(findings.lead),
+        "warnings": list(findings.warnings),
+        "results": dict(findings.results),
+        "tables": [
+            {
+                "caption": table.caption,
+                "columns": list(table.columns),
+                "rows": [[plain(cell) for cell in row] for row in table.rows],
+            }
+            for table in findings.tables
+        ],
+        "charts": [chart.as_data(one) for one in findings.charts],
+    }
+
+
+def plain(cell: Cell) -> Value:
+    """The value of a cell without its judgement."""
+    return cell.value if isinstance(cell, Judged) else cell

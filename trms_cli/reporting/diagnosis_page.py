@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from trms_cli.core.findings import Cell, Judged, Judgement
 from trms_cli.gap.diagnosis import Cause, Diagnosis, GapTest, Shrink
 from trms_cli.gap.document import horizon_key
 from trms_cli.reporting import diagnosis_figures as figures
@@ -24,7 +25,7 @@ from trms_cli.reporting.diagnosis_words import (
     where_words,
     winner,
 )
-from trms_cli.reporting.page import Cell, Mark, Marked, Page
+from trms_cli.reporting.page import Page
 from trms_cli.reporting.style import LABELS
 
 VERDICTS = {
@@ -90,13 +91,13 @@ def _causes(page: Page, diagnosis: Diagnosis) -> None:
     )
     kept = [c for c in diagnosis.causes if c.probability >= 0.005][:_MOST_CAUSES]
     sure = diagnosis.verdict != "undecided"
-    rows: list[list[Cell | Marked]] = []
+    rows: list[list[Cell]] = []
     for i, cause in enumerate(kept):
-        mark: Mark = "good" if i == 0 and sure else ""
+        mark: Judgement = "good" if i == 0 and sure else ""
         rows.append(
             [
                 cause_words(cause.effects),
-                Marked(percent(cause.probability), mark),
+                Judged(percent(cause.probability), mark),
                 _bar(cause.probability),
                 size_words(cause.parameters),
                 _confused_with(cause, diagnosis),
@@ -197,19 +198,19 @@ def _before_and_after(page: Page, diagnosis: Diagnosis) -> None:
         )
 
 
-def _gap_rows(diagnosis: Diagnosis) -> Iterator[list[Cell | Marked]]:
+def _gap_rows(diagnosis: Diagnosis) -> Iterator[list[Cell]]:
     for channel, rows in diagnosis.gap.items():
         for horizon, row in rows.items():
             shrink = _shrink(diagnosis, channel, horizon)
             unit, scale = figures.shown_unit(row.unit)
             worse = row.corrected > 1.02 * row.refit
-            mark: Mark = "bad" if worse else ""
+            mark: Judgement = "bad" if worse else ""
             yield [
                 LABELS.get(channel, channel),
                 f"{float(horizon):g}",
                 scale * row.raw,
                 scale * row.refit,
-                Marked(scale * row.corrected, mark),
+                Judged(scale * row.corrected, mark),
                 scale * row.floor,
                 unit,
                 *_closed(shrink),
@@ -225,14 +226,14 @@ def _shrink(diagnosis: Diagnosis, channel: str, horizon: str) -> Shrink | None:
     return next((s for h, s in rows.items() if horizon_key(h) == key), None)
 
 
-def _closed(shrink: Shrink | None) -> list[Cell | Marked]:
+def _closed(shrink: Shrink | None) -> list[Cell]:
     if shrink is None or shrink.fraction is None:
         return ["–", ""]
-    mark: Mark = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
+    mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
     interval = ""
     if shrink.ci95 is not None:
         interval = interval_words(shrink.ci95)
-    return [Marked(percent(shrink.fraction), mark), interval]
+    return [Judged(percent(shrink.fraction), mark), interval]
 
 
 def _tests(page: Page, diagnosis: Diagnosis) -> None:
@@ -242,9 +243,9 @@ def _tests(page: Page, diagnosis: Diagnosis) -> None:
     page.section("Is there a gap at all?", tests_words(diagnosis))
     channels = list(dict.fromkeys(test.channel for test in diagnosis.tests))
     found = {(test.name, test.channel): test for test in diagnosis.tests}
-    rows: list[list[Cell | Marked]] = []
+    rows: list[list[Cell]] = []
     for name in dict.fromkeys(test.name for test in diagnosis.tests):
-        row: list[Cell | Marked] = [name]
+        row: list[Cell] = [name]
         for channel in channels:
             test = found.get((name, channel))
             row.append("" if test is None else _probability(test))
@@ -256,9 +257,9 @@ def _tests(page: Page, diagnosis: Diagnosis) -> None:
     )
 
 
-def _probability(test: GapTest) -> Marked:
+def _probability(test: GapTest) -> Judged:
     small = test.p_corrected < _SMALLEST
-    return Marked("< 1e−6" if small else f"{test.p_corrected:.2g}".replace("-", "−"),
+    return Judged("< 1e−6" if small else f"{test.p_corrected:.2g}".replace("-", "−"),
                   "bad" if test.rejected else "good")  # fmt: skip
 
 
@@ -280,13 +281,13 @@ def _parameters(page: Page, diagnosis: Diagnosis) -> None:
         return -abs(moved) if moved is not None else 0.0
 
     names = sorted(diagnosis.parameters, key=far)
-    rows: list[list[Cell | Marked]] = []
+    rows: list[list[Cell]] = []
     for name in names[:_MOST_PARAMETERS]:
         p = diagnosis.parameters[name]
-        mark: Mark = "doubtful" if p.moved is not None and abs(p.moved) > FAR else ""
+        mark: Judgement = "doubtful" if p.moved is not None and abs(p.moved) > FAR else ""
         moved = None if p.moved is None else f"{p.moved:+.1f} sd".replace("-", "−")
         rows.append(
-            [name, p.prior, Marked(p.fitted, sd=p.sd), p.sd, p.unit or "1", Marked(moved, mark)]
+            [name, p.prior, Judged(p.fitted, sd=p.sd), p.sd, p.unit or "1", Judged(moved, mark)]
         )
     page.table(
         ["parameter", "before", "fitted", "±", "unit", "moved, in sd of what was known"],
@@ -309,9 +310,9 @@ def _not_told(page: Page, diagnosis: Diagnosis) -> None:
     if diagnosis.detectable:
         items = sorted(diagnosis.detectable.items())
         half = -(-len(items) // 2)
-        rows: list[list[Cell | Marked]] = []
+        rows: list[list[Cell]] = []
         for i in range(half):
-            row: list[Cell | Marked] = []
+            row: list[Cell] = []
             for name, found in items[i::half]:
                 row += [name, found.minimum_size, found.unit or "1"]
             rows.append(row + [""] * (6 - len(row)))
@@ -324,8 +325,8 @@ def _not_told(page: Page, diagnosis: Diagnosis) -> None:
 
 def _recordings(page: Page, diagnosis: Diagnosis, remarks: Sequence[str]) -> None:
     page.section("Recordings")
-    points: list[str | Marked] = [
-        Marked(text, "doubtful") for text in diagnosis.warnings if text not in remarks
+    points: list[str | Judged] = [
+        Judged(text, "doubtful") for text in diagnosis.warnings if text not in remarks
     ]
     points += remarks
     if points:

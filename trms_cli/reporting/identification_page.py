@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.reporting.page import Cell, Mark, Marked, Page
+from trms_cli.core.findings import Cell, Judged, Judgement
+from trms_cli.reporting.page import Page
 from trms_cli.reporting.style import LABELS
 
 if TYPE_CHECKING:
@@ -62,9 +63,9 @@ def identification_page(
         ],
     )
     remarks = dict.fromkeys(remark for r in document["recordings"] for remark in r["remarks"])
-    points: list[str | Marked] = [*remarks]
+    points: list[str | Judged] = [*remarks]
     points += [
-        Marked(f"{issue['problem']} ({issue['remedy']})", "doubtful")
+        Judged(f"{issue['problem']} ({issue['remedy']})", "doubtful")
         for issue in document["admission"]
     ]
     if points:
@@ -100,13 +101,13 @@ def _facts(document: Mapping[str, Any]) -> dict[str, str]:
     return facts
 
 
-def _error_rows(errors: Mapping[str, Any]) -> list[list[Cell | Marked]]:
-    rows: list[list[Cell | Marked]] = []
+def _error_rows(errors: Mapping[str, Any]) -> list[list[Cell]]:
+    rows: list[list[Cell]] = []
     for part, words in _PARTS.items():
         before = errors[part]["before"] or {}
         for name, after in (errors[part]["after"] or {}).items():
             was = before.get(name, {}).get("rmse")
-            mark: Mark = ""
+            mark: Judgement = ""
             if was is not None and after["rmse"] is not None:
                 change = after["rmse"] / was - 1 if was > 0 else 0.0
                 if abs(change) > _NO_CHANGE:
@@ -116,7 +117,7 @@ def _error_rows(errors: Mapping[str, Any]) -> list[list[Cell | Marked]]:
                     LABELS.get(name, name),
                     words,
                     was,
-                    Marked(after["rmse"], mark),
+                    Judged(after["rmse"], mark),
                     after["max_abs_error"],
                     after["fit_percent"],
                     after["unit"],
@@ -133,17 +134,17 @@ def _parameters(
         "± is one standard deviation: of the estimate, with the residuals' own size and "
         "correlation, and of what was known before.",
     )
-    rows: list[list[Cell | Marked]] = []
+    rows: list[list[Cell]] = []
     for name, p in document["parameters"].items():
         bound = p["at_bound"]
         rows.append(
             [
                 name,
-                Marked(p["value"], sd=p["sd"]),
+                Judged(p["value"], sd=p["sd"]),
                 p["sd"],
                 p["prior_mean"],
                 p["prior_sd"],
-                Marked(f"{bound} bound", "doubtful") if bound else "",
+                Judged(f"{bound} bound", "doubtful") if bound else "",
                 p["unit"] or "1",
             ]
         )
@@ -155,12 +156,12 @@ def _parameters(
         page.points(points)
 
 
-def _doubts(document: Mapping[str, Any]) -> list[Marked]:
+def _doubts(document: Mapping[str, Any]) -> list[Judged]:
     known = document.get("identifiability") or {}
     points = []
     for found in known.get("confounded", [])[:_MOST_SETS]:
         points.append(
-            Marked(
+            Judged(
                 f"{', '.join(found['names'])} imitate each other (collinearity "
                 f"{found['index']:.0f}): only a combination of them is known.",
                 "doubtful",
@@ -168,11 +169,11 @@ def _doubts(document: Mapping[str, Any]) -> list[Marked]:
         )
     more = len(known.get("confounded", [])) - _MOST_SETS
     if more > 0:
-        points.append(Marked(f"{more} more such sets: see identification.json."))
+        points.append(Judged(f"{more} more such sets: see identification.json."))
     vague = known.get("uninformed", [])
     if vague:
         points.append(
-            Marked(f"{', '.join(vague)}: next to nothing; the prior decided.", "doubtful")
+            Judged(f"{', '.join(vague)}: next to nothing; the prior decided.", "doubtful")
         )
     return points
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import base64
 import io
-import math
 import os
 import re
 import tempfile
@@ -26,8 +25,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+from trms_cli.core import wording
+from trms_cli.core.findings import Cell, Judged, Measure
 from trms_cli.reporting.interactive import Plot, script_json
 from trms_cli.reporting.page_rows import RowCell, RowColumn, rows_html
 from trms_cli.reporting.page_scripts import policy, scripts
@@ -42,25 +43,6 @@ _PIXELS_PER_INCH = 144
 #: Letters up to which a cell stays on one line.
 _SHORT = 24
 
-#: What a cell or a verdict is: coloured, and told by its text too.
-Mark = Literal["good", "bad", "doubtful", "best", ""]
-Cell = str | float | int | None
-
-
-@dataclass(frozen=True)
-class Marked:
-    """A cell with a judgement on it."""
-
-    value: Cell  #: what is shown
-    mark: Mark = ""  #: how it is coloured
-    #: Standard deviation of the value, which is shown to the second digit of it.
-    sd: float | None = None
-
-    @property
-    def text(self) -> str:
-        """What stands in the cell."""
-        return shown_cell(self.value, self.sd)
-
 
 @dataclass
 class _Block:
@@ -73,6 +55,7 @@ class _Section:
     heading: str
     text: str
     anchor: str
+    folded: bool = False
     blocks: list[_Block] = field(default_factory=list)
 
     @property
@@ -91,30 +74,41 @@ class Page:
         What a colleague would say of it, in a sentence or a few; stands on top. Several are
         paragraphs.
     facts : mapping of str to str
-        Short facts under the lead (model, recording, date), a name and a value each.
+        Circumstances (model, recording, date), a name and a value each; folded at the end.
+    measures : sequence of Measure
+        The few figures that come first.
     """
 
     def __init__(
-        self, title: str, lead: str | Sequence[str] = "", facts: Mapping[str, str] | None = None
+        self,
+        title: str,
+        lead: str | Sequence[str] = "",
+        facts: Mapping[str, str] | None = None,
+        measures: Sequence[Measure] = (),
     ) -> None:
         self.title = title
         self.lead = [lead] if isinstance(lead, str) else list(lead)
         self.facts = dict(facts or {})
+        self.measures = measures
         self._sections: list[_Section] = []
 
-    def section(self, heading: str, text: str | Sequence[str] = "") -> None:
+    def section(
+        self, heading: str, text: str | Sequence[str] = "", *, folded: bool = False
+    ) -> None:
         """Begin a section; tables and figures that follow stand in it.
 
         Parameters
         ----------
         text : str or sequence of str
             Paragraphs.
+        folded : bool
+            Whether the heading alone is shown until a reader opens it.
         """
         anchor = re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-")
         taken = [section.anchor for section in self._sections]
         if anchor in taken:
             anchor = f"{anchor}-{len(taken) + 1}"
-        self._sections.append(_Section(heading, "", anchor))
+        self._sections.append(_Section(heading, "", anchor, folded))
         self.text(text)
 
     def text(self, text: str | Sequence[str]) -> None:
@@ -123,10 +117,10 @@ class Page:
             if paragraph:
                 self._add("text", {"text": paragraph})
 
-    def points(self, items: Sequence[str | Marked]) -> None:
-        """A list of sentences, each with a judgement where it is a :class:`Marked`."""
-        marked = [item if isinstance(item, Marked) else Marked(item) for item in items]
-        self._add("points", {"items": [(str(item.value), item.mark) for item in marked]})
+    def points(self, items: Sequence[str | Judged]) -> None:
+        """A list of sentences, each with a judgement where it is ``Judged``."""
+        judged = [item if isinstance(item, Judged) else Judged(item) for item in items]
+        self._add("points", {"items": [(str(item.value), item.judgement) for item in judged]})
 
     def command(self, text: str) -> None:
         """A line to be typed, in a box of its own."""
@@ -135,7 +129,7 @@ class Page:
     def table(
         self,
         columns: Sequence[str],
-        rows: Sequence[Sequence[Cell | Marked]],
+        rows: Sequence[Sequence[Cell]],
         caption: str = "",
         *,
         heads: int = 1,
@@ -147,20 +141,20 @@ class Page:
         columns : sequence of str
             Heads with units: ``RMS [rad]``.
         rows : sequence of sequences
-            Text, numbers, None, or :class:`Marked`.
+            Text, numbers, None, or :class:`~trms_cli.core.findings.Judged`.
         heads : int
             Columns on the left that name the row.
         """
         shown = []
         for row in rows:
-            cells = [cell if isinstance(cell, Marked) else Marked(cell) for cell in row]
+            cells = [cell if isinstance(cell, Judged) else Judged(cell) for cell in row]
             shown.append(
                 [
                     {
-                        "text": cell.text,
-                        "mark": cell.mark,
+                        "text": wording.cell(cell.value, cell.sd),
+                        "mark": cell.judgement,
                         "number": isinstance(cell.value, (int, float)) or cell.value is None,
-                        "short": len(cell.text) <= _SHORT,
+                        "short": len(wording.cell(cell.value, cell.sd)) <= _SHORT,
                     }
                     for cell in cells
                 ]
@@ -250,6 +244,16 @@ class Page:
             title=self.title,
             lead=[paragraph for paragraph in self.lead if paragraph],
             facts=self.facts,
+            measures=[
+                {
+                    "label": measure.label,
+                    "value": wording.cell(measure.value),
+                    "unit": wording.unit(measure.unit),
+                    "mark": measure.judgement,
+                    "note": measure.note,
+                }
+                for measure in self.measures
+            ],
             sections=self._sections,
         )
         # A file's name may hold what is no text; the page does.
@@ -277,40 +281,6 @@ class Page:
         if not self._sections:
             self._sections.append(_Section("", "", "top"))
         self._sections[-1].blocks.append(_Block(kind, content))
-
-
-def shown_cell(value: Cell, sd: float | None = None) -> str:
-    """A cell as text: three digits, a dash for what does not exist.
-
-    Parameters
-    ----------
-    value : str, float, int or None
-    sd : float or None
-        Standard deviation of a figure, which is then shown to the second digit of it: at least
-        three digits, at most six.
-    """
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    if isinstance(value, float):
-        if math.isinf(value):
-            return "∞" if value > 0 else "−∞"
-        digits = _digits(value, sd)
-        if value != 0 and not 1e-3 <= abs(value) < 1e5:
-            return f"{value:.{digits - 1}e}".replace("-", "−").replace("e+", "e")
-        if digits > 3:
-            # the zeros at the end are known ones
-            text = f"{value:#.{digits}g}".rstrip(".")
-        else:
-            text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-        return text.replace("-", "−")
-    return str(value)
-
-
-def _digits(value: float, sd: float | None) -> int:
-    """Digits down to the second one of a standard deviation, from three to six."""
-    if not value or not sd or not math.isfinite(sd):
-        return 3
-    return min(max(math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2, 3), 6)
 
 
 def embedded(figure: Figure) -> tuple[str, bytes]:

@@ -56,10 +56,10 @@ def _cell(column: RowColumn, value: RowCell) -> str:
         return f"<td>{'yes' if value else 'no'}</td>"
     missing = value is None or (isinstance(value, float) and math.isnan(value))
     if isinstance(value, (int, float)) and not missing:
-        from trms_cli.reporting.page import shown_cell
+        from trms_cli.core import wording
 
         sort = f' data-v="{value:.6g}"' if math.isfinite(value) else ""
-        shown = shown_cell(value) if column.decimals is None else f"{value:.{column.decimals}f}"
+        shown = wording.cell(value) if column.decimals is None else f"{value:.{column.decimals}f}"
         return f'<td class="number"{sort}>{escape(shown)}</td>'
     if missing:
         return f"<td{' class=' + chr(34) + 'number' + chr(34) if column.number else ''}>–</td>"

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from trms_cli.core.findings import Cell, Judged
 from trms_cli.reporting.interactive import (
     INK,
     Plot,
@@ -25,7 +26,7 @@ from trms_cli.reporting.interactive import (
     significant,
     time_plot,
 )
-from trms_cli.reporting.page import Cell, Marked, Page
+from trms_cli.reporting.page import Page
 from trms_cli.reporting.report_phase import phase_plots
 from trms_cli.reporting.report_run import HOW_TO_TURN, THINNED, ended
 from trms_cli.reporting.report_scores import compared_rows, figure
@@ -124,11 +125,11 @@ def add_ranking(page: Page, ranking: Sequence[RankedEntrant], rule: str) -> None
     if plot is not None:
         page.plots([plot])
     heads = list(dict.fromkeys(head for entrant in ranking for head in entrant.figures))
-    rows: list[list[Cell | Marked]] = [
+    rows: list[list[Cell]] = [
         [
             entrant.rank,
             entrant.name,
-            Marked(entrant.ratio, "best" if entrant.rank == 1 else ""),
+            Judged(entrant.ratio, "best" if entrant.rank == 1 else ""),
             _interval(entrant),
             entrant.against_first,
             {True: "yes", False: "no", None: "–"}[entrant.different],

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from trms_cli.reporting.page import Cell, Marked, Page
+from trms_cli.core.findings import Cell
+from trms_cli.reporting.page import Page
 from trms_cli.reporting.reported_sweep import Draws, FailureShare
 
 _MOST_CORRELATIONS = 30
@@ -19,7 +20,7 @@ def add_failure_shares(page: Page, draws: Draws) -> None:
         f"Counted is a draw whose run ended in an error{_beyond(draws)}. The interval of 95 % is "
         "that of Clopper and Pearson for independent draws.",
     )
-    rows: list[list[Cell | Marked]] = [
+    rows: list[list[Cell]] = [
         [each.who, each.draws, each.count, _percent(each.share), _interval(each)]
         for each in draws.failures
     ]
@@ -43,7 +44,7 @@ def add_correlations(page: Page, draws: Draws) -> None:
     elif len(told) > len(shown):
         words += f"; the first {len(shown)} are here"
     page.section("Sensitivities", words + ".")
-    rows: list[list[Cell | Marked]] = [
+    rows: list[list[Cell]] = [
         [each.figure, each.who, each.key, f"{each.rho:+.2f}", each.p] for each in shown
     ]
     page.table(["figure", "who", "drawn value", "correlation", "adjusted p"], rows, heads=3)

@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trms_cli.reporting.page import Cell, Marked, Page
+from trms_cli.core.findings import Cell, Judged
+from trms_cli.reporting.page import Page
 from trms_cli.reporting.report_signals import label_of
 from trms_cli.reporting.reported import ReportedRun
 
@@ -56,7 +57,7 @@ def score_tables(page: Page, run: ReportedRun) -> None:
     _by_name(page, "tracking", score.get("channels"), TRACKING, "Tracking, by channel.")
     _by_name(page, "inputs", score.get("inputs"), INPUTS, "What it took, by input.")
     _estimate(page, score.get("estimate"))
-    rows: list[list[Cell | Marked]] = [
+    rows: list[list[Cell]] = [
         [axis(label, unit), _judged(key, value)]
         for key, label, unit in SOLVER
         if (value := figure(score, "solver", *key.split("."))) is not None
@@ -66,9 +67,9 @@ def score_tables(page: Page, run: ReportedRun) -> None:
     _violations(page, score.get("constraint_violations"))
 
 
-def compared_rows(runs: Sequence[ReportedRun]) -> list[list[Cell | Marked]]:
+def compared_rows(runs: Sequence[ReportedRun]) -> list[list[Cell]]:
     """Rows of figures, a column a run, the best of each row marked."""
-    rows: list[list[Cell | Marked]] = []
+    rows: list[list[Cell]] = []
     for group, figures in (("channels", TRACKING), ("inputs", INPUTS)):
         for name in dict.fromkeys(n for run in runs for n in _mapping(run.score, group)):
             for key, label, unit in figures:
@@ -97,7 +98,7 @@ def axis(label: str, unit: str) -> str:
 
 def _compared(
     title: str, values: Sequence[float | None], *, judged: bool = True
-) -> list[list[Cell | Marked]]:
+) -> list[list[Cell]]:
     known = [value for value in values if value is not None]
     if not known:
         return []
@@ -105,7 +106,7 @@ def _compared(
     least, largest = min(known), max(known)
     apart = judged and len(known) > 1 and largest - least > 1e-3 * max(abs(largest), abs(least))
     best = least if apart else None
-    return [[title, *(Marked(v, "best" if v is not None and v == best else "") for v in values)]]
+    return [[title, *(Judged(v, "best" if v is not None and v == best else "") for v in values)]]
 
 
 def _by_name(
@@ -114,7 +115,7 @@ def _by_name(
     if not isinstance(told, Mapping) or not told:
         return
     names = list(told)
-    rows: list[list[Cell | Marked]] = []
+    rows: list[list[Cell]] = []
     for key, label, unit in figures:
         values = [figure(told, name, key) for name in names]
         if any(value is not None for value in values):
@@ -129,7 +130,7 @@ def _estimate(page: Page, told: Any) -> None:
     columns = {"RMSE of the state": "rmse", "RMSE one step ahead": "prediction_rmse"}
     names = dict.fromkeys(n for key in columns.values() for n in _mapping(told, key))
     units = _mapping(told, "units")
-    rows: list[list[Cell | Marked]] = [
+    rows: list[list[Cell]] = [
         [
             axis(name, str(units.get(name, ""))),
             *(figure(told, key, name) for key in columns.values()),
@@ -150,9 +151,9 @@ def _estimate(page: Page, told: Any) -> None:
 def _violations(page: Page, told: Any) -> None:
     if not isinstance(told, Mapping):
         return
-    rows: list[list[Cell | Marked]] = [
+    rows: list[list[Cell]] = [
         [axis(label_of(name), str(_mapping(told, name).get("unit", ""))),
-         Marked(figure(told, name, "samples"), "bad"), figure(told, name, "worst")]
+         Judged(figure(told, name, "samples"), "bad"), figure(told, name, "worst")]
         for name in told
         if figure(told, name, "samples")
     ]  # fmt: skip
@@ -160,9 +161,9 @@ def _violations(page: Page, told: Any) -> None:
         page.table(["limits that were exceeded", "samples", "worst excess"], rows)
 
 
-def _judged(key: str, value: float) -> Marked:
+def _judged(key: str, value: float) -> Judged:
     bad = key in ("deadline_misses", "failures") and value > 0
-    return Marked(value, "bad" if bad else "")
+    return Judged(value, "bad" if bad else "")
 
 
 def _mapping(owner: Any, key: str) -> Mapping[str, Any]:

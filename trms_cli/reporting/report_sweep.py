@@ -13,7 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trms_cli.reporting.page import Cell, Marked, Page
+from trms_cli.core.findings import Cell
+from trms_cli.reporting.page import Page
 from trms_cli.reporting.page_rows import MOST_ROWS, Linked, RowCell, RowColumn
 from trms_cli.reporting.report_comparison import RankedEntrant, add_ranking
 from trms_cli.reporting.report_draws import (
@@ -165,7 +166,7 @@ def _objectives(page: Page, sweep: ReportedSweep) -> None:
     first = sweep.objectives[0]
     front.sort(key=lambda run: run.figures.get(first.figure, math.inf))
     keys = [key for key in sweep.keys if any(run.values.get(key) is not None for run in front)]
-    rows: list[list[Cell | Marked]] = []
+    rows: list[list[Cell]] = []
     for run in front[:_MOST_OF_A_FRONT]:
         figures = [run.figures.get(name) for name in names]
         rows.append([run.name, *figures, *(_cell(run.values.get(key)) for key in keys)])
@@ -191,7 +192,7 @@ def _failures(page: Page, sweep: ReportedSweep) -> None:
     for run in failed:
         reason = (run.problem or run.outcome).strip().splitlines() or [run.outcome]
         reasons.setdefault(reason[0][:_LONGEST_REASON], []).append(run)
-    rows: list[list[Cell | Marked]] = []
+    rows: list[list[Cell]] = []
     for why, runs in sorted(reasons.items(), key=lambda item: -len(item[1]))[:_MOST_REASONS]:
         names = [run.name for run in runs[:_MOST_NAMES]]
         names += ["…"] if len(runs) > _MOST_NAMES else []

@@ -1,0 +1,289 @@
+"""Findings on a terminal: the answer, its figures and tables, what limits it, what to type next.
+
+A table never loses a figure: where it is too wide, heads and names are folded first, and then its
+columns are parted into tables below one another, each with the names of its rows.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from typing import IO, TYPE_CHECKING
+
+from rich.text import Text
+
+from trms_cli.core import wording
+from trms_cli.core.findings import (
+    Cell,
+    Column,
+    Command,
+    Findings,
+    Judged,
+    Measure,
+    Table,
+    plain,
+    table,
+)
+from trms_cli.core.printable import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_COLOURS = {"good": "green", "bad": "red", "doubtful": "yellow", "best": "green", "": ""}
+#: What stands behind a judged cell where colours are lost.
+_SIGNS = {"best": " ★"}
+#: Columns of a file or a pipe, and of a terminal that is wider.
+WIDTH = 100
+#: Rows of a table on the screen; page and document have them all.
+_MOST_ROWS = 16
+#: Narrowest that a column of names is folded to.
+_NARROWEST = 12
+_GAP = 2
+_LABEL = 11
+#: Of the answer to a job of a sweep.
+_SENTENCES_OF_A_JOB = 4
+
+
+def console(stream: IO[str] | None = None) -> Console:
+    """A console as wide as the terminal, at most :data:`WIDTH`; that wide for a file."""
+    from rich.console import Console
+
+    # in a notebook too by way of standard output, where whoever calls from Python hears it
+    usual = Console(file=stream, force_jupyter=False)
+    if usual.is_terminal and usual.width <= WIDTH:
+        return usual
+    return Console(file=stream, width=WIDTH, force_jupyter=False)
+
+
+def show(
+    findings: Findings,
+    command: str,
+    subject: str = "",
+    *,
+    stream: IO[str] | None = None,
+    rows: int = _MOST_ROWS,
+) -> None:
+    """Print findings.
+
+    Parameters
+    ----------
+    findings : Findings
+    command : str
+        First word of the first line: ``stability``.
+    subject : str
+        What was studied: ``newtonian with pitch_coulomb_friction, under pid``.
+    rows : int
+        Of each table, at most; the documents have them all.
+    """
+    out = console(stream)
+    title = " · ".join(part for part in (findings.title, subject) if part)
+    _say(out, f"{command:<{_LABEL}}{title}")
+    _say(out)
+    for sentence in findings.lead:
+        _say(out, _plain(sentence), "bold")
+    if findings.lead:
+        _say(out)
+    if findings.measures:
+        show_table(out, measures_table(findings.measures), rows)
+    for one in findings.tables:
+        if one.on_screen and one.rows:
+            show_table(out, one, rows)
+    for warning in findings.warnings:
+        _say(out, f"! {_plain(warning)}", "yellow")
+    if findings.warnings:
+        _say(out)
+    for name, text in findings.facts.items():
+        _say(out, f"{name:<{_LABEL}}{text}")
+    for name, path in findings.files.items():
+        print(f"{name:<{_LABEL}}{path}", file=out.file)
+    show_next(findings.next, out.file)
+
+
+def show_job(findings: Findings, job: int, overrides: Sequence[str]) -> None:
+    """A few lines for a job of a sweep: its number, what it was given, the answer."""
+    first, *more = findings.lead[:_SENTENCES_OF_A_JOB] or [""]
+    print(f"{job:>4}  {' '.join(overrides)}  {_plain(first)}")
+    for sentence in more:
+        print(f"      {_plain(sentence)}")
+
+
+def show_next(commands: Sequence[Command], stream: IO[str] | None = None) -> None:
+    """What to type next; never folded, so that a line can be copied."""
+    if not commands:
+        return
+    stream = stream or sys.stdout
+    print(file=stream)
+    for number, command in enumerate(commands):
+        head = "next" if number == 0 else ""
+        why = f"    # {command.why}" if command.why else ""
+        print(f"{head:<{_LABEL}}{command.text}{why}", file=stream)
+
+
+def measures_table(measures: Sequence[Measure]) -> Table:
+    """The figures that come first as a table."""
+    columns = [
+        Column("", "label"),
+        Column("", lambda measure: Judged(measure.value, measure.judgement)),
+        Column("", lambda measure: wording.unit(measure.unit)),
+        Column("", "note"),
+    ]
+    return table(measures, columns)
+
+
+def show_table(out: Console, table: Table, rows: int = _MOST_ROWS) -> None:
+    """Print a table, folded and parted to the width of the console."""
+    shown = [[_text(cell) for cell in row] for row in table.rows[:rows]]
+    for number, part in enumerate(parted(table.columns, shown, table.heads, out.width)):
+        if number:
+            _say(out)
+        for line in _lines(table, shown, part):
+            out.print(line, soft_wrap=True)
+    if table.caption:
+        out.print(Text(_plain(table.caption), style="dim italic"), highlight=False)
+    more = len(table.rows) - rows
+    if more > 0:
+        _say(out, f"… {wording.count(more, 'more row')} in the document and on the page", "dim")
+    _say(out)
+
+
+def parted(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], heads: int, width: int
+) -> list[dict[int, int]]:
+    """Which columns stand in which part of a table, with the width of each.
+
+    Parameters
+    ----------
+    columns, rows
+        As text.
+    heads : int
+        Columns on the left that each part repeats.
+    width : int
+        Letters that a part may take.
+
+    Returns
+    -------
+    list of dict of int to int
+        A part a mapping: number of a column, its width.
+    """
+    cells = [[row[i] for row in rows] for i in range(len(columns))]
+    whole = [
+        max(map(_longest_line, [head, *own])) for head, own in zip(columns, cells, strict=True)
+    ]
+    if _taken(whole) <= width:
+        return [dict(enumerate(whole))]
+    # heads fold at their spaces, names anywhere; figures never
+    folded = [
+        max(_longest_word(head), *map(_least, own), 1)
+        for head, own in zip(columns, cells, strict=True)
+    ]
+    if _taken(folded) <= width:
+        return [dict(enumerate(_grown(folded, whole, width)))]
+    left = list(range(min(heads, len(columns))))
+    taken = _taken([folded[i] for i in left])
+    parts: list[list[int]] = [[]]
+    for i in range(len(left), len(columns)):
+        needed = _taken([folded[j] for j in [*left, *parts[-1], i]])
+        if needed > width and parts[-1]:
+            parts.append([])
+        parts[-1].append(i)
+    result = []
+    for part in parts:
+        chosen = [*left, *part]
+        room = max(width, taken)
+        grown = _grown([folded[i] for i in chosen], [whole[i] for i in chosen], room)
+        result.append(dict(zip(chosen, grown, strict=True)))
+    return result
+
+
+def fold(text: str, width: int, signs: str = " /_,=.:·-") -> str:
+    """Text in lines of at most `width`, broken after one of the signs, else anywhere."""
+    lines = []
+    for line in text.split("\n"):
+        while len(line) > width:
+            cut = max(line.rfind(sign, 0, width) for sign in signs)
+            cut = cut + 1 if cut > 0 else width
+            lines.append(line[:cut].rstrip())
+            line = line[cut:].lstrip()
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def _lines(table: Table, rows: Sequence[Sequence[str]], part: dict[int, int]) -> list[Text]:
+    """Head, rule and rows of one part, each column as wide as it was given."""
+    numeric = {i: all(_is_number(row[i]) for row in table.rows) for i in part}
+
+    def line_block(texts: Sequence[str], styles: Sequence[str], *, at_foot: bool) -> list[Text]:
+        signs = " " if at_foot else " /_,=.:·-"
+        folded = [fold(texts[i], width, signs).split("\n") for i, width in part.items()]
+        height = max(map(len, folded))
+        lines = []
+        for k in range(height):
+            line = Text()
+            for (i, width), own, style in zip(part.items(), folded, styles, strict=True):
+                at = k - (height - len(own)) if at_foot else k
+                text = own[at] if 0 <= at < len(own) else ""
+                line.append(" " * _GAP if line else "")
+                line.append(text.rjust(width) if numeric[i] else text.ljust(width), style)
+            line.rstrip()
+            lines.append(line)
+        return lines
+
+    lines = []
+    if any(table.columns):
+        styles = ["bold cyan" if i < table.heads else "bold" for i in part]
+        lines += line_block(table.columns, styles, at_foot=True)
+        lines.append(Text("─" * _taken(list(part.values())), "dim"))
+    for row, texts in zip(table.rows, rows, strict=False):
+        judged = [cell.judgement if isinstance(cell, Judged) else "" for cell in row]
+        lines += line_block(texts, [_COLOURS[judged[i]] for i in part], at_foot=False)
+    return lines
+
+
+def _text(cell: Cell) -> str:
+    if isinstance(cell, Judged):
+        return printable(wording.cell(cell.value, cell.sd)) + _SIGNS.get(cell.judgement, "")
+    return printable(wording.cell(cell))
+
+
+def _is_number(cell: Cell) -> bool:
+    return isinstance(plain(cell), int | float | None)
+
+
+def _least(text: str) -> int:
+    """Figures stay on one line; names may be folded to a few letters."""
+    return len(text) if re.fullmatch(r"[^A-Za-z]*|.{0,12}", text) else _NARROWEST
+
+
+def _longest_line(text: str) -> int:
+    return max(map(len, text.split("\n")))
+
+
+def _longest_word(text: str) -> int:
+    return min(max(map(len, text.split()), default=0), _NARROWEST)
+
+
+def _taken(widths: Sequence[int]) -> int:
+    return sum(widths) + _GAP * max(len(widths) - 1, 0)
+
+
+def _grown(least: Sequence[int], most: Sequence[int], width: int) -> list[int]:
+    """Widths from the least towards the most, the narrowest share of its wish first."""
+    widths = list(least)
+    room = width - _taken(widths)
+    while room > 0:
+        hungry = [i for i in range(len(widths)) if widths[i] < most[i]]
+        if not hungry:
+            break
+        widths[min(hungry, key=lambda i: widths[i] / most[i])] += 1
+        room -= 1
+    return widths
+
+
+def _plain(text: str) -> str:
+    """Without the marks of a page: ``**bold**`` and ```code```."""
+    return printable(re.sub(r"\*\*(.+?)\*\*|`(.+?)`", lambda m: m[1] or m[2], text))
+
+
+def _say(out: Console, text: str = "", style: str = "") -> None:
+    out.print(text, style=style, highlight=False, markup=False, soft_wrap=False)
