@@ -9,8 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from docs.figures import plots, validation
-from trms_cli.reporting import effect_figures
+from docs.figures import effect_gallery, plots, validation
 
 HERE = Path(__file__).parent
 README = HERE.parents[1] / "README.md"
@@ -24,7 +23,7 @@ EXCITATIONS = {
 
 def main() -> None:
     """Draw what the pages show; run the README's run, keep its picture and what it printed."""
-    effect_figures.main([str(HERE / "effects")])
+    effect_gallery.main([str(HERE / "effects")])
     validation.draw(HERE)
     with tempfile.TemporaryDirectory() as scratch:
         # found on the path, the program tells the next commands by its bare name

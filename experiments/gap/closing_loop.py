@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from experiments.gap.blind.drivers import OpenLoop
 from experiments.gap.driver import Loop, ModelBased, loop_of
 from experiments.gap.models import DIAGNOSED, NOMINAL, REFIT, TOLD, TRUE, diagnosed, identified
 from experiments.gap.rigs import Rig, driven, gentle_excitation, rig_of, write_csv
 from trms_cli.effects.model_file import load_model
-from trms_cli.gap.blind.drivers import OpenLoop
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 

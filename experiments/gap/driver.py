@@ -1,7 +1,7 @@
 """newton_mpc and the UKF as the driver of the blind benchmark's rigs.
 
-The rigs are those of :mod:`trms_cli.gap.blind.rig`, whose equations are no model's. Controller and
-observer see what a lab's would: measured samples, and a model that somebody gave them.
+The rigs are those of :mod:`.blind.rig`, whose equations are no model's. Controller and observer
+see what a lab's would: measured samples, and a model that somebody gave them.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from experiments.gap.blind.rig import COMMAND_LIMIT, PITCH_QUANTUM, SPEED_NOISE, SPEED_QUANTUM
 from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import Controller, ControlSample, ControlSetup
 from trms_cli.core.plugins import build
-from trms_cli.gap.blind.rig import COMMAND_LIMIT, PITCH_QUANTUM, SPEED_NOISE, SPEED_QUANTUM
 from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import Observer, ObserverSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
@@ -52,7 +52,7 @@ def loop_of(words: Sequence[str] = ()) -> Loop:
 
 
 class ModelBased:
-    """One loop a rig, each with its own model; a :class:`trms_cli.gap.blind.rig.Driver`.
+    """One loop a rig, each with its own model; a :class:`experiments.gap.blind.rig.Driver`.
 
     The rigs have to begin at rest without a command (``settling=0``).
 
@@ -82,7 +82,7 @@ class ModelBased:
         self.references: FloatArray = np.stack([rig.references[:samples] for rig in self._rigs])
 
     def command(self, k: int, time: float, measured: FloatArray) -> FloatArray:
-        """See :class:`trms_cli.gap.blind.rig.Driver`."""
+        """See :class:`experiments.gap.blind.rig.Driver`."""
         return np.stack(
             [rig.command(k, time, y) for rig, y in zip(self._rigs, measured, strict=True)]
         )

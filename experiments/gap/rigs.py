@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from experiments.gap.blind.drivers import rich_excitation
+from experiments.gap.blind.rig import Driver, Recorded, Rigs
 from experiments.gap.driver import CHANNELS
-from trms_cli.gap.blind.drivers import rich_excitation
-from trms_cli.gap.blind.rig import Driver, Recorded, Rigs
 from trms_cli.identification.model_writer import write_model
 from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
@@ -113,7 +113,7 @@ def driven(
     ----------
     driver : Driver
     duration, sample_time, settling : float
-        s; see :meth:`trms_cli.gap.blind.rig.Rigs.run`.
+        s; see :meth:`experiments.gap.blind.rig.Rigs.run`.
     among : sequence of Rig
         All rigs there are, each once; with ``seed`` they determine what a rig meets. Empty: those
         given.

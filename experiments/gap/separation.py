@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from experiments.gap.blind.drivers import MAIN_CENTRE, OpenLoop
 from experiments.gap.closing_loop import RECORDING, Told
 from experiments.gap.models import diagnosed
 from experiments.gap.rigs import INPUTS, Rig, driven, rig_of, write_csv
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.gap.blind.drivers import MAIN_CENTRE, OpenLoop
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 import yaml
 
+from experiments.gap.blind.drivers import rich_excitation
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
-from trms_cli.gap.blind.drivers import rich_excitation
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, names
 from trms_cli.models.newtonian import Newtonian

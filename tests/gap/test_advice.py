@@ -19,8 +19,9 @@ from trms_cli.gap.candidates import Suspect, suspects
 from trms_cli.gap.race.nominal import Refit, refit
 from trms_cli.identification.problem import free_parameters
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.reporting.effect_scenes import library_effect
 from trms_cli.simulation.rollout import Rollout
+
+from .recorded import effect
 
 MODEL = Newtonian()
 EFFECTS = (
@@ -42,7 +43,7 @@ SHARES = np.full(6, 0.01)  # four equations, and the gains of two drives
 
 @pytest.fixture(scope="module")
 def known() -> dict[str, Suspect]:
-    found, _ = suspects(MODEL, {name: library_effect(name) for name in EFFECTS})
+    found, _ = suspects(MODEL, {name: effect(name) for name in EFFECTS})
     return found
 
 

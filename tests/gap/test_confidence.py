@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.gap.calibrate import features_of, fitted, loss, right_answers, usual_shares
+from experiments.gap.calibrate import features_of, fitted, loss, right_answers, usual_shares
 from trms_cli.gap.confidence import Features, beliefs, calibration
 
 NAMES = (("a",), ("b",), ("a", "b"))

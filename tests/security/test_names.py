@@ -49,7 +49,7 @@ def test_a_model_file_names_no_file_elsewhere(name: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("name", _ELSEWHERE)
 def test_the_key_of_a_blind_set_names_no_file_elsewhere(name: str, tmp_path: Path) -> None:
-    from trms_cli.gap.blind.sealing import (
+    from experiments.gap.blind.sealing import (
         COMMITMENT,
         COMMITMENT_SCHEMA,
         KEY,

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+
+from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import TARGET, build, nearest
+
+if TYPE_CHECKING:
+    from trms_cli.commands.execution import Task
 
 SUMMARY = "prove diagnoses on sealed rigs: make a set, diagnose it, open its key"
 
@@ -39,24 +47,97 @@ options of each of the three
   --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
 """
 
+Options = TypeVar("Options")
 #: Values that are paths, or hold some: quoted, so that an ``=`` in them is not read as a key.
 _PATHS = ("in", "out", "key", "diagnoses")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeOptions:
+    """The keys of ``configs/blind_make.yaml``."""
+
+    set: str  #: What the set holds
+    out: str  #: folder of the recordings
+    seed: Annotated[int, Meta(ge=0)] = 0
+    cases: Annotated[int, Meta(ge=1)] | None = None  #: None: as many as the set has
+    #: ``duration``, ``sample_time``, ``fresh``: s; ``fresh`` is the length of the second recordings
+    duration: Annotated[float, Meta(ge=1, le=3600)] = 120.0
+    sample_time: Annotated[float, Meta(ge=0.002, le=0.1)] = 0.02
+    fresh: Annotated[float, Meta(ge=0, le=3600)] = 60.0
+    jobs: Annotated[int, Meta(ge=1)] = 2
+    key: str | None = None  #: Folder of the key
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """The keys of ``configs/blind_run.yaml``."""
+
+    #: ``source``, ``out``: Folders of the set (``in``) and of the diagnoses
+    source: str
+    out: str
+    overrides: tuple[str, ...] = ()  #: Of each diagnosis (``with``)
+    effort: Literal["quick", "normal", "thorough"] = "normal"
+    jobs: Annotated[int, Meta(ge=1)] = 2  #: Recordings at once
+    cases: Annotated[int, Meta(ge=1)] | None = None  #: None: all
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreOptions:
+    """The keys of ``configs/blind_score.yaml``."""
+
+    source: str  #: Folder of the set (``in``)
+    diagnoses: str | tuple[str, ...]  #: FOLDER or NAME=FOLDER
+    key: str | None = None
+    oracle: str | None = None  #: Name of the one that was told the effects
+    fresh: bool = True  #: Whether models run on the second recordings
+    bootstrap: Annotated[int, Meta(ge=100)] = 2000
+    seed: Annotated[int, Meta(ge=0)] = 0
+    jobs: Annotated[int, Meta(ge=1)] = 2
+    out: str | None = None
+
+
+def options_of(kind: type[Options], node: Mapping[str, Any]) -> Options:
+    """Keys, checked as those of a plugin are."""
+    options = build({TARGET: f"{__name__}.{kind.__name__}", **node})
+    assert isinstance(options, kind)
+    return options
+
+
+#: Its words, each a module of the proof with a function ``perform``.
+_TASKS = ("make", "run", "score")
 
 
 def main(argv: Sequence[str]) -> int:
     """Do the one of the three that is asked for."""
     from trms_cli.commands.execution import execute
 
-    tasks: dict[str, Callable[[], object]] = {"make": _make, "run": _run, "score": _score}
     word, *rest = argv or ["nothing"]
-    if word not in tasks:
+    if word not in _TASKS:
         raise ConfigurationError(
             f"{word!r} given" if argv else "nothing given",
             where="trms blind",
-            remedy=f"{nearest(word, tasks)}; more by trms blind --help",
+            remedy=f"{nearest(word, _TASKS)}; more by trms blind --help",
         )
-    task = tasks[word]()
-    return execute([_quoted(w) for w in rest], f"blind_{word}", task)  # type: ignore[arg-type]
+    return execute([_quoted(w) for w in rest], f"blind_{word}", _task(word))
+
+
+def _task(word: str) -> Task:
+    """What does it: the proof lies beside the package in its source, and is not installed with it.
+
+    Raises ConfigurationError where this is no source checkout.
+    """
+    try:
+        task: Task = import_module(f"experiments.gap.blind.{word}").perform
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("experiments"):
+            raise
+        raise ConfigurationError(
+            "the proof on sealed rigs is part of the source checkout, which is not installed here",
+            where=f"trms blind {word}",
+            remedy="in a clone of the repository: make setup, then .venv/bin/trms blind "
+            f"{word} …; or all three by make blind",
+        ) from error
+    return task
 
 
 def _quoted(word: str) -> str:
@@ -70,21 +151,3 @@ def _quoted(word: str) -> str:
         items = [item.strip().strip("'\"") for item in value[1:-1].split(",")]
         return f"{key}=[{','.join(quoted(item) for item in items if item)}]"
     return f"{key}={quoted(value)}"
-
-
-def _make() -> object:
-    from trms_cli.commands.blind_make import perform
-
-    return perform
-
-
-def _run() -> object:
-    from trms_cli.commands.blind_run import perform
-
-    return perform
-
-
-def _score() -> object:
-    from trms_cli.commands.blind_score import perform
-
-    return perform

@@ -11,7 +11,7 @@ from pathlib import Path
 
 def seeds(folder: Path) -> Iterator[bytes]:
     """One of each."""
-    from trms_cli.gap.blind.sealing import KEY_SCHEMA
+    from experiments.gap.blind.sealing import KEY_SCHEMA
 
     case = {"kind": "effect", "effects": {"yaw_dead_zone": {"width": 0.1}}, "parameters": {}}
     content = {"set": "small", "seed": 1, "cases": {"rig_01": case}, "files": {}}
@@ -23,11 +23,11 @@ def seeds(folder: Path) -> Iterator[bytes]:
 
 def read(data: bytes, folder: Path) -> None:
     """Each of the readers, whatever the document is."""
+    from experiments.gap.blind.sealing import open_key
     from trms_cli.commands.identify_files import REQUEST_NAME
     from trms_cli.commands.resume import Resumption
     from trms_cli.core.allowed import allowed_file, allowed_for_good
     from trms_cli.core.errors import TrmsError
-    from trms_cli.gap.blind.sealing import open_key
 
     os.environ["XDG_CONFIG_HOME"] = str(folder)
     allowed_file().parent.mkdir(exist_ok=True)
@@ -44,7 +44,7 @@ def read(data: bytes, folder: Path) -> None:
 
 def _commit(data: bytes, folder: Path) -> None:
     """The commitment to whatever the key is: without it nothing of a key is looked at."""
-    from trms_cli.gap.blind.sealing import COMMITMENT, COMMITMENT_SCHEMA, _commitment
+    from experiments.gap.blind.sealing import COMMITMENT, COMMITMENT_SCHEMA, _commitment
 
     with suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):
         key = json.loads(data)

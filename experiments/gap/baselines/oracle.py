@@ -1,0 +1,60 @@
+"""The oracle: it is told which effects the rig has, and only fits them. The reference of a shrink.
+
+What no candidate stands for (an effect outside the library) it cannot add; then it is a refit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from experiments.gap.baselines.baseline import diagnosis, places
+from experiments.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
+from experiments.gap.baselines.white_noise import compete
+from trms_cli.gap.candidates import suspects
+from trms_cli.gap.diagnosis import Cause, Diagnosis, Verdict
+from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure
+
+
+@dataclass(frozen=True, kw_only=True)
+class Oracle:
+    """The rig's effects are known, their sizes and the nominal parameters are not."""
+
+    effects: tuple[str, ...]  #: What the rig has; names that are no candidates are passed over
+
+    name: ClassVar[str] = "oracle"
+
+    def answer(self, problem: GapProblem) -> Diagnosis:
+        """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
+        begun = time.perf_counter()
+        parts = parts_of(problem)
+        plain = refit(problem, parts)
+        found, _ = suspects(problem.model, problem.candidates)
+        chosen = [found[name] for name in self.effects if name in found]
+        verdict: Verdict = "parameters_only"
+        fit, cause = plain, "parameters_only"
+        if self.effects and not chosen:
+            verdict, cause = "none_of_these", "none_of_these"
+        effects: tuple[str, ...] = (cause,)
+        if chosen:
+            # A few steps of plain least squares find the sizes' order; then all is fitted well.
+            near = compete(problem, parts, chosen, compete(problem, parts, (), None))
+            starts: Mapping[str, float] = near.fit.values if np.isfinite(near.bic) else {}
+            fit = map_fit(fit_problem(problem, parts, chosen, starts))
+            verdict, effects = "effect", tuple(s.name for s in chosen)
+        return diagnosis(
+            problem,
+            verdict,
+            [Cause(effects=effects, probability=1.0, parameters=fit.sizes())],
+            measure(problem, parts, problem.model, plain.model, fit.model),
+            where=places(chosen, 1.0),
+            parameters=fit.nominal(),
+            refit=plain.values,
+            sentence="The effects were told, and fitted.",
+            seconds={"all": time.perf_counter() - begun},
+        )

@@ -1,0 +1,226 @@
+"""A baseline over a sealed set: a folder of diagnoses that ``trms blind score`` takes.
+
+Each recording is answered in a process of its own, in one thread; what has an answer is not done
+again. Only the oracle may open the key.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+
+from experiments.gap.baselines.baseline import Baseline
+from experiments.gap.baselines.model_files import write_models
+from experiments.gap.blind.sealing import RECORDINGS, open_key
+from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.core.plugins import build, nearest
+from trms_cli.core.resources import config_folder
+from trms_cli.effects.effect import Effect
+from trms_cli.gap.document import document_of
+from trms_cli.gap.problem import GapProblem
+
+DOCUMENT = "diagnosis.json"
+METHODS = (
+    "parameter_refit",
+    "sparse_regression",
+    "white_noise_bic",
+    "classifier",
+    "flexible_residual",
+    "oracle",
+)
+#: What a recording is to be diagnosed as: it is handed to other processes, so no closure.
+ProblemOf = Callable[[Path], GapProblem]
+
+
+def baseline_of(name: str, effects: Sequence[str] = ()) -> Baseline:
+    """A baseline by name.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`METHODS`.
+    effects : sequence of str
+        What the oracle is told.
+
+    Raises
+    ------
+    ConfigurationError
+        For another name.
+    """
+    if name == "parameter_refit":
+        from experiments.gap.baselines.parameter_refit import ParameterRefit
+
+        return ParameterRefit()
+    if name == "sparse_regression":
+        from experiments.gap.baselines.sparse_regression import SparseRegression
+
+        return SparseRegression()
+    if name == "white_noise_bic":
+        from experiments.gap.baselines.white_noise_bic import WhiteNoiseBic
+
+        return WhiteNoiseBic()
+    if name == "classifier":
+        from experiments.gap.baselines.classifier import Classifier
+
+        return Classifier()
+    if name == "flexible_residual":
+        from experiments.gap.baselines.flexible_residual import FlexibleResidual
+
+        return FlexibleResidual()
+    if name == "oracle":
+        from experiments.gap.baselines.oracle import Oracle
+
+        return Oracle(effects=tuple(effects))
+    raise ConfigurationError(
+        f"{name!r} is no baseline", where="method", remedy=nearest(name, METHODS)
+    )
+
+
+def bench_problem(recording: Path) -> GapProblem:
+    """A recording as ``trms diagnose real=FILE`` takes it: the Newtonian model, all effects."""
+    import yaml
+
+    from trms_cli.identification.data import DataOptions, load_datasets
+    from trms_cli.models.newtonian import Newtonian
+
+    text = (config_folder() / "data" / "recording.yaml").read_text(encoding="utf-8")
+    options = build(yaml.safe_load(text), "data")
+    assert isinstance(options, DataOptions)
+    model = Newtonian()
+    datasets = tuple(load_datasets(str(recording), model, options))
+    return GapProblem(
+        model=model,
+        model_name="newtonian",
+        datasets=datasets,
+        candidates=bench_effects(),
+        jobs=1,
+    )
+
+
+def bench_effects() -> dict[str, Effect]:
+    """Every effect that the package brings, at its typical size."""
+    import yaml
+
+    candidates = {}
+    for file in sorted((config_folder() / "effect").glob("*.yaml")):
+        for name, node in yaml.safe_load(file.read_text(encoding="utf-8")).items():
+            effect = build(node, f"effect.{name}")
+            assert isinstance(effect, Effect)
+            candidates[name] = effect
+    return candidates
+
+
+def effects_of(key: Path, folder: Path) -> dict[str, tuple[str, ...]]:
+    """What each rig of a set has, by recording: for the oracle alone."""
+    cases = open_key(key, folder).cases
+    return {name: tuple(case.effects) for name, case in cases.items()}
+
+
+def run_baseline(
+    name: str,
+    folder_in: Path,
+    folder_out: Path,
+    jobs: int = 2,
+    *,
+    problem_of: ProblemOf = bench_problem,
+    truth: Mapping[str, Sequence[str]] | None = None,
+    cases: int | None = None,
+    tell: Callable[[str], None] = print,
+) -> dict[str, str]:
+    """Answer every recording of a set.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`METHODS`.
+    folder_in, folder_out : Path
+        Of the set, as ``trms blind make`` wrote it, and of the answers:
+        ``<recording>/diagnosis.json``.
+    jobs : int
+        Recordings at once.
+    problem_of : callable
+        A function of a module.
+    truth : dict of str to sequence of str or None
+        Effects by recording, for the oracle; see :func:`effects_of`.
+    cases : int or None
+        Only the first so many.
+    tell : callable
+        Told a line a recording.
+
+    Returns
+    -------
+    dict of str to str
+        Why, by name, for those that could not be answered.
+    """
+    if name == "oracle" and truth is None:
+        raise ConfigurationError(
+            "the oracle has to be told the truth", where="key", remedy="key=DIR.key"
+        )
+    baseline_of(name)
+    recordings = sorted((folder_in / RECORDINGS).glob("*.csv"))[:cases]
+    if not recordings:
+        raise ConfigurationError(
+            f"there are no recordings in {str(folder_in / RECORDINGS)!r}",
+            where="in",
+            remedy="in=DIR names the folder that `trms blind make` wrote",
+        )
+    waiting = [r for r in recordings if not (folder_out / r.stem / DOCUMENT).is_file()]
+    folder_out.mkdir(parents=True, exist_ok=True)
+    failed: dict[str, str] = {}
+    begun = perf_counter()
+    with ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), max_tasks_per_child=20, initializer=_one_thread
+    ) as pool:
+        told = truth or {}
+        futures = {
+            pool.submit(
+                _answer, name, tuple(told.get(r.stem, ())), r, folder_out, problem_of
+            ): r.stem
+            for r in waiting
+        }
+        try:
+            for done, future in enumerate(as_completed(futures), start=1):
+                stem, problem = futures[future], future.exception()
+                said = str(problem) if isinstance(problem, TrmsError) else repr(problem)
+                if problem is None:
+                    said = future.result()
+                else:
+                    failed[stem] = said
+                minutes = (perf_counter() - begun) / 60
+                tell(f"{done:4d} of {len(waiting)}  {stem}  {said}  {minutes:.1f} min")
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return failed
+
+
+def _one_thread() -> None:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+
+
+def _answer(
+    name: str, effects: tuple[str, ...], recording: Path, out: Path, problem_of: ProblemOf
+) -> str:
+    """One answer; its verdict and first cause."""
+    begun = perf_counter()
+    problem = problem_of(recording)
+    answer = baseline_of(name, effects).answer(problem)
+    draft = out / f".{recording.stem}"
+    shutil.rmtree(draft, ignore_errors=True)
+    draft.mkdir(parents=True)
+    text = json.dumps(document_of(answer), indent=1, allow_nan=False)
+    (draft / DOCUMENT).write_text(text + "\n", encoding="utf-8")
+    write_models(answer, problem, draft)
+    seconds = json.dumps({"seconds": round(perf_counter() - begun, 2)})
+    (draft / "blind.json").write_text(seconds + "\n", encoding="utf-8")
+    draft.replace(out / recording.stem)
+    first = answer.causes[0] if answer.causes else None
+    named = f"{'+'.join(first.effects)} {first.probability:.2f}" if first else ""
+    return f"{answer.verdict:15}  {named}"

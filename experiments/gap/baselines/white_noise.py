@@ -1,0 +1,173 @@
+"""Output-error least squares of many competitors, as if all that is left were white noise.
+
+One candidate at a time is fitted together with the nominal parameters by Levenberg–Marquardt, for
+a few steps from two starts: the optimum of the nominal model alone, and the priors' centre. The
+standard deviation of each output is the residuals' own, as maximum likelihood has it:
+
+    −2 ln L = Σ_c n_c ln(RSS_c/n_c) + …        BIC = −2 ln L + k ln N
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from experiments.gap.baselines.fits import Fit, fit_problem
+from trms_cli.gap.blocks import Parts
+from trms_cli.gap.candidates import Suspect
+from trms_cli.gap.problem import GapProblem
+from trms_cli.identification.dataset import FloatArray
+from trms_cli.identification.greybox.information import information
+from trms_cli.identification.greybox.levenberg_marquardt import Point, minimise
+from trms_cli.identification.greybox.map_fit import with_fitted_starts
+from trms_cli.identification.greybox.objective import Objective
+from trms_cli.identification.greybox.weights import Weights
+from trms_cli.identification.greybox.windows import Windows
+from trms_cli.identification.judgement import with_values
+from trms_cli.identification.problem import FitProblem
+
+#: Steps from each start, then from the better one, and the reduction (nats) that ends a search.
+_FIRST_STEPS, _LAST_STEPS, _TOLERANCE = 4, 6, 0.5
+
+
+@dataclass(frozen=True)
+class Competitor:
+    """A fitted candidate."""
+
+    chosen: tuple[Suspect, ...]
+    fit: Fit  #: Without standard deviations
+    starts: FloatArray  #: (m, n_x) array; of the windows
+    residual_sd: FloatArray  #: (n_y,) array; root mean square of the residuals of each output
+    log_likelihood: float  #: Nats, white noise, up to a constant that all share
+    #: ``parameters``, ``samples``: How many were fitted, and to how many measured values
+    parameters: int
+    samples: int
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion (Schwarz 1978, Ann. Stat. 6)."""
+        return -2 * self.log_likelihood + self.parameters * float(np.log(self.samples))
+
+
+def compete(
+    problem: GapProblem,
+    parts: Parts,
+    chosen: Sequence[Suspect],
+    nominal: Competitor | None,
+    *,
+    held: bool = False,
+) -> Competitor:
+    """Fit the nominal parameters and some effects together.
+
+    Parameters
+    ----------
+    nominal : Competitor or None
+        The fit without effects; None fits that.
+    held : bool
+        Whether the parameters stay as they are: only the windows' starts are fitted.
+    """
+    asked = fit_problem(problem, parts, chosen, robust=None, discrepancy="none")
+    windows = Windows(asked)
+    sd = windows.declared[0] if nominal is None else nominal.residual_sd
+    bounds = (asked.starts, asked.starts) if held else asked.bounds
+    begins: list[tuple[FloatArray, FloatArray | None]] = [(asked.starts, None)]
+    if nominal is not None and not held:
+        begins = _beginnings(asked, windows, chosen, nominal)
+    found = [
+        _search(windows, theta, bounds, sd, 0 if held else _FIRST_STEPS, starts)
+        for theta, starts in begins
+    ]
+    best = max(found, key=lambda item: item[0])
+    for _ in range(0 if held else 3 if nominal is None else 1):
+        again = _search(windows, best[1].theta, bounds, best[2], _LAST_STEPS, best[1].starts)
+        best = max(best, again, key=lambda item: item[0])
+    log_likelihood, point, sd = best
+    values = dict(zip(asked.names, point.theta.tolist(), strict=True))
+    unknown = np.full(len(asked.free), np.nan)
+    return Competitor(
+        tuple(chosen),
+        Fit(with_values(asked.model, values), asked.free, point.theta, unknown),
+        point.starts,
+        sd,
+        log_likelihood,
+        0 if held else len(asked.free),
+        int(windows.measured.sum()),
+    )
+
+
+def with_deviations(competitor: Competitor, problem: GapProblem, parts: Parts) -> Competitor:
+    """The same with the standard deviations of its parameters."""
+    asked = fit_problem(problem, parts, competitor.chosen, robust=None, discrepancy="none")
+    windows, theta = Windows(asked), competitor.fit.theta
+    objective = _objective(windows, theta, competitor.residual_sd)
+    known = information(objective, theta, competitor.starts)
+    sd = np.sqrt(np.maximum(np.diag(known.covariance(asked.on_bounds(theta) != 0)), 0.0))
+    return replace(competitor, fit=replace(competitor.fit, sd=sd))
+
+
+def _beginnings(
+    asked: FitProblem, windows: Windows, chosen: Sequence[Suspect], nominal: Competitor
+) -> list[tuple[FloatArray, FloatArray | None]]:
+    """The nominal optimum and the priors' centre, with the likeliest of the effects' sizes."""
+    centre, known = asked.starts.copy(), nominal.fit.values
+    at = np.array([known.get(name, v) for name, v in zip(asked.names, centre, strict=True)])
+    objective = _objective(windows, at, nominal.residual_sd)
+    starts = objective.centres.copy()
+    starts[:, : nominal.starts.shape[1]] = nominal.starts
+    for suspect in chosen:
+        columns = [asked.names.index(p.name) for p in suspect.free]
+        costs = []
+        for sizes in suspect.variants:
+            at[columns] = sizes
+            costs.append(objective.cost(at, starts))
+        at[columns] = centre[columns] = suspect.variants[int(np.argmin(costs))]
+    return [(at, starts), (centre, None)]
+
+
+def _search(
+    windows: Windows,
+    theta: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+    sd: FloatArray,
+    steps: int,
+    starts: FloatArray | None = None,
+) -> tuple[float, Point, FloatArray]:
+    """Log likelihood, point and residuals' size after some steps."""
+    objective = _objective(windows, theta, sd)
+    if starts is None:
+        point = with_fitted_starts(objective, theta, objective.centres)
+    else:
+        point = Point(theta, starts, objective.cost(theta, starts))
+    if steps and np.isfinite(point.cost):
+        # Slopes may overflow where the simulation does not: the search ends where it began.
+        with suppress(np.linalg.LinAlgError):
+            search = minimise(
+                objective, point, bounds=bounds, iterations=steps, tolerance=_TOLERANCE
+            )
+            point = search.point
+    return _likelihood(windows, point)
+
+
+def _objective(windows: Windows, theta: FloatArray, sd: FloatArray) -> Objective:
+    """Residuals over one standard deviation an output."""
+    n_y = windows.declared.shape[1]
+    weights = Weights(
+        np.maximum(windows.declared, sd), np.ones(n_y), windows.share, windows.problem.robust
+    )
+    return Objective(windows, weights, windows.starts(windows.problem.all_values(theta)))
+
+
+def _likelihood(windows: Windows, point: Point) -> tuple[float, Point, FloatArray]:
+    """At the most likely standard deviation of each output, not below the declared one."""
+    with np.errstate(all="ignore"):
+        r = windows.residuals(windows.problem.all_values(point.theta), point.starts).r
+        count = windows.measured.sum(axis=(0, 1))
+        squares = np.sum(r**2, axis=(0, 1)) / np.maximum(count, 1)
+    if not np.isfinite(squares).all():
+        return -np.inf, point, windows.declared.max(axis=0)
+    variance = np.maximum(squares, np.mean(windows.declared**2, axis=0))
+    value = -0.5 * float(np.sum(count * (np.log(variance) + squares / variance)))
+    return value, point, np.sqrt(variance)

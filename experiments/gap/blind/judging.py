@@ -1,0 +1,184 @@
+"""One diagnosis held against the truth of its case."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from experiments.gap.blind.cases import Case
+from experiments.gap.blind.truths import TRUTHS, same_equation
+from trms_cli.gap.diagnosis import NO_EFFECT, SCHEMA
+
+#: Sizes that the rigs' laws and the library's share: the cable's memory follows another law, a
+#: disturbance is drawn.
+_OTHER_SIZES = ("yaw_cable_hysteresis", "pitch_disturbance", "yaw_disturbance")
+#: s. The horizon that shrinks are compared at, and the key of all channels together.
+HORIZON, ALL = "2.0", "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What of a diagnosis is judged."""
+
+    verdict: str
+    #: tuple of (effects, probability); as told, the likeliest first
+    causes: tuple[tuple[tuple[str, ...], float], ...]
+    #: Of the first cause, ``<effect>.<size>``
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    places: tuple[str, ...] = ()  #: Locations, the largest share first
+    confusable: tuple[tuple[str, ...], ...] = ()
+    shrink: float | None = None  #: Told fraction at :data:`HORIZON`, all channels
+    shrink_ci95: tuple[float, float] | None = None  #: (low, high) or None
+    #: Told noise floor by channel at :data:`HORIZON`
+    floors: Mapping[str, float] = field(default_factory=dict)
+    not_testable: tuple[str, ...] = ()
+    seconds: float | None = None  #: That it took
+
+    @property
+    def first(self) -> tuple[tuple[str, ...], float]:
+        """The likeliest cause and its probability."""
+        return self.causes[0] if self.causes else ((), 0.0)
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """The effects of the likeliest cause; empty where that is no effect."""
+        return frozenset(self.first[0]) - frozenset(NO_EFFECT)
+
+    @property
+    def named(self) -> frozenset[str]:
+        """The effects that the verdict stands for; empty unless it is ``effect``."""
+        return self.effects if self.verdict == "effect" else frozenset()
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnFresh:
+    """How the models of a diagnosis do on the second recording of the rig."""
+
+    #: At :data:`HORIZON`, all channels; None where the refit leaves no gap to shrink
+    shrink: float | None
+    #: Channels in which the corrected model errs by over 2 % more than the refitted one
+    worse: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """A case with an answer."""
+
+    name: str
+    case: Case
+    answer: Answer
+    fresh: OnFresh | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether the verdict names the rig's effects, all and no others."""
+        return bool(self.case.effects) and self.answer.named == frozenset(self.case.effects)
+
+    @property
+    def in_group(self) -> bool:
+        """Exact, or after exchanging effects that the diagnosis itself declares confusable."""
+        if self.exact:
+            return True
+        named, truth = self.answer.named, frozenset(self.case.effects)
+        missed, wrong = truth - named, named - truth
+        return (
+            bool(missed)
+            and len(missed) == len(wrong)
+            and all(any(self._declared(m, w) for w in wrong) for m in missed)
+        )
+
+    def _declared(self, one: str, other: str) -> bool:
+        return any(one in group and other in group for group in self.answer.confusable)
+
+    @property
+    def located(self) -> bool:
+        """Whether the first place is one where the gap lies."""
+        return bool(self.answer.places) and self.answer.places[0] in self.case.locations
+
+    @property
+    def equation(self) -> bool:
+        """Whether the first place is in the same equation as one where the gap lies."""
+        right = {place for at in self.case.locations for place in same_equation(at)}
+        return bool(self.answer.places) and self.answer.places[0] in right
+
+    @property
+    def both(self) -> bool:
+        """Whether all of the rig's effects are among those of the likeliest cause."""
+        return bool(self.case.effects) and self.answer.effects >= frozenset(self.case.effects)
+
+    @property
+    def any_right(self) -> bool:
+        """Whether one of the rig's effects at least is among those of the likeliest cause."""
+        return bool(self.answer.effects & frozenset(self.case.effects))
+
+    @property
+    def right(self) -> bool:
+        """Whether the likeliest cause is the truth, whatever kind of cause that is."""
+        first = frozenset(self.answer.first[0])
+        if self.case.kind == "null":
+            return first == {"no_gap"}
+        if self.case.kind == "offset":
+            return first == {"parameters_only"}
+        if self.case.kind == "outside":
+            return first == {"none_of_these"}
+        return first == frozenset(self.case.effects)
+
+    @property
+    def size_errors(self) -> dict[str, float]:
+        """Relative error of the size that makes the severity, of each effect that was found."""
+        found = {}
+        for effect in self.answer.named & frozenset(self.case.effects):
+            size = TRUTHS[effect].grows[0]
+            told = self.answer.sizes.get(f"{effect}.{size}")
+            true = self.case.effects[effect][size]
+            if effect not in _OTHER_SIZES and told is not None and true:
+                found[effect] = abs(told - true) / abs(true)
+        return found
+
+    @property
+    def label(self) -> str:
+        """The truth in a word, for a table of confusions."""
+        return "+".join(sorted(self.case.effects)) or self.case.kind
+
+    @property
+    def said(self) -> str:
+        """The answer in a word: the effects that it names, else the verdict."""
+        return "+".join(sorted(self.answer.named)) or self.answer.verdict
+
+
+def answer_of(document: Mapping[str, Any], seconds: float | None = None) -> Answer:
+    """What of a ``diagnosis.json`` is judged; missing parts are taken as not told.
+
+    Raises ValueError if it is no such document; the message says what is wrong.
+    """
+    if document.get("schema") != SCHEMA:
+        raise ValueError(f"the schema is {document.get('schema')!r}, {SCHEMA!r} is wanted")
+    try:
+        causes = sorted(
+            ((tuple(c["effects"]), float(c["probability"])) for c in document["causes"]),
+            key=lambda cause: -cause[1],
+        )
+        first = document["causes"][0].get("parameters", {}) if document["causes"] else {}
+        places = sorted(document.get("where", []), key=lambda at: -at["share"])
+        shrink = document.get("shrink", {}).get(ALL, {}).get(HORIZON) or {}
+        ci95 = shrink.get("ci95")
+        took = document.get("seconds") or {}
+        return Answer(
+            verdict=str(document["verdict"]),
+            causes=tuple(causes),
+            sizes={n: float(v["value"]) for n, v in first.items() if v["value"] is not None},
+            places=tuple(at["location"] for at in places),
+            confusable=tuple(tuple(group) for group in document.get("confusable", [])),
+            shrink=shrink.get("fraction"),
+            shrink_ci95=None if not ci95 or None in ci95 else (float(ci95[0]), float(ci95[1])),
+            floors={
+                channel: float(row[HORIZON]["floor"])
+                for channel, row in document.get("gap", {}).items()
+                if row.get(HORIZON, {}).get("floor")
+            },
+            not_testable=tuple(entry["effect"] for entry in document.get("not_testable", [])),
+            seconds=(sum(took.values()) or None) if seconds is None else seconds,
+        )
+    except (KeyError, TypeError, AttributeError, IndexError) as error:
+        raise ValueError(f"{type(error).__name__}: {error}") from error

@@ -1,0 +1,186 @@
+"""``trms blind run``: every recording of a sealed set diagnosed, in processes of their own.
+
+A recording is diagnosed as ``trms diagnose`` would from a shell, in one thread. Its folder appears
+once the diagnosis is whole; what has one is not done again. The key is nowhere opened here.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from pathlib import Path
+from time import perf_counter, process_time
+
+from trms_cli.commands.blind import RunOptions, options_of
+from trms_cli.composition.composer import Composition
+from trms_cli.runs.run_folder import in_use
+from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError, TrmsError
+from trms_cli.core.held_folder import hold
+
+#: In the folder of a diagnosis: what it says, what was printed on the way, how long it took.
+DOCUMENT_NAME, LOG_NAME, TIMING_NAME = "diagnosis.json", "printed.txt", "blind.json"
+#: Exit code of a run in which some recordings could not be diagnosed.
+EXIT_SOME_FAILED = 1
+
+
+def perform(composition: Composition) -> int:
+    """Diagnose what a configuration asks for, and what is not diagnosed yet."""
+    keys = dict(composition.config)
+    node = {"source": keys.pop("in"), "overrides": keys.pop("with"), **keys}
+    options = options_of(RunOptions, node)
+    recordings = recordings_of(Path(options.source).expanduser())[: options.cases]
+    out = Path(options.out).expanduser()
+    _make_folder(out)
+    words = [f"effort={options.effort}", *options.overrides]
+    for folder in composition.config_dirs:
+        words += ["--config-dir", str(folder)]
+    waiting = [r for r in recordings if not (out / r.stem / DOCUMENT_NAME).is_file()]
+    done = len(recordings) - len(waiting)
+    if done:
+        print(f"{done} of {len(recordings)} are diagnosed already")
+    failed = diagnose_all(waiting, out, words, options.jobs, _Shown(len(waiting), options.jobs))
+    print(f"{len(recordings) - len(failed)} diagnoses in {out}")
+    for name, why in failed.items():
+        print(f"  {name}: {why}")
+    return EXIT_SOME_FAILED if failed else EXIT_OK
+
+
+def recordings_of(folder: Path) -> list[Path]:
+    """The recordings of a set, by name.
+
+    Raises ConfigurationError if there is none.
+    """
+    from experiments.gap.blind.sealing import RECORDINGS
+
+    found = sorted((folder / RECORDINGS).glob("*.csv"))
+    if not found:
+        raise ConfigurationError(
+            f"there are no recordings in {str(folder / RECORDINGS)!r}",
+            where="in",
+            remedy="in=DIR names the folder that `trms blind make` wrote",
+        )
+    return found
+
+
+def diagnose_all(
+    recordings: Sequence[Path],
+    out: Path,
+    words: Sequence[str],
+    jobs: int,
+    shown: Callable[[str, str], None],
+) -> dict[str, str]:
+    """Diagnose recordings, some at once.
+
+    Returns
+    -------
+    dict of str to str
+        Why, by name, for those that could not be diagnosed.
+    """
+    from multiprocessing import get_context
+
+    failed: dict[str, str] = {}
+    if not recordings:
+        return failed
+    waiting = list(reversed(recordings))
+    # a process a recording: what one leaves behind in memory does not burden the next
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), max_tasks_per_child=1, initializer=_one_thread
+    )
+    running: dict[Future[str], str] = {}
+    with pool:
+        try:
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    recording = waiting.pop()
+                    future = pool.submit(_diagnose, recording, out, list(words))
+                    running[future] = recording.stem
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    name = running.pop(future)
+                    problem = future.exception()
+                    said = future.result() if problem is None else _why(problem)
+                    if problem is not None:
+                        failed[name] = said
+                    shown(name, said)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return failed
+
+
+def _one_thread() -> None:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+
+
+def _diagnose(recording: Path, out: Path, words: list[str]) -> str:
+    """One diagnosis; its verdict in a few words."""
+    import json
+    import shutil
+    from contextlib import redirect_stderr, redirect_stdout
+
+    from trms_cli.commands import diagnose
+    from trms_cli.composition.composer import compose
+
+    draft = out / f".{recording.stem}"
+    shutil.rmtree(draft, ignore_errors=True)
+    given = [f"real={recording.resolve()}", "jobs=1", "page=false", *words]
+    composition = compose([*given, f"out={draft.resolve()}"], diagnose.COMPOSES)
+    begin, computed = perf_counter(), process_time()
+    printed = out / f".{recording.stem}.txt"
+    try:
+        with (
+            printed.open("w", encoding="utf-8") as sink,
+            redirect_stdout(sink),
+            redirect_stderr(sink),
+        ):
+            diagnose.perform(composition)
+        printed.replace(draft / LOG_NAME)
+    finally:
+        printed.unlink(missing_ok=True)
+    document = json.loads((draft / DOCUMENT_NAME).read_text(encoding="utf-8"))
+    took = {
+        "seconds": round(perf_counter() - begin, 2),
+        "processor_seconds": round(process_time() - computed, 2),
+    }
+    (draft / TIMING_NAME).write_text(json.dumps(took) + "\n", encoding="utf-8")
+    draft.replace(out / recording.stem)
+    return str(document["verdict"])
+
+
+def _why(problem: BaseException) -> str:
+    if isinstance(problem, TrmsError):
+        return str(problem)
+    return f"{type(problem).__name__}: {problem}"
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        if not hold(out):
+            raise in_use(out)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be made: {error.strerror or error}",
+            where=str(out),
+            remedy="name a folder that you can write to: out=FOLDER",
+        ) from error
+
+
+class _Shown:
+    """A line a recording: how many are done, and how long the rest will take."""
+
+    def __init__(self, number: int, jobs: int) -> None:
+        self._number, self._jobs = number, jobs
+        self._done, self._begin = 0, perf_counter()
+
+    def __call__(self, name: str, said: str) -> None:
+        self._done += 1
+        spent = perf_counter() - self._begin
+        rest = spent / self._done * (self._number - self._done)
+        sys.stderr.write(
+            f"{self._done:4d} of {self._number}  {name}  {said:16}  "
+            f"{spent / 60:.1f} min, {rest / 60:.0f} min to go\n"
+        )
+        sys.stderr.flush()

@@ -1,0 +1,246 @@
+"""The judgement of several methods on one set: read, judged, as one document and as Markdown."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from experiments.gap.blind.fresh import on_fresh
+from experiments.gap.blind.judging import Judged, OnFresh, answer_of
+from experiments.gap.blind.measures import Row, Table, Target
+from experiments.gap.blind.sealing import OpenedKey
+from experiments.gap.blind.severity import LEVELS
+from experiments.gap.blind.statistics import Estimate
+from trms_cli.core.data_file import not_as_written, read_json
+from trms_cli.core.errors import RecordingError
+
+SCHEMA = "trms.blind.score/1"
+#: A diagnosis lies in its folder or, from other programs, as a file of the recording's name.
+DOCUMENT = "diagnosis.json"
+_TIMING = "blind.json"
+
+
+def judge(key: OpenedKey, folder: Path) -> list[Judged]:
+    """All diagnoses in a folder, by the recordings' names; those missing are left out.
+
+    Raises RecordingError if there is none, or one that cannot be read, or one of another recording.
+    """
+    found = []
+    for name, case in key.cases.items():
+        file = _file(folder, name)
+        if file is None:
+            continue
+        try:
+            document = read_json(file)
+            with not_as_written(str(file)):
+                answer = answer_of(document, _seconds(file.parent))
+        except (OSError, ValueError) as error:
+            raise RecordingError(
+                f"this is no diagnosis: {error}",
+                where=str(file),
+                remedy="diagnose it again: remove it, and `trms blind run`",
+            ) from error
+        digests = {r.get("sha256") for r in document.get("recordings", [])} - {None, ""}
+        if digests and key.files[name] not in digests:
+            raise RecordingError(
+                f"this is the diagnosis of another recording than {name} of this set",
+                where=str(file),
+                remedy="give the diagnoses of this set: diagnoses=FOLDER",
+            )
+        found.append(Judged(name=name, case=case, answer=answer))
+    if not found:
+        raise RecordingError(
+            "there is no diagnosis of this set",
+            where=str(folder),
+            remedy=f"`trms blind run` writes them: NAME/{DOCUMENT}",
+        )
+    return found
+
+
+def with_fresh(judged: Sequence[Judged], folder: Path, fresh: Path, jobs: int) -> list[Judged]:
+    """The same with how the models do on the second recordings."""
+    tasks = [(j, folder / j.name, fresh / f"{j.name}.csv") for j in judged]
+    if jobs == 1:
+        seen = [_on_fresh(*task) for task in tasks]
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            seen = list(pool.map(_on_fresh, *zip(*tasks, strict=True)))
+    return [replace(j, fresh=found) for j, found in zip(judged, seen, strict=True)]
+
+
+def _on_fresh(judged: Judged, folder: Path, recording: Path) -> OnFresh | None:
+    return on_fresh(judged.answer, folder, recording) if recording.is_file() else None
+
+
+def document_of(
+    key: OpenedKey, tables: Mapping[str, Table], judged: Mapping[str, Sequence[Judged]]
+) -> dict[str, Any]:
+    """The content of ``score.json``."""
+    return {
+        "schema": SCHEMA,
+        "set": key.set_name,
+        "seed": key.seed,
+        "commitment": key.commitment,
+        "cases": len(key.cases),
+        "methods": {
+            name: {
+                "diagnosed": len(judged[name]),
+                "mean_seconds": table.seconds,
+                "measures": [_row(row) for row in table.rows],
+                "by_effect": {
+                    effect: {level: asdict(e) for level, e in levels.items()}
+                    for effect, levels in table.by_effect.items()
+                },
+                "confusions": table.confusions,
+                "reliability": asdict(table.reliability),
+                "judged": {j.name: _facts(j) for j in judged[name]},
+            }
+            for name, table in tables.items()
+        },
+    }
+
+
+def markdown(document: Mapping[str, Any]) -> str:
+    """The same as tables that documentation takes."""
+    methods: Mapping[str, Any] = document["methods"]
+    lines = [
+        f"Set `{document['set']}`, {document['cases']} rigs, seed {document['seed']}, "
+        f"commitment `{document['commitment'][:16]}…`. In brackets 95 % intervals, then the "
+        "number of cases.",
+        "",
+        _line("measure", "reach", *methods),
+        _line("---", "---", *("---" for _ in methods)),
+    ]
+    first = next(iter(methods.values()))
+    for i, row in enumerate(first["measures"]):
+        cells = [_cell(m["measures"][i]) for m in methods.values()]
+        lines.append(_line(row["measure"], row["reach"] or "", *cells))
+    times = [
+        "–" if m["mean_seconds"] is None else f"{m['mean_seconds']:.1f} s" for m in methods.values()
+    ]
+    lines.append(_line("mean time", "", *times))
+    for label, field in (("expected calibration error", "calibration_error"), ("Brier", "brier")):
+        values = [m["reliability"][field] for m in methods.values()]
+        lines.append(_line(label, "", *("–" if v is None else f"{v:.3f}" for v in values)))
+    for name, method in methods.items():
+        lines += ["", f"### {name}: exact, by effect", "", *_by_effect(method["by_effect"])]
+        lines += ["", f"### {name}: what was said", "", *_confusions(method["confusions"])]
+        lines += ["", f"### {name}: reliability", "", *_bins(method["reliability"]["bins"])]
+    return "\n".join(lines) + "\n"
+
+
+def shown(value: float | None, unit: str) -> str:
+    """A figure of the table."""
+    if value is None:
+        return "–"
+    return f"{100 * value:.1f} %" if unit == "%" else f"{value:.2f}"
+
+
+def reach(target: Target | None, unit: str) -> str:
+    """A target in a word."""
+    if target is None:
+        return ""
+    low, high = (_bound(v, unit) for v in (target.low, target.high))
+    return {"at least": f"≥ {low}", "at most": f"≤ {high}", "within": f"{low} – {high}"}[
+        target.kind
+    ]
+
+
+def _bound(value: float, unit: str) -> str:
+    return f"{100 * value:g} %" if unit == "%" else f"{value:g}"
+
+
+def _file(folder: Path, name: str) -> Path | None:
+    places = (folder / name / DOCUMENT, folder / f"{name}.json")
+    return next((place for place in places if place.is_file()), None)
+
+
+def _seconds(folder: Path) -> float | None:
+    """What `trms blind run` measured, if it did."""
+    try:
+        return float(json.loads((folder / _TIMING).read_text(encoding="utf-8"))["seconds"])
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def _row(row: Row) -> dict[str, Any]:
+    return {
+        "measure": row.measure,
+        "unit": row.unit,
+        **asdict(row.estimate),
+        "reach": reach(row.target, row.unit) or None,
+        "reached": row.reached,
+    }
+
+
+def _facts(j: Judged) -> dict[str, Any]:
+    return {
+        "kind": j.case.kind,
+        "truth": sorted(j.case.effects),
+        "severity": dict(j.case.severity),
+        "verdict": j.answer.verdict,
+        "first": list(j.answer.first[0]),
+        "probability": j.answer.first[1],
+        "where": list(j.answer.places[:1]),
+        "exact": j.exact,
+        "in_group": j.in_group,
+        "located": j.located,
+        "right": j.right,
+        "size_errors": j.size_errors,
+        "fresh": None if j.fresh is None else asdict(j.fresh),
+        "seconds": j.answer.seconds,
+    }
+
+
+def _cell(row: Mapping[str, Any]) -> str:
+    if row["value"] is None:
+        return "n/a"
+    text = shown(row["value"], row["unit"])
+    if row["low"] is not None:
+        low, high = shown(row["low"], row["unit"]), shown(row["high"], row["unit"])
+        text += f" [{low.removesuffix(' %')}, {high.removesuffix(' %')}]"
+    mark = {True: " ✓", False: " ✗", None: ""}[row["reached"]]
+    return f"{text} ({row['count']}){mark}"
+
+
+def _line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _by_effect(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    columns = (*LEVELS, "all")
+    lines = [_line("effect", *columns), _line("---", *("---" for _ in columns))]
+    for effect, levels in effects.items():
+        cells = [_of(levels.get(column)) for column in columns]
+        lines.append(_line(effect, *cells))
+    return lines
+
+
+def _of(estimate: Mapping[str, Any] | Estimate | None) -> str:
+    if estimate is None:
+        return ""
+    e = asdict(estimate) if isinstance(estimate, Estimate) else estimate
+    return f"{round(e['value'] * e['count'])} of {e['count']}"
+
+
+def _confusions(confusions: Mapping[str, Mapping[str, int]]) -> list[str]:
+    lines = [_line("the rig has", "said"), _line("---", "---")]
+    for truth, row in confusions.items():
+        said = ", ".join(f"{name} {n}" if n > 1 else name for name, n in row.items())
+        lines.append(_line(truth, said))
+    return lines
+
+
+def _bins(bins: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = [_line("probability told", "mean", "right", "cases"), _line(*["---"] * 4)]
+    for b in bins:
+        low, high = b["right_ci95"]
+        right = f"{b['right']:.2f} [{low:.2f}, {high:.2f}]"
+        span = f"{b['low']:.1f} to {b['high']:.1f}"
+        lines.append(_line(span, f"{b['predicted']:.2f}", right, str(b["count"])))
+    return lines

@@ -1,0 +1,293 @@
+"""Baselines on small simulated rigs: each answers in the form of a diagnosis, and as it should."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.gap.baselines import __main__ as command
+from experiments.gap.baselines.baseline import Baseline
+from experiments.gap.baselines.classifier import _fitted
+from experiments.gap.baselines.fits import fit_problem, parts_of, refit
+from experiments.gap.baselines.flexible_residual import FlexibleResidual
+from experiments.gap.baselines.force_terms import columns
+from experiments.gap.baselines.marks import marks
+from experiments.gap.baselines.oracle import Oracle
+from experiments.gap.baselines.parameter_refit import ParameterRefit
+from experiments.gap.baselines.restoring_force import motion
+from experiments.gap.baselines.run import METHODS, _answer, baseline_of, bench_effects, run_baseline
+from experiments.gap.baselines.sparse_regression import SparseRegression
+from experiments.gap.baselines.synthetic import Request, rigs
+from experiments.gap.baselines.white_noise_bic import WhiteNoiseBic
+from tests.identification.greybox.rigs import recording
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.actuator_lag import ActuatorLag
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.dead_zone import DeadZone
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.model_file import load_model
+from trms_cli.effects.quadratic_damping import QuadraticDamping
+from trms_cli.gap.diagnosis import Diagnosis
+from trms_cli.gap.document import document_of
+from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import _pooled
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import Model, names
+from trms_cli.models.newtonian import Newtonian
+
+RANGES = [(1.0, 1.5), (-0.8, 0.8)]
+FRICTION = "yaw_coulomb_friction"
+CANDIDATES = {
+    FRICTION: CoulombFriction(axis="yaw", torque=0.005),
+    "yaw_quadratic_damping": QuadraticDamping(axis="yaw", coefficient=0.01),
+    "tail_actuator_lag": ActuatorLag(rotor="tail", time_constant=0.06),
+    "tail_dead_zone": DeadZone(rotor="tail", width=0.1),
+}
+
+
+def few_free() -> Model:
+    """The bench's model with priors on three parameters only: the fits of a test are quick."""
+    model = Newtonian()
+    kept = ("k_oh", "k_fhp", "k_fvp")
+    model.parameters = type(model.parameters)(
+        (p if p.name in kept else replace(p, prior_sd=None) for p in model.parameters),
+        model.parameters.name,
+    )
+    return model
+
+
+def problem_with(*effects: str, seed: int = 0) -> GapProblem:
+    rig = extended(Newtonian(), {name: CANDIDATES[name] for name in effects})
+    dataset: Dataset = recording(rig, seconds=50.0, ranges=RANGES, seed=seed, substeps=1)[0]
+    return GapProblem(
+        model=few_free(),
+        model_name="newtonian",
+        datasets=(dataset,),
+        candidates=CANDIDATES,
+        block=9.0,
+        jobs=1,
+    )
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> GapProblem:
+    return problem_with(FRICTION)
+
+
+@pytest.fixture(scope="module")
+def plain() -> GapProblem:
+    return problem_with()
+
+
+def shrunk(answer: Diagnosis, channel: str = "alpha_h", horizon: str = "2.0") -> float:
+    fraction = answer.shrink[channel][horizon].fraction
+    assert fraction is not None
+    return fraction
+
+
+def test_a_refit_leaves_the_friction(rubbing: GapProblem) -> None:
+    answer = ParameterRefit().answer(rubbing)
+    assert answer.verdict == "parameters_only"
+    gap = answer.gap["alpha_h"]["2.0"]
+    assert gap.floor < 0.2 * gap.refit and gap.refit < gap.raw
+    assert gap.corrected == gap.refit
+    assert set(answer.parameters) == {"k_oh", "k_fhp", "k_fvp"}
+
+
+@pytest.mark.slow
+def test_bic_names_the_friction_and_says_its_size(rubbing: GapProblem) -> None:
+    answer = WhiteNoiseBic().answer(rubbing)
+    assert answer.verdict == "effect"
+    assert answer.causes[0].effects == (FRICTION,)
+    size = answer.causes[0].parameters[f"{FRICTION}.torque"]
+    assert size.value == pytest.approx(0.005, rel=0.05) and 0 < size.sd < 0.001
+    assert sum(cause.probability for cause in answer.causes) == pytest.approx(1.0, abs=1e-4)
+    assert [share.location for share in answer.where] == ["yaw_moment"]
+    assert shrunk(answer) > 0.9
+
+
+def test_bic_finds_nothing_where_there_is_nothing(plain: GapProblem) -> None:
+    few = replace(plain, candidates={FRICTION: CANDIDATES[FRICTION]})
+    answer = WhiteNoiseBic().answer(few)
+    assert answer.verdict == "no_gap"
+
+
+@pytest.mark.slow
+def test_the_oracle_closes_what_it_is_told(rubbing: GapProblem) -> None:
+    answer = Oracle(effects=(FRICTION,)).answer(rubbing)
+    assert answer.causes[0].effects == (FRICTION,)
+    assert shrunk(answer) > 0.9
+    blind = Oracle(effects=("something_else",)).answer(rubbing)
+    assert blind.verdict == "none_of_these"
+    assert shrunk(blind) == 0.0
+
+
+def test_sparse_regression_names_the_friction_and_shrinks_the_gap(rubbing: GapProblem) -> None:
+    answer = SparseRegression().answer(rubbing)
+    assert answer.causes[0].effects == (FRICTION,)
+    assert answer.where[0].location == "yaw_moment"
+    assert shrunk(answer, horizon="0.5") > 0.6
+
+
+@pytest.mark.slow
+def test_sparse_regression_names_no_winner_of_a_pair_no_force_tells_apart() -> None:
+    answer = SparseRegression().answer(problem_with("tail_actuator_lag"))
+    assert answer.confusable == (("tail_input_delay", "tail_actuator_lag"),)
+
+
+def test_sparse_regression_finds_no_term_where_there_is_nothing(plain: GapProblem) -> None:
+    assert SparseRegression().answer(plain).verdict == "parameters_only"
+
+
+@pytest.mark.slow
+def test_a_learnt_force_shrinks_the_gap_without_a_name(rubbing: GapProblem) -> None:
+    answer = FlexibleResidual().answer(rubbing)
+    assert answer.verdict == "none_of_these"
+    assert answer.where[0].location == "yaw_moment"
+    assert shrunk(answer, horizon="0.5") > 0.2
+
+
+@pytest.mark.slow
+def test_nothing_is_learnt_where_there_is_nothing(plain: GapProblem) -> None:
+    assert FlexibleResidual().answer(plain).verdict == "no_gap"
+
+
+def test_the_restoring_force_is_the_torque_that_is_missing(rubbing: GapProblem) -> None:
+    dataset = rubbing.datasets[0]
+    moved = motion(Newtonian(), [dataset], (), 10.0)
+    terms, values = columns(Newtonian(), moved)
+    place = names(Newtonian().disturbances).index("yaw_moment")
+    sign = next(k for k, t in enumerate(terms) if t.name == "sign(rate)" and "yaw" in t.location)
+    turning = np.abs(values[:, sign]) > 0.99
+    force = moved.force[turning, place] * values[turning, sign]
+    assert np.median(force) == pytest.approx(-0.005, rel=0.1)
+
+
+def test_the_force_of_angles_alone_is_the_same(rubbing: GapProblem) -> None:
+    dataset = rubbing.datasets[0]
+    two = replace(
+        dataset,
+        outputs=dataset.outputs[:2],
+        measurements=dataset.measurements[:, :2],
+        noise_sd=dataset.noise_sd[:2],
+    )
+    both, alone = (motion(Newtonian(), [d], (), 10.0).force[:, 1] for d in (dataset, two))
+    assert np.corrcoef(both, alone)[0, 1] > 0.85
+
+
+@pytest.mark.slow
+def test_marks_of_synthetic_rigs_tell_their_effects() -> None:
+    outputs = names(Newtonian().outputs)
+    few = {k: CANDIDATES[k] for k in (FRICTION, "tail_dead_zone")}
+    made = [
+        rigs(Request(Newtonian(), name, effect, outputs, 0.02, 8, seed))
+        for seed, (name, effect) in enumerate(few.items())
+    ]
+    labels = [name for name, rows in zip(few, made, strict=True) for _ in rows]
+    rows = np.concatenate(made)
+    found = _fitted(labels, rows)
+    told = np.argmax(found.probabilities(rows), axis=1)
+    assert [found.classes[k] for k in told] == labels
+    again = rigs(Request(Newtonian(), FRICTION, few[FRICTION], outputs, 0.02, 8, 0))
+    np.testing.assert_array_equal(again, made[0])
+
+
+def test_marks_are_as_many_for_any_length(rubbing: GapProblem) -> None:
+    dataset = rubbing.datasets[0]
+    long, short = (marks(few_free(), [d], 10.0) for d in (dataset, dataset.part(0, 1500)))
+    assert long.shape == short.shape and np.isfinite(long).all()
+
+
+def test_the_interval_of_a_shrink_comes_from_blocks() -> None:
+    block = np.repeat(np.arange(6), 10)
+    refit_ = np.full(60, 101.0)
+    after = np.where(block < 3, 1.0, 26.0)  # three blocks closed entirely, three by half
+    found = _pooled([(np.stack([refit_, after]), block)], 0)
+    assert found.fraction == pytest.approx(1 - (np.sqrt(13.5) - 1) / (np.sqrt(101) - 1))
+    assert found.ci95 is not None
+    assert found.ci95[0] < found.fraction < found.ci95[1] <= 1.0
+    none = _pooled([(np.ones((2, 60)), block)], 0)
+    assert none.fraction is None and none.ci95 is None
+
+
+def test_what_is_sealed_is_not_fitted(rubbing: GapProblem) -> None:
+    parts = parts_of(rubbing)
+    for number, first, last in parts.sealed:
+        assert first >= len(parts.fitted[number]) and last == len(parts.whole[number])
+    first = refit(rubbing, parts).values
+    dataset = rubbing.datasets[0]
+    changed = dataset.measurements.copy()
+    changed[parts.sealed[0][1] :] += 1.0
+    other = replace(rubbing, datasets=(replace(dataset, measurements=changed),))
+    assert refit(other, parts_of(other)).values == first
+
+
+@pytest.mark.slow
+def test_a_model_without_priors_is_not_refitted(rubbing: GapProblem) -> None:
+    model = few_free()
+    model.parameters = type(model.parameters)(
+        (replace(p, prior_sd=None) for p in model.parameters), model.parameters.name
+    )
+    fixed = replace(rubbing, model=model)
+    assert not fit_problem(fixed, parts_of(fixed)).free
+    assert ParameterRefit().answer(fixed).parameters == {}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_each_is_found_by_its_name(name: str) -> None:
+    baseline = baseline_of(name)
+    assert isinstance(baseline, Baseline) and baseline.name == name
+
+
+def test_an_unknown_method_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ConfigurationError, match="no baseline"):
+        baseline_of("guess")
+    words = ["method=parameter_refit", f"in={tmp_path}", f"out={tmp_path / 'out'}"]
+    assert command.main(words) == 2
+    assert "no recordings" in capsys.readouterr().err
+    assert command.main(["method=oracle", *words[1:]]) == 2
+    assert "truth" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_set_is_answered_recording_by_recording(rubbing: GapProblem, tmp_path: Path) -> None:
+    folder = tmp_path / "set" / "recordings"
+    folder.mkdir(parents=True)
+    for name in ("c1", "c2"):
+        (folder / f"{name}.csv").touch()
+    told: list[str] = []
+    out = tmp_path / "out"
+    (out / "c1").mkdir(parents=True)
+    (out / "c1" / "diagnosis.json").write_text("{}", encoding="utf-8")
+    failed = run_baseline(
+        "parameter_refit", folder.parent, out, 1, problem_of=small, tell=told.append
+    )
+    assert not failed and len(told) == 1 and "c2" in told[0]
+    document = json.loads((out / "c2" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert document["schema"] == "trms.diagnosis/1"
+    assert document["verdict"] == "parameters_only"
+
+
+@pytest.mark.slow
+def test_an_answer_leaves_its_models(tmp_path: Path) -> None:
+    said = _answer("oracle", (FRICTION,), Path("c1.csv"), tmp_path, small)
+    assert "yaw_coulomb_friction 1.00" in said
+    corrected = load_model(str(tmp_path / "c1" / "corrected_model.yaml"))
+    assert corrected.parameters[f"{FRICTION}.torque"].value == pytest.approx(0.005, rel=0.05)
+    before = load_model(str(tmp_path / "c1" / "refit_model.yaml"))
+    assert f"{FRICTION}.torque" not in before.parameters
+    assert before.parameters["k_oh"].value != corrected.parameters["k_oh"].value
+
+
+def small(path: Path) -> GapProblem:
+    return problem_with(FRICTION)
+
+
+def test_all_answers_can_be_written(rubbing: GapProblem) -> None:
+    text = json.dumps(document_of(ParameterRefit().answer(rubbing)), allow_nan=False)
+    assert '"parameters_only"' in text
+    assert set(CANDIDATES) <= set(bench_effects())

@@ -1,0 +1,277 @@
+"""Judgement of diagnoses that are made by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from experiments.gap.blind.cases import Case
+from experiments.gap.blind.drivers import rich_excitation
+from experiments.gap.blind.fresh import on_fresh
+from experiments.gap.blind.judging import Answer, Judged, OnFresh, answer_of
+from experiments.gap.blind.measures import Table, Target, table
+from experiments.gap.blind.nominal import nominal
+from experiments.gap.blind.recording import csv_of
+from experiments.gap.blind.statistics import quantile, reliability, share
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extended
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.simulation.rollout import Rollout
+
+DELAY, LAG, FRICTION = "main_input_delay", "main_actuator_lag", "yaw_coulomb_friction"
+SIZES = {DELAY: {"delay": 0.04}, LAG: {"time_constant": 0.04}, FRICTION: {"torque": 0.004}}
+PLACES = {DELAY: ("main_actuator",), LAG: ("main_actuator",), FRICTION: ("yaw_moment",)}
+
+
+def case(kind: str = "single", *effects: str, level: str = "medium", **more: Any) -> Case:
+    return Case(
+        kind=kind,  # type: ignore[arg-type]
+        effects={e: SIZES.get(e, {}) for e in effects},
+        severity=dict.fromkeys(effects, level),
+        locations=tuple(at for e in effects for at in PLACES.get(e, ("yaw_moment",))),
+        **more,
+    )
+
+
+def answer(*effects: str, verdict: str = "effect", probability: float = 0.9, **more: Any) -> Answer:
+    return Answer(verdict=verdict, causes=((effects, probability),), **more)
+
+
+def judged(c: Case, a: Answer, name: str = "c001", fresh: OnFresh | None = None) -> Judged:
+    return Judged(name=name, case=c, answer=a, fresh=fresh)
+
+
+def figure(found: Table, measure: str) -> Any:
+    return next(row for row in found.rows if row.measure.startswith(measure))
+
+
+def test_exact_means_all_effects_and_no_other() -> None:
+    pair = case("pair", DELAY, FRICTION)
+    assert judged(pair, answer(FRICTION, DELAY)).exact
+    assert not judged(pair, answer(FRICTION)).exact
+    assert not judged(case("single", FRICTION), answer(FRICTION, DELAY)).exact
+    assert not judged(case("single", FRICTION), answer(FRICTION, verdict="undecided")).exact
+
+
+def test_a_confusion_counts_where_the_diagnosis_declared_it() -> None:
+    truth = case("single", DELAY)
+    assert not judged(truth, answer(LAG)).in_group
+    assert judged(truth, answer(LAG, confusable=((DELAY, LAG),))).in_group
+    assert not judged(truth, answer(FRICTION, confusable=((DELAY, LAG),))).in_group
+    assert not judged(truth, answer(LAG, FRICTION, confusable=((DELAY, LAG),))).in_group
+    pair = case("pair", DELAY, FRICTION)
+    assert judged(pair, answer(LAG, FRICTION, confusable=((LAG, DELAY),))).in_group
+
+
+def test_places_and_equations() -> None:
+    truth = case("single", DELAY)
+    right = judged(truth, answer(DELAY, places=("main_actuator", "yaw_moment")))
+    beside = judged(truth, answer(DELAY, places=("main_motor",)))
+    wrong = judged(truth, answer(DELAY, places=("yaw_moment", "main_actuator")))
+    assert [(j.located, j.equation) for j in (right, beside, wrong)] == [
+        (True, True),
+        (False, True),
+        (False, False),
+    ]
+    assert not judged(truth, answer(DELAY)).located
+
+
+def test_what_is_right_depends_on_the_kind() -> None:
+    assert judged(case("null"), answer("no_gap", verdict="no_gap")).right
+    assert judged(case("offset"), answer("parameters_only", verdict="parameters_only")).right
+    assert judged(case("outside", "yaw_cogging"), answer("none_of_these", verdict="x")).right
+    assert not judged(case("offset"), answer("no_gap", verdict="no_gap")).right
+
+
+def test_sizes_are_compared_where_the_law_is_the_same() -> None:
+    sizes = {f"{FRICTION}.torque": 0.005}
+    assert judged(case("single", FRICTION), answer(FRICTION, sizes=sizes)).size_errors == {
+        FRICTION: pytest.approx(0.25)
+    }
+    assert not judged(case("single", FRICTION), answer(LAG)).size_errors
+    hysteresis = Case(kind="single", effects={"yaw_cable_hysteresis": {"torque": 1.0}})
+    told = answer("yaw_cable_hysteresis", sizes={"yaw_cable_hysteresis.torque": 2.0})
+    assert not judged(hysteresis, told).size_errors
+
+
+def test_the_table_counts_each_kind_where_it_belongs() -> None:
+    found = table(
+        [
+            judged(case("single", FRICTION), answer(FRICTION, places=("yaw_moment",))),
+            judged(case("single", DELAY, level="strong"), answer(LAG)),
+            judged(case("single", DELAY, level="weak"), answer(DELAY)),
+            judged(case("single", DELAY, channels="angles"), answer(DELAY)),
+            judged(case("single", DELAY, drive="closed_loop"), answer(LAG)),
+            judged(case("null"), answer("no_gap", verdict="no_gap")),
+            judged(case("null"), answer(FRICTION)),
+            judged(case("offset"), answer("parameters_only", verdict="parameters_only")),
+            judged(case("outside", "yaw_cogging"), answer(FRICTION, probability=0.71)),
+            judged(case("outside", "yaw_cogging"), answer(FRICTION, verdict="undecided")),
+            judged(case("pair", DELAY, FRICTION), answer(FRICTION)),
+            judged(case("unexcited", DELAY, drive="poor"), answer(LAG)),
+        ]
+    )
+    figures = {row.measure: (row.estimate.value, row.estimate.count) for row in found.rows}
+    assert figures["single, medium and strong: exact"] == (0.5, 2)
+    assert figures["single, medium and strong: place named"] == (0.5, 2)
+    assert figures["single, medium and strong: sure of a wrong name"] == (0.5, 2)
+    assert figures["single, weak: exact"] == (1.0, 1)
+    assert figures["single in closed loop: exact"] == (0.0, 1)
+    assert figures["single, angles alone: exact"] == (1.0, 1)
+    assert figures["effect named on an exact null"] == (0.5, 2)
+    assert figures["effect named on a parameter offset"] == (0.0, 1)
+    assert figures["outside the library: wrong name, probability over 0.7"] == (1.0, 2)
+    assert figures["outside the library: none of these, or undecided"] == (0.5, 2)
+    assert figures["two effects: both"] == (0.0, 1)
+    assert figures["two effects: at least one"] == (1.0, 1)
+    assert figures["present but not excited: wrong name"] == (1.0, 1)
+    assert figures["shrink relative to the oracle: median"] == (None, 0)
+    assert found.by_effect[DELAY]["all"].count == 2
+    assert found.confusions[DELAY] == {LAG: 3, DELAY: 2}
+
+
+def test_the_second_recording_judges_intervals_and_harm() -> None:
+    told: dict[str, Any] = {"shrink": 0.8, "shrink_ci95": (0.7, 0.9)}
+    inside, outside = OnFresh(shrink=0.75, worse=()), OnFresh(shrink=0.5, worse=("alpha_v",))
+    best = judged(case("single", FRICTION), answer(FRICTION), fresh=OnFresh(shrink=1.0, worse=()))
+    found = table(
+        [
+            judged(case("single", FRICTION), answer(FRICTION, **told), "a", inside),
+            judged(case("single", FRICTION), answer(FRICTION, **told), "b", outside),
+            judged(
+                case("null"),
+                answer("no_gap", verdict="no_gap"),
+                "n",
+                OnFresh(shrink=None, worse=()),
+            ),
+        ],
+        {"a": best, "b": best},
+    )
+    assert figure(found, "95 % interval").estimate.value == 0.5
+    assert figure(found, "a channel made worse").estimate.value == pytest.approx(1 / 3)
+    assert figure(found, "shrink relative to the oracle: median").estimate.value == 0.625
+
+
+def test_targets() -> None:
+    assert Target(kind="at least", low=0.9).met(0.9)
+    assert not Target(kind="at least", low=0.9).met(0.89)
+    assert not Target(kind="at most", high=0.02).met(0.03)
+    assert not Target(kind="within", low=0.94, high=0.96).met(0.97)
+
+
+def test_intervals_of_shares_are_wilsons() -> None:
+    for hits, n in ((0, 10), (3, 10), (10, 10), (1, 44)):
+        found = share([True] * hits + [False] * (n - hits))
+        right = binomtest(hits, n).proportion_ci(method="wilson")
+        assert (found.low, found.high) == pytest.approx((right.low, right.high), abs=1e-9)
+    assert share([]).value is None
+
+
+def test_intervals_of_quantiles_hold_the_truth_as_often_as_they_say() -> None:
+    random = np.random.default_rng(0)
+    held = 0
+    for trial in range(200):
+        found = quantile(random.normal(size=60).tolist(), 0.5, 300, trial)
+        assert found.low is not None
+        assert found.high is not None
+        held += found.low <= 0 <= found.high
+    assert 0.88 <= held / 200 <= 0.99
+
+
+def test_reliability_of_probabilities() -> None:
+    told = reliability([0.95] * 20 + [0.55] * 20, [True] * 19 + [False] + [True] * 11 + [False] * 9)
+    assert told.calibration_error == pytest.approx(0.0, abs=1e-9)
+    lies = reliability([0.95] * 10, [False] * 10)
+    assert lies.calibration_error == pytest.approx(0.95)
+    assert lies.brier == pytest.approx(0.95**2)
+    assert [b["count"] for b in told.bins] == [20, 20]
+
+
+DOCUMENT: dict[str, Any] = {
+    "schema": "trms.diagnosis/1",
+    "verdict": "effect",
+    "where": [
+        {"location": "pitch_moment", "share": 0.1, "ci95": [0, 0.2]},
+        {"location": "yaw_moment", "share": 0.8, "ci95": [0.7, 0.9]},
+    ],
+    "causes": [
+        {
+            "effects": [FRICTION],
+            "probability": 0.8,
+            "parameters": {f"{FRICTION}.torque": {"value": 0.004, "sd": 1e-4, "unit": "N*m"}},
+        },
+        {"effects": ["no_gap"], "probability": 0.2},
+    ],
+    "confusable": [[FRICTION, "yaw_stribeck_friction"]],
+    "shrink": {"all": {"2.0": {"fraction": 0.9, "ci95": [0.8, 0.95]}}},
+    "gap": {"alpha_h": {"2.0": {"floor": 0.001}}},
+    "seconds": {"race": 10.0, "where": 2.0},
+}
+
+
+def test_a_document_is_read() -> None:
+    found = answer_of(DOCUMENT)
+    assert found.first == ((FRICTION,), 0.8)
+    assert found.places == ("yaw_moment", "pitch_moment")
+    assert found.sizes == {f"{FRICTION}.torque": 0.004}
+    assert (found.shrink, found.shrink_ci95, found.seconds) == (0.9, (0.8, 0.95), 12.0)
+    assert found.floors == {"alpha_h": 0.001}
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"schema": "trms.score/1"},
+        {"schema": "trms.diagnosis/1"},
+        {"schema": "trms.diagnosis/1", "causes": 3, "verdict": "effect"},
+        DOCUMENT | {"causes": [{"effects": ["a"]}]},
+    ],
+)
+def test_what_is_no_diagnosis_is_refused(broken: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"schema|Error"):
+        answer_of(broken)
+
+
+def _model_file(path: Path, effects: str) -> None:
+    values = nominal()
+    lines = [f"  {name}: {{value: {value!r}}}" for name, value in values.items()]
+    text = "\n".join(["name: x", "model: newtonian", "parameters:", *lines, effects])
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten seconds of a rig with friction of yaw, from the library's own code."""
+    model = extended(Newtonian(), {FRICTION: CoulombFriction(axis="yaw", torque=0.003)})
+    n, step = 500, 0.02
+    commands = rich_excitation([3], n, step, amplitude=0.6)[0]
+    rollout = Rollout(model, step)
+    start = rollout.initial(model.rest(), commands[0])
+    y = rollout.outputs(commands, [0], [n], start[None]).y
+    file = tmp_path_factory.mktemp("fresh") / "c001.csv"
+    file.write_text(csv_of(Case(kind="single"), step * np.arange(n, dtype=float), commands, y))
+    return file
+
+
+@pytest.mark.parametrize(("better", "worse"), [(True, ()), (False, ("alpha_h",))])
+def test_models_run_on_a_recording_that_nobody_saw(
+    recording: Path, tmp_path: Path, better: bool, worse: tuple[str, ...]
+) -> None:
+    effect = "effects: {yaw_coulomb_friction: {torque: 0.003}}"
+    _model_file(tmp_path / "corrected_model.yaml", effect if better else "")
+    _model_file(tmp_path / "refit_model.yaml", "" if better else effect)
+    floors = {"alpha_v": 5e-4, "alpha_h": 5e-4, "omega_v": 1.6, "omega_h": 1.6}
+    found = on_fresh(answer(FRICTION, floors=floors), tmp_path, recording)
+    assert found is not None
+    assert set(found.worse) >= set(worse)
+    assert bool(found.worse) != better
+    if better:
+        assert found.shrink is not None
+        assert found.shrink > 0.9
+    nothing = answer("no_gap", verdict="no_gap")
+    assert on_fresh(nothing, tmp_path, recording) == OnFresh(shrink=None, worse=())
+    assert on_fresh(answer(FRICTION), tmp_path / "none", recording) is None
