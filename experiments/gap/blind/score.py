@@ -23,8 +23,8 @@ def perform(composition: Composition) -> int:
     from experiments.gap.blind.measures import table
     from experiments.gap.blind.sealing import open_key
     from experiments.gap.blind.verdicts import document_of, judge, markdown, with_fresh
-    from trms_cli.runs.run_folder import new_folder, write_document
     from trms_cli.core.whole_file import replace_whole
+    from trms_cli.runs.run_folder import new_folder, write_document
 
     keys = dict(composition.config)
     options = options_of(ScoreOptions, {"source": keys.pop("in"), **keys})
