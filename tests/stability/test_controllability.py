@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import TrimSolver
 from trms_cli.models.quanser_aero import QuanserAero
-from trms_cli.stability.local.balance import Balance
 from trms_cli.stability.local.gramians import (
     controllability_gramian,
     hankel_values,
@@ -39,7 +39,7 @@ class Case:
     """A model made linear, with its modes by name."""
 
     def __init__(self, model, at):
-        point = Balance(model).first(at)
+        point = TrimSolver(model).first(at)
         self.model = model
         self.matrices = Linear(model).matrices(point.x, point.u)
         self.scales = scales_of(model, self.matrices, 0.00044, 1.6)

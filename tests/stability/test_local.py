@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.operating_point import TrimSolver
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.local.balance import Balance
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.local.modes import modes_of, modes_of_matrix
 from trms_cli.stability.local.parts import Part, parts_of
@@ -25,7 +25,7 @@ from trms_cli.stability.subject import Subject
 
 
 def modes_at(model, at, side="mean"):
-    point = Balance(model).first(at)
+    point = TrimSolver(model).first(at)
     return modes_of(model, Linear(model).matrices(point.x, point.u, side))
 
 
@@ -108,7 +108,7 @@ def test_currents_are_modes_of_their_own_and_kept_apart():
 
 def test_a_point_on_a_switch_has_both_sides():
     model = Newtonian()
-    linear, point = Linear(model), Balance(model).first({"alpha_v": 0.0})
+    linear, point = Linear(model), TrimSolver(model).first({"alpha_v": 0.0})
     (switch,) = linear.switches(point.x, point.u)
     assert model.state_names[switch.state] == "alpha_h"
     (entry,) = switch.entries
@@ -119,7 +119,7 @@ def test_a_point_on_a_switch_has_both_sides():
     upper, lower, mean = (linear.a(point.x, point.u, side) for side in ("upper", "lower", "mean"))
     assert np.allclose(mean, (upper + lower) / 2, atol=1e-12)
     assert not np.allclose(upper, lower)
-    away = Balance(model).first({"alpha_v": 0.0, "alpha_h": 0.3})
+    away = TrimSolver(model).first({"alpha_v": 0.0, "alpha_h": 0.3})
     assert linear.switches(away.x, away.u) == ()
 
 
@@ -131,7 +131,7 @@ def test_a_rotor_at_rest_is_no_switch_since_its_thrust_has_no_slope_there():
 
 def test_linearisation_is_that_of_the_vector_field():
     model = Newtonian()
-    point = Balance(model).first({"alpha_v": 0.1, "alpha_h": 0.4})
+    point = TrimSolver(model).first({"alpha_v": 0.1, "alpha_h": 0.4})
     found, field = Linear(model).matrices(point.x, point.u), VectorField(model)
     a, b = field.linearised(point.x, point.u)
     assert np.allclose(found.a, a) and np.allclose(found.b, b)
@@ -290,14 +290,14 @@ def test_states_of_effects_are_named_after_the_effect():
     )
     assert parts_of(model)[-1] == Part("yaw cable hysteresis")
     # Of all memories that it may rest with, that of a rig without a past.
-    point = Balance(model).first({"alpha_v": 0.0})
+    point = TrimSolver(model).first({"alpha_v": 0.0})
     assert abs(point.x[-1]) < 1e-6 and abs(point.u[model.n_u - 1]) < 1e-6
 
 
 def growth_in_simulation(alpha_v, duration=240.0):
     """Rate at which a pitch swing of 1e-4 rad grows in the nonlinear equations, both slopes in."""
     model = Newtonian(parameter_set="rahideh")
-    point = Balance(model).first({"alpha_v": alpha_v})
+    point = TrimSolver(model).first({"alpha_v": alpha_v})
     start = point.x.copy()
     row = model.state_index("alpha_v")
     start[row] += 1e-4

@@ -18,9 +18,8 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
-from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.models.operating_point import OperatingPoint, TrimCondition, TrimSolver
 from trms_cli.stability.local.asked import in_order
-from trms_cli.stability.local.balance import Balance, Held
 from trms_cli.stability.local.linear import Linear, Side
 from trms_cli.stability.local.tracking import Spectrum, matched, spectrum_of
 
@@ -42,7 +41,7 @@ class Place:
     """An operating point of a sweep."""
 
     value: float  #: Of what is varied
-    held: Held  #: What is held there
+    held: TrimCondition  #: What is held there
     point: OperatingPoint
     spectrum: Spectrum  #: In the order of the sweep's tracks
 
@@ -88,7 +87,7 @@ class Path:
         self, model: Model, at: Mapping[str, float], over: str, side: Side = "mean"
     ) -> None:
         self.model, self.over, self.side = model, over, side
-        self.balance, self.linear = Balance(model), Linear(model)
+        self.balance, self.linear = TrimSolver(model), Linear(model)
         self.kind = _kind(model, over)
         self.at = dict(at)
         self._given = tuple(at)
@@ -143,7 +142,7 @@ class Path:
             unit = next(signal.unit for signal in signals if signal.name == self.over)
         return "" if unit == "1" else unit
 
-    def held(self, value: float) -> Held:
+    def held(self, value: float) -> TrimCondition:
         """What is held at a value."""
         if self.kind == "parameter":
             p = self._base.p.copy()
@@ -154,12 +153,14 @@ class Path:
         values[order.index(self.over)] = value
         return replace(self._base, values=values)
 
-    def direction(self) -> Held:
+    def direction(self) -> TrimCondition:
         """Rates of change of what is held, per unit of what is varied."""
         values, p = np.zeros_like(self._base.values), np.zeros_like(self._base.p)
         one = self.held(1.0)
         zero = self.held(0.0)
-        return Held(self._base.by_angle, values + one.values - zero.values, p + one.p - zero.p)
+        return TrimCondition(
+            self._base.by_angle, values + one.values - zero.values, p + one.p - zero.p
+        )
 
     def first(self, low: float, high: float) -> Place:
         """The place where a sweep begins: where the request stands, or the end next to it.
