@@ -15,19 +15,19 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import TrimSolver
 from trms_cli.models.quanser_aero import QuanserAero
-from trms_cli.stability.local.gramians import (
+from trms_cli.stability.local.access import (
     controllability_gramian,
+    controllable,
     hankel_values,
     observability_gramian,
+    observable,
+    scales_of,
     stationary_gramian,
     volts_to_move,
 )
+from trms_cli.stability.local.constant_torques import sensor_sets, set_words, torque_estimates
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.local.modes import modes_of
-from trms_cli.stability.local.reach import controllable, observable
-from trms_cli.stability.local.scales import scales_of
-from trms_cli.stability.local.sensors import sensor_sets, set_words
-from trms_cli.stability.local.torques import torques_seen
 from trms_cli.stability.studies.controllability import Controllability
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
@@ -56,7 +56,7 @@ class Case:
     def torques(self, sensors, duration=2.0):
         rows = [self.outputs.index(name) for name in sensors]
         names = tuple(signal.name for signal in self.model.disturbances)
-        return torques_seen(self.matrices, self.scales, rows, names, (duration,), 0.01)
+        return torque_estimates(self.matrices, self.scales, rows, names, (duration,), 0.01)
 
 
 @pytest.mark.parametrize("at", [{}, {"alpha_v": 0.0}], ids=["rest", "hover"])
@@ -156,7 +156,7 @@ def test_the_error_of_a_torque_is_that_of_a_kalman_filter():
     # A joint filter on state and torque, read every 10 ms, from the same prior.
     case = Case(Newtonian(freedom="vertical"), {"alpha_v": 0.0})
     duration, step = 2.0, 0.01
-    told = case.torques(["alpha_v"], duration).torques[0]
+    sentences = case.torques(["alpha_v"], duration).torques[0]
     m, n = case.matrices, case.model.n_x
     joint = np.zeros((n + 1, n + 1))
     joint[:n, :n], joint[:n, n] = m.a, m.e[:, 0]
@@ -171,7 +171,7 @@ def test_the_error_of_a_torque_is_that_of_a_kalman_filter():
         now = flow @ now
         information += now.T @ row.T @ row @ now / 0.00044**2
     error = math.sqrt(np.linalg.inv(information)[n, n])
-    assert told.errors[0] == pytest.approx(error, rel=0.03)
+    assert sentences.errors[0] == pytest.approx(error, rel=0.03)
 
 
 def _stable(seed):

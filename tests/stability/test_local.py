@@ -14,10 +14,8 @@ from trms_cli.models.operating_point import TrimSolver
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.local.modes import modes_of, modes_of_matrix
-from trms_cli.stability.local.parts import Part, parts_of
-from trms_cli.stability.local.sweep import Path, swept
-from trms_cli.stability.local.tracking import matched, spectrum_of
+from trms_cli.stability.local.modes import RigPart, modes_of, modes_of_matrix, parts_of
+from trms_cli.stability.local.sweep import OperatingPath, matched, spectrum_of, swept
 from trms_cli.stability.local.tracks import tracks_of
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.study import silent
@@ -92,7 +90,7 @@ def test_damping_and_frequencies_of_a_pair():
 
 def test_currents_are_modes_of_their_own_and_kept_apart():
     model = Newtonian(currents="dynamic")
-    path = Path(model, {}, "alpha_v")
+    path = OperatingPath(model, {}, "alpha_v")
     tracks = tracks_of(model, swept(path, -0.2, 0.2, 5))
     fast = {track.name for track in tracks if track.fast}
     assert fast == {
@@ -143,12 +141,14 @@ def test_linearisation_is_that_of_the_vector_field():
 
 
 def test_double_eigenvalues_with_and_without_enough_eigenvectors():
-    parts = (Part("pitch", "angle"), Part("pitch", "rate"))
+    parts = (RigPart("pitch", "angle"), RigPart("pitch", "rate"))
     chained = modes_of_matrix(np.array([[0.0, 1.0], [0.0, 0.0]]), parts)
     (mode,) = chained.modes
     assert mode.multiplicity == 2 and mode.defective
     assert mode.verdict == chained.verdict == "unstable"  # grows with t
-    separate = modes_of_matrix(np.diag([-2.0, -2.0]), (Part("main rotor"), Part("tail rotor")))
+    separate = modes_of_matrix(
+        np.diag([-2.0, -2.0]), (RigPart("main rotor"), RigPart("tail rotor"))
+    )
     (mode,) = separate.modes
     assert mode.multiplicity == 2 and not mode.defective
     assert mode.participation == pytest.approx([0.5, 0.5])
@@ -159,7 +159,12 @@ def test_double_eigenvalues_with_and_without_enough_eigenvectors():
 def test_a_double_pole_beside_others_takes_part_as_its_projector_says():
     # Two rotors of equal lag drive one free axis.
     a = np.array([[-20.0, 0, 0, 0], [0, -20.0, 0, 0], [1.0, 2.0, -0.4, 0], [0, 0, 1.0, 0]])
-    parts = (Part("main rotor"), Part("tail rotor"), Part("yaw", "rate"), Part("yaw", "angle"))
+    parts = (
+        RigPart("main rotor"),
+        RigPart("tail rotor"),
+        RigPart("yaw", "rate"),
+        RigPart("yaw", "angle"),
+    )
     modes = modes_of_matrix(a, parts).modes
     assert [mode.name for mode in modes] == [
         "main rotor and tail rotor together",
@@ -183,7 +188,7 @@ def test_yaw_of_the_quanser_aero_is_free():
 def test_participation_does_not_depend_on_units(entries, unit):
     a = np.array(entries).reshape(2, 3)
     a = np.vstack([a, [0.3, -0.7, -1.1]])
-    parts = (Part("a"), Part("b"), Part("c"))
+    parts = (RigPart("a"), RigPart("b"), RigPart("c"))
     scale = np.diag([1.0, unit, 1.0 / unit])
     before = modes_of_matrix(a, parts).modes
     after = modes_of_matrix(scale @ a @ np.linalg.inv(scale), parts).modes
@@ -205,7 +210,7 @@ def test_tracks_keep_their_mode_where_eigenvalues_pass_each_other():
 
 def test_the_sweep_ends_where_the_equilibrium_does():
     model = Newtonian(freedom="vertical")
-    sweep = swept(Path(model, {}, "u_v"), -1.0, 2.5, 15)
+    sweep = swept(OperatingPath(model, {}, "u_v"), -1.0, 2.5, 15)
     assert sweep.values[-1] == pytest.approx(2.23, abs=5e-3)
     assert "ends" in sweep.high and not sweep.low
     # At the fold the stiffness of pitch, the product of its two eigenvalues, goes to zero.
@@ -214,7 +219,7 @@ def test_the_sweep_ends_where_the_equilibrium_does():
 
 
 def test_a_sweep_passes_a_rotor_at_standstill():
-    sweep = swept(Path(Newtonian(), {}, "alpha_v"), -0.8, 0.2, 11)
+    sweep = swept(OperatingPath(Newtonian(), {}, "alpha_v"), -0.8, 0.2, 11)
     assert len(sweep.places) >= 11 and not sweep.low and not sweep.high
     rest = min(sweep.places, key=lambda place: abs(place.value + 0.6194))
     assert abs(rest.point.u[0]) < 0.5
@@ -288,7 +293,7 @@ def test_states_of_effects_are_named_after_the_effect():
     model = extended(
         Newtonian(), {"yaw_cable_hysteresis": CableHysteresis(axis="yaw", torque=0.004, width=0.1)}
     )
-    assert parts_of(model)[-1] == Part("yaw cable hysteresis")
+    assert parts_of(model)[-1] == RigPart("yaw cable hysteresis")
     # Of all memories that it may rest with, that of a rig without a past.
     point = TrimSolver(model).first({"alpha_v": 0.0})
     assert abs(point.x[-1]) < 1e-6 and abs(point.u[model.n_u - 1]) < 1e-6

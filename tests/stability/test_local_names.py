@@ -8,10 +8,9 @@ import pytest
 from trms_cli.core.chart import Line, Points
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.stability.local.charts import colours_of, points_alone, styles_of
-from trms_cli.stability.local.map import StabilityMap
-from trms_cli.stability.local.map_told import map_section
-from trms_cli.stability.local.modes import Mode, Modes
-from trms_cli.stability.local.sweep import Path
+from trms_cli.stability.local.modes import EigenMode, Modes
+from trms_cli.stability.local.stability_map import StabilityMap, map_section
+from trms_cli.stability.local.sweep import OperatingPath
 from trms_cli.stability.local.tracks import Track
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.study import silent
@@ -27,8 +26,8 @@ def test_beyond_the_fold_it_is_the_pitch_that_diverges():
     assert fold["mode"] == "pitch divergence" and fold["value"] == pytest.approx(0.9514, abs=5e-4)
     assert fold["unstable_above"] and fold["frequency_rad_s"] == 0.0
     assert back["mode"] == "yaw and pitch swing" and not back["unstable_above"]
-    told = " ".join(findings.sections[-1].text)
-    assert "“yaw swing” is mostly of the pitch" in told
+    sentences = " ".join(findings.sections[-1].text)
+    assert "“yaw swing” is mostly of the pitch" in sentences
     # The same by the modes of a point beyond it, which know nothing of tracks.
     beyond = Local(at={"alpha_v": 1.0}, over="alpha_v", range=(0.99, 1.01), points=3)
     modes = {
@@ -38,8 +37,8 @@ def test_beyond_the_fold_it_is_the_pitch_that_diverges():
 
 
 def test_no_two_modes_look_alike_in_a_figure():
-    def mode(name: str, value: complex) -> Mode:
-        return Mode(name, value, np.ones(1), np.ones(1, complex), np.ones(1, complex))
+    def mode(name: str, value: complex) -> EigenMode:
+        return EigenMode(name, value, np.ones(1), np.ones(1, complex), np.ones(1, complex))
 
     names = ["yaw swing", "yaw and main rotor together", *(f"thing {k}" for k in range(8))]
     modes = Modes(tuple(mode(name, complex(-1.0 - k)) for k, name in enumerate(names)))
@@ -53,7 +52,7 @@ def test_no_two_modes_look_alike_in_a_figure():
 
 def test_the_models_own_value_is_not_drawn_on_the_frame_of_a_map():
     def lines(span: tuple[float, float]) -> list[Line]:
-        path = Path(Newtonian(), {"alpha_v": 0.4}, "k_g")
+        path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
         over, against = np.linspace(*span, 3), np.array([0.3, 0.5])
         growth = np.array([[-0.1, 0.0, 0.1], [-0.1, 0.0, 0.2]])
         mapped = StabilityMap(over, against, growth, np.empty((0, 2)))

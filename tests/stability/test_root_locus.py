@@ -9,11 +9,15 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian, geometry
-from trms_cli.stability.local.crossings import crossings
-from trms_cli.stability.local.entries import entry_words, state_words
-from trms_cli.stability.local.map import stability_map
-from trms_cli.stability.local.sensitivity import loops_through, sensitivity
-from trms_cli.stability.local.sweep import Path, swept
+from trms_cli.stability.local.sensitivity import (
+    entry_words,
+    loops_through,
+    sensitivity,
+    state_words,
+)
+from trms_cli.stability.local.stability_map import stability_map
+from trms_cli.stability.local.sweep import OperatingPath, swept
+from trms_cli.stability.local.tracks import crossings
 from trms_cli.stability.studies.root_locus import RootLocus
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
@@ -22,7 +26,7 @@ RANGE = (0.0123, 0.2)
 
 
 def locus(at, over, span, side="mean", points=21, model=None):
-    path = Path(model or Newtonian(), at, over, side)
+    path = OperatingPath(model or Newtonian(), at, over, side)
     sweep = swept(path, *span, points)
     return path, sweep, crossings(path, sweep)
 
@@ -54,7 +58,7 @@ def test_the_crossing_is_that_of_a_model_built_with_the_value():
     _, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
     for factor, stable in ((0.98, True), (1.02, False)):
         model = Newtonian(parameters={"k_g": factor * found.value})
-        path = Path(model, {"alpha_v": 0.4}, "alpha_v")
+        path = OperatingPath(model, {"alpha_v": 0.4}, "alpha_v")
         place = path.first(0.4, 0.4)
         assert (place.spectrum.values.real.max() < 0) == stable
 
@@ -117,7 +121,7 @@ def test_the_lagrangian_form_has_no_such_instability():
     assert found == () and sweep.eigenvalues.real.max() < 0
     # Its yaw moment depends on the pitch rate, which the Newtonian form's does not.
     for form, expected in ((model, -0.186), (Newtonian(parameter_set="rahideh"), 0.0)):
-        path = Path(form, {}, "alpha_v")
+        path = OperatingPath(form, {}, "alpha_v")
         point = path.first(0.4, 0.4).point
         row, column = (form.state_index(name) for name in ("S_h", "S_v"))
         assert path.linear.a(point.x, point.u)[row, column] == pytest.approx(expected, abs=1e-3)
@@ -147,7 +151,7 @@ def test_the_size_of_an_effect_can_be_varied():
 
 
 def test_the_map_has_the_boundary_of_the_loci():
-    path = Path(Newtonian(), {"alpha_v": 0.4}, "k_g")
+    path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
     found = stability_map(path, "alpha_v", RANGE, (0.3, 0.5), (7, 5), silent)
     assert found.growth.shape == (5, 7)
     row = np.flatnonzero(np.isclose(found.boundary[:, 1], 0.4))
@@ -156,7 +160,7 @@ def test_the_map_has_the_boundary_of_the_loci():
 
 
 def test_the_map_has_holes_where_there_is_no_operating_point():
-    path = Path(FeedbackManual(), {"alpha_v": -0.5}, "K_gy")
+    path = OperatingPath(FeedbackManual(), {"alpha_v": -0.5}, "K_gy")
     found = stability_map(path, "alpha_v", (0.01, 0.05), (-0.4, 0.2), (3, 5), silent)
     assert np.isfinite(found.growth[0]).all()
     assert np.isnan(found.growth[-1]).all()
@@ -174,9 +178,9 @@ def test_a_locus_over_a_command_ends_at_the_fold_and_so_does_its_map():
 def test_the_study_says_where_and_why():
     findings = RootLocus(points=21, map_points=5).run(Subject(Newtonian(), "newtonian"), silent)
     assert "k_g = 0.14813" in findings.lead[0]
-    told = " ".join(findings.lead)
-    assert "pitch moment per yaw rate" in told
-    assert "loop" in told
+    sentences = " ".join(findings.lead)
+    assert "pitch moment per yaw rate" in sentences
+    assert "loop" in sentences
     results = findings.results
     assert results["crossings"][0]["kind"] == "Hopf"
     assert results["crossings_by_side"]["upper"][0] == pytest.approx(0.1413, abs=1e-3)

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from trms_cli.models.model import Model
 from trms_cli.stability.equilibria.curve_equations import CurveEquations, EquilibriumPoint
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.local.modes import Verdict, modes_of_matrix
-from trms_cli.stability.local.parts import parts_of
+from trms_cli.stability.local.modes import Verdict, modes_of_matrix, parts_of
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

@@ -1,27 +1,293 @@
-"""What inputs move and sensors see at a point and along a line, gathered for a report."""
+"""Sizes that make numbers of different units comparable: states, inputs, sensors, disturbances.
+
+An angle counts as 0.1 rad and its rate as 0.1 rad/s, an input as its limit. Any other state
+counts as a tenth of what a full command moves it by in the end (``−A⁺B u_max``): a rotor's speed,
+a current.
+
+Gramians over a finite time and for ever, of stable and of unstable systems alike.
+
+    W_c(T) = ∫₀ᵀ e^{At} B Bᵀ e^{Aᵀt} dt        W_o(T) = ∫₀ᵀ e^{Aᵀt} Cᵀ C e^{At} dt
+
+Over a finite time they exist whatever the eigenvalues. They are found by doubling,
+``W(2t) = W(t) + Φ(t) W(t) Φ(t)ᵀ``, ``Φ(2t) = Φ(t)²``, from a step so short that Van Loan's block
+exponential is exact to rounding (Van Loan 1978, IEEE Trans. Autom. Control 23(3)); the block
+exponential of the whole time would overflow with armature currents as states. For ever they solve
+the Lyapunov equation of a stable A.
+
+The least energy ``∫ |u|² dt`` that moves ``c x`` by d in the time T from rest is ``d²/(c W_c cᵀ)``
+(Kailath, Linear Systems, 1980, sec. 9.2).
+
+What inputs can move and sensors can see, mode by mode.
+
+The test of Popov, Belevitch and Hautus (PBH): the eigenvalue λ is controllable by B if and only if
+``[λI − A, B]`` has full rank; its smallest singular value, in scaled units, is how much of a change
+of A and B takes it away (Eising 1984, Syst. Control Lett. 4). What the inputs reach is exactly the
+span of the Krylov matrix ``[B, AB, …]``: where a mode is out of reach, its left eigenvector is
+orthogonal to B, which is told as zero when it is below what the operating point is exact to.
+
+Sensors are the dual: ``[λI − A; C]`` and the right eigenvector.
+
+What inputs move and sensors see at a point and along a line, gathered for a report.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from trms_cli.models.model import Model, names
-from trms_cli.stability.local.gramians import (
-    controllability_gramian,
-    hankel_values,
-    observability_gramian,
-    stationary_gramian,
-    volts_to_move,
-)
 from trms_cli.stability.local.linear import Matrices
-from trms_cli.stability.local.modes import Mode, modes_of
-from trms_cli.stability.local.reach import Reach, controllable, observable
-from trms_cli.stability.local.scales import MOTION, Scales
-from trms_cli.stability.local.sweep import Path, Sweep
+from trms_cli.stability.local.modes import STILL, EigenMode, modes_of, parts_of
+from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath
 
 FloatArray = npt.NDArray[np.float64]
+
+#: rad, rad/s: a motion of an axis worth speaking of.
+MOTION = 0.1
+_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes, each in its own unit."""
+
+    x: FloatArray  #: (n_x,) array
+    u: FloatArray  #: (n_u,) array; limits
+    y: FloatArray  #: (n_y,) array; standard deviation of one reading of each output
+
+
+def scales_of(model: Model, matrices: Matrices, angle_noise: float, other_noise: float) -> Scales:
+    """The usual sizes of a model.
+
+    Parameters
+    ----------
+    matrices : Matrices
+        At an operating point where inputs act.
+    angle_noise : float
+        rad, of an angle's reading.
+    other_noise : float
+        Of any other reading, in its unit (rad/s of a tachometer).
+    """
+    limit = np.array([model.input_limits[signal.name] for signal in model.inputs])
+    limit = np.where(np.isfinite(limit), limit, 1.0)
+    a = matrices.a if matrices.sample_time is None else matrices.a - np.eye(len(matrices.a))
+    moved = np.abs(np.linalg.pinv(a, rcond=1e-9) @ matrices.b) @ limit
+    x = np.empty(model.n_x)
+    for i, part in enumerate(parts_of(model)):
+        motion = part.name in model.axes or model.states[i].unit == "rad"
+        x[i] = MOTION if motion else (_SHARE * moved[i] if moved[i] > 1e-9 else 1.0)
+    y = np.array([angle_noise if s.unit == "rad" else other_noise for s in model.outputs])
+    return Scales(x, limit, y)
+
+
+#: What is reached beside the largest is rounding below this.
+_ROUNDING = 1e-18
+#: Norm of A times the first step.
+_SHORT = 0.5
+
+
+def controllability_gramian(
+    a: FloatArray, b: FloatArray, duration: float, sample_time: float | None = None
+) -> FloatArray:
+    """W_c(T), (n, n).
+
+    Parameters
+    ----------
+    a, b : (n, n), (n, m) arrays
+        Of ẋ = A x + B u, or of a step.
+    duration : float
+        s.
+    sample_time : float or None
+        s, of a step; the Gramian is then ``Σ Aᵏ B Bᵀ Aᵏᵀ / T_s``, so that ``d²/W`` is a least
+        ``T_s Σ u²`` and energies compare.
+    """
+    n = len(a)
+    if sample_time is not None:
+        return _steps(a, b @ b.T / sample_time, max(1, round(duration / sample_time)))
+    norm = float(np.abs(a).sum(axis=1).max(initial=0.0))
+    doublings = max(0, math.ceil(math.log2(max(norm * duration / _SHORT, 1.0))))
+    step = duration / 2**doublings
+    block = np.block([[-a, b @ b.T], [np.zeros((n, n)), a.T]]) * step
+    exponential = scipy.linalg.expm(block)
+    flow = exponential[n:, n:].T
+    gramian = _symmetric(flow @ exponential[:n, n:])
+    for _ in range(doublings):
+        gramian = _symmetric(gramian + flow @ gramian @ flow.T)
+        flow = flow @ flow
+    return gramian
+
+
+def observability_gramian(
+    a: FloatArray, c: FloatArray, duration: float, sample_time: float | None = None
+) -> FloatArray:
+    """W_o(T), (n, n): that of controllability of the dual system."""
+    return controllability_gramian(a.T, c.T, duration, sample_time)
+
+
+def stationary_gramian(
+    a: FloatArray, b: FloatArray, sample_time: float | None = None
+) -> FloatArray | None:
+    """W_c(∞) of a stable system; None for any other."""
+    values = np.linalg.eigvals(a)
+    if sample_time is None:
+        if not np.all(values.real < 0):
+            return None
+        return _symmetric(scipy.linalg.solve_continuous_lyapunov(a, -b @ b.T))
+    if not np.all(np.abs(values) < 1):
+        return None
+    return _symmetric(scipy.linalg.solve_discrete_lyapunov(a, b @ b.T / sample_time))
+
+
+def hankel_values(controllable: FloatArray, observable: FloatArray) -> FloatArray:
+    """Hankel singular values of two Gramians, largest first."""
+    values = np.linalg.eigvals(controllable @ observable)
+    found: FloatArray = np.sort(np.sqrt(np.maximum(values.real, 0.0)))[::-1]
+    return found
+
+
+def volts_to_move(
+    gramian: FloatArray, direction: FloatArray, distance: float, duration: float
+) -> float:
+    """Root mean square of the least command that moves ``direction x`` by a distance, in its unit.
+
+    Infinite where it does not move, but for rounding.
+    """
+    reach = float(direction @ gramian @ direction)
+    largest = float(np.abs(gramian).max(initial=0.0)) * float(direction @ direction)
+    if reach <= _ROUNDING * largest or reach <= 0.0:
+        return math.inf
+    return abs(distance) / math.sqrt(reach * duration)
+
+
+def _steps(flow: FloatArray, first: FloatArray, count: int) -> FloatArray:
+    """Σ over ``count`` steps, by doubling."""
+    total = np.zeros_like(first)
+    gramian, power = first, flow
+    done = np.eye(len(flow))
+    while count:
+        if count & 1:
+            total = total + done @ gramian @ done.T
+            done = done @ power
+        gramian = gramian + power @ gramian @ power.T
+        power = power @ power
+        count >>= 1
+    return _symmetric(total)
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    symmetric: FloatArray = 0.5 * (matrix + matrix.T)
+    return symmetric
+
+
+ComplexArray = npt.NDArray[np.complex128]
+Grade = Literal["none", "weak", "yes"]
+
+#: Margins below this, relative to the scaled matrices' size, are rounding.
+_PBH_ROUNDING = 1e-10
+#: Strengths below this are none: an operating point is as exact as that.
+_NOTHING = 1e-8
+#: A full command that pumps a mode to less than this share of a motion worth speaking of, or a
+#: motion that reads as less than this many standard deviations of the noise, is weak.
+WEAK_REACH, WEAK_SIGHT = 1.0, 3.0
+
+
+@dataclass(frozen=True)
+class PbhResult:
+    """What an input, or a sensor set, has to do with a mode."""
+
+    #: Smallest singular value of the scaled PBH matrix, 1/s (1 of a model that steps). Zero: out of
+    #: reach.
+    margin: float
+    #: Of inputs: how far a full command can pump the mode in the time given, relative to a motion
+    #: worth speaking of. Of sensors: the reading of such a motion in standard deviations.
+    strength: float
+    grade: Grade
+
+
+def controllable(
+    matrices: Matrices, scales: Scales, mode: EigenMode, inputs: list[int], duration: float
+) -> PbhResult:
+    """How well some inputs move a mode."""
+    a, b = _scaled_a(matrices.a, scales), _scaled_b(matrices.b, scales)[:, inputs]
+    margin, floor = _margin(a, b, _value(mode, matrices))
+    # w in scaled states, its own motion of size one.
+    left, _ = _eigenvectors(mode, scales)
+    driving = np.abs(left @ b)
+    size = float(driving.sum()) * _pumping(mode, duration, matrices.sample_time)
+    return _graded(mode, margin, floor, size, WEAK_REACH)
+
+
+def observable(
+    matrices: Matrices, scales: Scales, mode: EigenMode, outputs: list[int]
+) -> PbhResult:
+    """How well some sensors see a mode."""
+    a = _scaled_a(matrices.a, scales)
+    c = (matrices.c * scales.x[None, :] / scales.y[:, None])[outputs]
+    margin, floor = _margin(a.T, _normalised(c).T, _value(mode, matrices))
+    _, right = _eigenvectors(mode, scales)
+    return _graded(mode, margin, floor, float(np.abs(c @ right).max(initial=0.0)), WEAK_SIGHT)
+
+
+def _margin(a: FloatArray, b: FloatArray, value: complex) -> tuple[float, float]:
+    """Smallest singular value of [λI − A, B], and what of it would be rounding."""
+    pencil = np.hstack([value * np.eye(len(a)) - a, b])
+    values = np.linalg.svd(pencil, compute_uv=False)
+    return float(values[-1]), _PBH_ROUNDING * float(max(1.0, values[0]))
+
+
+def _graded(
+    mode: EigenMode, margin: float, floor: float, strength: float, weak: float
+) -> PbhResult:
+    # One eigenvector of several says nothing of the others: there the margin decides.
+    none = strength <= _NOTHING or (mode.multiplicity > 1 and margin <= floor)
+    if none:
+        return PbhResult(0.0, strength if mode.multiplicity > 1 else 0.0, "none")
+    return PbhResult(margin, strength, "weak" if strength < weak else "yes")
+
+
+def _pumping(mode: EigenMode, duration: float, sample_time: float | None) -> float:
+    """∫₀ᵀ e^{Re λ t} dt: what a command in step with the mode adds up to; per sample of a step."""
+    rate = mode.eigenvalue.real
+    total = duration if abs(rate) * duration < 1e-9 else float(np.expm1(rate * duration) / rate)
+    return total if sample_time is None else total / sample_time
+
+
+def _eigenvectors(mode: EigenMode, scales: Scales) -> tuple[ComplexArray, ComplexArray]:
+    """Left and right in scaled states, the largest entry of the right one of size one."""
+    right = mode.right / scales.x
+    left = mode.left * scales.x
+    size = float(np.abs(right).max())
+    return left * size, right / size
+
+
+def _value(mode: EigenMode, matrices: Matrices) -> complex:
+    if matrices.sample_time is None:
+        value = mode.eigenvalue
+    else:
+        value = complex(np.exp(mode.eigenvalue * matrices.sample_time))
+    return value if abs(value.imag) > STILL else complex(value.real)
+
+
+def _scaled_a(a: FloatArray, scales: Scales) -> FloatArray:
+    scaled: FloatArray = a * scales.x[None, :] / scales.x[:, None]
+    return scaled
+
+
+def _scaled_b(b: FloatArray, scales: Scales) -> FloatArray:
+    scaled: FloatArray = b * scales.u[None, :] / scales.x[:, None]
+    return scaled
+
+
+def _normalised(c: FloatArray) -> FloatArray:
+    """Rows of size one: a margin is to tell structure, not the quality of the sensor."""
+    size = np.abs(c).max(axis=1, keepdims=True, initial=0.0)
+    rows: FloatArray = c / np.where(size > 0, size, 1.0)
+    return rows
 
 
 @dataclass(frozen=True)
@@ -83,9 +349,9 @@ def volts_table(model: Model, matrices: Matrices, scales: Scales, duration: floa
 class ModeAccess:
     """What acts on a mode and sees it."""
 
-    mode: Mode
-    by_input: tuple[Reach, ...]  #: Each input alone, then all together
-    by_sensors: tuple[Reach, ...]  #: Each set
+    mode: EigenMode
+    by_input: tuple[PbhResult, ...]  #: Each input alone, then all together
+    by_sensors: tuple[PbhResult, ...]  #: Each set
 
 
 def mode_access(
@@ -114,7 +380,7 @@ def mode_access(
 
 
 @dataclass(frozen=True)
-class ReachAlong:
+class InputGains:
     """What each input alone moves along a line of operating points."""
 
     #: (n, n_c, n_u) array; how far each controlled state is moved in the time given by one unit
@@ -124,7 +390,9 @@ class ReachAlong:
     margin: FloatArray
 
 
-def reach_along(path: Path, sweep: Sweep, scales: Scales, duration: float) -> ReachAlong:
+def input_gains(
+    path: OperatingPath, sweep: EigenvalueSweep, scales: Scales, duration: float
+) -> InputGains:
     """Evaluate a sweep."""
     model = path.model
     rows = [model.state_index(name) for name in model.controlled]
@@ -144,10 +412,10 @@ def reach_along(path: Path, sweep: Sweep, scales: Scales, duration: float) -> Re
                 mode = _of_axis(modes, axis_of.get(model.controlled[i], ""), row)
                 if mode is not None:
                     margin[k, i, j] = controllable(matrices, scales, mode, [j], duration).margin
-    return ReachAlong(per_volt, margin)
+    return InputGains(per_volt, margin)
 
 
-def _of_axis(modes: tuple[Mode, ...], axis: str, row: int) -> Mode | None:
+def _of_axis(modes: tuple[EigenMode, ...], axis: str, row: int) -> EigenMode | None:
     """The mode that a state takes part in most, of those named after its axis if there are any."""
     own = [mode for mode in modes if axis and mode.name.startswith(axis)] or list(modes)
     return max(own, key=lambda mode: mode.participation[row], default=None)

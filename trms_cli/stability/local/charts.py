@@ -21,10 +21,8 @@ from trms_cli.core.chart import (
     Region,
     Style,
 )
-from trms_cli.stability.local.crossings import Crossing
-from trms_cli.stability.local.modes import Modes
-from trms_cli.stability.local.parts import STILL
-from trms_cli.stability.local.tracks import Track
+from trms_cli.stability.local.modes import STILL, Modes
+from trms_cli.stability.local.tracks import Crossing, Locus, Track
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -63,26 +61,41 @@ def styles_of(colours: Mapping[str, Colour]) -> dict[str, Style]:
     return found
 
 
-def plane(
-    name: str,
-    tracks: Sequence[Track],
-    at: int,
-    over: str,
-    ends: tuple[str, str],
-    crossings: Sequence[Crossing] = (),
-    caption: str = "",
-) -> Chart:
-    """The complex plane: where each mode is at one point, and how it moves over the range.
+def locus_charts(
+    names: tuple[str, str],
+    locus: Locus,
+    value: float,
+    where: str,
+    digits: int = 3,
+    note: str = "",
+) -> tuple[Chart, Chart]:
+    """The complex plane with trajectories, and damping and frequency over the range.
 
     Parameters
     ----------
-    at : int
-        Position of the operating point in the sweep.
-    over : str
-        What is varied, with its unit.
-    ends : (str, str)
-        The first and the last value, for the legend.
+    value : float
+        Of what is varied at the operating point.
+    where : str
+        What is held, after the range in the captions.
+    digits : int
+        Of the value in the first caption.
+    note : str
+        At the end of the second caption.
     """
+    path, values = locus.path, locus.sweep.values
+    at = int(np.argmin(np.abs(values - value)))
+    low, high = (f"{v:.3g} {path.unit}".rstrip() for v in (values[0], values[-1]))
+    here = f"{values[at]:.{digits}g} {path.unit}".rstrip()
+    caption = (
+        f"Eigenvalues as {path.over} goes from {low} to {high}{where}; discs: {path.over} = {here}."
+    )
+    over = f"Damping and frequency over {path.over}{where}{note}."
+    return _plane(names[0], locus, at, (low, high), caption), _range(names[1], locus, value, over)
+
+
+def _plane(name: str, locus: Locus, at: int, ends: tuple[str, str], caption: str) -> Chart:
+    """The complex plane: where each mode is at one point, and how it moves over the range."""
+    over, tracks, crossings = locus.path.over, locus.tracks, locus.crossings
     slow = [track for track in tracks if not track.fast]
     colours = colours_of(slow)
     styles = styles_of(colours)
@@ -173,10 +186,9 @@ def _close_up(
     return spans[0], spans[1], own[0].name
 
 
-def over_range(
-    name: str, values: FloatArray, axis: Axis, tracks: Sequence[Track], at: float, caption: str = ""
-) -> Chart:
+def _range(name: str, locus: Locus, at: float, caption: str) -> Chart:
     """Growth rate, damping ratio, frequency and pace of each mode over what is varied."""
+    axis, tracks, values = Axis(locus.path.over, locus.path.unit), locus.tracks, locus.sweep.values
     slow = [track for track in tracks if not track.fast]
     colours = colours_of(tracks)
     styles = styles_of(colours)

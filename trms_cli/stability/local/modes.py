@@ -1,4 +1,10 @@
-"""Modes of a linear model: eigenvalues with what they are of, how fast and how well damped.
+"""Which part of the rig a state belongs to, and what a mode is called after the states in it.
+
+The participation factor of state i in a mode is ``p_i = w_i v_i`` with the left and right
+eigenvectors normalised to ``wᵀv = 1`` (Pérez-Arriaga, Verghese & Schweppe 1982, IEEE Trans. Power
+App. Syst. 101(9)). It does not depend on the units of the states. Magnitudes are shown as shares.
+
+Modes of a linear model: eigenvalues with what they are of, how fast and how well damped.
 
 Multiple eigenvalues are taken together: their eigenvectors are arbitrary, or there are too few of
 them, and only the spectral projector onto their common subspace is well defined. Its diagonal is
@@ -12,6 +18,7 @@ A model that steps has modes ``z``; ``λ = ln z / T``. What is gone within a sam
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -20,11 +27,98 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from trms_cli.models.model import Model
+from trms_cli.models.model import Model, names
 from trms_cli.stability.local.linear import Matrices
-from trms_cli.stability.local.parts import STILL, Part, mode_name, parts_of
 
 FloatArray = npt.NDArray[np.float64]
+
+#: From this share on, a mode is called after one part alone.
+DOMINANT = 0.6
+#: Parts below this share do not stand in the name of a mixed mode.
+_NAMED = 0.15
+#: Beyond this share of past samples a network's mode is its memory and no motion.
+_PAST = 0.75
+#: Rates below this (1/s) are none: a time constant of four months.
+STILL = 1e-7
+_LAG = re.compile(r"_lag\d+$")
+_ROTOR_OF = {"v": "main", "h": "tail"}
+
+
+@dataclass(frozen=True)
+class RigPart:
+    """What a state is of."""
+
+    name: str  #: ``pitch``, ``main rotor``, an effect's name…
+    #: ``angle`` or ``rate`` of an axis, ``past`` of what a network remembers; empty for any other
+    role: str = ""
+
+
+def parts_of(model: Model) -> tuple[RigPart, ...]:
+    """The part of each state."""
+    axis_of = {axis.angle: name for name, axis in model.axes.items()}
+    of_suffix = {angle.rpartition("_")[2]: name for angle, name in axis_of.items()}
+    inputs = names(model.inputs)
+    return tuple(_part(name, axis_of, of_suffix, inputs) for name in model.state_names)
+
+
+def _part(
+    name: str, axis_of: dict[str, str], of_suffix: dict[str, str], inputs: tuple[str, ...]
+) -> RigPart:
+    if "." in name:
+        return RigPart(name.rpartition(".")[0].replace("_", " "))
+    if _LAG.search(name):
+        name = _LAG.sub("", name)
+        now = RigPart(name) if name in inputs else _part(name, axis_of, of_suffix, inputs)
+        return RigPart(now.name, "past")
+    if name in axis_of:
+        return RigPart(axis_of[name], "angle")
+    symbol, _, suffix = name.rpartition("_")
+    rotor = _ROTOR_OF.get(suffix)
+    if symbol == "S" and suffix in of_suffix:
+        return RigPart(of_suffix[suffix], "rate")
+    if symbol in ("omega", "tau") and rotor is not None:
+        return RigPart(f"{rotor} rotor")
+    if symbol == "i" and rotor is not None:
+        return RigPart(f"armature current of the {rotor} motor")
+    return RigPart(name.replace("_", " "))
+
+
+def shares_of_parts(parts: tuple[RigPart, ...], participation: FloatArray) -> dict[str, float]:
+    """Participation by part, largest first."""
+    shares: dict[str, float] = {}
+    for part, share in zip(parts, participation, strict=True):
+        shares[part.name] = shares.get(part.name, 0.0) + float(share)
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def mode_name(parts: tuple[RigPart, ...], participation: FloatArray, eigenvalue: complex) -> str:
+    """What a mode is called: ``pitch swing``, ``main rotor``, ``pitch and yaw swing``."""
+    shares = shares_of_parts(parts, participation)
+    first, share = next(iter(shares.items()))
+    swings = abs(eigenvalue.imag) > STILL
+    if share < DOMINANT:
+        mixed = [name for name, part in shares.items() if part >= _NAMED] or [first]
+        if len(mixed) > 1:
+            together = f"{', '.join(mixed[:-1])} and {mixed[-1]}"
+            return f"{together} swing" if swings else f"{together} together"
+    roles: dict[str, float] = {}
+    for part, size in zip(parts, participation, strict=True):
+        if part.name == first:
+            roles[part.role] = roles.get(part.role, 0.0) + float(size)
+    if roles.get("past", 0.0) > _PAST * share:
+        return f"past samples of {first}"
+    role = max((role for role in roles if role != "past"), key=lambda role: roles[role])
+    if swings:
+        return f"{first} swing"
+    if not role:
+        return first
+    if abs(eigenvalue) <= STILL:
+        return f"{first} free"
+    if eigenvalue.real > STILL:
+        return f"{first} divergence"
+    return f"{first} rate" if role == "rate" else f"{first} settling"
+
+
 ComplexArray = npt.NDArray[np.complex128]
 Verdict = Literal["stable", "marginal", "unstable"]
 
@@ -36,7 +130,7 @@ _FORGOTTEN = 1e-3
 
 
 @dataclass(frozen=True)
-class Mode:
+class EigenMode:
     """An eigenvalue, or a conjugate pair by that of positive frequency."""
 
     name: str  #: After the states that take part
@@ -88,7 +182,7 @@ class Mode:
 class Modes:
     """All modes of a linear model."""
 
-    modes: tuple[Mode, ...]  #: The slowest last
+    modes: tuple[EigenMode, ...]  #: The slowest last
     forgotten: int = 0  #: States that are memory and gone within a sample
 
     @property
@@ -115,7 +209,7 @@ def modes_of(model: Model, matrices: Matrices) -> Modes:
 
 
 def modes_of_matrix(
-    a: FloatArray, parts: tuple[Part, ...], sample_time: float | None = None
+    a: FloatArray, parts: tuple[RigPart, ...], sample_time: float | None = None
 ) -> Modes:
     """The modes of a matrix.
 
@@ -144,7 +238,7 @@ def modes_of_matrix(
         participation = share / share.sum()
         rate = rate_of(value, sample_time)
         found.append(
-            Mode(
+            EigenMode(
                 mode_name(parts, participation, rate),
                 rate,
                 participation,
@@ -211,7 +305,7 @@ def _joint(a: FloatArray, values: ComplexArray, value: complex) -> tuple[FloatAr
     return np.abs(np.diag(projector)), bool(chained > 1e-5 * (1.0 + abs(value)))
 
 
-def _told_apart(modes: Sequence[Mode]) -> list[Mode]:
+def _told_apart(modes: Sequence[EigenMode]) -> list[EigenMode]:
     """Equal names with a word of what differs."""
     found = list(modes)
     for name in {mode.name for mode in modes}:

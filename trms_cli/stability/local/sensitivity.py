@@ -1,4 +1,6 @@
-"""Why an eigenvalue moves: its derivative by what is varied, entry by entry of A.
+"""What an entry of A is, in words: row i is an equation, column j what it depends on.
+
+Why an eigenvalue moves: its derivative by what is varied, entry by entry of A.
 
 For a simple eigenvalue with ``wᵀv = 1``
 
@@ -11,17 +13,63 @@ dA/dp is exact: ``∂A/∂p`` and, through the operating point that moves along,
 The loop that a share stands in is read off the signal flow graph of ``sI − A`` at ``s = λ``: the
 edge j → i has the gain ``A_ij/(s − A_ii)``, and by Mason's rule an eigenvalue is where the
 determinant of the graph, made of the gains of its cycles, vanishes (Mason 1956, Proc. IRE 44).
+
+Why a mode crosses, in sentences and a table: shares of dλ/dp, and the loop they close.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.local.sweep import Path, Place
+from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel
+from trms_cli.core.findings import Column, Table, table
+from trms_cli.core.wording import listing
+from trms_cli.models.model import Model
+from trms_cli.stability.local.modes import RigPart, parts_of, rate_of
+from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath, SweepPoint
+from trms_cli.stability.local.tables import amount_words
+from trms_cli.stability.results import rounded
+
+
+def entry_words(model: Model, i: int, j: int) -> str:
+    """``pitch moment per yaw rate`` for the entry (Ṡ_v, S_h)."""
+    parts, states = parts_of(model), model.state_names
+    return f"{_equation(parts[i], states[i])} per {state_words(model, j)}"
+
+
+def entry_symbol(model: Model, i: int, j: int) -> str:
+    """``∂(dS_v/dt)/∂S_h``, or ``∂alpha_v⁺/∂u_v`` of a model that steps."""
+    row, column = model.state_names[i], model.state_names[j]
+    after = f"d{row}/dt" if model.sample_time is None else f"{row}⁺"
+    return f"∂({after})/∂{column}"
+
+
+def state_words(model: Model, j: int) -> str:
+    """``yaw rate`` for S_h: what a state stands for."""
+    part, name = parts_of(model)[j], model.state_names[j]
+    if part.role in ("angle", "rate"):
+        return f"{part.name} {part.role}"
+    if part.name.endswith("rotor"):
+        return f"speed of the {part.name}"
+    if part.name.startswith("armature"):
+        return part.name
+    return name
+
+
+def _equation(part: RigPart, name: str) -> str:
+    if part.role == "rate":
+        return f"{part.name} moment"
+    if part.role == "angle":
+        return f"{part.name} rate"
+    if part.name.endswith("rotor"):
+        return f"torque on the {part.name}"
+    return f"rate of {name}"
+
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -33,7 +81,7 @@ _LONGEST = 6
 
 
 @dataclass(frozen=True)
-class Share:
+class EntryShare:
     """Part of dλ/dp that one entry of A has."""
 
     row: int  #: The entry
@@ -43,7 +91,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Loop:
+class SignalLoop:
     """A cycle of the signal flow graph."""
 
     states: tuple[int, ...]  #: In the order of cause and effect; the last acts on the first
@@ -56,10 +104,10 @@ class Sensitivity:
 
     total: complex  #: dλ/dp, 1/s per unit
     direct: complex  #: What of it would remain if the operating point did not move
-    shares: tuple[Share, ...]  #: By the size of their real parts, largest first
+    shares: tuple[EntryShare, ...]  #: By the size of their real parts, largest first
 
 
-def sensitivity(path: Path, place: Place, track: int) -> Sensitivity:
+def sensitivity(path: OperatingPath, place: SweepPoint, track: int) -> Sensitivity:
     """dλ/dp and its shares for one eigenvalue of a place."""
     direction = path.direction()
     moved = path.balance.tangent(place.held, place.point, direction)
@@ -76,7 +124,7 @@ def sensitivity(path: Path, place: Place, track: int) -> Sensitivity:
         scale = 1.0 / (complex(place.spectrum.values[track]) * path.model.sample_time)
     parts = scale * left[:, None] * change * right[None, :]
     shares = [
-        Share(int(i), int(j), float(change[i, j]), complex(parts[i, j]))
+        EntryShare(int(i), int(j), float(change[i, j]), complex(parts[i, j]))
         for i, j in np.argwhere(change != 0.0)
     ]
     shares.sort(key=lambda share: -abs(share.part.real))
@@ -84,7 +132,7 @@ def sensitivity(path: Path, place: Place, track: int) -> Sensitivity:
     return Sensitivity(complex(parts.sum()), direct, tuple(shares))
 
 
-def loops_through(a: FloatArray, row: int, column: int, s: complex) -> tuple[Loop, ...]:
+def loops_through(a: FloatArray, row: int, column: int, s: complex) -> tuple[SignalLoop, ...]:
     """Cycles of the signal flow graph through an entry, the strongest first.
 
     Parameters
@@ -98,9 +146,9 @@ def loops_through(a: FloatArray, row: int, column: int, s: complex) -> tuple[Loo
     if np.any(np.abs(s - np.diag(a)) < _NO_GAIN):
         return ()  # a state that integrates alone: the graph has no finite gains there
     if row == column:
-        return (Loop((row,), complex(a[row, row] / s)),)
+        return (SignalLoop((row,), complex(a[row, row] / s)),)
     found = [
-        Loop((column, *way), _gain(a, (column, *way), s))
+        SignalLoop((column, *way), _gain(a, (column, *way), s))
         for way in _ways(a, row, column, (column,))
     ]
     return tuple(sorted(found, key=lambda loop: -abs(loop.gain)))
@@ -124,3 +172,263 @@ def _gain(a: FloatArray, states: tuple[int, ...], s: complex) -> complex:
     for cause, effect in zip(states, (*states[1:], states[0]), strict=True):
         gain *= a[effect, cause] / (s - a[effect, effect])
     return gain
+
+
+#: Shares below this part of the sum of sizes are not told.
+_SMALL = 0.03
+#: 1/s per unit: a growth rate that changes by less does not move.
+_UNMOVED = 1e-6
+#: Or by less than this share of the sizes that add up to it, which cancel but for rounding.
+_CANCELLED = 1e-9
+#: Derivatives that differ by more than this share of the largest from one place to the next jump.
+_JUMP = 0.5
+_COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange")
+
+
+@dataclass(frozen=True)
+class ModeSensitivity:
+    """Why an eigenvalue moves as it does at one place."""
+
+    mode: str
+    value: float  #: Of what is varied
+    sensitivity: Sensitivity
+    loops: tuple[SignalLoop, ...]  #: Through the entry with the largest share, the strongest first
+    #: What the growth rate does around the place, where the derivative is none
+    course: GrowthTrend | None = None
+
+
+@dataclass(frozen=True)
+class GrowthTrend:
+    """How the growth rate of a mode goes over the range, for a place where it does not move."""
+
+    growth: float  #: Re λ at the place, 1/s
+    least: float  #: Of Re λ over the range, 1/s
+    most: float  #: Of Re λ over the range, 1/s
+    below: float  #: d Re λ/dp at the place before and after, 1/s per unit
+    above: float  #: NaN where there is none
+
+
+def moves(found: Sensitivity) -> bool:
+    """Whether a derivative of a growth rate is more than rounding."""
+    size = sum(abs(share.part.real) for share in found.shares)
+    return abs(found.total.real) >= max(_UNMOVED, _CANCELLED * size)
+
+
+def growth_trend(path: OperatingPath, sweep: EigenvalueSweep, k: int, track: int) -> GrowthTrend:
+    """How Re λ of a column of a sweep goes around place k."""
+    T = path.model.sample_time
+    growth = [rate_of(place.spectrum.values[track], T).real for place in sweep.places]
+    below, above = (
+        sensitivity(path, sweep.places[i], track).total.real
+        if 0 <= i < len(sweep.places)
+        else float("nan")
+        for i in (k - 1, k + 1)
+    )
+    return GrowthTrend(growth[k], min(growth), max(growth), below, above)
+
+
+def mode_sensitivity(
+    path: OperatingPath, place: SweepPoint, track: int, mode: str
+) -> ModeSensitivity:
+    """The shares of dλ/dp at a place, and the loops through the largest."""
+    found = sensitivity(path, place, track)
+    loops: tuple[SignalLoop, ...] = ()
+    if found.shares and abs(found.shares[0].part.real) > 0 and path.model.sample_time is None:
+        a = path.linear.a(place.point.x, place.point.u, path.side, place.held.p)
+        largest = found.shares[0]
+        s = rate_of(place.spectrum.values[track], None)
+        loops = loops_through(a, largest.row, largest.column, s)
+    return ModeSensitivity(mode, place.value, found, loops)
+
+
+def sensitivity_words(path: OperatingPath, why: ModeSensitivity) -> list[str]:
+    """The reason in a few sentences."""
+    model, total = path.model, why.sensitivity.total.real
+    unit = f" per {path.unit}" if path.unit else " per unit"
+    shares = _large(why.sensitivity)
+    at = amount_words(model, path.over, why.value, 4)
+    if not shares or not moves(why.sensitivity):
+        return _still(path, why, at, unit)
+    sign = "raises" if total > 0 else "lowers"
+    if model.sample_time is not None:
+        return [
+            f"At {at} a larger {path.over} {sign} the growth rate of the "
+            f"{why.mode} by {abs(total):.3g} 1/s{unit}. What of it comes through which entry of A "
+            "says nothing here: the entries are slopes of a network, and no equations of a rig."
+        ]
+    named = [
+        f"the {entry_words(model, s.row, s.column)} ({s.part.real / total:+.0%})".replace("-", "−")
+        for s in shares[:3]
+    ]
+    sentences = [
+        f"At {at} a larger {path.over} {sign} the growth rate of the "
+        f"{why.mode} by {abs(total):.3g} 1/s{unit}: {listing(named)} of it."
+    ]
+    apart = abs(why.sensitivity.direct - why.sensitivity.total)
+    if path.kind != "angle" and apart > 1e-3 * abs(why.sensitivity.total):
+        own = why.sensitivity.direct.real / total
+        sentences.append(
+            f"Without the operating point that moves along it would be {own:.0%} of that.".replace(
+                "-", "−"
+            )
+        )
+    if why.loops and len(why.loops[0].states) > 1:
+        largest = shares[0]
+        sentences.append(
+            f"It closes the loop {loop_words(model, why.loops[0], largest.row)}, by "
+            f"{_steps(model, why.loops[0], largest.row)}."
+        )
+    return sentences
+
+
+def _still(path: OperatingPath, why: ModeSensitivity, at: str, unit: str) -> list[str]:
+    """A place where the derivative is none: what the growth rate does around it."""
+    course = why.course
+    if course is None:
+        return [f"At {at} {path.over} does not move the growth rate of the {why.mode}."]
+    sentences = (
+        f"The {why.mode} comes closest to the axis at {at}, with a growth rate of "
+        f"{course.growth:.3g} 1/s; over the range it lies between {course.least:.3g} and "
+        f"{course.most:.3g} 1/s."
+    )
+    if np.isfinite(course.below) and np.isfinite(course.above):
+        sentences += (
+            f" To first order {path.over} does not move it at that point: the derivative is "
+            f"{course.below:+.3g} 1/s{unit} just below and {course.above:+.3g} just above."
+        )
+    return [sentences.replace("-", "−")]
+
+
+def loop_words(model: Model, loop: SignalLoop, begin: int) -> str:
+    """``yaw rate → pitch rate → pitch angle → yaw rate``."""
+    way = [state_words(model, k) for k in _from(loop, begin)]
+    return " → ".join([*way, way[0]])
+
+
+def share_table(path: OperatingPath, why: ModeSensitivity) -> Table:
+    """The entries of A that move the eigenvalue."""
+    total = why.sensitivity.total
+    unit = path.unit or "1"
+    return table(
+        _large(why.sensitivity)[:8],
+        [
+            Column("entry", lambda s: entry_words(path.model, s.row, s.column)),
+            Column("symbol", lambda s: entry_symbol(path.model, s.row, s.column)),
+            Column(f"change per {unit}", lambda s: rounded(s.change)),
+            Column(f"of d Re λ [1/s per {unit}]", lambda s: rounded(s.part.real)),
+            Column(f"of d Im λ [rad/s per {unit}]", lambda s: rounded(s.part.imag)),
+            Column(
+                "share",
+                lambda s: (
+                    f"{s.part.real / total.real:+.0%}".replace("-", "−")
+                    if abs(total.real) > 1e-12
+                    else None
+                ),
+            ),
+        ],
+        f"What moves the {why.mode} at {amount_words(path.model, path.over, why.value, 4)}: "
+        f"dλ/d{path.over} = {total.real:.4g} {'+' if total.imag >= 0 else '−'} "
+        f"{abs(total.imag):.4g}j.",
+        heads=2,
+    )
+
+
+def share_chart(
+    name: str, path: OperatingPath, sweep: EigenvalueSweep, track: int, mode: str
+) -> Chart | None:
+    """d Re λ/dp of one mode over the range, and the parts of the largest entries.
+
+    None where nothing moves it.
+    """
+    found = [sensitivity(path, place, track) for place in sweep.places]
+    if not any(moves(one) for one in found):
+        return None
+    sizes: dict[tuple[int, int], float] = {}
+    for one in found:
+        for share in one.shares:
+            key = (share.row, share.column)
+            sizes[key] = max(sizes.get(key, 0.0), abs(share.part.real))
+    largest = sorted(sizes, key=lambda key: -sizes[key])[: len(_COLOURS)]
+    floor = _SMALL * max(sizes.values(), default=0.0)
+    marks: list[Mark] = [Line(y=0.0, colour="ink", style="solid")]
+    totals = np.array([one.total.real for one in found])
+    # A derivative has no meaning where the mode meets another: it grows beyond bounds there.
+    bound = 20.0 * float(np.median(np.abs(totals))) or 1.0
+    broken = _broken(totals)
+    for key, colour in zip(largest, _COLOURS, strict=False):
+        if sizes[key] <= floor:
+            continue
+        part = np.array(
+            [sum(s.part.real for s in one.shares if (s.row, s.column) == key) for one in found]
+        )
+        part = np.where((np.abs(totals) > bound) | broken, np.nan, part)
+        marks.append(Curve(sweep.values, part, entry_words(path.model, *key), colour))
+    shown = np.where((np.abs(totals) > bound) | broken, np.nan, totals)
+    marks.append(Curve(sweep.values, shown, "together", "ink", "dashed", 2.0))
+    unit = f"1/s per {path.unit}" if path.unit else "1/s per unit"
+    panel = Panel(Axis(path.over, path.unit), Axis(f"d Re λ / d {path.over}", unit), marks)
+    return Chart(
+        name,
+        [panel],
+        f"What moves the {mode}: the derivative of its growth rate, by the entry of A (the "
+        "physical equation) that it comes through.",
+        1,
+        7.0,
+        4.2,
+    )
+
+
+def _broken(totals: FloatArray) -> npt.NDArray[np.bool_]:
+    """Places on a jump of a derivative, between two of opposite sign: a kink of the growth rate."""
+    broken = np.zeros(len(totals), dtype=bool)
+    if len(totals) > 2:
+        before, here, after = totals[:-2], totals[1:-1], totals[2:]
+        size = np.maximum(np.abs(before), np.abs(after))
+        steps = np.minimum(np.abs(here - before), np.abs(after - here))
+        # Both steps are of the size of the derivative itself: no curve goes so from place to place.
+        broken[1:-1] = (before * after < 0) & (steps > _JUMP * size)
+    return broken
+
+
+def sensitivity_data(path: OperatingPath, why: ModeSensitivity) -> dict[str, Any]:
+    """A reason as JSON data."""
+    names = path.model.state_names
+    return {
+        "mode": why.mode,
+        "value": why.value,
+        "dlambda": why.sensitivity.total,
+        "dlambda_direct": why.sensitivity.direct,
+        "shares": [
+            {
+                "entry": [names[s.row], names[s.column]],
+                "words": entry_words(path.model, s.row, s.column),
+                "change": s.change,
+                "real": s.part.real,
+                "imag": s.part.imag,
+            }
+            for s in why.sensitivity.shares[:12]
+        ],
+        "loops": [
+            {"states": [names[k] for k in loop.states], "gain": loop.gain} for loop in why.loops[:4]
+        ],
+    }
+
+
+def _large(found: Sensitivity) -> Sequence[Any]:
+    size = sum(abs(s.part.real) for s in found.shares)
+    return [s for s in found.shares if abs(s.part.real) > _SMALL * size]
+
+
+def _steps(model: Model, loop: SignalLoop, begin: int) -> str:
+    """Each edge by the equation that it stands in."""
+    way = _from(loop, begin)
+    edges = zip(way, (*way[1:], way[0]), strict=True)
+    sentences = [entry_words(model, effect, cause) for cause, effect in edges]
+    # An angle follows its own rate: no equation that one would have to look up.
+    kinematic = {f"{axis} rate per {axis} rate" for axis in model.axes}
+    return ", ".join(f"the {words}" for words in sentences if words not in kinematic)
+
+
+def _from(loop: SignalLoop, begin: int) -> tuple[int, ...]:
+    k = loop.states.index(begin)
+    return (*loop.states[k:], *loop.states[:k])

@@ -1,4 +1,13 @@
-"""Operating points and spectra over an angle, a command or a parameter.
+"""Eigenvalues followed along a line of operating points.
+
+Two spectra are matched by what their eigenvectors have in common and by how far the eigenvalues
+move. For left and right eigenvectors with ``wᵀv = 1`` the product ``(w_iᵀ v'_j)(w'_jᵀ v_i)`` is 1
+for the same mode and near 0 for another, whatever the units of the states. The assignment is the
+best of all one-to-one ones (Jonker & Volgenant 1987, as in SciPy).
+
+What is varied and over which range, as asked for.
+
+Operating points and spectra over an angle, a command or a parameter.
 
 The sweep begins where the request stands and goes both ways until the range ends, the equilibrium
 ends (a fold), or a command or angle reaches its limit. Between two points whose eigenvalues cannot
@@ -14,16 +23,124 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
-from trms_cli.models.operating_point import OperatingPoint, TrimCondition, TrimSolver
-from trms_cli.stability.local.asked import in_order
+from trms_cli.models.operating_point import (
+    OperatingPoint,
+    TrimCondition,
+    TrimSolver,
+    asked_by_angle,
+)
 from trms_cli.stability.local.linear import Linear, Side
-from trms_cli.stability.local.tracking import Spectrum, matched, spectrum_of
+from trms_cli.stability.local.modes import spectrum
 
 FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+#: Weight of a move of an eigenvalue by its own size against eigenvectors with nothing in common.
+_MOVE = 1.0
+
+
+@dataclass(frozen=True)
+class EigenSpectrum:
+    """Eigenvalues of one matrix in an order, with eigenvectors."""
+
+    values: ComplexArray  #: (n,) complex array; of the matrix: λ, or z of a model that steps
+    #: ``left``, ``right``: (n, n) complex arrays; columns, ``leftᵢᵀ rightᵢ = 1``
+    left: ComplexArray
+    right: ComplexArray
+
+    def ordered(self, order: npt.NDArray[np.intp]) -> EigenSpectrum:
+        """The same in another order."""
+        return EigenSpectrum(self.values[order], self.left[:, order], self.right[:, order])
+
+    def participation(self, i: int) -> FloatArray:
+        """Shares of the states in mode i."""
+        share = np.abs(self.left[:, i] * self.right[:, i])
+        shares: FloatArray = share / share.sum()
+        return shares
+
+
+def spectrum_of(a: FloatArray) -> EigenSpectrum:
+    """The spectrum of a matrix, in LAPACK's order."""
+    return EigenSpectrum(*spectrum(a))
+
+
+def matched(before: EigenSpectrum, after: EigenSpectrum) -> tuple[EigenSpectrum, float]:
+    """``after`` in the order of ``before``, and how sure the worst match is (1: certain).
+
+    Sureness is how much better the match is than the best one that exchanges a mode, where the
+    exchange would matter; two modes whose eigenvalues agree may be exchanged.
+    """
+    same = np.abs(before.left.T @ after.right) * np.abs(after.left.T @ before.right).T
+    same = np.minimum(same, 1.0)
+    size = 1e-3 + np.abs(before.values)[:, None] + np.abs(after.values)[None, :]
+    apart = np.abs(before.values[:, None] - after.values[None, :]) / size
+    # A conjugate is never the continuation of its partner while both swing.
+    cost = (1.0 - same) + _MOVE * apart
+    rows, columns = linear_sum_assignment(cost)
+    order = columns[np.argsort(rows)]
+    chosen = cost[np.arange(len(order)), order]
+    return after.ordered(order), float(1.0 - chosen.max(initial=0.0))
+
+
+def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str) -> str:
+    """What is varied: what is asked for; the first command held, if commands are; the usual.
+
+    Parameters
+    ----------
+    at : dict of str to float
+        Angles (rad) or commands (V) that are held.
+    over : str or None
+        What is asked for.
+    usual : str
+        What is varied when nothing is said.
+
+    Raises
+    ------
+    ConfigurationError
+        For an angle where commands are held, and the reverse; for names in ``at`` that are
+        neither, or of both kinds.
+    """
+    if not at:
+        return over or usual
+    by_angle = asked_by_angle(model, at)
+    if over is None:
+        return usual if by_angle else next(iter(at))
+    kinds = {True: ("an angle", model.controlled), False: ("a command", names(model.inputs))}
+    if over in kinds[not by_angle][1]:
+        use = next(iter(at))
+        raise ConfigurationError(
+            f"over={over} varies {kinds[not by_angle][0]}; at holds "
+            f"{'angles' if by_angle else 'commands'} ({', '.join(at)})",
+            where="study.over",
+            remedy=f"use study.over={use}, or give {'commands' if by_angle else 'angles'} in at",
+        )
+    return over
+
+
+def in_order(given: tuple[float, float], where: str) -> tuple[float, float]:
+    """A range as given.
+
+    Raises ConfigurationError for one that is empty or reversed.
+    """
+    low, high = given
+    if low == high:
+        raise ConfigurationError(
+            f"{list(given)} given", where=where, remedy="give two different numbers"
+        )
+    if not low < high:
+        raise ConfigurationError(
+            f"{list(given)} given: the upper end comes first",
+            where=where,
+            remedy=f"give the lower end first: '{where}=[{high:g},{low:g}]'",
+        )
+    return low, high
+
+
 Kind = Literal["angle", "command", "parameter"]
 
 #: Matches below this are looked at again at half the step, so often.
@@ -37,20 +154,20 @@ _WIDE = 1.0
 
 
 @dataclass(frozen=True)
-class Place:
+class SweepPoint:
     """An operating point of a sweep."""
 
     value: float  #: Of what is varied
     held: TrimCondition  #: What is held there
     point: OperatingPoint
-    spectrum: Spectrum  #: In the order of the sweep's tracks
+    spectrum: EigenSpectrum  #: In the order of the sweep's tracks
 
 
 @dataclass(frozen=True)
-class Sweep:
+class EigenvalueSweep:
     """What was found along a line."""
 
-    places: tuple[Place, ...]  #: By rising value; eigenvalue i of each belongs to track i
+    places: tuple[SweepPoint, ...]  #: By rising value; eigenvalue i of each belongs to track i
     low: str = ""  #: Why it ended before the range did, on either side
     high: str = ""  #: empty if it did not
 
@@ -63,8 +180,13 @@ class Sweep:
         """(n, n_x), of the matrices; column i is one track."""
         return np.array([place.spectrum.values for place in self.places])
 
+    @property
+    def early_ends(self) -> list[str]:
+        """A sentence a side on which it ended early."""
+        return [f"The range ends early: {why}." for why in (self.low, self.high) if why]
 
-class Path:
+
+class OperatingPath:
     """A family of operating points by one number.
 
     Parameters
@@ -100,7 +222,7 @@ class Path:
             self.model.parameters[over].value if self.kind == "parameter" else self.at[over]
         )
 
-    def moved(self, name: str, value: float) -> Path:
+    def moved(self, name: str, value: float) -> OperatingPath:
         """The same with another angle, command or parameter held at a value.
 
         Raises ConfigurationError for an angle where commands are held, and the reverse.
@@ -135,12 +257,12 @@ class Path:
     @property
     def unit(self) -> str:
         """Empty for a number without one."""
-        if self.kind == "parameter":
-            unit = self.model.parameters[self.over].unit
-        else:
-            signals = (*self.model.states, *self.model.inputs)
-            unit = next(signal.unit for signal in signals if signal.name == self.over)
-        return "" if unit == "1" else unit
+        return unit_of(self.model, self.over)
+
+    @property
+    def head(self) -> str:
+        """Of a column: ``u_v [V]``."""
+        return headed(self.over, self.unit)
 
     def held(self, value: float) -> TrimCondition:
         """What is held at a value."""
@@ -158,11 +280,9 @@ class Path:
         values, p = np.zeros_like(self._base.values), np.zeros_like(self._base.p)
         one = self.held(1.0)
         zero = self.held(0.0)
-        return TrimCondition(
-            self._base.by_angle, values + one.values - zero.values, p + one.p - zero.p
-        )
+        return TrimCondition(self._base.by_angle, values + one.values - zero.values, p + one.p - zero.p)
 
-    def first(self, low: float, high: float) -> Place:
+    def first(self, low: float, high: float) -> SweepPoint:
         """The place where a sweep begins: where the request stands, or the end next to it.
 
         Raises TrmsError where there is none.
@@ -184,13 +304,15 @@ class Path:
             )
         return self.place(value, point)
 
-    def place(self, value: float, point: OperatingPoint) -> Place:
+    def place(self, value: float, point: OperatingPoint) -> SweepPoint:
         """A place at a known operating point."""
         held = self.held(value)
         a = self.linear.a(point.x, point.u, self.side, held.p)
-        return Place(value, held, point, spectrum_of(a))
+        return SweepPoint(value, held, point, spectrum_of(a))
 
-    def following(self, last: Place, value: float, shortest: float = 1e-3) -> Place | None:
+    def following(
+        self, last: SweepPoint, value: float, shortest: float = 1e-3
+    ) -> SweepPoint | None:
         """The place at another value on the same branch, its eigenvalues matched."""
         held = self.held(value)
         point = self.balance.advance(last.held, held, last.point, shortest)
@@ -259,7 +381,9 @@ class Path:
         return self.kind != "angle" or self.balance.within_limits(point)
 
 
-def swept(path: Path, low: float, high: float, points: int, also: tuple[float, ...] = ()) -> Sweep:
+def swept(
+    path: OperatingPath, low: float, high: float, points: int, also: tuple[float, ...] = ()
+) -> EigenvalueSweep:
     """Go through a range, by way of further values where they lie within.
 
     Raises TrmsError where there is no operating point to begin at.
@@ -269,11 +393,13 @@ def swept(path: Path, low: float, high: float, points: int, also: tuple[float, .
     grid = np.unique(np.concatenate([grid, [value for value in also if low < value < high]]))
     up, why_high = _one_way(path, begin, grid[grid > begin.value + 1e-12 * (high - low)])
     down, why_low = _one_way(path, begin, grid[grid < begin.value - 1e-12 * (high - low)][::-1])
-    return Sweep((*down[::-1], begin, *up), why_low, why_high)
+    return EigenvalueSweep((*down[::-1], begin, *up), why_low, why_high)
 
 
-def _one_way(path: Path, begin: Place, values: FloatArray) -> tuple[list[Place], str]:
-    found: list[Place] = []
+def _one_way(
+    path: OperatingPath, begin: SweepPoint, values: FloatArray
+) -> tuple[list[SweepPoint], str]:
+    found: list[SweepPoint] = []
     last = begin
     for value in values:
         between = _filled(path, last, float(value), 0)
@@ -285,7 +411,9 @@ def _one_way(path: Path, begin: Place, values: FloatArray) -> tuple[list[Place],
     return found, ""
 
 
-def _filled(path: Path, last: Place, value: float, depth: int) -> list[Place] | None:
+def _filled(
+    path: OperatingPath, last: SweepPoint, value: float, depth: int
+) -> list[SweepPoint] | None:
     """Places up to a value, with further ones between where the matching is unsure."""
     held = path.held(value)
     point = path.balance.advance(last.held, held, last.point)
@@ -301,7 +429,7 @@ def _filled(path: Path, last: Place, value: float, depth: int) -> list[Place] | 
     return [replace(place, spectrum=spectrum)]
 
 
-def _leaps(before: Spectrum, after: Spectrum) -> bool:
+def _leaps(before: EigenSpectrum, after: EigenSpectrum) -> bool:
     """Whether a curve through the eigenvalues would show corners."""
     pace = np.abs(before.values)
     typical = float(np.median(pace))
@@ -310,7 +438,7 @@ def _leaps(before: Spectrum, after: Spectrum) -> bool:
     return bool(moves.max(initial=0.0) > _CORNER * typical)
 
 
-def _end(path: Path, last: Place, value: float) -> tuple[Place | None, str]:
+def _end(path: OperatingPath, last: SweepPoint, value: float) -> tuple[SweepPoint | None, str]:
     """The last place before a value that is not reached, and why."""
     good, bad, span = last, value, abs(value - last.value)
     while abs(bad - good.value) > _END * span:
@@ -332,6 +460,20 @@ def _end(path: Path, last: Place, value: float) -> tuple[Place | None, str]:
         ]
         why = f"at {at} {' and '.join(hit) or 'a stop is reached'}"
     return (good if good is not last else None), why
+
+
+def unit_of(model: Model, name: str) -> str:
+    """The unit of a state, an input or a parameter; empty for a number without one."""
+    if name in model.parameters:
+        unit = model.parameters[name].unit
+    else:
+        unit = next(s.unit for s in (*model.states, *model.inputs) if s.name == name)
+    return "" if unit == "1" else unit
+
+
+def headed(name: str, unit: str) -> str:
+    """The head of a column: ``u_v [V]``."""
+    return f"{name} [{unit}]" if unit else name
 
 
 def usual_line(model: Model, last: bool = False) -> str:

@@ -1,16 +1,23 @@
-"""The tracks of a sweep as modes: conjugate partners together, named by who takes part."""
+"""The tracks of a sweep as modes: conjugate partners together, named by who takes part.
+
+Where an eigenvalue crosses the imaginary axis along a sweep, located to rounding.
+
+Brent's method on Re λ of the tracked eigenvalue, the operating point solved anew for each value.
+A pair that crosses off zero frequency is a Hopf point of the rig's equations if nothing else
+happens there; what crosses at zero is the end or the exchange of an equilibrium.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 
 from trms_cli.models.model import Model
-from trms_cli.stability.local.crossings import rates_of
-from trms_cli.stability.local.parts import STILL, mode_name, parts_of, shares_of_parts
-from trms_cli.stability.local.sweep import Sweep
+from trms_cli.stability.local.modes import STILL, mode_name, parts_of, rate_of, shares_of_parts
+from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath, SweepPoint, matched
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -39,7 +46,39 @@ class Track:
         return found
 
 
-def tracks_of(model: Model, sweep: Sweep) -> tuple[Track, ...]:
+@dataclass(frozen=True)
+class Locus:
+    """Eigenvalues over a range as modes, and where they cross the imaginary axis."""
+
+    path: OperatingPath
+    sweep: EigenvalueSweep
+    tracks: tuple[Track, ...]
+    crossings: tuple[Crossing, ...]
+
+    def name(self, crossing: Crossing) -> str:
+        """The mode that crosses, by what it is of there.
+
+        That is the name of its track, unless the mode has become another along the range: its
+        largest share is of another part, or it swings there and does not elsewhere.
+        """
+        track = next(track for track in self.tracks if crossing.track in track.members)
+        shares = crossing.place.spectrum.participation(crossing.track)
+        parts = parts_of(self.path.model)
+        part = next(iter(shares_of_parts(parts, shares)))
+        swings = crossing.frequency > 0.0
+        if part == track.part and swings == ("swing" in track.name):
+            return track.name
+        # A real one grows on one side of the crossing: that is what it is called after.
+        rate = complex(0.0, crossing.frequency) if swings else complex(1.0)
+        return mode_name(parts, shares, rate)
+
+
+def locus_of(path: OperatingPath, sweep: EigenvalueSweep) -> Locus:
+    """The modes of a sweep and their crossings."""
+    return Locus(path, sweep, tracks_of(path.model, sweep), crossings(path, sweep))
+
+
+def tracks_of(model: Model, sweep: EigenvalueSweep) -> tuple[Track, ...]:
     """The modes of a sweep, the slowest motions of the rig first."""
     parts = parts_of(model)
     rates = rates_of(sweep, model.sample_time)
@@ -70,7 +109,7 @@ def tracks_of(model: Model, sweep: Sweep) -> tuple[Track, ...]:
         for name, part, members, own, _ in found
     ]
     tracks.sort(key=lambda track: float(np.median(np.abs(track.rates))))
-    return tuple(_told_apart(tracks))
+    return tuple(_distinct(tracks))
 
 
 def cell(rates: ComplexArray, digits: int = 3) -> str:
@@ -111,7 +150,7 @@ def _partners(rates: ComplexArray) -> list[list[int]]:
     return groups
 
 
-def _told_apart(tracks: list[Track]) -> list[Track]:
+def _distinct(tracks: list[Track]) -> list[Track]:
     found = list(tracks)
     for name in {track.name for track in tracks}:
         same = [i for i, track in enumerate(found) if track.name == name]
@@ -122,3 +161,82 @@ def _told_apart(tracks: list[Track]) -> list[Track]:
             t = found[i]
             found[i] = Track(f"{name} ({word})", t.part, t.members, t.rates, t.fast)
     return found
+
+
+#: Values are located to this share of the step that they are searched in.
+_EXACT = 1e-12
+#: A real part (1/s) that is larger than this where its sign changes has jumped.
+_JUMPED = 1e-6
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A crossing of the imaginary axis."""
+
+    track: int  #: Of the sweep
+    value: float  #: Of what is varied
+    frequency: float  #: Im λ there, rad/s; 0 for a real eigenvalue
+    unstable_above: bool  #: Whether the mode is unstable for larger values
+    jumps: bool  #: Whether Re λ jumps there (a switch is passed) instead of going through zero
+    place: SweepPoint
+
+    @property
+    def kind(self) -> str:
+        """``Hopf`` or ``real``."""
+        return "Hopf" if self.frequency > STILL else "real"
+
+
+def rates_of(sweep: EigenvalueSweep, sample_time: float | None) -> np.ndarray:
+    """λ along a sweep, (n, n_x) complex, 1/s."""
+    rates = [[rate_of(value, sample_time) for value in row] for row in sweep.eigenvalues]
+    return np.array(rates, dtype=complex)
+
+
+def crossings(path: OperatingPath, sweep: EigenvalueSweep) -> tuple[Crossing, ...]:
+    """All crossings of a sweep by rising value, one for each conjugate pair."""
+    T = path.model.sample_time
+    rates = rates_of(sweep, T)
+    found = []
+    for k, (before, after) in enumerate(zip(sweep.places, sweep.places[1:], strict=False)):
+        for track in range(rates.shape[1]):
+            a, b = rates[k, track], rates[k + 1, track]
+            if min(abs(a.real), abs(b.real)) <= STILL or a.real * b.real > 0:
+                continue
+            crossing = _located(path, before, after, track)
+            if crossing is not None and crossing.frequency > -STILL:
+                found.append(crossing)
+    return tuple(found)
+
+
+def _located(
+    path: OperatingPath, before: SweepPoint, after: SweepPoint, track: int
+) -> Crossing | None:
+    T = path.model.sample_time
+
+    def place_at(value: float) -> SweepPoint | None:
+        place = path.following(before, value)
+        if place is None:
+            return None
+        # The far end settles which of two modes that meet in between is which.
+        if abs(value - after.value) < abs(value - before.value):
+            place = replace(place, spectrum=matched(after.spectrum, place.spectrum)[0])
+        return place
+
+    def growth(value: float) -> float:
+        place = place_at(value)
+        return np.nan if place is None else rate_of(place.spectrum.values[track], T).real
+
+    low, high = growth(before.value), growth(after.value)
+    if not low * high < 0:
+        return None
+    span = abs(after.value - before.value)
+    try:
+        value = brentq(growth, before.value, after.value, xtol=_EXACT * span)
+    except (ValueError, RuntimeError):
+        return None
+    place = place_at(value)
+    if place is None:
+        return None
+    rate = rate_of(place.spectrum.values[track], T)
+    frequency = rate.imag if abs(rate.imag) > STILL else 0.0
+    return Crossing(track, value, frequency, high > 0, abs(rate.real) > _JUMPED, place)

@@ -12,17 +12,21 @@ from msgspec import Meta
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model
-from trms_cli.stability.local.access import gramians, mode_access, reach_along, volts_table
-from trms_cli.stability.local.access_data import data_of
-from trms_cli.stability.local.access_told import lead_of, sections_of, warnings_of
-from trms_cli.stability.local.asked import line_of
-from trms_cli.stability.local.found import Along, Found
+from trms_cli.stability.local.access import (
+    gramians,
+    input_gains,
+    mode_access,
+    scales_of,
+    volts_table,
+)
+from trms_cli.stability.local.constant_torques import sensor_sets, torque_estimates
+from trms_cli.stability.local.controllability_findings import (
+    ControllabilityResult,
+    controllability_findings,
+)
 from trms_cli.stability.local.linear import Side
-from trms_cli.stability.local.parts import STILL
-from trms_cli.stability.local.scales import scales_of
-from trms_cli.stability.local.sensors import sensor_sets
-from trms_cli.stability.local.sweep import Path, swept, usual_line
-from trms_cli.stability.local.torques import torques_seen
+from trms_cli.stability.local.modes import STILL
+from trms_cli.stability.local.sweep import OperatingPath, line_of, swept, usual_line
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -74,7 +78,7 @@ class Controllability:
         at = dict(self.at) or _usual(model, over, self.side)
         if self.over is None and _is_free(model, at, over):
             over = usual_line(model)
-        path = Path(model, at, over, self.side)
+        path = OperatingPath(model, at, over, self.side)
         point = path.balance.first(at)
         matrices = path.linear.matrices(point.x, point.u, self.side)
         scales = scales_of(model, matrices, self.angle_noise, self.speed_noise)
@@ -82,8 +86,8 @@ class Controllability:
         times = tuple(share * self.duration for share in _TIMES)
         names = tuple(signal.name for signal in model.disturbances)
         known = [signal.name for signal in model.outputs]
-        seen = {
-            one: torques_seen(
+        estimates = {
+            one: torque_estimates(
                 matrices,
                 scales,
                 [known.index(name) for name in one],
@@ -98,33 +102,28 @@ class Controllability:
         if span is None and path.kind == "angle":
             span = (-_USUAL_SPAN, _USUAL_SPAN)
         sweep = swept(path, *path.range(span), self.points, _standstill(path))
-        found = Found(
-            model=model,
-            point=point,
-            matrices=matrices,
-            scales=scales,
-            duration=self.duration,
-            reading_time=self.sample_time,
-            sets=sets,
-            access=mode_access(model, matrices, scales, sets, self.duration),
-            volts=volts_table(model, matrices, scales, self.duration),
-            gramians=gramians(matrices, scales, self.duration),
-            torques=seen,
-            times=times,
-        )
-        along = Along(path, sweep, reach_along(path, sweep, scales, self.duration))
-        return Findings(
-            "Controllability and observability",
-            lead_of(found, along),
-            sections_of(found, along),
-            data_of(found, along),
-            warnings_of(found, along),
+        return controllability_findings(
+            ControllabilityResult(
+                point=point,
+                scales=scales,
+                duration=self.duration,
+                reading_time=self.sample_time,
+                sets=sets,
+                access=mode_access(model, matrices, scales, sets, self.duration),
+                volts=volts_table(model, matrices, scales, self.duration),
+                gramians=gramians(matrices, scales, self.duration),
+                torques=estimates,
+                times=times,
+                path=path,
+                sweep=sweep,
+                gains=input_gains(path, sweep, scales, self.duration),
+            )
         )
 
 
 def _is_free(model: Model, at: Mapping[str, float], over: str) -> bool:
     """Whether nothing depends on an angle: it rests wherever it is put."""
-    path = Path(model, at, over)
+    path = OperatingPath(model, at, over)
     if path.kind != "angle":
         return False
     point = path.balance.first(at)
@@ -132,7 +131,7 @@ def _is_free(model: Model, at: Mapping[str, float], over: str) -> bool:
     return model.sample_time is None and bool(np.abs(column).max() <= STILL)
 
 
-def _standstill(path: Path) -> tuple[float, ...]:
+def _standstill(path: OperatingPath) -> tuple[float, ...]:
     """Values at which a rotor may stand still, where an input is lost in a single point."""
     if path.kind != "angle":
         return (0.0,)
@@ -146,7 +145,7 @@ def _usual(model: Model, over: str, side: Side) -> dict[str, float]:
         if not at:
             continue
         try:
-            point = Path(model, at, over, side).balance.first(at)
+            point = OperatingPath(model, at, over, side).balance.first(at)
         except TrmsError:
             continue
         limit = np.array([model.input_limits[signal.name] for signal in model.inputs])

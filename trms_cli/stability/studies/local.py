@@ -7,33 +7,29 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-import numpy as np
 from msgspec import Meta
 
-from trms_cli.core.chart import Axis
-from trms_cli.core.findings import Findings, Section, Table
+from trms_cli.core.findings import Block, Column, Findings, Section, Table, table
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.local.asked import line_of
-from trms_cli.stability.local.charts import over_range, plane, points_alone
-from trms_cli.stability.local.crossings import Crossing, crossings
-from trms_cli.stability.local.linear import Linear, Side, Switch
-from trms_cli.stability.local.modes import Mode, Modes, modes_of
-from trms_cli.stability.local.sweep import Path, Sweep, swept, usual_line
-from trms_cli.stability.local.told import (
+from trms_cli.stability.local.charts import locus_charts, points_alone
+from trms_cli.stability.local.linear import Side, Switch
+from trms_cli.stability.local.modes import EigenMode, Modes, modes_of
+from trms_cli.stability.local.sweep import OperatingPath, line_of, swept, usual_line
+from trms_cli.stability.local.tables import (
     amount_words,
     crossing_data,
-    crossing_name,
     eigenvalue_words,
     exchange_words,
+    locus_data,
     mode_data,
     mode_table,
     participation_table,
     range_table,
-    sweep_data,
     switch_words,
 )
-from trms_cli.stability.local.tracks import Track, tracks_of
+from trms_cli.stability.local.tracks import Locus, locus_of
+from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -62,7 +58,7 @@ class Local:
         model, at = subject.model, dict(self.at)
         tell("the operating point")
         over = line_of(model, at, self.over, usual_line(model))
-        path = Path(model, at, over, self.side)
+        path = OperatingPath(model, at, over, self.side)
         point = path.balance.first(at)
         linear = path.linear
         sides: dict[Side, Modes] = {
@@ -71,22 +67,21 @@ class Local:
         }
         switches = linear.switches(point.x, point.u)
         tell(f"over {over}")
-        low, high = path.range(self.range)
-        sweep = swept(path, low, high, self.points, (_value_of(path, point),))
-        tracks = tracks_of(model, sweep)
-        found = crossings(path, sweep)
-        words = point.words(model)
-        here = Section(
-            f"At {words}",
-            _text_here(model, sides["mean"], switches),
-            _blocks_here(model, sides, switches, words),
-        )
+        value, words = _value_of(path, point), point.words(model)
+        locus = locus_of(path, swept(path, *path.range(self.range), self.points, (value,)))
         return Findings(
             "Local stability",
-            (*_lead(model, words, sides, switches), *_lead_range(path, sweep, tracks, found)),
-            (here, _range_section(path, sweep, tracks, found, point)),
-            _results(path, point, sides, linear, switches, sweep, tracks, found),
-            tuple(_warnings(model, sides["mean"], switches)),
+            (*_lead(model, words, sides, switches), *_lead_range(locus)),
+            (
+                Section(
+                    f"At {words}",
+                    _text_here(model, sides["mean"], switches),
+                    _blocks_here(model, sides, switches, words),
+                ),
+                _range_section(locus, value),
+            ),
+            as_json(_results(locus, point, sides, switches)),
+            _warnings(sides["mean"], switches),
         )
 
 
@@ -99,25 +94,25 @@ def _lead(
         "marginal": "small motions neither grow nor all die out",
         "unstable": "small motions grow",
     }[modes.verdict]
-    told = [f"{modes.verdict.capitalize()}, {verdict}, at {words}."]
+    sentences = [f"{modes.verdict.capitalize()}, {verdict}, at {words}."]
     critical = max(
         (m for m in modes.modes if math.isfinite(m.eigenvalue.real)),
         key=lambda m: m.eigenvalue.real,
     )
-    told.append(f"Closest to growing is {_described(critical)}.")
+    sentences.append(f"Closest to growing is {_described(critical)}.")
     swing = [m for m in modes.modes if m.oscillates and m is not critical and not m.alternating]
     for mode in sorted(swing, key=lambda m: m.damping_ratio or 0.0)[:2]:
         if not mode.name.startswith("past"):
-            told.append(f"Besides, {_described(mode)}.")
+            sentences.append(f"Besides, {_described(mode)}.")
     if switches and sides["upper"].verdict != sides["lower"].verdict:
-        told.append(
+        sentences.append(
             f"On a switch, it is {sides['upper'].verdict} on the upper side and "
             f"{sides['lower'].verdict} on the lower."
         )
-    return told
+    return sentences
 
 
-def _described(mode: Mode) -> str:
+def _described(mode: EigenMode) -> str:
     value = eigenvalue_words(mode.eigenvalue, 3)
     if mode.oscillates:
         hertz = mode.damped_frequency / (2 * math.pi)
@@ -132,9 +127,8 @@ def _described(mode: Mode) -> str:
     )
 
 
-def _lead_range(
-    path: Path, sweep: Sweep, tracks: tuple[Track, ...], found: tuple[Crossing, ...]
-) -> list[str]:
+def _lead_range(locus: Locus) -> list[str]:
+    path, sweep = locus.path, locus.sweep
     low, high = sweep.values[0], sweep.values[-1]
     span = f"{path.over} from {low:.4g} to {high:.4g} {path.unit}".rstrip()
     if len(sweep.places) < 2:
@@ -142,30 +136,30 @@ def _lead_range(
             f"There is no operating point beside it along {path.over}: {sweep.high or sweep.low}. "
             f"Vary an angle instead, as study.over={path.model.controlled[0]}: the commands follow."
         ]
-    unstable = max(float(track.slowest.real.max()) for track in tracks)
-    if not found:
+    unstable = max(float(track.slowest.real.max()) for track in locus.tracks)
+    if not locus.crossings:
         # A mode that is at rest on the axis everywhere does not cross it.
         always = "no mode crosses the imaginary axis"
         return [
             f"Over {span}, {always}{'; one is unstable throughout' if unstable > 1e-6 else ''}."
         ]
-    told = [
-        f"{path.over} = {c.value:.4g} {path.unit} ({crossing_name(path.model, tracks, c)}, "
+    sentences = [
+        f"{path.over} = {c.value:.4g} {path.unit} ({locus.name(c)}, "
         + (f"{c.frequency:.3g} rad/s, " if c.frequency else "")
         + f"unstable {'above' if c.unstable_above else 'below'})"
-        for c in found
+        for c in locus.crossings
     ]
-    return [f"Over {span}, modes cross the imaginary axis at {'; '.join(told)}."]
+    return [f"Over {span}, modes cross the imaginary axis at {'; '.join(sentences)}."]
 
 
 def _text_here(model: Model, modes: Modes, switches: tuple[Switch, ...]) -> list[str]:
-    told = [
+    sentences = [
         "Modes are named after the states that take part in them (participation factors w_i v_i, "
         "which do not depend on units). Natural frequency ω_n = |λ|, damping ratio ζ = −Re λ/|λ|, "
         "time constant 1/|Re λ|."
     ]
     if model.sample_time is not None:
-        told.append(
+        sentences.append(
             f"The model only steps, every {model.sample_time:g} s: λ = ln z / T of the eigenvalues "
             f"z of its step where it rests. {modes.forgotten} of its states are gone within a "
             "sample and no modes."
@@ -174,25 +168,25 @@ def _text_here(model: Model, modes: Modes, switches: tuple[Switch, ...]) -> list
         if mode.multiplicity > 1:
             several = "fewer eigenvectors than that (motions grow as t·e^λt before they decay)"
             own = "an eigenvector for each"
-            told.append(
+            sentences.append(
                 f"“{mode.name}” stands for {mode.multiplicity} equal eigenvalues with "
                 f"{several if mode.defective else own}."
             )
-    told += [switch_words(model, switch) for switch in switches]
+    sentences += [switch_words(model, switch) for switch in switches]
     if switches:
-        told.append(
+        sentences.append(
             "The table of modes is for the mean of both slopes, which small oscillations across "
             "the switch see (their first harmonic); those of either side are given beside it."
         )
-    return told
+    return sentences
 
 
 def _blocks_here(
     model: Model, sides: Mapping[Side, Modes], switches: tuple[Switch, ...], words: str
-) -> list[Any]:
+) -> list[Block]:
     modes = sides["mean"]
-    blocks: list[Any] = [
-        mode_table(model, modes, f"Modes at {words}."),
+    blocks: list[Block] = [
+        mode_table(modes, f"Modes at {words}."),
         participation_table(model, modes),
     ]
     if switches:
@@ -202,67 +196,47 @@ def _blocks_here(
 
 
 def _sides_table(sides: Mapping[Side, Modes]) -> Table:
-    rows = []
-    for mode in sides["mean"].modes:
-        near = [
-            min(sides[side].modes, key=lambda other: abs(other.eigenvalue - mode.eigenvalue))
-            for side in ("lower", "upper")
-        ]
-        rows.append((mode.name, *(eigenvalue_words(m.eigenvalue) for m in (*near, mode))))
-    return Table(
-        ("mode", "λ below [1/s]", "λ above [1/s]", "λ of the mean [1/s]"),
-        rows,
+    def near(mode: EigenMode, side: Side) -> str:
+        modes = sides[side].modes
+        nearest = min(modes, key=lambda other: abs(other.eigenvalue - mode.eigenvalue))
+        return eigenvalue_words(nearest.eigenvalue)
+
+    return table(
+        sides["mean"].modes,
+        [
+            Column("mode", "name"),
+            Column("λ below [1/s]", lambda mode: near(mode, "lower")),
+            Column("λ above [1/s]", lambda mode: near(mode, "upper")),
+            Column("λ of the mean [1/s]", lambda mode: eigenvalue_words(mode.eigenvalue)),
+        ],
         "Either side of the switch.",
     )
 
 
-def _range_section(
-    path: Path,
-    sweep: Sweep,
-    tracks: tuple[Track, ...],
-    found: tuple[Crossing, ...],
-    point: OperatingPoint,
-) -> Section:
+def _range_section(locus: Locus, value: float) -> Section:
+    path = locus.path
     text = [
         f"The operating point is solved anew for each {path.over}; eigenvalues are followed from "
-        "one to the next by their eigenvectors."
+        "one to the next by their eigenvectors.",
+        *locus.sweep.early_ends,
+        *exchange_words(locus),
     ]
-    text += [f"The range ends early: {why}." for why in (sweep.low, sweep.high) if why]
-    text += exchange_words(path, sweep, tracks)
-    if len(sweep.places) < 2:
+    if len(locus.sweep.places) < 2:
         return Section(f"Over {path.over}", text)
-    value = _value_of(path, point)
-    k = int(np.argmin(np.abs(sweep.values - value)))
-    unit = f" {path.unit}" if path.unit else ""
-    ends = (f"{sweep.values[0]:.3g}{unit}", f"{sweep.values[-1]:.3g}{unit}")
     held = ", ".join(
         amount_words(path.model, name, v) for name, v in path.at.items() if name != path.over
     )
-    where = f" ({held})" if held else ""
-    charts = (
-        plane(
-            "local_plane",
-            tracks,
-            k,
-            path.over,
-            ends,
-            found,
-            f"Eigenvalues as {path.over} goes from {ends[0]} to {ends[1]}{where}; "
-            f"discs: {path.over} = {sweep.values[k]:.3g}{unit}.",
-        ),
-        over_range(
-            "local_range",
-            sweep.values,
-            Axis(path.over, path.unit),
-            tracks,
-            value,
-            f"Damping and frequency over {path.over}{where}; dotted: the operating point.",
-        ),
+    charts = locus_charts(
+        ("local_plane", "local_range"),
+        locus,
+        value,
+        f" ({held})" if held else "",
+        note="; dotted: the operating point",
     )
-    return Section(f"Over {path.over}", text, (range_table(path, sweep, tracks), *charts))
+    return Section(f"Over {path.over}", text, (range_table(locus), *charts))
 
 
-def _value_of(path: Path, point: OperatingPoint) -> float:
+def _value_of(path: OperatingPath, point: OperatingPoint) -> float:
     """Where the request stands on the line."""
     model = path.model
     if path.kind == "parameter":
@@ -273,34 +247,30 @@ def _value_of(path: Path, point: OperatingPoint) -> float:
 
 
 def _results(
-    path: Path,
+    locus: Locus,
     point: OperatingPoint,
     sides: Mapping[Side, Modes],
-    linear: Linear,
     switches: tuple[Switch, ...],
-    sweep: Sweep,
-    tracks: tuple[Track, ...],
-    found: tuple[Crossing, ...],
 ) -> dict[str, Any]:
-    model = path.model
-    matrices = linear.matrices(point.x, point.u)
+    model = locus.path.model
+    matrices = locus.path.linear.matrices(point.x, point.u)
     return {
         "at": {
-            "x": dict(zip(model.state_names, map(float, point.x), strict=True)),
-            "u": {s.name: float(v) for s, v in zip(model.inputs, point.u, strict=True)},
+            "x": dict(zip(model.state_names, point.x, strict=True)),
+            "u": dict(zip(names(model.inputs), point.u, strict=True)),
             "verdict": sides["mean"].verdict,
             "modes": [mode_data(model, mode) for mode in sides["mean"].modes],
             "forgotten": sides["mean"].forgotten,
-            "A": [[float(v) for v in row] for row in matrices.a],
-            "B": [[float(v) for v in row] for row in matrices.b],
+            "A": matrices.a,
+            "B": matrices.b,
             "sample_time_s": model.sample_time,
         },
         "switches": [
             {
                 "state": model.state_names[s.state],
                 "entries": [[model.state_names[i], model.state_names[j]] for i, j in s.entries],
-                "upper": list(s.upper),
-                "lower": list(s.lower),
+                "upper": s.upper,
+                "lower": s.lower,
             }
             for s in switches
         ],
@@ -309,21 +279,21 @@ def _results(
             for side in ("upper", "lower")
             if switches
         },
-        "range": sweep_data(path, sweep, tracks),
-        "crossings": [crossing_data(c, crossing_name(path.model, tracks, c)) for c in found],
+        "range": locus_data(locus),
+        "crossings": crossing_data(locus),
     }
 
 
-def _warnings(model: Model, modes: Modes, switches: tuple[Switch, ...]) -> list[str]:
-    told = []
+def _warnings(modes: Modes, switches: tuple[Switch, ...]) -> list[str]:
+    sentences = []
     if switches:
-        told.append(
+        sentences.append(
             "On a switch the eigenvalues of either side do not by themselves decide about motions "
             "that cross it; that of the mean is what a small, nearly harmonic swing sees."
         )
     if modes.verdict == "marginal":
-        told.append(
+        sentences.append(
             "An eigenvalue on the imaginary axis decides nothing: what the equations do beyond "
             "first order does."
         )
-    return told
+    return sentences

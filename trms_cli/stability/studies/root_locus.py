@@ -10,24 +10,36 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.core.findings import Findings
+from trms_cli.core.findings import Block, Column, Findings, Judged, Section, table
 from trms_cli.models.model import Model
-from trms_cli.stability.local.asked import line_of
-from trms_cli.stability.local.crossings import Crossing, crossings
+from trms_cli.stability.local.charts import locus_charts
 from trms_cli.stability.local.linear import Side
-from trms_cli.stability.local.locus_told import (
-    held_words,
-    locus_section,
-    results_of,
-    still_words,
-    why_section,
+from trms_cli.stability.local.sensitivity import (
+    ModeSensitivity,
+    growth_trend,
+    mode_sensitivity,
+    moves,
+    sensitivity_data,
+    sensitivity_words,
+    share_chart,
+    share_table,
 )
-from trms_cli.stability.local.map import stability_map
-from trms_cli.stability.local.map_told import boundary_along, map_section
-from trms_cli.stability.local.sweep import Path, Sweep, swept, usual_line
-from trms_cli.stability.local.told import amount_words, crossing_name
-from trms_cli.stability.local.tracks import Track, tracks_of
-from trms_cli.stability.local.why import Reason, course_of, moves, reason, reason_words
+from trms_cli.stability.local.stability_map import (
+    StabilityMap,
+    boundary_along,
+    map_section,
+    stability_map,
+)
+from trms_cli.stability.local.sweep import OperatingPath, line_of, swept, usual_line
+from trms_cli.stability.local.tables import (
+    amount_words,
+    crossing_data,
+    exchange_words,
+    locus_data,
+    range_table,
+)
+from trms_cli.stability.local.tracks import Locus, crossings, locus_of
+from trms_cli.stability.results import as_json, rounded
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -36,6 +48,7 @@ from trms_cli.stability.subject import Subject
 _USUAL_PARAMETER, _USUAL_RANGE, _USUAL_AT = "k_g", (0.0123, 0.2), {"alpha_v": 0.4}
 #: 1/s: a growth rate that changes by less over the whole range does not move.
 _STILL = 1e-6
+_KINDS = {True: "Hopf", False: "at zero"}
 #: rad: from below rest to short of the fold.
 _USUAL_AGAINST, _USUAL_AGAINST_RANGE = "alpha_v", (-0.6, 0.9)
 
@@ -69,35 +82,31 @@ class RootLocus:
         subject.require_no_loop("study=root_locus", "leave it out; for loops: study=margins")
         model = subject.model
         at, over, span, against = self._asked(model)
-        path = Path(model, at, over, self.side)
+        path = OperatingPath(model, at, over, self.side)
         low, high = path.range(span)
         tell(f"over {over}")
-        sweep = swept(path, low, high, self.points)
-        tracks = tracks_of(model, sweep)
-        found = crossings(path, sweep)
-        sides = _sides(path, sweep, (low, high), self.points, tell)
+        locus = locus_of(path, swept(path, low, high, self.points))
+        sides = _sides(locus, (low, high), self.points, tell)
         tell("why")
-        reasons = [reason(path, c.place, c.track, crossing_name(model, tracks, c)) for c in found]
-        nearest = None if found else _nearest(path, sweep, tracks)
-        if nearest is not None:
-            reasons = [nearest]
-        sections = [locus_section(path, sweep, tracks, found)]
-        sections.append(why_section(path, sweep, found, reasons, tracks))
+        reasons = [
+            mode_sensitivity(path, c.place, c.track, locus.name(c)) for c in locus.crossings
+        ] or _nearest(locus)
+        sections = [_locus_section(locus), _why_section(locus, reasons)]
         mapped, at_ends = None, []
         if against is not None:
-            line = Path(model, at, against, self.side)
+            line = OperatingPath(model, at, against, self.side)
             span_2 = line.range(self._against_range(), "study.against_range")
             size = (self.map_points, 2 * self.map_points + 1)
             mapped = stability_map(path, against, (low, high), span_2, size, tell)
-            ends = (float(sweep.values[0]), float(sweep.values[-1]))
+            ends = (float(locus.sweep.values[0]), float(locus.sweep.values[-1]))
             at_ends = boundary_along(path, against, ends, span_2, tell)
             sections.append(map_section(path, against, mapped, at_ends))
         return Findings(
             "Root locus",
-            _lead(path, sweep, tracks, found, reasons, sides, against, at_ends),
+            _lead(locus, reasons, sides, str(against), at_ends),
             sections,
-            results_of(path, sweep, tracks, found, reasons, sides, against, mapped, at_ends),
-            tuple(_warnings(path, sweep, sides)),
+            as_json(_results(locus, reasons, sides, against, mapped, at_ends)),
+            _warnings(locus, sides),
         )
 
     def _against_range(self) -> tuple[float, float] | None:
@@ -123,28 +132,29 @@ class RootLocus:
 
 
 def _sides(
-    path: Path, sweep: Sweep, span: tuple[float, float], points: int, tell: Tell
+    locus: Locus, span: tuple[float, float], points: int, tell: Tell
 ) -> dict[str, list[float]]:
     """Crossings with the slopes of either side, where the points lie on a switch."""
-    middle = sweep.places[len(sweep.places) // 2]
+    path = locus.path
+    middle = locus.sweep.places[len(locus.sweep.places) // 2]
     if not path.linear.switches(middle.point.x, middle.point.u, middle.held.p):
         return {}
-    found: dict[str, list[float]] = {}
+    values: dict[str, list[float]] = {}
     others: tuple[Side, ...] = ("upper", "lower", "mean")
     for side in others:
         if side == path.side:
             continue
         tell(f"with the slopes of the {side} side")
-        other = Path(path.model, path.at, path.over, side)
-        run = swept(other, *span, points)
-        found[side] = [c.value for c in crossings(other, run) if not c.jumps]
-    return found
+        other = OperatingPath(path.model, path.at, path.over, side)
+        crossed = crossings(other, swept(other, *span, points))
+        values[side] = [c.value for c in crossed if not c.jumps]
+    return values
 
 
-def _nearest(path: Path, sweep: Sweep, tracks: tuple[Track, ...]) -> Reason | None:
-    """The reason for the mode that comes closest to the axis from the left, where it does."""
+def _nearest(locus: Locus) -> list[ModeSensitivity]:
+    """The reason for the mode that comes closest to the axis from the left, where one does."""
     best = None
-    for track in tracks:
+    for track in locus.tracks:
         if track.fast:
             continue
         growth = track.rates.real.max(axis=1)
@@ -156,81 +166,169 @@ def _nearest(path: Path, sweep: Sweep, tracks: tuple[Track, ...]) -> Reason | No
             ]
             best = (float(growth[k]), k, member, track.name)
     if best is None:
-        return None
-    found = reason(path, sweep.places[best[1]], best[2], best[3])
-    if moves(found.sensitivity):
-        return found
-    return replace(found, course=course_of(path, sweep, best[1], best[2]))
+        return []
+    _, k, member, name = best
+    nearest = mode_sensitivity(locus.path, locus.sweep.places[k], member, name)
+    if moves(nearest.sensitivity):
+        return [nearest]
+    return [replace(nearest, course=growth_trend(locus.path, locus.sweep, k, member))]
+
+
+def _locus_section(locus: Locus) -> Section:
+    """The crossings, the table over the range and the figures."""
+    path = locus.path
+    text = [
+        f"The operating point is solved anew for each {path.over}; crossings are located by "
+        "Brent's method on the real part of the tracked eigenvalue.",
+        *locus.sweep.early_ends,
+        *exchange_words(locus),
+    ]
+    if len(locus.sweep.places) < 2:
+        return Section(f"Eigenvalues over {path.over}", text)
+    crossed = table(
+        locus.crossings,
+        [
+            Column("mode", locus.name),
+            Column(path.head, lambda c: rounded(c.value, 6)),
+            Column("ω [rad/s]", lambda c: rounded(c.frequency)),
+            Column("f [Hz]", lambda c: rounded(c.frequency / (2 * math.pi))),
+            Column("kind", lambda c: "jump at a switch" if c.jumps else _KINDS[c.frequency > 0]),
+            Column("unstable", lambda c: Judged("above" if c.unstable_above else "below", "bad")),
+        ],
+        "Crossings of the imaginary axis.",
+    )
+    charts = locus_charts(
+        ("root_locus", "root_locus_range"), locus, path.began, f", {_held_words(path)}", digits=4
+    )
+    blocks: list[Block] = [*([crossed] if crossed.rows else []), range_table(locus), *charts]
+    return Section(f"Eigenvalues over {path.over}", text, blocks)
+
+
+def _why_section(locus: Locus, reasons: list[ModeSensitivity]) -> Section:
+    """The shares of dλ/dp at each crossing."""
+    path = locus.path
+    text = [
+        "dλ/dp = wᵀ (dA/dp) v / (wᵀv), entry by entry of A: each entry is a physical equation "
+        "(row) by what it depends on (column). dA/dp is exact and follows the operating point.",
+        "A loop is a cycle of the signal flow graph of sI − A through the entry with the largest "
+        "share, taken at s = λ: the strongest is told.",
+    ]
+    blocks: list[Block] = []
+    for reason in reasons:
+        text += sensitivity_words(path, reason)
+        if moves(reason.sensitivity):
+            blocks.append(share_table(path, reason))
+    if not reasons:
+        text.append(_still_words(path))
+    if reasons and len(locus.sweep.places) > 2:
+        mode = reasons[0].mode
+        if locus.crossings:
+            member = locus.crossings[0].track
+        else:
+            member = next(t.members[0] for t in locus.tracks if t.name == mode)
+        chart = share_chart("root_locus_why", path, locus.sweep, member, mode)
+        blocks += [] if chart is None else [chart]
+    return Section("Why", text, blocks)
+
+
+def _results(
+    locus: Locus,
+    reasons: list[ModeSensitivity],
+    sides: Mapping[str, list[float]],
+    against: str | None,
+    mapped: StabilityMap | None,
+    at_ends: list[dict[str, Any]],
+) -> dict[str, Any]:
+    path = locus.path
+    results: dict[str, Any] = {
+        "held": {name: v for name, v in path.at.items() if name != path.over},
+        "locus": locus_data(locus),
+        "crossings": crossing_data(locus),
+        "crossings_by_side": sides,
+        "why": [sensitivity_data(path, reason) for reason in reasons],
+    }
+    if mapped is not None:
+        results["map"] = {
+            "against": against,
+            "over_values": mapped.over,
+            "against_values": mapped.against,
+            "largest_growth_1_s": mapped.growth,
+            "boundary": mapped.boundary,
+            "along_against": at_ends,
+        }
+    return results
 
 
 def _lead(
-    path: Path,
-    sweep: Sweep,
-    tracks: tuple[Track, ...],
-    found: tuple[Crossing, ...],
-    reasons: list[Reason],
+    locus: Locus,
+    reasons: list[ModeSensitivity],
     sides: Mapping[str, list[float]],
-    against: str | None,
+    against: str,
     at_ends: list[dict[str, Any]],
 ) -> list[str]:
+    path, values = locus.path, locus.sweep.values
     unit = f" {path.unit}" if path.unit else ""
-    span = f"{path.over} from {sweep.values[0]:.4g} to {sweep.values[-1]:.4g}{unit}"
-    words = held_words(path)
+    words = _held_words(path)
     held = words[0].upper() + words[1:]
-    told = []
-    for c in found:
-        name = crossing_name(path.model, tracks, c)
+    sentences = []
+    for c in locus.crossings:
         jump = " by a jump, at a switch" if c.jumps else ""
         pace = f", {c.frequency:.3g} rad/s ({c.frequency / (2 * math.pi):.3g} Hz)"
-        told.append(
-            f"{held} the {name} crosses the imaginary axis{jump} at "
+        sentences.append(
+            f"{held} the {locus.name(c)} crosses the imaginary axis{jump} at "
             f"{path.over} = {c.value:.5g}{unit}{pace if c.frequency else ', at zero frequency'}: "
             f"unstable {'above' if c.unstable_above else 'below'}."
         )
-    if not found:
-        told.append(f"{held}, {span}: no mode crosses the imaginary axis.")
-    for side, values in sides.items():
-        if values:
-            listed = ", ".join(f"{v:.4g}" for v in values)
-            told.append(f"With the slopes of the {side} side of the switch: {listed}{unit}.")
-    if reasons:
-        told += reason_words(path, reasons[0])
-    else:
-        told.append(still_words(path))
+    if not locus.crossings:
+        span = f"{path.over} from {values[0]:.4g} to {values[-1]:.4g}{unit}"
+        sentences.append(f"{held}, {span}: no mode crosses the imaginary axis.")
+    for side, crossed in sides.items():
+        if crossed:
+            listed = ", ".join(f"{v:.4g}" for v in crossed)
+            sentences.append(f"With the slopes of the {side} side of the switch: {listed}{unit}.")
+    sentences += sensitivity_words(path, reasons[0]) if reasons else [_still_words(path)]
     for end in at_ends:
         over = amount_words(path.model, path.over, end["over"], 4)
         if not end["crossings"]:
             low, high = end["against_range"]
-            told.append(
-                f"With {over} no mode crosses for {against} from {low:g} to "
-                f"{_bare(path.model, str(against), high)}."
-            )
+            top = amount_words(path.model, against, high).removeprefix(f"{against} = ")
+            sentences.append(f"With {over} no mode crosses for {against} from {low:g} to {top}.")
+            continue
         parts = [
             f"the {c['mode']} is unstable {'above' if c['unstable_above'] else 'below'} "
-            f"{amount_words(path.model, str(against), c['value'], 4)}"
+            f"{amount_words(path.model, against, c['value'], 4)}"
             for c in end["crossings"]
         ]
-        if parts:
-            told.append(f"With {over} {'; '.join(parts)}.")
-    return told
+        sentences.append(f"With {over} {'; '.join(parts)}.")
+    return sentences
 
 
-def _bare(model: Model, name: str, value: float) -> str:
-    """``0.9 rad``."""
-    return amount_words(model, name, value).removeprefix(f"{name} = ")
+def _held_words(path: OperatingPath) -> str:
+    """``at alpha_v = 0.4 rad``: what is held besides what is varied."""
+    model = path.model
+    held = [amount_words(model, name, v) for name, v in path.at.items() if name != path.over]
+    if not held and path.kind == "angle":
+        held = [amount_words(model, name, 0.0) for name in model.controlled if name != path.over]
+        return f"at {', '.join(held)}" if held else "held by its command"
+    return f"at {', '.join(held)}" if held else "at rest without command"
 
 
-def _warnings(path: Path, sweep: Sweep, sides: Mapping[str, list[float]]) -> list[str]:
-    told = []
+def _still_words(path: OperatingPath) -> str:
+    return f"Over this range {path.over} moves no growth rate, but for rounding."
+
+
+def _warnings(locus: Locus, sides: Mapping[str, list[float]]) -> list[str]:
+    path, sweep = locus.path, locus.sweep
+    sentences = []
     if sides:
-        told.append(
+        sentences.append(
             "The operating points lie on a switch, where a coefficient depends on a direction: "
             f"the slopes are those of the {path.side}"
             + (" of both sides" if path.side == "mean" else " side")
             + " (study.side)."
         )
     if len(sweep.places) < 2:
-        told.append(
+        sentences.append(
             f"There is but one operating point along {path.over}: {sweep.high or sweep.low}."
         )
-    return told
+    return sentences

@@ -1,4 +1,6 @@
-"""Which constant torques some sensors tell, and how well.
+"""Sets of sensors that are worth a comparison.
+
+Which constant torques some sensors tell, and how well.
 
 A constant torque is a state without a rate beside the others, ``ẋ = A x + e d, ḋ = 0``. What the
 sensors see of (A, C) at all is found first: the span of Cᵀ under the resolvent ``(A − μI)⁻ᵀ``,
@@ -12,14 +14,60 @@ initial state known to ten motions worth speaking of (1 rad, 1 rad/s) and the to
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.local.gramians import observability_gramian
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.model import Model, names
+from trms_cli.stability.local.access import Scales, observability_gramian
 from trms_cli.stability.local.linear import Matrices
-from trms_cli.stability.local.scales import Scales
+
+
+def sensor_sets(
+    model: Model, given: Sequence[Sequence[str]] | None, where: str = "study.sensors"
+) -> tuple[tuple[str, ...], ...]:
+    """The sets asked for, or the usual ones.
+
+    The usual ones are everything, the angles with each tachometer, the angles alone, and each
+    sensor alone.
+
+    Raises ConfigurationError for a name that the model does not measure, and for an empty set.
+    """
+    known = names(model.outputs)
+    if given is not None:
+        for one in given:
+            for name in one:
+                if name not in known:
+                    raise ConfigurationError(
+                        f"{name!r} is not measured", where=where, remedy=nearest(name, known)
+                    )
+            if not one:
+                raise ConfigurationError(
+                    "an empty set of sensors given",
+                    where=where,
+                    remedy="give names, as 'study.sensors=[[alpha_v,alpha_h],[alpha_v]]'",
+                )
+        return tuple(tuple(dict.fromkeys(one)) for one in given)
+    angles = tuple(signal.name for signal in model.outputs if signal.unit == "rad")
+    others = [name for name in known if name not in angles]
+    sets = [known, *((*angles, name) for name in others), angles, *((name,) for name in known)]
+    return tuple(dict.fromkeys(one for one in sets if one))
+
+
+def set_words(model: Model, sensors: Sequence[str]) -> str:
+    """``all``, ``angles``, ``angles, omega_v``, ``alpha_v``."""
+    known = names(model.outputs)
+    if len(sensors) == len(known) and len(known) > 1:
+        return "all"
+    angles = tuple(signal.name for signal in model.outputs if signal.unit == "rad")
+    if len(angles) > 1 and set(angles) <= set(sensors):
+        return ", ".join(["angles", *(name for name in sensors if name not in angles)])
+    return ", ".join(sensors)
+
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -32,7 +80,7 @@ _PRIOR = 10.0
 
 
 @dataclass(frozen=True)
-class TorqueSight:
+class TorqueEstimate:
     """Whether sensors tell a constant torque."""
 
     name: str  #: Of the disturbance
@@ -43,21 +91,21 @@ class TorqueSight:
 
 
 @dataclass(frozen=True)
-class TorquesSeen:
+class TorqueEstimates:
     """All constant torques by one set of sensors."""
 
-    torques: tuple[TorqueSight, ...]
+    torques: tuple[TorqueEstimate, ...]
     together: int  #: How many of them can be told at once
 
 
-def torques_seen(
+def torque_estimates(
     matrices: Matrices,
     scales: Scales,
     outputs: list[int],
     names: tuple[str, ...],
     durations: tuple[float, ...],
     reading_time: float,
-) -> TorquesSeen:
+) -> TorqueEstimates:
     """Which constant torques some sensors tell.
 
     Parameters
@@ -87,9 +135,9 @@ def torques_seen(
             _error(a, e[:, [j]], c, duration, step, reading_time) if seen else None
             for duration in durations
         )
-        found.append(TorqueSight(name, seen, errors))
+        found.append(TorqueEstimate(name, seen, errors))
     together = _rank(own_a, own_e[:, acts], own_c) - len(own_a) if acts.any() else 0
-    return TorquesSeen(tuple(found), together)
+    return TorqueEstimates(tuple(found), together)
 
 
 def _error(

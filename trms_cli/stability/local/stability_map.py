@@ -1,0 +1,251 @@
+"""Stability over two numbers at once: the largest growth rate on a grid, and its boundary.
+
+The map of stability in words, figure and data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+
+from trms_cli.core.chart import Axis, Chart, Contour, Line, Mark, Panel, Points, Region
+from trms_cli.core.errors import TrmsError
+from trms_cli.core.findings import Column, Section, table
+from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.stability.local.modes import STILL, rate_of
+from trms_cli.stability.local.sweep import OperatingPath, headed, swept, unit_of
+from trms_cli.stability.local.tables import amount_words, crossing_data
+from trms_cli.stability.local.tracks import locus_of
+from trms_cli.stability.results import rounded
+from trms_cli.stability.study import Tell
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Boundary points are located to this share of a cell.
+_EXACT = 1e-10
+
+
+@dataclass(frozen=True)
+class StabilityMap:
+    """The largest growth rate over two numbers."""
+
+    over: FloatArray  #: (n,), (m,) arrays
+    against: FloatArray  #: (n,), (m,) arrays
+    #: (m, n) array; largest Re λ of what is not at rest on the imaginary axis throughout, 1/s; NaN
+    #: where there is no operating point within the rig's limits
+    growth: FloatArray
+    #: (k, 2) array; points (over, against) where it is zero, each located along ``over``
+    boundary: FloatArray
+
+
+def stability_map(
+    path: OperatingPath,
+    against: str,
+    over_range: tuple[float, float],
+    against_range: tuple[float, float],
+    size: tuple[int, int],
+    tell: Tell,
+) -> StabilityMap:
+    """Evaluate the grid, row by row along the operating points.
+
+    Parameters
+    ----------
+    path : OperatingPath
+        Over the first number.
+    against : str
+        The second: a controlled state, an input or a parameter.
+    size : (int, int)
+        Values of each.
+
+    Raises
+    ------
+    TrmsError
+        Where the grid has no operating point to begin at.
+    """
+    over = np.linspace(*over_range, size[0])
+    levels = np.linspace(*against_range, size[1])
+    growth = np.full((len(levels), len(over)), np.nan)
+    found: list[tuple[float, float]] = []
+    begin: OperatingPoint | None = None
+    held = None
+    for i, level in enumerate(levels):
+        if i % 8 == 0:
+            tell(f"map, {100 * i // len(levels)} %")
+        row = path.moved(against, float(level))
+        following = row.held(float(over[0]))
+        if begin is None:
+            begin = _anywhere(row, float(over[0]))
+        elif held is not None:
+            begin = row.balance.advance(held, following, begin) or _anywhere(row, float(over[0]))
+        held = following
+        if begin is not None:
+            _fill(row, over, begin, growth[i], float(level), found)
+    return StabilityMap(over, levels, growth, np.array(found).reshape(-1, 2))
+
+
+def _anywhere(path: OperatingPath, value: float) -> OperatingPoint | None:
+    try:
+        return path.first(value, value).point
+    except TrmsError:
+        return None
+
+
+def _fill(
+    path: OperatingPath,
+    over: FloatArray,
+    begin: OperatingPoint,
+    row: FloatArray,
+    level: float,
+    found: list[tuple[float, float]],
+) -> None:
+    """One row of the map, and its boundary points."""
+    point: OperatingPoint | None = begin
+    last = path.held(float(over[0]))
+    for k, value in enumerate(over):
+        held = path.held(float(value))
+        before = point
+        point = path.balance.advance(last, held, before) if before is not None else None
+        if point is None:
+            return
+        if path.balance.within_limits(point):
+            row[k] = _growth(path, float(value), point)
+        if k and row[k - 1] * row[k] < 0 and before is not None:
+            here, start = last, before
+
+            def rate(v: float, here=here, start=start) -> float:  # type: ignore[no-untyped-def]
+                at = path.balance.advance(here, path.held(v), start)
+                return np.nan if at is None else _growth(path, v, at)
+
+            try:
+                cell = float(over[k] - over[k - 1])
+                root = brentq(rate, over[k - 1], value, xtol=_EXACT * abs(cell))
+            except (ValueError, RuntimeError):
+                root = None
+            if root is not None and abs(rate(root)) < 1e-6:
+                found.append((float(root), level))
+        last = held
+
+
+def _growth(path: OperatingPath, value: float, point: OperatingPoint) -> float:
+    a = path.linear.a(point.x, point.u, path.side, path.held(value).p)
+    rates = [rate_of(v, path.model.sample_time) for v in np.linalg.eigvals(a)]
+    moving = [rate.real for rate in rates if abs(rate) > STILL and np.isfinite(rate.real)]
+    return max(moving, default=0.0)
+
+
+#: 1/s: growth rates whose lines are drawn.
+_LEVELS = (-0.1, -0.04, -0.02, 0.02, 0.1, 0.3)
+
+
+def boundary_along(
+    path: OperatingPath,
+    against: str,
+    span: tuple[float, float],
+    span_2: tuple[float, float],
+    tell: Tell,
+) -> list[dict[str, Any]]:
+    """Where stability ends along the second number, at both ends and the model's own value."""
+    values = [span[0], span[1]]
+    if span[0] < path.began < span[1]:
+        values.insert(1, path.began)
+    boundaries = []
+    for value in values:
+        tell(f"along {against} at {amount_words(path.model, path.over, value, 4)}")
+        line = OperatingPath(path.model, path.at, against, path.side).moved(path.over, value)
+        try:
+            run = swept(line, *span_2, 41)
+        except TrmsError:
+            continue  # no operating point there: the map has a hole
+        locus = locus_of(line, run)
+        boundaries.append(
+            {
+                "over": float(value),
+                "against_range": [float(run.values[0]), float(run.values[-1])],
+                "crossings": crossing_data(locus),
+            }
+        )
+    return boundaries
+
+
+def map_section(
+    path: OperatingPath, against: str, mapped: StabilityMap, at_ends: list[dict[str, Any]]
+) -> Section:
+    """The map, and where stability ends along the second number."""
+    unit_2 = unit_of(path.model, against)
+    grow = mapped.growth > 0
+    marks: list[Mark] = []
+    if grow.any():
+        marks.append(Region(mapped.over, mapped.against, grow, "unstable", "alarm", 0.14))
+    nowhere = ~np.isfinite(mapped.growth)
+    if nowhere.any():
+        words = "no operating point within the limits"
+        marks.append(Region(mapped.over, mapped.against, nowhere, words, "grey", 0.3))
+    finite = mapped.growth[np.isfinite(mapped.growth)]
+    if finite.size and finite.min() < 0 < finite.max():
+        marks.append(
+            Contour(
+                mapped.over, mapped.against, mapped.growth, [0.0], "boundary", "alarm", width=2.2
+            )
+        )
+    levels = [level for level in _LEVELS if finite.size and finite.min() < level < finite.max()]
+    if len(levels) < 2 and finite.size and np.ptp(finite) > 0:
+        # None of the usual ones lies within: some that do.
+        levels = [float(f"{v:.2g}") for v in np.linspace(finite.min(), finite.max(), 7)[1:-1]]
+    if levels:
+        marks.append(
+            Contour(
+                mapped.over,
+                mapped.against,
+                mapped.growth,
+                sorted(set(levels)),
+                "largest Re λ [1/s]",
+                "grey",
+                "dotted",
+                1.0,
+                True,
+            )
+        )
+    if len(mapped.boundary):
+        marks.append(
+            Points(
+                mapped.boundary[:, 0], mapped.boundary[:, 1], "located", "dot", "alarm", size=3.0
+            )
+        )
+    inside = float(mapped.over[0]), float(mapped.over[-1])
+    rim = 0.01 * (inside[1] - inside[0])
+    if inside[0] + rim < path.began < inside[1] - rim:  # on the frame it could not be told from it
+        marks.append(
+            Line(x=path.began, label=f"the model's {path.over}", colour="ink", style="dashed")
+        )
+    held = {name: v for name, v in path.at.items() if name not in (path.over, against)}
+    where = "".join(f", {amount_words(path.model, name, v)}" for name, v in held.items() if v)
+    x = Axis(path.over, path.unit, (float(mapped.over[0]), float(mapped.over[-1])))
+    y = Axis(against, unit_2, (float(mapped.against[0]), float(mapped.against[-1])))
+    chart = Chart(
+        "root_locus_map",
+        [Panel(x, y, marks)],
+        f"Largest growth rate over {path.over} and {against}{where}.",
+        1,
+        7.2,
+        5.0,
+    )
+    ends = table(
+        (c | {"over": end["over"]} for end in at_ends for c in end["crossings"]),
+        [
+            Column(path.head, lambda c: rounded(c["over"], 5)),
+            Column("mode", "mode"),
+            Column(headed(against, unit_2), lambda c: rounded(c["value"], 5)),
+            Column("ω [rad/s]", lambda c: rounded(c["frequency_rad_s"])),
+            Column("unstable", lambda c: "above" if c["unstable_above"] else "below"),
+        ],
+        f"Where stability ends along {against}.",
+    )
+    text = [
+        f"The largest growth rate of what is not at rest on the imaginary axis, over {path.over} "
+        f"and {against}; the boundary is located along {path.over} in each row of the grid."
+    ]
+    return Section(f"{path.over} against {against}", text, [chart, *([ends] if ends.rows else [])])
