@@ -280,7 +280,9 @@ class OperatingPath:
         values, p = np.zeros_like(self._base.values), np.zeros_like(self._base.p)
         one = self.held(1.0)
         zero = self.held(0.0)
-        return TrimCondition(self._base.by_angle, values + one.values - zero.values, p + one.p - zero.p)
+        return TrimCondition(
+            self._base.by_angle, values + one.values - zero.values, p + one.p - zero.p
+        )
 
     def first(self, low: float, high: float) -> SweepPoint:
         """The place where a sweep begins: where the request stands, or the end next to it.
