@@ -72,7 +72,9 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Opened]]:
     """Open a page of text from the disk, and wait until its plots stand."""
     contexts = []
 
-    def open_(html: str, *, width: int = 1200, drawn: bool = True, **how: Any) -> Opened:
+    def open_(
+        html: str, *, width: int = 1200, drawn: bool = True, before: str = "", **how: Any
+    ) -> Opened:
         file = tmp_path / f"page-{len(contexts)}.html"
         file.write_text(html, encoding="utf-8")
         context = browser.new_context(viewport={"width": width, "height": 800}, **how)
@@ -82,6 +84,7 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Opened]]:
         page.tab.on("pageerror", lambda error: page.messages.append(str(error)))
         page.tab.on("dialog", lambda dialog: (page.messages.append("dialog"), dialog.dismiss()))
         page.tab.on("request", lambda request: page.requests.append(request.url))
+        page.tab.add_init_script(before or ";")
         page.tab.goto(file.as_uri())
         if drawn:
             page.tab.wait_for_selector("html[data-plots=drawn]", state="attached")

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
+import re
 from dataclasses import replace
 
 import pytest
 
+from trms_cli.reporting.interactive import Plot
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.report_comparison import comparison_page
 from trms_cli.reporting.report_run import run_page
@@ -183,6 +187,39 @@ def test_without_scripts_sentences_and_tables_stand(opened, sweep):
     assert page.tab.locator(".sortable tbody tr").count() == 61
 
 
+def test_a_browser_that_cannot_unpack_says_so(opened, run):
+    page = opened(run_page(run).html(), drawn=False, before="delete window.DecompressionStream")
+    page.tab.wait_for_selector("html[data-plots=missing]", state="attached")
+    assert "no DecompressionStream" in page.tab.locator("p.no-plots").inner_text()
+    assert page.tab.locator("tbody tr").count() > 5 and page.messages == []
+
+
+def test_a_damaged_script_is_told_and_not_run(opened, run):
+    text = run_page(run).html()
+    (packed,) = re.findall('id="plotly">(.*?)<', text)
+    foreign = base64.b64encode(gzip.compress(b"window.Plotly = {}; window.harmed = 1")).decode()
+    for other, reason in ((packed[:1000], "could not be unpacked"), (foreign, "does not let it")):
+        page = opened(text.replace(packed, other), drawn=False)
+        page.tab.wait_for_selector("html[data-plots=missing]", state="attached")
+        assert reason in page.tab.locator("p.no-plots").inner_text()
+        assert page("window.harmed") is None
+
+
+@pytest.mark.parametrize("kind", ["contour", "heatmap", "histogram2d", "bar", "violin", "table"])
+def test_plots_of_two_dimensions_need_no_more_than_the_policy_allows(opened, kind):
+    page = Page("One")
+    trace: dict[str, object] = {"type": kind, "x": [1, 2, 2], "y": [1, 1, 2]}
+    if kind in ("contour", "heatmap"):
+        trace["z"] = [[1, 2, 3], [2, 3, 5], [3, 4, 9]]
+    if kind == "table":
+        trace = {"type": kind, "header": {"values": ["a"]}, "cells": {"values": [[1, 2]]}}
+    page.plots([Plot("it", traces=[trace])])
+    shown = opened(page.html())
+    assert shown.tab.locator("div.plot svg").count() > 0
+    assert [url for url in shown.requests if not url.startswith(("file:", "data:", "blob:"))] == []
+    assert shown.messages == []
+
+
 def test_hostile_text_runs_nothing(opened, run, sweep):
     hostile = replace(
         run,
@@ -244,9 +281,10 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
             plot.hover(force=True)
         assert page("window.harmed") is None
         # no element that strangers wrote came to be, in the page or in its plots
-        strange = "main img, a[href^=javascript], [onload], [onerror], div.plot a"
+        strange = "main img, a[href^=javascript], [onload], [onerror], div.plot a:not(.modebar-btn)"
         assert page(f"document.querySelectorAll('{strange}').length") == 0
-        assert page("document.querySelectorAll('script').length") == 2 + page(
+        # ours, plotly.js packed and unpacked
+        assert page("document.querySelectorAll('script').length") == 3 + page(
             "document.querySelectorAll('script.plot-data').length"
         )
         assert page("document.body.innerText.includes('<script>window.harmed = 1</script>')")

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from html import unescape
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from trms_cli.reporting.interactive import MOST_POINTS
+from trms_cli.reporting.page import Page
 from trms_cli.reporting.page_rows import Linked, RowColumn, relative_link, rows_html
-from trms_cli.reporting.page_scripts import policy, scripts
+from trms_cli.reporting.page_scripts import policy
 from trms_cli.reporting.report_comparison import RankedEntrant, comparison_page
 from trms_cli.reporting.report_run import run_page
 from trms_cli.reporting.report_sweep import sweep_page
@@ -426,26 +433,44 @@ class TestSafety:
     def test_the_policy_names_the_scripts_that_the_page_carries(self, run):
         text = run_page(run).html()
         told = unescape(re.search(r'Content-Security-Policy" content="(.*?)"', text)[1])
-        bodies = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
-        assert len(bodies) == 2
-        for body in bodies:
-            digest = base64.b64encode(hashlib.sha256(body.encode()).digest()).decode()
-            assert f"'sha256-{digest}'" in told
-        assert told.startswith("default-src 'none'") and "unsafe-eval" not in told
-        assert "unsafe-inline" not in told.partition("script-src")[2].partition(";")[0]
+        (ours,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+        (packed,) = re.findall(r'<script type="application/gzip;base64" id="plotly">(.*?)<', text)
+        plotly = gzip.decompress(base64.b64decode(packed, validate=True))
+        installed = find_spec("plotly").submodule_search_locations[0]
+        assert plotly == Path(installed, "package_data", "plotly.min.js").read_bytes()
+        hashes = [hashlib.sha256(body).digest() for body in (ours.encode(), plotly)]
+        named = [f"'sha256-{base64.b64encode(one).decode()}'" for one in hashes]
+        assert told.startswith("default-src 'none'")
+        assert f"; script-src {' '.join(named)}; " in told
+
+    def test_a_page_of_rows_alone_carries_no_plotly(self):
+        page = Page("Rows")
+        page.rows([RowColumn("a", "a")], [["x"]])
+        text = page.html()
+        assert text.count("<script>") == 1 and 'id="plotly"' not in text and len(text) < 40_000
 
     def test_a_page_without_plots_lets_no_script_run(self):
         assert "script-src 'none'" in policy()
 
-    def test_plotly_is_what_its_readme_says(self):
-        from trms_cli.reporting import page_scripts
-
-        assets = page_scripts._ASSETS
-        digest = hashlib.sha256((assets / "plotly-cartesian.min.js").read_bytes()).hexdigest()
-        assert digest in (assets / "README.md").read_text(encoding="utf-8")
-        assert (
-            "v4.1.1" in scripts()[0][:200] and "MIT" in (assets / "LICENSE-plotly.js").read_text()
+    def test_the_script_is_compressed_once_and_plotly_is_not_imported(self, tmp_path):
+        write = (
+            "import sys, gzip; from trms_cli.reporting.page_scripts import plotly_script\n"
+            "gzip.compress = (lambda real: lambda *a, **k: (print('compressed'), real(*a, **k))[1])"
+            "(gzip.compress)\n"
+            "plotly_script(), plotly_script()\n"
+            "assert not any(name.split('.')[0] == 'plotly' for name in sys.modules)"
         )
+        told = [
+            subprocess.run(
+                [sys.executable, "-c", write],
+                env={**os.environ, "TRMS_CACHE": str(tmp_path / "functions")},
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+            for _ in range(2)
+        ]
+        assert told == ["compressed\n", ""]
 
     @pytest.mark.parametrize(
         "name", ["javascript:alert(1)", "//evil.example/x", '"><img src=x>', "ä b#?.html"]

@@ -10,7 +10,7 @@
 
 It reads well on a telephone, in a dark room (the browser's own setting) and on paper. Text is
 escaped; ``**bold**`` and ```code``` are understood in it, and nothing else. A page with
-:meth:`Page.plots` or :meth:`Page.rows` carries the scripts that they need
+:meth:`Page.plots` or :meth:`Page.rows` carries the scripts that it needs
 (:mod:`~trms_cli.reporting.page_scripts`); others carry none.
 """
 
@@ -31,7 +31,7 @@ from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Judged, Measure
 from trms_cli.reporting.interactive import Plot, script_json
 from trms_cli.reporting.page_rows import RowCell, RowColumn, rows_html
-from trms_cli.reporting.page_scripts import policy, scripts
+from trms_cli.reporting.page_scripts import page_script, plotly_script, policy, text_digest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -237,10 +237,13 @@ class Page:
         from markupsafe import Markup
 
         kinds = {block.kind for section in self._sections for block in section.blocks}
-        carried = scripts() if kinds & {"plots", "rows"} else ()
+        script = page_script() if kinds & {"plots", "rows"} else ""
+        plotly = plotly_script() if "plots" in kinds else None
+        digests = [text_digest(script)] if script else []
         text: str = _template().render(
-            policy=policy(carried),
-            scripts=[Markup(script) for script in carried],
+            policy=policy([*digests, plotly.digest] if plotly else digests),
+            script=Markup(script),
+            plotly=plotly.packed if plotly else "",
             title=self.title,
             lead=[paragraph for paragraph in self.lead if paragraph],
             facts=self.facts,

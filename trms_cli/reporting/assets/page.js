@@ -307,14 +307,16 @@
 
   // --- the page ---------------------------------------------------------------------------------
 
-  for (const place of document.querySelectorAll("div.plot")) {
-    const text = place.parentElement.querySelector("script.plot-data").textContent;
-    const spec = JSON.parse(text);
-    plots.push({ place, spec, drawn: false, variant: 0, fan: 0 });
-    place.style.minHeight = `${spec.height}px`; // the page does not jump when it is drawn
+  /** Unpack plotly.js, which the page carries compressed, and run it. */
+  async function loadPlotly() {
+    const packed = atob(document.getElementById("plotly").textContent);
+    const bytes = new Uint8Array(packed.length);
+    for (let i = 0; i < packed.length; i++) bytes[i] = packed.charCodeAt(i);
+    const unpacked = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    const text = await new Response(unpacked).text();
+    document.body.append(element("script", { textContent: text }));
+    if (!window.Plotly) throw new Error("the browser does not let it run");
   }
-  document.querySelectorAll(".section-tools").forEach(furnish);
-  document.querySelectorAll(".sortable table").forEach(tableOf);
 
   function drawNext(number) {
     if (number >= plots.length) {
@@ -324,10 +326,35 @@
     if (!plots[number].drawn) draw(plots[number]);
     window.setTimeout(drawNext, 0, number + 1); // the reader may scroll meanwhile
   }
-  drawNext(0);
 
-  const again = () => { for (const plot of plots) draw(plot); };
-  dark.addEventListener("change", again);
-  window.addEventListener("beforeprint", () => { printing = true; again(); });
-  window.addEventListener("afterprint", () => { printing = false; again(); });
+  function drawAll() {
+    document.querySelectorAll(".section-tools").forEach(furnish);
+    drawNext(0);
+    const again = () => { for (const plot of plots) draw(plot); };
+    dark.addEventListener("change", again);
+    window.addEventListener("beforeprint", () => { printing = true; again(); });
+    window.addEventListener("afterprint", () => { printing = false; again(); });
+  }
+
+  function sayWhyNot(error) {
+    const note = document.querySelector(".no-plots");
+    const reason = typeof DecompressionStream === "undefined"
+      ? "this browser cannot unpack (it has no DecompressionStream; browsers since 2023 have it)"
+      : `could not be unpacked here (${error.message})`;
+    note.textContent = `This page draws its plots with a script that ${reason}: ` +
+      "sentences and tables stand without it, plots do not.";
+    note.hidden = false;
+    for (const plot of plots) plot.place.style.minHeight = "";
+    document.documentElement.dataset.plots = "missing";
+  }
+
+  for (const place of document.querySelectorAll("div.plot")) {
+    const text = place.parentElement.querySelector("script.plot-data").textContent;
+    const spec = JSON.parse(text);
+    plots.push({ place, spec, drawn: false, variant: 0, fan: 0 });
+    place.style.minHeight = `${spec.height}px`; // the page does not jump when it is drawn
+  }
+  document.querySelectorAll(".sortable table").forEach(tableOf);
+  if (plots.length) loadPlotly().then(drawAll, sayWhyNot);
+  else document.documentElement.dataset.plots = "drawn";
 })();
