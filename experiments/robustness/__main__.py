@@ -14,10 +14,10 @@ from experiments.command_line import ended, one_thread_each, refuse_part
 from experiments.page_tables import write_tables
 from experiments.robustness.tables import table_of
 from experiments.study_file import read_as
-from trms_cli.commands import sweep_summary
 from trms_cli.commands.run import perform
 from trms_cli.commands.sweep import Swept, go_on, make_sweep
-from trms_cli.commands.sweep_outcome import outcome_of
+from trms_cli.commands.sweep_screen import draw_summary
+from trms_cli.sweeps.outcome import outcome_of
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDY = Path(__file__).with_name("study.yaml")
@@ -61,7 +61,7 @@ def _study(given: argparse.Namespace) -> int:
         document = outcome_of(swept.folder)
         table = table_of(document)
         sys.stdout.write(f"{table}\n\n")
-        drawn = sweep_summary.draw(swept.folder, document["summary"])
+        drawn = draw_summary(swept.folder, document["summary"])
         if given.update:
             PICTURES.mkdir(parents=True, exist_ok=True)
             for picture in drawn:

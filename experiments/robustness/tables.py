@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from trms_cli.commands.compare_screen import number
-from trms_cli.commands.sweep_robustness_screen import words_of
-from trms_cli.commands.sweep_search_screen import baseline_of, front_of
+from trms_cli.sweeps.findings import baseline_of, choices_of, front_of
 from trms_cli.sweeps.short_keys import short_keys
 
 _MOST_NAMED = 4
@@ -41,14 +40,16 @@ def _draws(summary: Mapping[str, Any]) -> list[str]:
             told = group["figures"][name]
             cells = [number(told[key]) for key in ("median", "q05", "q95", "max")]
             cells.append(f"{100 * told['best_share']:.0f} %")
-            lines.append(f"| {name} [{about['unit']}] | {words_of(group)} | {' | '.join(cells)} |")
+            lines.append(
+                f"| {name} [{about['unit']}] | {choices_of(group)} | {' | '.join(cells)} |"
+            )
     lines += ["", "| failed | draws | failures | share | 95 % |", "|---|---|---|---|---|"]
     for group in summary["groups"]:
         told = group["failures"]
         interval = f"{100 * told['low']:.1f}–{100 * told['high']:.1f} %"
         share = f"{100 * told['share']:.1f} %"
         lines.append(
-            f"| {words_of(group)} | {told['draws']} | {told['count']} | {share} | {interval} |"
+            f"| {choices_of(group)} | {told['draws']} | {told['count']} | {share} | {interval} |"
         )
     lines += ["", "| rank correlation with | | strongest first |", "|---|---|---|"]
     short = short_keys(summary["varied"])
@@ -60,7 +61,7 @@ def _draws(summary: Mapping[str, Any]) -> list[str]:
                 if e["figure"] == name and e["p"] < _LEVEL
             ]
             lines.append(
-                f"| {name} | {words_of(group)} | {', '.join(found[:_MOST_NAMED]) or '–'} |"
+                f"| {name} | {choices_of(group)} | {', '.join(found[:_MOST_NAMED]) or '–'} |"
             )
     return lines
 

@@ -242,7 +242,7 @@ class TestOutput:
         assert max(map(len, lines)) <= width
         assert any("pid" in line for line in lines)
         assert lines[-1] == "6 runs"
-        assert ("rmse pitch" in "\n".join(lines)) == (width >= 80)
+        assert not any("…" in line for line in lines)
 
     def test_nothing_found(self, ask, trms, tmp_path):
         assert ask("seed == 77").stdout == "none of the 6 runs matches\n"

@@ -11,12 +11,9 @@ from PIL import Image
 
 from tests.sweeps.samplers.test_optimise import SPACE, TWO, bowls, searched
 from tests.sweeps.test_robustness import told
-from trms_cli.commands.sweep_summary import draw, say
+from trms_cli.commands.sweep_screen import draw_summary as draw
+from trms_cli.sweeps.findings import summary_findings
 from trms_cli.sweeps.samplers.optimise import Optimise
-
-
-def document(folder: Path, summary: dict) -> dict:
-    return {"summary": summary, "folder": str(folder), "primary": "run", "overrides": []}
 
 
 def summary_of(**config) -> dict:
@@ -30,27 +27,26 @@ def pixels(file: Path) -> int:
 
 
 class TestSearch:
-    def test_a_front_with_the_configuration_as_it_was(self, tmp_path, capsys):
+    def test_a_front_with_the_configuration_as_it_was(self, tmp_path):
         summary = summary_of(trials=30, objectives=TWO, confirm=2)
         assert draw(tmp_path, summary) == [tmp_path / "pareto.png"]
-        say(document(tmp_path, summary))
-        printed = capsys.readouterr().out
-        assert "30 trials by tpe, mean of 2 conditions each" in printed
-        assert "before" in printed and "fresh" in printed and "pareto.png" in printed
-        for number in summary["pareto"][:1] + summary["pareto"][-1:]:
-            assert any(line.split()[:1] == [str(number)] for line in printed.splitlines())
-        assert all(len(line) <= 100 for line in printed.splitlines() if "trms run" not in line)
+        findings = summary_findings(summary)
+        assert findings.lead[0].startswith("30 trials by tpe, mean of 2 conditions each")
+        [table] = findings.tables
+        assert table.rows[-1][0] == "before" and "fresh" in table.caption
+        shown = {row[0] for row in table.rows}
+        assert {str(number) for number in summary["pareto"][:1] + summary["pareto"][-1:]} <= shown
+        assert table.columns.count("again") == len(summary["objectives"])
         assert pixels(tmp_path / "pareto.png") > 5000
 
-    def test_the_command_runs_the_chosen_one_alone(self, tmp_path, capsys):
+    def test_the_command_runs_the_chosen_one_alone(self):
         summary = summary_of(trials=20, objectives=("rmse_yaw",))
         summary["fixed"] = ["controller=lqr", "picture=false"]
-        say(document(tmp_path, summary))
-        line = next(x for x in capsys.readouterr().out.splitlines() if " run controller=" in x)
+        [command] = summary_findings(summary).next
         [best] = [t for t in summary["trials"] if t["trial"] == summary["best"]]
-        assert shlex.split(line)[-4:] == ["controller=lqr", *best["overrides"]]
+        assert shlex.split(command.text)[-4:] == ["controller=lqr", *best["overrides"]]
 
-    def test_one_objective_is_drawn_over_the_trials(self, tmp_path, capsys):
+    def test_one_objective_is_drawn_over_the_trials(self, tmp_path):
         summary = summary_of(trials=20, objectives=("rmse_yaw",))
         assert draw(tmp_path, summary) == [tmp_path / "search.png"]
         assert pixels(tmp_path / "search.png") > 3000
@@ -90,34 +86,32 @@ class TestSearch:
         assert first.startswith("20 trials by tpe")
         assert second == f"not shown: {outside} outside the frame, 1 failed"
 
-    def test_nothing_worked(self, tmp_path, capsys):
+    def test_nothing_worked(self, tmp_path):
         summary = summary_of(trials=15, objectives=TWO, limits={"effort": -1})
         assert draw(tmp_path, summary) == []
-        say(document(tmp_path, summary))
-        assert "no trial ran to its end within the limits" in capsys.readouterr().out
+        assert summary_findings(summary).lead[-1] == "no trial ran to its end within the limits"
 
 
 class TestRobustness:
-    def test_tables_and_pictures(self, tmp_path, capsys):
+    def test_tables_and_pictures(self, tmp_path):
         summary, _, _ = told(samples=60, limits={"rmse_yaw": 1.1})
         drawn = draw(tmp_path, summary)
         assert [file.name for file in drawn] == ["robustness.png", "sensitivity.png"]
         assert all(pixels(file) > 3000 for file in drawn)
-        say(document(tmp_path, summary))
-        printed = capsys.readouterr().out
-        assert "rmse_alpha_h ≤ 1.1" in printed and "k +1.00" in printed
-        assert printed.count("controller=lqr") == 3
-        assert all(len(line) <= 100 for line in printed.splitlines() if "picture" not in line)
+        spread, failed, sensitivity = summary_findings(summary).tables
+        assert failed.caption == "limits: rmse_alpha_h ≤ 1.1"
+        assert any("k +1.00" in str(row[-1]) for row in sensitivity.rows)
+        for table in (spread, failed):
+            assert any("controller=lqr" in row for row in table.rows)
 
-    def test_too_few_draws_for_a_correlation(self, tmp_path, capsys):
+    def test_too_few_draws_for_a_correlation(self, tmp_path):
         summary, _, _ = told(samples=3)
         assert [file.name for file in draw(tmp_path, summary)] == ["robustness.png"]
-        say(document(tmp_path, summary))
-        assert "no figure is correlated" in capsys.readouterr().out
+        assert any("no figure is correlated" in line for line in summary_findings(summary).warnings)
 
 
 @pytest.mark.parametrize("summary", [{}, {"kind": "of a sampler of one's own"}])
-def test_other_samplers_are_left_alone(tmp_path, capsys, summary):
+def test_other_samplers_are_left_alone(tmp_path, summary):
     assert draw(tmp_path, summary) == []
-    say(document(tmp_path, summary))
-    assert capsys.readouterr().out == ""
+    findings = summary_findings(summary)
+    assert not findings.lead and not findings.sections and not findings.next

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from time import perf_counter
 from typing import Any, Self
 
+from trms_cli.core import wording
+from trms_cli.core.findings import Cell, Judged, Table, Value
 from trms_cli.runs.columns import ALIASES, Column
 from trms_cli.runs.finding import Found
 
@@ -36,27 +38,6 @@ USUAL = (
     "failures",
     "deadline_misses",
 )
-#: Those that stay when a terminal is narrow, the most needed first.
-_NEEDED = (
-    "path",
-    "controller",
-    "rmse_alpha_h",
-    "rmse_alpha_v",
-    "ref",
-    "outcome",
-    "effects",
-    "seed",
-    "duration",
-    "time",
-    "solve_p99",
-    "total_variation",
-    "observer",
-    "faults",
-    "model",
-    "plant",
-    "failures",
-    "deadline_misses",
-)
 #: Worth a column only where runs differ in them.
 _IF_DIFFERENT = frozenset(USUAL) - {
     "path",
@@ -76,7 +57,6 @@ _HEADINGS = {
     "deadline_misses": "misses",
 }
 _NOTHING = "–"
-_LEAST_PATH = 12
 _MOST_TOLD = 200  # characters of a line on trouble
 
 
@@ -97,7 +77,7 @@ def print_runs(found: Found, told: Sequence[str] | None, *, filtered: bool) -> N
         names = _chosen(found, told)
         names += _settings(found, names)
     if sys.stdout.isatty():
-        _print_rich(found, names, told or [])
+        _print_table(found, names)
     else:
         _print_plain(found, names)
     if sys.stdout.isatty():
@@ -208,72 +188,27 @@ def _print_plain(found: Found, names: Sequence[str]) -> None:
         print("  ".join(cells).rstrip())
 
 
-def _print_rich(found: Found, names: Sequence[str], told: Sequence[str]) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+def _print_table(found: Found, names: Sequence[str]) -> None:
+    """As wide as the terminal: names are folded, and columns parted into tables of their own."""
+    from trms_cli.reporting.screen import console, show_table
 
-    console = Console(highlight=False)
-    cells = {name: [_text(run[name], found.columns[name]) for run in found.runs] for name in names}
-    headings = {name: _heading(name, found.columns[name]) for name in names}
-    shown = _fitting(names, told, cells, headings, console.width)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="bold cyan")
-    for name in shown:
-        number = found.columns[name].kind not in ("text", "truth")
-        table.add_column(
-            Text(headings[name]),
-            justify="right" if number else "left",
-            no_wrap=name != "path" or "path" in told,
-            overflow="fold" if name == "path" else "ellipsis",
-            min_width=None if name != "path" else _LEAST_PATH,
-        )
-    for i, run in enumerate(found.runs):
-        style = "" if run.get("outcome", "completed") == "completed" else "yellow"
-        table.add_row(*(Text(cells[name][i]) for name in shown), style=style)
-    console.print(table)
-    left_out = [name for name in names if name not in shown]
-    if left_out:
-        console.print(
-            Text(f"not wide enough for: {', '.join(left_out)} (--columns, or a pipe)"), style="dim"
-        )
+    rows: list[list[Cell]] = []
+    for run in found.runs:
+        ended = run.get("outcome", "completed") == "completed"
+        cells = [_cell(run[name], found.columns[name]) for name in names]
+        rows.append([Judged(cell, "" if ended else "doubtful") for cell in cells])
+    heads = [_heading(name, found.columns[name]) for name in names]
+    show_table(console(), Table(heads, rows), len(rows))
 
 
-def _fitting(
-    names: Sequence[str],
-    told: Sequence[str],
-    cells: dict[str, list[str]],
-    headings: dict[str, str],
-    width: int,
-) -> list[str]:
-    """As many columns as a terminal takes, the most needed first, in their order."""
-    order = sorted(names, key=lambda name: _need(name, told))
-    left, kept = width, list[str]()
-    for name in order:
-        lines = headings[name].splitlines()
-        wide = max(map(len, [*lines, *cells[name]]))
-        if name == "path":
-            wide = min(wide, max(_LEAST_PATH, width // 3))
-        if not kept or wide + 3 <= left:
-            left -= wide + 3
-            kept.append(name)
-    return [name for name in names if name in kept]
-
-
-def _need(name: str, told: Sequence[str]) -> int:
-    own = ALIASES.get(name, name)
-    if own == "path":
-        return -2
-    if name in told or own in told:
-        return -1
-    if "." in own or "@" in own:
-        return _NEEDED.index("outcome")
-    return _NEEDED.index(own) if own in _NEEDED else len(_NEEDED)
+def _cell(value: Any, column: Column) -> Value:
+    """Numbers as they are, which stand right; what is not there as text where others are text."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return value if number or (value is None and column.is_number) else _text(value, column)
 
 
 def _heading(name: str, column: Column) -> str:
-    words = _HEADINGS.get(name, name)
-    return f"{words}\n[{column.unit}]" if column.unit not in ("", "1") else words
+    return wording.titled(_HEADINGS.get(name, name), column.unit)
 
 
 def _text(value: Any, column: Column, *, whole: bool = False) -> str:

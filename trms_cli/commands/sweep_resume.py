@@ -43,8 +43,8 @@ def resume_command(argv: Sequence[str]) -> int:
 
 def status_command(argv: Sequence[str]) -> int:
     """Tell how it stands."""
-    from trms_cli.commands.sweep_outcome import outcome_of
     from trms_cli.commands.sweep_screen import say_outcome
+    from trms_cli.sweeps.outcome import outcome_of
 
     folder, settings, options = _read(argv, "status", ("--json",))
     if settings:

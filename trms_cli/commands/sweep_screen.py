@@ -14,16 +14,19 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from trms_cli.commands.progress_line import ProgressLine
+from trms_cli.core import wording
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.invocation import program
+from trms_cli.sweeps.findings import PICTURES, rate, sweep_findings
+from trms_cli.sweeps.outcome import outcome_of
 
 if TYPE_CHECKING:
     from trms_cli.sweeps.driver import Progress
     from trms_cli.sweeps.point import Result
 
 _MOST_NOTES = 10
-_MOST_REASONS = 5
-_MOST_NUMBERS = 6
+#: Lines that runs of a small sweep say of themselves.
+_MOST_LINES = 30
 _EVERY = 0.2  # s between two lines
 
 
@@ -88,13 +91,8 @@ class SweepScreen:
 
     def say_ended(self, folder: Path) -> None:
         """The outcome, from the folder."""
-        from trms_cli.commands.sweep_outcome import outcome_of
-
         document = outcome_of(folder)
-        if document["summary"]:
-            from trms_cli.commands import sweep_summary
-
-            sweep_summary.draw(folder, document["summary"])
+        draw_summary(folder, document["summary"])
         if self._as_json:
             sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
         else:
@@ -112,92 +110,34 @@ def line_of(progress: Progress) -> str:
     if progress.total is not None:
         parts.append(f"{max(0, progress.total - progress.ended)} left")
     if progress.rate > 0 and progress.ended > progress.before + 1:
-        parts.append(rate_words(progress.rate))
+        parts.append(rate(progress.rate))
         if progress.total is not None:
-            parts.append(f"{duration_words((progress.total - progress.ended) / progress.rate)}")
+            parts.append(f"{wording.seconds((progress.total - progress.ended) / progress.rate)}")
     parts.append(f"{progress.workers} worker{'s' if progress.workers != 1 else ''}")
     return " · ".join(parts)
 
 
-def rate_words(rate: float) -> str:
-    """``6.3 runs/s``, ``12 runs/min``."""
-    return f"{rate:.3g} runs/s" if rate >= 1 else f"{60 * rate:.3g} runs/min"
+def draw_summary(folder: Path, summary: Mapping[str, Any]) -> list[Path]:
+    """Pictures of what a sampler said, into the folder of the sweep; none where there are none."""
+    kind = summary.get("kind")
+    if kind == "optimisation" and len(summary["trials"]) > 1:
+        from trms_cli.reporting import search_picture as pictures
 
+        several = len(summary["objectives"]) > 1
+        draw = pictures.draw_pareto if several else pictures.draw_search
+        path = folder / PICTURES[kind][0 if several else 1]
+        return [path] if draw(summary, path) else []
+    if kind == "robustness":
+        from trms_cli.reporting import robustness_picture
 
-def duration_words(seconds: float) -> str:
-    """``45 s``, ``2 min 33 s``, ``3 h 20 min``."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+        draws = (robustness_picture.draw_robustness, robustness_picture.draw_sensitivity)
+        paths = [folder / name for name in PICTURES[kind]]
+        return [path for path, draw in zip(paths, draws, strict=True) if draw(summary, path)]
+    return []
 
 
 def say_outcome(document: Mapping[str, Any]) -> None:
     """Print how a sweep stands (`trms.sweep-status/1`)."""
-    folder, counts, total = document["folder"], document["counts"], document["total"]
-    of = "" if total is None else f" of {total}"
-    troubles = [
-        f"{counts[state]} {state}"
-        for state in ("failed", "lost", "interrupted", "running", "left")
-        if counts.get(state)
-    ]
-    print(f"sweep      {', '.join([str(counts['done']) + of + ' runs done', *troubles])}")
-    for line in document["told"]:
-        print(f"  {line}")
-    if document["state"] != "done":
-        words = "going on" if document["driven"] else "stopped before its end"
-        print(f"           {words}")
-    if document["rate"]:
-        retried = f", {document['retried']} tried again" if document["retried"] else ""
-        print(f"rate       {rate_words(document['rate'])}{retried}")
-    for failure in document["failures"][:_MOST_REASONS]:
-        numbers = ", ".join(map(str, failure["runs"][:_MOST_NUMBERS]))
-        more = ", …" if failure["count"] > _MOST_NUMBERS else ""
-        where = f"{failure['where']}: " if failure["where"] else ""
-        print(f"{failure['state']:10} {failure['count']}×  {where}{failure['problem']}")
-        if failure["remedy"]:
-            for line in failure["remedy"].splitlines():
-                print(f"           {line}")
-        print(f"           run {numbers}{more}")
-    if len(document["failures"]) > _MOST_REASONS:
-        print(f"           and {len(document['failures']) - _MOST_REASONS} other reasons (--json)")
-    if not document["summary"]:
-        _say_best(document)
-    _say_summary(document)
-    print(f"folder     {folder}")
-    print()
-    quoted, trms = shlex.quote(str(folder)), program()
-    going_on = counts.get("left") or counts.get("interrupted") or document["state"] != "done"
-    if going_on and not document["driven"]:
-        print(f"next       {trms} sweep resume {quoted}")
-    elif document["driven"]:
-        print(f"next       {trms} watch {quoted}")
-    elif any(not failure.get("bad_input") for failure in document["failures"]):
-        print(f"next       {trms} sweep resume {quoted} --retry-failed")
-    elif document["failures"]:
-        print(
-            "next       mend what was typed and make the sweep anew: each of these runs would fail"
-        )
-        print("           again of the same")
-    elif document["primary"] == "run":
-        print(f"next       {trms} compare {quoted}")
-        print(f"           {trms} runs --in {quoted} --sort rmse")
+    from trms_cli.reporting.screen import show
 
-
-def _say_best(document: Mapping[str, Any]) -> None:
-    from trms_cli.commands.sweep_outcome import few
-
-    best = document["best"]
-    if best is not None and document["counts"]["done"] > 1:
-        words = few(best["overrides"])
-        print(f"best       run {best['run']}  {best['objective']:.4g}  {words}")
-
-
-def _say_summary(document: Mapping[str, Any]) -> None:
-    """What the sampler found, in the words of its own screen."""
-    if document["summary"]:
-        from trms_cli.commands import sweep_summary
-
-        sweep_summary.say(document)
+    show(sweep_findings(document), "sweep", rows=_MOST_LINES)

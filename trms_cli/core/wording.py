@@ -107,9 +107,9 @@ def interval(low: float, high: float, unit_text: str = "", digits: int = 3) -> s
     return f"{number(low, digits)} to {quantity(high, unit_text, digits)}"
 
 
-def percent_interval(low: float, high: float) -> str:
+def percent_interval(low: float, high: float, decimals: int = 0) -> str:
     """An interval of a share: ``18 to 46 %``."""
-    return f"{percent(low).removesuffix(' %')} to {percent(high)}"
+    return f"{percent(low, decimals).removesuffix(' %')} to {percent(high, decimals)}"
 
 
 def listing(names: Sequence[str], word: str = "and", most: int | None = None) -> str:

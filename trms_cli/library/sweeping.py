@@ -33,7 +33,7 @@ class Sweep(Result):
     @property
     def document(self) -> dict[str, Any]:
         """``trms.sweep-status/1``: how it stands now, failures by their reason, the best."""
-        from trms_cli.commands.sweep_outcome import outcome_of
+        from trms_cli.sweeps.outcome import outcome_of
 
         return outcome_of(self.folder)
 

@@ -78,11 +78,13 @@ def show(
     """
     out = console(stream)
     title = " · ".join(part for part in (findings.title, subject) if part)
-    _say(out, f"{command:<{_LABEL}}{title}")
+    lead = list(findings.lead)
+    # findings without a title have their answer in the first line
+    _say(out, f"{command:<{_LABEL}}{title or _plain(lead.pop(0))}")
     _say(out)
-    for sentence in findings.lead:
+    for sentence in lead:
         _say(out, _plain(sentence), "bold")
-    if findings.lead:
+    if lead:
         _say(out)
     if findings.measures:
         show_table(out, measures_table(findings.measures), rows)
