@@ -17,23 +17,23 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.loops.frequency_response import (
     Analyser,
-    Measured,
+    FrequencyResponse,
     NoLoopError,
-    NotHeld,
+    NoResponse,
+    multisine,
 )
-from trms_cli.stability.loops.margins import Margins
-from trms_cli.stability.loops.multisine import multisine
+from trms_cli.stability.loops.margins import MarginResult
 from trms_cli.stability.study import silent
 
 
-def measured(controller, rig=MODEL, analyser=COARSE, point=POINT) -> Measured:
+def measured(controller, rig=MODEL, analyser=COARSE, point=POINT) -> FrequencyResponse:
     found = analyser.measure(rig, loop_of(controller), point, silent)
-    assert isinstance(found, Measured)
+    assert isinstance(found, FrequencyResponse)
     return found
 
 
 @pytest.fixture(scope="module")
-def plain() -> Measured:
+def plain() -> FrequencyResponse:
     return measured(lqr())
 
 
@@ -93,13 +93,13 @@ class TestALinearLaw:
 
     @pytest.mark.slow
     def test_has_the_margins_of_linear_algebra(self):
-        found = Margins(measured(lqr(), analyser=Analyser()))
+        found = MarginResult(measured(lqr(), analyser=Analyser()))
         S = np.linalg.inv(np.eye(2) + regulated(found.omega))
-        exact = Margins(replace(found.measured, omega=found.omega, S=S, T=np.eye(2) - S))
+        exact = MarginResult(replace(found.response, omega=found.omega, S=S, T=np.eye(2) - S))
         for ours, theirs in zip(found.loops, exact.loops, strict=True):
             for name in ("up", "phase", "delay"):
-                value = getattr(ours.crossings, name).value
-                assert value == pytest.approx(getattr(theirs.crossings, name).value, rel=1e-3)
+                value = getattr(ours.margins, name).value
+                assert value == pytest.approx(getattr(theirs.margins, name).value, rel=1e-3)
             assert ours.sensitivity.value == pytest.approx(theirs.sensitivity.value, rel=1e-3)
         assert found.together.delay.value == pytest.approx(exact.together.delay.value, rel=1e-3)
         assert found.disk_each.alpha == pytest.approx(exact.disk_each.alpha, rel=1e-3)
@@ -136,7 +136,7 @@ def test_pid_has_the_margins_that_it_was_tuned_with():
     """Yaw is tuned last, with the loop of pitch closed: the loop that is measured."""
     pid = Pid(operating_points=[AT])
     analyser = Analyser(lowest=0.2, ratio=1.1, amplitude=0.001)
-    found = Margins(measured(pid, analyser=analyser)).loops[MODEL.controlled.index("alpha_h")]
+    found = MarginResult(measured(pid, analyser=analyser)).loops[MODEL.controlled.index("alpha_h")]
     design = Design(
         given={"pitch": pid.pitch, "yaw": pid.yaw},
         operating_points=pid.operating_points,
@@ -147,9 +147,9 @@ def test_pid_has_the_margins_that_it_was_tuned_with():
     ).of(MODEL, 0.02)["yaw"]
     asked = design.margins
     assert found.name == "u_h"
-    assert found.crossings.phase.value == pytest.approx(asked.phase_margin, rel=0.03)
-    assert found.crossings.up.value == pytest.approx(asked.gain_margin, rel=0.03)
-    assert found.crossings.crossover == pytest.approx(asked.crossover, rel=0.03)
+    assert found.margins.phase.value == pytest.approx(asked.phase_margin, rel=0.03)
+    assert found.margins.up.value == pytest.approx(asked.gain_margin, rel=0.03)
+    assert found.margins.crossover == pytest.approx(asked.crossover, rel=0.03)
     assert found.sensitivity.value == pytest.approx(asked.peak_sensitivity, rel=0.03)
 
 
@@ -162,14 +162,14 @@ class TestWhatIsNotLinear:
         level = operating_point(MODEL, {"alpha_v": 0.0, "alpha_h": 0.0})
         brief = Analyser(lowest=0.4, ratio=1.2, amplitude=0.001, periods=3)
         found = brief.measure(MODEL, loop_of(lqr()), level, silent)
-        assert isinstance(found, NotHeld) and not found.leaves
+        assert isinstance(found, NoResponse) and not found.leaves
         assert found.reversed == ("omega_h",)
         assert "still changes by" in found.words
 
 
 def test_a_loop_that_does_not_hold_its_point_has_no_response():
     found = COARSE.measure(MODEL, loop_of(Changed(lqr(), late=4)), POINT, silent)
-    assert isinstance(found, NotHeld)
+    assert isinstance(found, NoResponse)
     assert found.leaves and "rad away after" in found.words
 
 

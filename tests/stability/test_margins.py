@@ -23,10 +23,15 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.references.constant import Constant
 from trms_cli.stability.closed_loop import run_loop
-from trms_cli.stability.loops.crossings import crossings
-from trms_cli.stability.loops.disk_margin import DiskMargin, diagonal_mu, disk_margin
-from trms_cli.stability.loops.margins import continuous, interpolated
-from trms_cli.stability.loops.sticking import held_by_friction
+from trms_cli.stability.loops.margins import (
+    DiskMargin,
+    classical_margins,
+    continuous,
+    diagonal_mu,
+    disk_margin,
+    interpolated,
+)
+from trms_cli.stability.loops.measurement import held_by_friction
 from trms_cli.stability.studies.margins import Margins
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
@@ -38,7 +43,7 @@ MARKERS = ("triangle", "square")
 
 class TestOneLoop:
     def test_an_integrator_loses_ninety_degrees_at_the_most(self):
-        found = crossings(OMEGA, 2.0 / S)
+        found = classical_margins(OMEGA, 2.0 / S)
         assert found.up is None and found.down is None
         assert found.crossover == pytest.approx(2.0, rel=1e-4)
         assert found.phase.value == pytest.approx(math.pi / 2, rel=1e-4)
@@ -47,7 +52,7 @@ class TestOneLoop:
     @pytest.mark.parametrize("gain", [0.5, 2.0])
     def test_three_lags_have_the_margin_of_hurwitz(self, gain):
         # k/(s + 1)³ is unstable from k = 8 on, and swings at √3 rad/s
-        found = crossings(OMEGA, gain / (S + 1) ** 3)
+        found = classical_margins(OMEGA, gain / (S + 1) ** 3)
         assert found.up.value == pytest.approx(8 / gain, rel=1e-4)
         assert found.up.omega == pytest.approx(math.sqrt(3), rel=1e-4)
         assert found.down is None
@@ -57,19 +62,19 @@ class TestOneLoop:
         # (k − 3)(4k + 3) > 4k − 1
         k = np.roots([4.0, -13.0, -8.0])
         least = float(k[k > 0][0])
-        found = crossings(OMEGA, 6.0 * (S + 2) ** 2 / (S - 1) ** 3)
+        found = classical_margins(OMEGA, 6.0 * (S + 2) ** 2 / (S - 1) ** 3)
         assert found.down.value == pytest.approx(least / 6.0, rel=1e-3)
         assert found.up is None
 
     def test_a_sampled_loop_ends_at_half_the_rate(self):
         omega = np.geomspace(0.01, math.pi / 0.1, 2000)
-        found = crossings(omega, 0.5 * np.exp(-0.1j * omega))
+        found = classical_margins(omega, 0.5 * np.exp(-0.1j * omega))
         assert found.up.value == pytest.approx(2.0, rel=1e-3)
         assert found.up.omega == pytest.approx(math.pi / 0.1)
 
     def test_the_first_of_several_loci_counts(self):
         loci = np.column_stack([2.0 / (S + 1) ** 3, 4.0 / (S + 1) ** 3])
-        assert crossings(OMEGA, loci).up.value == pytest.approx(2.0, rel=1e-4)
+        assert classical_margins(OMEGA, loci).up.value == pytest.approx(2.0, rel=1e-4)
 
     @pytest.mark.slow
     def test_python_control_agrees(self):
@@ -78,7 +83,7 @@ class TestOneLoop:
         plant = control.tf([3.0], [1.0, 1.2, 4.0, 0.5])
         loop = plant(1j * OMEGA)
         gains, phases, _, _, at_phase, _ = control.stability_margins(plant, returnall=True)
-        found = crossings(OMEGA, loop)
+        found = classical_margins(OMEGA, loop)
         assert found.up.value == pytest.approx(min(g for g in gains if g > 1), rel=1e-3)
         least = int(np.argmin(np.abs(phases)))
         assert math.degrees(found.phase.value) == pytest.approx(abs(phases[least]), abs=0.05)

@@ -1,4 +1,11 @@
-"""The frequency response of a closed loop, measured as on the bench.
+"""The test signal of a frequency response: a multisine of few lines, held over control periods.
+
+All harmonics of the lowest line at first, then lines a constant factor apart, up to half the
+controller's rate. What lies between the lines is left empty on purpose: power found there is not
+the answer of a linear loop. Phases after M. R. Schroeder, "Synthesis of low-peak-factor signals
+and binary sequences with low autocorrelation", IEEE Trans. Information Theory 16(1), 1970.
+
+The frequency response of a closed loop, measured as on the bench.
 
 A frequency response analyser between controller and rig adds a small periodic signal d to one
 command at a time, and reads what the controller asks for, u_c, and what reaches the motors,
@@ -20,6 +27,7 @@ input-output approach); Pintelon & Schoukens, "System Identification: A Frequenc
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,11 +39,87 @@ from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import Enough, LoopRun, run_loop
-from trms_cli.stability.loops.multisine import ComplexArray, multisine
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
 
 FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Multisine:
+    """One period of a multisine of rms 1."""
+
+    step: float  #: Control period over which each value is held, s
+    #: (n,) array of int; harmonics of the period that are in it, the lowest first
+    lines: npt.NDArray[np.int64]
+    values: FloatArray  #: (N,) array; one period
+
+    @property
+    def length(self) -> int:
+        """Control periods after which it repeats."""
+        return self.values.size
+
+    @property
+    def period(self) -> float:
+        """Time after which it repeats, s."""
+        return self.length * self.step
+
+    @property
+    def omega(self) -> FloatArray:
+        """Frequencies of the lines, rad/s, (n,)."""
+        return np.asarray(2 * math.pi * self.lines / self.period, dtype=np.float64)
+
+    def spectrum(self, samples: FloatArray) -> ComplexArray:
+        """Of one period (N, m), at the lines, (n, m)."""
+        return np.asarray(np.fft.rfft(samples, axis=0)[self.lines])
+
+    def beside(self, samples: FloatArray) -> float:
+        """Power of a period (N, m) off the lines, as a share of that on them."""
+        power = (np.abs(np.fft.rfft(samples, axis=0)) ** 2).sum(axis=1)
+        on = float(power[self.lines].sum())
+        power[0] = 0.0
+        return (float(power.sum()) - on) / on if on > 0 else 0.0
+
+
+def harmonics_of(step: float, lowest: float) -> int:
+    """Harmonics of the lowest line (rad/s) up to half the rate of a control period (s)."""
+    return round(math.pi / (lowest * step))
+
+
+def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> Multisine:
+    """A multisine of a controller's band.
+
+    Parameters
+    ----------
+    step : float
+        Control period, s.
+    lowest : float
+        Lowest line, rad/s; the period is the whole even number of control periods that comes
+        closest to it.
+    ratio : float
+        Of a line to the one below it, where the harmonics are denser than that.
+    seed : int
+        0: Schroeder's phases; else random ones, of another signal of the same spectrum.
+    """
+    half = max(2, harmonics_of(step, lowest))
+    lines = [1]
+    while lines[-1] < half:
+        lines.append(max(lines[-1] + 1, round(lines[-1] * ratio)))
+    # half the rate is a line too: the loop is real there, and may cross −1
+    chosen = np.unique(np.minimum(lines, half))
+    n = chosen.size
+    if seed:
+        phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, n)
+    else:
+        order = np.arange(n)
+        phases = -math.pi * order * (order + 1) / n
+    spectrum = np.zeros(half + 1, dtype=complex)
+    spectrum[chosen] = np.exp(1j * phases)
+    spectrum[half] = 1.0
+    values = np.fft.irfft(spectrum, 2 * half)
+    return Multisine(step, chosen, values / np.sqrt(np.mean(values**2)))
+
 
 #: Part of the response by which it may still differ from one period to the next: settled.
 SETTLED = 1e-4
@@ -49,7 +133,7 @@ _SOON = 50
 
 
 @dataclass(frozen=True)
-class Measured:
+class FrequencyResponse:
     """What was measured."""
 
     omega: FloatArray  #: (n,) array; rad/s
@@ -85,7 +169,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class NotHeld:
+class NoResponse:
     """A loop that has no response: it leaves the point, or swings by itself."""
 
     run: LoopRun  #: Of the experiment that showed it
@@ -112,7 +196,7 @@ class Analyser:
 
     def measure(
         self, model: Model, loop: LoopParts, point: OperatingPoint, tell: Tell
-    ) -> Measured | NotHeld:
+    ) -> FrequencyResponse | NoResponse:
         """The response around an operating point.
 
         Raises NoLoopError.
@@ -136,7 +220,7 @@ class Analyser:
             answers.append(self._answer(model, loop, point, probe.length, added))
             if answers[-1].gone:
                 last = answers[-1]
-                return NotHeld(last.run, last.gone, last.leaves, last.reversed)
+                return NoResponse(last.run, last.gone, last.leaves, last.reversed)
         each, check = answers[:-1], answers[-1]
         T = np.stack(
             [
@@ -147,7 +231,7 @@ class Analyser:
         )
         predicted = -np.einsum("kij,kj->ki", T, other.spectrum(together))
         answer = other.spectrum(check.commands)
-        return Measured(
+        return FrequencyResponse(
             omega=probe.omega,
             S=np.eye(model.n_u) - T,
             T=T,

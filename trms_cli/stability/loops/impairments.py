@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,52 +19,31 @@ from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import Path
 
 FloatArray = npt.NDArray[np.float64]
-Class = Literal["delay", "gain", "friction"]
+ImpairmentKind = Literal["delay", "gain", "friction"]
 
 
-class Impairment(Protocol):
-    """One way in which a loop is made worse.
+class Impairment:
+    """One way in which a loop is made worse; larger sizes are worse."""
 
-    Attributes
-    ----------
-    key : str
-        ``gain_up_u_v``.
-    words : str
-        ``gain of u_v too large``.
-    kind : {"delay", "gain", "friction"}
-    unit : str
-    none : float
-        The size at which nothing is wrong; larger sizes are worse.
-    """
-
-    @property
-    def key(self) -> str: ...
-
-    @property
-    def words(self) -> str: ...
-
-    @property
-    def kind(self) -> Class: ...
-
-    @property
-    def unit(self) -> str: ...
-
-    @property
-    def none(self) -> float: ...
+    key: str  #: ``gain_up_u_v``
+    words: str  #: ``gain of u_v too large``
+    kind: ImpairmentKind
+    unit: str
+    none: float = 0.0  #: The size at which nothing is wrong
 
     def shown(self, size: float) -> float:
         """The size as it is told: a gain of 1/size for one that is too small."""
-        ...
+        return size
 
     def rig(self, model: Model, size: float) -> Model:
         """The rig that has it."""
-        ...
+        return model
 
     def path(
         self, model: Model, point: OperatingPoint, sample_time: float, size: float
     ) -> Path | None:
         """What its commands pass; None where they pass as they are."""
-        ...
+        return None
 
 
 @dataclass
@@ -91,20 +70,13 @@ class Delayed:
 
 
 @dataclass(frozen=True)
-class Delay:
+class CommandDelay(Impairment):
     """All commands reach the motors late."""
 
-    key: str = "delay"  #: See :class:`Impairment`
-    words: str = "delay of all commands"  #: See :class:`Impairment`
-    kind: Class = "delay"  #: See :class:`Impairment`
-    unit: str = "s"  #: See :class:`Impairment`
-    none: float = 0.0  #: See :class:`Impairment`
-
-    def shown(self, size: float) -> float:
-        return size
-
-    def rig(self, model: Model, size: float) -> Model:
-        return model
+    key = "delay"
+    words = "delay of all commands"
+    kind = "delay"
+    unit = "s"
 
     def path(
         self, model: Model, point: OperatingPoint, sample_time: float, size: float
@@ -113,7 +85,7 @@ class Delay:
 
 
 @dataclass(frozen=True)
-class Gain:
+class GainError(Impairment):
     """One command reaches its motor too large, or too small, within its limits."""
 
     channel: int
@@ -121,25 +93,23 @@ class Gain:
     up: bool  #: Whether too large: a factor of size, else of 1/size
     #: Whether only the command's distance to the point's is changed, as in linear theory
     of_changes: bool = False
-    kind: Class = "gain"  #: See :class:`Impairment`
-    unit: str = ""  #: See :class:`Impairment`
-    none: float = 1.0  #: See :class:`Impairment`
+
+    kind = "gain"
+    unit = ""
+    none = 1.0
 
     @property
-    def key(self) -> str:
+    def key(self) -> str:  # type: ignore[override]
         """``gain_up_u_v``."""
         return f"gain_{'up' if self.up else 'down'}_{self.name}"
 
     @property
-    def words(self) -> str:
+    def words(self) -> str:  # type: ignore[override]
         """``gain of u_v too large``."""
         return f"gain of {self.name} too {'large' if self.up else 'small'}"
 
     def shown(self, size: float) -> float:
         return size if self.up else 1 / size
-
-    def rig(self, model: Model, size: float) -> Model:
-        return model
 
     def path(
         self, model: Model, point: OperatingPoint, sample_time: float, size: float
@@ -153,43 +123,35 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class Friction:
+class AxisFriction(Impairment):
     """Coulomb friction of an axis."""
 
     axis: str
-    kind: Class = "friction"  #: See :class:`Impairment`
-    unit: str = "N m"  #: See :class:`Impairment`
-    none: float = 0.0  #: See :class:`Impairment`
+
+    kind = "friction"
+    unit = "N m"
 
     @property
-    def key(self) -> str:
+    def key(self) -> str:  # type: ignore[override]
         """``friction_pitch``."""
         return f"friction_{self.axis}"
 
     @property
-    def words(self) -> str:
+    def words(self) -> str:  # type: ignore[override]
         """``Coulomb friction of pitch``."""
         return f"Coulomb friction of {self.axis}"
-
-    def shown(self, size: float) -> float:
-        return size
 
     def rig(self, model: Model, size: float) -> Model:
         friction = CoulombFriction(axis=self.axis, torque=size)  # type: ignore[arg-type]
         return extended(model, {f"added_{self.key}": friction})
 
-    def path(
-        self, model: Model, point: OperatingPoint, sample_time: float, size: float
-    ) -> Path | None:
-        return None
-
 
 def impairments_of(model: Model) -> tuple[Impairment, ...]:
     """All that fit a rig; one that only steps cannot gain friction."""
     gains = [
-        Gain(channel, name, up)
+        GainError(channel, name, up)
         for channel, name in enumerate(names(model.inputs))
         for up in (True, False)
     ]
-    frictions = [Friction(axis) for axis in model.axes] if model.sample_time is None else []
-    return (Delay(), *gains, *frictions)
+    frictions = [AxisFriction(axis) for axis in model.axes] if model.sample_time is None else []
+    return (CommandDelay(), *gains, *frictions)

@@ -19,9 +19,13 @@ from trms_cli.core.chart import (
     Points,
     Region,
 )
-from trms_cli.stability.loops.crossings import Limit
-from trms_cli.stability.loops.disk_margin import diagonal_mu, largest_singular_value
-from trms_cli.stability.loops.margins import LoopMargins, Margins
+from trms_cli.stability.loops.margins import (
+    LoopMargins,
+    MarginResult,
+    StabilityLimit,
+    diagonal_mu,
+    largest_singular_value,
+)
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -37,19 +41,19 @@ _DEGREES, _SIZES = (-390.0, 90.0), (0.01, 5.0)
 _GRID = 301
 
 
-def bode(margins: Margins, condition: str) -> Chart:
+def bode(margins: MarginResult, condition: str) -> Chart:
     """Gain and phase of each loop, the others closed, with the lines at which it was measured."""
     size: list[Mark] = [Line(y=1.0)]
     phase: list[Mark] = [Line(y=-180.0)]
-    lines = margins.measured.omega
-    at_lines = 1 / np.diagonal(margins.measured.S, axis1=1, axis2=2) - 1
+    lines = margins.response.omega
+    at_lines = 1 / np.diagonal(margins.response.S, axis1=1, axis2=2) - 1
     for i, (loop, colour) in enumerate(zip(margins.loops, COLOURS, strict=False)):
         curve, label = margins.single[:, i], f"loop of {loop.name}"
         size.append(Curve(margins.omega, np.abs(curve), label, colour))
         size.append(Points(lines, np.abs(at_lines[:, i]), "lines measured", "dot", "ink", size=1.6))
         degrees = _degrees(curve)
         phase.append(Curve(margins.omega, degrees, label, colour))
-        up, lost = loop.crossings.up, loop.crossings.phase
+        up, lost = loop.margins.up, loop.margins.phase
         if up is not None:
             at = float(np.interp(up.omega, margins.omega, np.abs(curve)))
             size.append(Points([up.omega], [at], "limit of the gain", "triangle", colour))
@@ -75,7 +79,7 @@ def _degrees(curve: npt.NDArray[np.complex128]) -> FloatArray:
     return np.asarray(np.degrees(phase - 2 * math.pi * turns))
 
 
-def nyquist(margins: Margins, condition: str) -> Chart:
+def nyquist(margins: MarginResult, condition: str) -> Chart:
     """Nyquist curves beside the unit circle, with the largest disk around −1 that they leave."""
     panels = []
     for i, (loop, colour) in enumerate(zip(margins.loops, COLOURS, strict=False)):
@@ -98,10 +102,10 @@ def nyquist(margins: Margins, condition: str) -> Chart:
                 if np.isfinite(part.real).sum() > 1
             ),
         ]
-        limits: tuple[tuple[Limit | None, str, Marker], ...] = (
-            (loop.crossings.up, "limit of the gain", "triangle"),
-            (loop.crossings.down, "limit of the gain", "triangle"),
-            (loop.crossings.phase, "limit of the phase", "square"),
+        limits: tuple[tuple[StabilityLimit | None, str, Marker], ...] = (
+            (loop.margins.up, "limit of the gain", "triangle"),
+            (loop.margins.down, "limit of the gain", "triangle"),
+            (loop.margins.phase, "limit of the phase", "square"),
         )
         for limit, label, marker in limits:
             if limit is None:
@@ -162,7 +166,7 @@ def _disk(loop: LoopMargins, real: tuple[float, float], imaginary: tuple[float, 
     return Region(x, y, inside, "disk margin", "orange")
 
 
-def sensitivity(margins: Margins, condition: str) -> Chart:
+def sensitivity(margins: MarginResult, condition: str) -> Chart:
     """What each frequency is amplified by, and how large a disk it leaves."""
     S, T, omega = margins.S, margins.T, margins.omega
     size: list[Mark] = [Line(y=1.0)]

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from trms_cli.controllers.controller import Status
-from trms_cli.core.findings import Findings, Judged, Judgement, Section, Table, Value
+from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.loops import margin_charts
-from trms_cli.stability.loops.crossings import Limit
-from trms_cli.stability.loops.disk_margin import DiskMargin
-from trms_cli.stability.loops.frequency_response import NotHeld
-from trms_cli.stability.loops.margin_data import results_of, value_of
-from trms_cli.stability.loops.margins import Margins
+from trms_cli.stability.loops.frequency_response import NoResponse
+from trms_cli.stability.loops.margins import (
+    ClassicalMargins,
+    DiskMargin,
+    MarginResult,
+    StabilityLimit,
+)
+from trms_cli.stability.results import as_json
 from trms_cli.stability.subject import LoopParts, Subject
 
 #: Parts of the answer above which a warning is due: change from period to period, what the linear
@@ -41,24 +45,26 @@ def condition_of(subject: Subject, loop: LoopParts, point: OperatingPoint) -> st
     )
 
 
-def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: OperatingPoint) -> Findings:
+def no_response_findings(
+    response: NoResponse, subject: Subject, loop: LoopParts, point: OperatingPoint
+) -> Findings:
     """The answer for a loop that has no margins."""
-    model, run = subject.model, found.run
+    model, run = subject.model, response.run
     rows = [model.state_index(name) for name in model.controlled]
     where = condition_of(subject, loop, point)
     words = warning_of_statuses(run.statuses)
-    turned = "" if found.leaves else _warning_of_reversed(found.reversed)
+    turned = "" if response.leaves else _warning_of_reversed(response.reversed)
     chart = margin_charts.departure(
         run.time, run.x[:, rows] - point.x[rows], model.controlled, where
     )
     return Findings(
         TITLE,
         [
-            f"The loop does not hold this point, and margins do not exist: {found.words}."
-            if found.leaves
-            else f"No margins can be read here: {found.words}.",
+            f"The loop does not hold this point, and margins do not exist: {response.words}."
+            if response.leaves
+            else f"No margins can be read here: {response.words}.",
             f"Studied was {where}.",
-            *gliding_words(found.held),
+            *gliding_words(response.held),
         ],
         [
             Section(
@@ -72,17 +78,17 @@ def not_held(found: NotHeld, subject: Subject, loop: LoopParts, point: Operating
                 [chart],
             )
         ],
-        {"holds": False, "what_it_did": found.words, "statuses": dict(run.statuses)},
-        [said for said in (words, turned) if said],
+        {"holds": False, "what_it_did": response.words, "statuses": dict(run.statuses)},
+        [words for words in (words, turned) if words],
     )
 
 
-def findings_of(
-    margins: Margins, subject: Subject, loop: LoopParts, point: OperatingPoint
+def margin_findings(
+    margins: MarginResult, subject: Subject, loop: LoopParts, point: OperatingPoint
 ) -> Findings:
     """The answer for a loop that has been measured."""
     where = condition_of(subject, loop, point)
-    if margins.measured.held:
+    if margins.response.held:
         where += ", without its dry friction"
     several = len(margins.loops) > 1
     sections = [
@@ -108,27 +114,31 @@ def findings_of(
         Section("How it was measured", [_method(margins)], [_quality_table(margins)]),
     ]
     return Findings(
-        TITLE, _lead(margins, where), sections, results_of(margins), _warnings(margins, subject)
+        TITLE,
+        _lead(margins, where),
+        sections,
+        as_json(_results(margins)),
+        _warnings(margins, subject),
     )
 
 
-def _lead(margins: Margins, where: str) -> list[str]:
-    said = []
+def _lead(margins: MarginResult, where: str) -> list[str]:
+    sentences = []
     for loop in margins.loops:
-        c = loop.crossings
+        c = loop.margins
         if loop.complementary.value < _NO_LOOP:
-            said.append(
+            sentences.append(
                 f"{loop.name}: no loop to speak of: of a signal added to it, the controller gives "
                 f"back a part of {loop.complementary.value:.2g} at the most, and margins say "
                 "nothing."
             )
             continue
-        said.append(
+        sentences.append(
             f"{loop.name}: the gain may grow {_factor(c.up)} and shrink {_factor(c.down)}, "
             f"{_degrees_lost(c.phase)}, {_delay(c.delay)}; the sensitivity peaks at "
             f"{loop.sensitivity.value:.2f} ({loop.sensitivity.omega:.2g} rad/s)."
         )
-    m = margins.measured
+    m = margins.response
     first = f"{where}: the loop is stable, with these margins."
     if m.nonlinearity > _NOT_LINEAR:
         first = (
@@ -141,7 +151,7 @@ def _lead(margins: Margins, where: str) -> list[str]:
             f"{where}: the loop stays at the point, but {' and '.join(m.reversed)} passes zero "
             "there, and no linear loop exists. The figures hold for this test signal."
         )
-    lead = [first, *gliding_words(m.held), *said]
+    lead = [first, *gliding_words(m.held), *sentences]
     if len(margins.loops) > 1:
         c, disk = margins.together, margins.disk_each
         lead.append(
@@ -166,19 +176,19 @@ def gliding_words(held: Sequence[str]) -> list[str]:
     ]
 
 
-def _factor(limit: Limit | None) -> str:
+def _factor(limit: StabilityLimit | None) -> str:
     if limit is None:
         return "without a bound in the measured band"
     return f"{limit.value:.3g} times" if limit.value > 1 else f"to {limit.value:.2g} of it"
 
 
-def _degrees_lost(limit: Limit | None) -> str:
+def _degrees_lost(limit: StabilityLimit | None) -> str:
     if limit is None:
         return "no phase leads to −1"
     return f"{math.degrees(limit.value):.0f}° may be lost"
 
 
-def _delay(limit: Limit | None) -> str:
+def _delay(limit: StabilityLimit | None) -> str:
     if limit is None:
         return "no delay matters in the measured band"
     return f"{limit.value:.3g} s of delay may be added"
@@ -192,58 +202,35 @@ def _disk_words(disk: DiskMargin) -> str:
     )
 
 
-def _single_table(margins: Margins) -> Table:
-    rows: list[list[Value | Judged]] = []
-    for loop in margins.loops:
-        c = loop.crossings
-        rows.append(
-            [
-                loop.name,
-                _judged_gain(c.up),
-                value_of(c.down),
-                _judged_phase(c.phase),
-                value_of(c.delay),
-                c.crossover or None,
-                Judged(loop.sensitivity.value, _peak_judgement(loop.sensitivity.value)),
-                1 / loop.sensitivity.value,
-                loop.complementary.value,
-                loop.disk.alpha,
-            ]
-        )
-    return Table(
+def _single_table(margins: MarginResult) -> Table:
+    return table(
+        margins.loops,
         [
-            "loop",
-            "gain up",
-            "gain down",
-            "phase [°]",
-            "delay [s]",
-            "crossover [rad/s]",
-            "peak |S|",
-            "modulus margin",
-            "peak |T|",
-            "disk α",
+            Column("loop", "name"),
+            Column("gain up", lambda loop: _judged_gain(loop.margins.up)),
+            Column("gain down", lambda loop: value_of(loop.margins.down)),
+            Column("phase [°]", lambda loop: _judged_phase(loop.margins.phase)),
+            Column("delay [s]", lambda loop: value_of(loop.margins.delay)),
+            Column("crossover [rad/s]", lambda loop: loop.margins.crossover or None),
+            Column("peak |S|", lambda loop: _judged_peak(loop.sensitivity.value)),
+            Column("modulus margin", lambda loop: 1 / loop.sensitivity.value),
+            Column("peak |T|", lambda loop: loop.complementary.value),
+            Column("disk α", lambda loop: loop.disk.alpha),
         ],
-        rows,
         "Margins of each command alone. Nothing stands where no such change, of any size, leads to "
         "−1 in the measured band.",
     )
 
 
-def _together_table(margins: Margins) -> Table:
-    c, each, any_ = margins.together, margins.disk_each, margins.disk_any
+def _together_table(margins: MarginResult) -> Table:
+    c = margins.together
+    alike = (value_of(c.down), value_of(c.up), value_of(c.phase, True), value_of(c.delay), None)
     return Table(
         ["all commands at once", "gain down", "gain up", "phase [°]", "delay [s]", "disk α"],
         [
-            [
-                "the same change of each",
-                value_of(c.down),
-                value_of(c.up),
-                value_of(c.phase, True),
-                value_of(c.delay),
-                None,
-            ],
-            ["each by a factor of its own", *_disk_row(each)],
-            ["any change, coupling included", *_disk_row(any_)],
+            ["the same change of each", *alike],
+            ["each by a factor of its own", *_disk_row(margins.disk_each)],
+            ["any change, coupling included", *_disk_row(margins.disk_any)],
         ],
         f"Largest singular values: σ̄(S) = {margins.sensitivity.value:.3g} at "
         f"{margins.sensitivity.omega:.2g} rad/s (min σ̲(I + L) = "
@@ -253,28 +240,35 @@ def _together_table(margins: Margins) -> Table:
     )
 
 
-def _disk_row(disk: DiskMargin) -> list[Value | Judged]:
+def _disk_row(disk: DiskMargin) -> list[Cell]:
     up = None if math.isinf(disk.gain_up) else disk.gain_up
     return [disk.gain_down, up, math.degrees(disk.phase), None, disk.alpha]
 
 
-def _judged_gain(limit: Limit | None) -> Judged:
+def value_of(limit: StabilityLimit | None, degrees: bool = False) -> float | None:
+    """A limit's value; None where there is none."""
+    if limit is None:
+        return None
+    return math.degrees(limit.value) if degrees else limit.value
+
+
+def _judged_gain(limit: StabilityLimit | None) -> Judged:
     return Judged(value_of(limit), "good" if limit is None or limit.value >= _GOOD_GAIN else "bad")
 
 
-def _judged_phase(limit: Limit | None) -> Judged:
+def _judged_phase(limit: StabilityLimit | None) -> Judged:
     value = value_of(limit, degrees=True)
     if value is None or value >= _GOOD_PHASE:
         return Judged(value, "good")
     return Judged(value, "doubtful" if value >= _POOR_PHASE else "bad")
 
 
-def _peak_judgement(value: float) -> Judgement:
-    return "good" if value <= _GOOD_PEAK else "bad"
+def _judged_peak(value: float) -> Judged:
+    return Judged(value, "good" if value <= _GOOD_PEAK else "bad")
 
 
-def _method(margins: Margins) -> str:
-    m = margins.measured
+def _method(margins: MarginResult) -> str:
+    m = margins.response
     return (
         f"A multisine of {m.omega.size} lines from {m.omega[0]:.3g} to {m.omega[-1]:.4g} rad/s was "
         "added to one command at a time, held over the control period "
@@ -285,9 +279,9 @@ def _method(margins: Margins) -> str:
     )
 
 
-def _quality_table(margins: Margins) -> Table:
-    m = margins.measured
-    rows: list[list[Value | Judged]] = [
+def _quality_table(margins: MarginResult) -> Table:
+    m = margins.response
+    rows: list[list[Cell]] = [
         ["change from one period to the next", _share(m.drift, _DRIFT)],
         ["answer to half the signal that is not predicted", _share(m.nonlinearity, _NONLINEAR)],
         ["power between the lines", f"{100 * m.beside:.2g} %"],
@@ -331,32 +325,32 @@ def _warning_of_reversed(speeds: Sequence[str]) -> str:
     )
 
 
-def _warnings(margins: Margins, subject: Subject) -> list[str]:
-    m = margins.measured
-    said = [warning_of_statuses(m.statuses), _warning_of_reversed(m.reversed)]
+def _warnings(margins: MarginResult, subject: Subject) -> list[str]:
+    m = margins.response
+    sentences = [warning_of_statuses(m.statuses), _warning_of_reversed(m.reversed)]
     if m.limited:
-        said.append(
+        sentences.append(
             f"the commands were at a limit in {m.limited} control samples: the margins are not "
             "those of the free loop; lower study.amplitude, or choose another point"
         )
     if m.nonlinearity > _NONLINEAR:
-        said.append(
+        sentences.append(
             f"{100 * m.nonlinearity:.0f} % of the answer is not that of a linear loop (dry "
             "friction, a kink at the point, an active constraint, a solver's tolerance): see "
             "whether a smaller or larger study.amplitude gives the same margins"
         )
     if m.drift > _DRIFT:
-        said.append(
+        sentences.append(
             f"the loop has not settled: its answer still changes by {100 * m.drift:.1g} % from one "
             "period to the next; raise study.periods"
         )
     if margins.interpolation > _BETWEEN:
-        said.append(
+        sentences.append(
             "the lines are too far apart for the loop's peaks; lower study.lowest and study.ratio"
         )
     dead = [one.name for one in margins.loops if one.complementary.value < _NO_LOOP]
     if dead:
-        said.append(
+        sentences.append(
             f"the loop of {' and '.join(dead)} does not answer: something holds the rig at the "
             "point (a coarse sensor, a dead zone), or the controller does not use the command; a "
             "larger study.amplitude may move it"
@@ -364,8 +358,60 @@ def _warnings(margins: Margins, subject: Subject) -> list[str]:
     angles = zip(subject.model.controlled, m.rest.tolist(), strict=True)
     beside = [f"{name} by {rest:+.2g} rad" for name, rest in angles if abs(rest) > _BESIDE]
     if beside:
-        said.append(
+        sentences.append(
             f"the loop rests beside the point, {', '.join(beside)}: the margins are those where it "
             "rests"
         )
-    return [words for words in said if words]
+    return [words for words in sentences if words]
+
+
+def _results(margins: MarginResult) -> dict[str, Any]:
+    """The margins as JSON data; angles in rad."""
+    response, L = margins.response, margins.response.L
+    return {
+        "holds": True,
+        "loops": {
+            loop.name: {
+                **_classical_data(loop.margins),
+                "peak_sensitivity": loop.sensitivity.value,
+                "modulus_margin": 1 / loop.sensitivity.value,
+                "peak_complementary": loop.complementary.value,
+                "disk": _disk_data(loop.disk),
+            }
+            for loop in margins.loops
+        },
+        "alike": _classical_data(margins.together),
+        "disk_each": _disk_data(margins.disk_each),
+        "disk_any": _disk_data(margins.disk_any),
+        "peak_sensitivity": margins.sensitivity.value,
+        "least_return_difference": 1 / margins.sensitivity.value,
+        "peak_complementary": margins.complementary.value,
+        # L at the lines, row by column
+        "response": {
+            "omega": response.omega,
+            "control_period": response.step,
+            "inputs": response.inputs,
+            "L_real": L.real,
+            "L_imaginary": L.imag,
+        },
+        "quality": {
+            "drift": response.drift,
+            "nonlinearity": response.nonlinearity,
+            "beside": response.beside,
+            "interpolation": margins.interpolation,
+            "limited": response.limited,
+            "reversed": response.reversed,
+            "held_by_dry_friction": response.held,
+            "statuses": response.statuses,
+        },
+    }
+
+
+def _classical_data(c: ClassicalMargins) -> dict[str, float | None]:
+    limits = {"gain_up": c.up, "gain_down": c.down, "phase": c.phase, "delay": c.delay}
+    return {**{name: value_of(limit) for name, limit in limits.items()}, "crossover": c.crossover}
+
+
+def _disk_data(disk: DiskMargin) -> dict[str, float]:
+    keys = ("alpha", "omega", "gain_down", "gain_up", "phase")
+    return {key: getattr(disk, key) for key in keys}

@@ -1,4 +1,32 @@
-"""Margins of a measured loop: of each command alone, and of all of them at once.
+"""What a single loop can take, read off its Nyquist curve.
+
+The loop is known to be stable: it was measured closed. Along a change of the loop that grows from
+nothing, it stays so until the changed curve first runs through −1. For a factor g that is a
+crossing of the negative real axis at −1/g; for a phase or a delay, a crossing of the unit circle.
+
+Disk margins: how much gain and phase may change at once.
+
+A loop's actuator is changed by a factor f from the disk
+
+    D(α) = { (1 + δ/2) / (1 − δ/2) : |δ| < α }
+
+which holds all gains in ((2 − α)/(2 + α), (2 + α)/(2 − α)), all phases within ±2 arctan(α/2), and
+their combinations. With S the sensitivity and T = I − S, the loop stands all such factors, also
+if they vary with frequency, up to
+
+    α = min_ω 2/|S − T|                of one loop, the others closed
+    α = min_ω 2/μ_Δ(S − T)             of all loops at once, each with a factor of its own
+    α = min_ω 2/σ̄(S − T)               of any linear change of all commands, coupling included
+
+μ is the structured singular value for diagonal complex Δ. For two loops it is exact here: the
+upper bound ``min_D σ̄(D M D⁻¹)`` equals μ up to three blocks, and the best scaling of a 2 × 2
+matrix is the one that makes its off-diagonal entries equal. Beyond two loops the norm σ̄, a bound
+on the safe side, is used.
+
+Source: Seiler, Packard & Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine
+40(5), 2020, the balanced case (skew 0).
+
+Margins of a measured loop: of each command alone, and of all of them at once.
 
 Between the lines the sensitivity S is interpolated, not L: the closed loop has no sharp peaks
 where the rig's lightly damped modes and the controller's integrators have theirs. How far that
@@ -7,23 +35,142 @@ carries is judged by leaving out every other line.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.loops.crossings import Crossings, crossings
-from trms_cli.stability.loops.disk_margin import (
-    DiskMargin,
-    diagonal_mu,
-    disk_margin,
-    largest_singular_value,
-)
-from trms_cli.stability.loops.frequency_response import Measured
+from trms_cli.stability.loops.frequency_response import FrequencyResponse
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class StabilityLimit:
+    """The first change that makes a loop unstable."""
+
+    value: float  #: A factor, rad or s
+    omega: float  #: rad/s at which the loop then swings
+
+
+@dataclass(frozen=True)
+class ClassicalMargins:
+    """Limits of a loop; None where no such change makes the measured curve run into −1."""
+
+    up: StabilityLimit | None  #: Factor of the loop's gain, above and below 1
+    down: StabilityLimit | None  #: Factor of the loop's gain, above and below 1
+    phase: StabilityLimit | None  #: Least phase lost or gained at a unit gain, rad
+    delay: StabilityLimit | None  #: s
+    crossover: float  #: Highest frequency at which the gain is 1, rad/s; 0 if it never is
+
+
+def classical_margins(omega: FloatArray, loops: ComplexArray) -> ClassicalMargins:
+    """The limits of a loop, or of several that change together.
+
+    Parameters
+    ----------
+    omega : (n,) array
+        rad/s, dense.
+    loops : (n,) or (n, m) array
+        Nyquist curves; of several (the characteristic loci) the first to reach −1 counts.
+    """
+    curves = np.reshape(loops, (len(omega), -1)).T
+    factors = [limit for curve in curves for limit in _factors(omega, curve)]
+    lags = [limit for curve in curves for limit in _lags(omega, curve)]
+    # a lead of φ is a lag of 2π − φ
+    phases = [StabilityLimit(min(lag.value, 2 * math.pi - lag.value), lag.omega) for lag in lags]
+    return ClassicalMargins(
+        up=min((f for f in factors if f.value > 1), key=_value, default=None),
+        down=max((f for f in factors if f.value < 1), key=_value, default=None),
+        phase=min(phases, key=_value, default=None),
+        delay=min(
+            (StabilityLimit(g.value / g.omega, g.omega) for g in lags), key=_value, default=None
+        ),
+        crossover=max((lag.omega for lag in lags), default=0.0),
+    )
+
+
+def _value(limit: StabilityLimit) -> float:
+    return limit.value
+
+
+def _factors(omega: FloatArray, curve: ComplexArray) -> list[StabilityLimit]:
+    """Factors that bring the curve to −1."""
+    before, after = curve[:-1], curve[1:]
+    k = np.flatnonzero((np.sign(before.imag) != np.sign(after.imag)) & (before.real < 0))
+    share = before.imag[k] / (before.imag[k] - after.imag[k])
+    real = before.real[k] + share * (after.real[k] - before.real[k])
+    at = omega[k] + share * (omega[k + 1] - omega[k])
+    found = [
+        StabilityLimit(-1 / r, w) for r, w in zip(real.tolist(), at.tolist(), strict=True) if r < 0
+    ]
+    # the curve of a sampled loop ends on the real axis, at half the rate
+    end = complex(curve[-1])
+    if end.real < 0 and abs(end.imag) < 1e-3 * abs(end.real):
+        found.append(StabilityLimit(-1 / end.real, float(omega[-1])))
+    return found
+
+
+def _lags(omega: FloatArray, curve: ComplexArray) -> list[StabilityLimit]:
+    """Phases in (0, 2π) that, lost, bring the curve to −1."""
+    size = np.log(np.abs(curve))
+    k = np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:]))
+    share = size[k] / (size[k] - size[k + 1])
+    direction = curve / np.abs(curve)
+    there = direction[k] + share * (direction[k + 1] - direction[k])
+    at = omega[k] + share * (omega[k + 1] - omega[k])
+    lag = np.angle(-there) % (2 * math.pi)
+    return [StabilityLimit(a, w) for a, w in zip(lag.tolist(), at.tolist(), strict=True)]
+
+
+@dataclass(frozen=True)
+class DiskMargin:
+    """The largest disk."""
+
+    alpha: float  #: Its size
+    omega: float  #: Where it is reached, rad/s
+
+    @property
+    def gain_up(self) -> float:
+        """Factor; infinite from α = 2 on."""
+        return (2 + self.alpha) / (2 - self.alpha) if self.alpha < 2 else math.inf
+
+    @property
+    def gain_down(self) -> float:
+        """Factor; 0 from α = 2 on."""
+        return max(0.0, (2 - self.alpha) / (2 + self.alpha))
+
+    @property
+    def phase(self) -> float:
+        """rad."""
+        return 2 * math.atan(self.alpha / 2)
+
+
+def disk_margin(omega: FloatArray, size: FloatArray) -> DiskMargin:
+    """From a norm of S − T at each frequency, (n,)."""
+    worst = int(np.argmax(size))
+    return DiskMargin(2.0 / float(size[worst]), float(omega[worst]))
+
+
+def diagonal_mu(M: ComplexArray) -> FloatArray:
+    """μ of matrices (n, m, m) for a diagonal complex Δ, (n,); an upper bound for m > 2."""
+    if M.shape[1] != 2:
+        return largest_singular_value(M)
+    size = np.abs(M)
+    frobenius = size[:, 0, 0] ** 2 + size[:, 1, 1] ** 2 + 2 * size[:, 0, 1] * size[:, 1, 0]
+    determinant = np.abs(np.linalg.det(M))
+    # the square root's argument is (σ̄² − σ̲²)², negative by rounding only
+    apart = np.sqrt(np.maximum(frobenius**2 - 4 * determinant**2, 0.0))
+    return np.asarray(np.sqrt((frobenius + apart) / 2))
+
+
+def largest_singular_value(M: ComplexArray) -> FloatArray:
+    """σ̄ of matrices (n, m, m), (n,)."""
+    return np.asarray(np.linalg.svd(M, compute_uv=False)[:, 0])
+
 
 #: Frequencies between the lowest and the highest line at which margins are sought.
 _DENSE = 4000
@@ -42,7 +189,7 @@ class LoopMargins:
     """One loop, opened at its command while the others stay closed: ``L_i = 1/S_ii − 1``."""
 
     name: str  #: The input
-    crossings: Crossings
+    margins: ClassicalMargins
     #: max |S_ii|; its inverse is the distance of the Nyquist curve to −1, the modulus margin
     sensitivity: Peak
     complementary: Peak  #: max |T_ii|
@@ -50,15 +197,15 @@ class LoopMargins:
 
 
 @dataclass(frozen=True)
-class Margins:
+class MarginResult:
     """All margins of a measured response."""
 
-    measured: Measured
+    response: FrequencyResponse
 
     @cached_property
     def omega(self) -> FloatArray:
         """Frequencies, rad/s, (n,)."""
-        first, last = self.measured.omega[[0, -1]]
+        first, last = self.response.omega[[0, -1]]
         dense = np.geomspace(first, last, _DENSE)
         dense[[0, -1]] = first, last
         return dense
@@ -66,7 +213,7 @@ class Margins:
     @cached_property
     def S(self) -> ComplexArray:
         """Sensitivity at :attr:`omega`, (n, n_u, n_u)."""
-        return interpolated(self.measured.omega, self.measured.S, self.omega)
+        return interpolated(self.response.omega, self.response.S, self.omega)
 
     @cached_property
     def T(self) -> ComplexArray:
@@ -86,22 +233,22 @@ class Margins:
     @cached_property
     def loops(self) -> tuple[LoopMargins, ...]:
         """Each loop's own."""
-        return tuple(self._of(i, name) for i, name in enumerate(self.measured.inputs))
+        return tuple(self._of(i, name) for i, name in enumerate(self.response.inputs))
 
     def _of(self, i: int, name: str) -> LoopMargins:
         S, T = self.S[:, i, i], self.T[:, i, i]
         return LoopMargins(
             name,
-            crossings(self.omega, self.single[:, i]),
+            classical_margins(self.omega, self.single[:, i]),
             peak(self.omega, np.abs(S)),
             peak(self.omega, np.abs(T)),
             disk_margin(self.omega, np.abs(S - T)),
         )
 
     @cached_property
-    def together(self) -> Crossings:
+    def together(self) -> ClassicalMargins:
         """One factor or delay on all commands: by the characteristic loci, eigenvalues of L."""
-        return crossings(
+        return classical_margins(
             self.omega, continuous(np.asarray(np.linalg.eigvals(self.L), dtype=np.complex128))
         )
 
@@ -131,7 +278,7 @@ class Margins:
 
         An upper bound of what is missed between the lines: they are twice as dense.
         """
-        omega, S = self.measured.omega, self.measured.S
+        omega, S = self.response.omega, self.response.S
         kept = np.union1d(np.arange(0, omega.size, 2), [omega.size - 1])
         guess = interpolated(omega[kept], S[kept], omega)
         return float(largest_singular_value(guess - S).max())

@@ -1,26 +1,215 @@
-"""How much of each impairment a loop stands in simulation, and what its linear margins foretell."""
+"""What a run of a loop came to, from the last two thirds of it.
+
+Each third's mean error and swing (half of the range) of each angle tell whether the loop has
+settled, is still on its way, rests beside the point, or swings on.
+
+The first size of an impairment that a loop does not stand: a coarse scan, then bisection.
+
+Nothing says that a loop which fails at one size fails at all larger ones, so all sizes of the
+scan are tried; the bisection then closes in on the first failure that the scan shows. A shorter
+failure between two sizes of the scan is not seen.
+
+How much of each impairment a loop stands in simulation, and what its linear margins foretell.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.closed_loop import run_loop
-from trms_cli.stability.loops.impairments import Gain, Impairment
-from trms_cli.stability.loops.margins import Margins
-from trms_cli.stability.loops.tolerance_search import Found, Tried, searched
-from trms_cli.stability.loops.verdict import Bounds
+from trms_cli.stability.closed_loop import LoopRun, run_loop
+from trms_cli.stability.loops.impairments import GainError, Impairment
+from trms_cli.stability.loops.margins import MarginResult
 from trms_cli.stability.subject import LoopParts, Subject
 
 FloatArray = npt.NDArray[np.float64]
 
+Kind = Literal[
+    "settles", "dies out", "still creeping", "rests beside", "chatters", "swings", "is lost"
+]
+#: Crossings of its mean in the last two thirds that a swing has at the least: a start from where
+#: friction held an axis has fewer.
+_CROSSINGS = 4
+#: Of one third to the next: a swing that keeps more than this part does not die out, and an error
+#: that does is not on its way back; it may come to rest anywhere.
+_SHRINKS, _RETURNS = 0.8, 0.5
+#: Of one sixth of the run to the next: a mean error that keeps more does not creep on.
+_STILL = 0.98
+#: Share of half its range from which a command is at its limit.
+_LIMIT = 1 - 1e-6
+
 
 @dataclass(frozen=True)
-class Trial:
+class RunVerdict:
+    """How a run ended."""
+
+    #: ``settles``: within the bounds; ``dies out``: not yet, but getting there; ``still creeping``:
+    #: beyond the bounds, but closer and closer, too slowly for the run to show where to; ``rests
+    #: beside`` the point; ``chatters``: commands swing on, too fast to be seen in the angles;
+    #: ``swings`` on; ``is lost``: it went too far from the point
+    kind: Kind
+    rest: FloatArray  #: (n_r,) array; mean error in the last third, rad
+    swing: FloatArray  #: (n_r,) array; half of the range in the last third, rad
+    axis: int  #: The angle that is worst
+
+    @property
+    def calm(self) -> bool:
+        """Whether no swing goes on, wherever the loop rests."""
+        return self.kind not in ("chatters", "swings", "is lost")
+
+    @property
+    def back(self) -> bool:
+        """Whether the loop came back to the point, or is coming."""
+        return self.kind in ("settles", "dies out")
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What is told apart."""
+
+    rest: float  #: rad that a loop may rest beside the point
+    swing: float  #: rad by which it may swing
+    chatter: float  #: Share of half the range of a command by which that may swing
+
+    def closer(self, factor: float) -> Bounds:
+        """Those for a loop that begins that much closer to its point."""
+        return Bounds(self.rest / factor, self.swing / factor, self.chatter / factor)
+
+    def verdict(self, errors: FloatArray, commands: FloatArray, ended: bool) -> RunVerdict:
+        """The verdict on a run.
+
+        Parameters
+        ----------
+        errors : (n, n_r) array
+            Of the angles, rad.
+        commands : (n, n_u) array
+            As shares of half their range.
+        ended : bool
+            Whether the run had to end early.
+        """
+        third = max(1, len(errors) // 3)
+        before, last = errors[-2 * third : -third], errors[-third:]
+        rest, swing = last.mean(axis=0), np.ptp(last, axis=0) / 2
+        if ended or not len(before):
+            return RunVerdict("is lost", rest, swing, int(np.argmax(np.abs(errors[-1]))))
+        rest_before = before.mean(axis=0)
+        worst = int(np.argmax(np.maximum(np.abs(rest), swing)))
+        swings = _swings_on(errors[-2 * third :], self.swing)
+        if swings.any():
+            return RunVerdict("swings", rest, swing, int(np.argmax(np.where(swings, swing, -1.0))))
+        if _swings_on(commands[-2 * third :], self.chatter).any():
+            return RunVerdict("chatters", rest, swing, worst)
+        away = np.abs(rest)
+        beside = (away > self.rest) & (away > _RETURNS * np.abs(rest_before))
+        if beside.any():
+            # with a command at its limit for good, nothing pushes on towards the point
+            spent = bool(np.all(np.abs(commands[-third:]) >= _LIMIT, axis=0).any())
+            resting = beside & (spent | ~_creeps(errors[-2 * third :]))
+            kind: Kind = "rests beside" if resting.any() else "still creeping"
+            shown = resting if resting.any() else beside
+            return RunVerdict(kind, rest, swing, int(np.argmax(np.where(shown, away, -1.0))))
+        settled = bool(np.all((away <= self.rest) & (swing <= self.swing)))
+        return RunVerdict("settles" if settled else "dies out", rest, swing, worst)
+
+
+def _creeps(errors: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which of (n, m) mean errors shrink from each quarter to the next, (m,)."""
+    means = np.array([np.abs(part.mean(axis=0)) for part in np.array_split(errors, 4)])
+    return np.asarray(np.all(means[1:] < _STILL * means[:-1], axis=0))
+
+
+def _swings_on(values: FloatArray, bound: float) -> npt.NDArray[np.bool_]:
+    """Which of (n, m) signals swing beyond a bound without getting calmer, (m,)."""
+    half = len(values) // 2
+    before, last = (np.ptp(part, axis=0) / 2 for part in (values[:half], values[half:]))
+    above = values > values.mean(axis=0)
+    crossed = (above[1:] != above[:-1]).sum(axis=0)
+    return np.asarray((last > bound) & (last > _SHRINKS * before) & (crossed >= _CROSSINGS))
+
+
+#: Halvings at the most: enough from a size that fails at once down to a thousandth of it.
+_HALVINGS = 10
+
+
+@dataclass(frozen=True)
+class TrialRun:
+    """One size."""
+
+    size: float
+    run: LoopRun
+    verdict: RunVerdict
+
+
+@dataclass(frozen=True)
+class FailureBracket:
+    """What a search found."""
+
+    tried: tuple[TrialRun, ...]  #: By size
+    below: TrialRun  #: The largest size before the first failure
+    above: TrialRun | None  #: The first failure; None: all sizes were stood
+    again: tuple[float, ...]  #: Sizes of the scan beyond it that are stood again
+
+    @property
+    def limit(self) -> float | None:
+        """Between the two, by their geometric mean (the arithmetic one where nothing is 0)."""
+        if self.above is None:
+            return None
+        return _between(self.below.size, self.above.size)
+
+
+def searched(
+    sizes: Sequence[float],
+    nothing: TrialRun,
+    attempt: Callable[[float], TrialRun],
+    precision: float,
+    fails: Callable[[TrialRun], bool],
+) -> FailureBracket:
+    """The first failure.
+
+    Parameters
+    ----------
+    sizes : sequence of float
+        Of the scan, the smallest first.
+    nothing : Tried
+        The run with nothing wrong, which does not fail.
+    attempt : callable
+        Runs the loop at a size.
+    precision : float
+        Factor between the two sizes at which the bisection ends.
+    fails : callable
+        What counts as a failure.
+    """
+    scanned = [attempt(size) for size in sizes]
+    tried = [nothing, *scanned]
+    first = next((i for i, t in enumerate(tried) if fails(t)), None)
+    if first is None:
+        return FailureBracket(tuple(tried), tried[-1], None, ())
+    below, above = tried[first - 1], tried[first]
+    again = tuple(t.size for t in tried[first:] if not fails(t))
+    for _ in range(_HALVINGS):
+        if below.size > 0 and above.size <= precision * below.size:
+            break
+        middle = attempt(_between(below.size, above.size))
+        tried.append(middle)
+        if fails(middle):
+            above = middle
+        else:
+            below = middle
+    return FailureBracket(tuple(sorted(tried, key=lambda t: t.size)), below, above, again)
+
+
+def _between(low: float, high: float) -> float:
+    return math.sqrt(low * high) if low > 0 else high / 2
+
+
+@dataclass(frozen=True)
+class ToleranceTrial:
     """How a loop is tried."""
 
     subject: Subject
@@ -37,7 +226,7 @@ class Trial:
         rows = [model.state_index(name) for name in model.controlled]
         return np.asarray(x[:, rows] - self.point.x[rows])
 
-    def at(self, impairment: Impairment, size: float) -> Tried:
+    def at(self, impairment: Impairment, size: float) -> TrialRun:
         """A run with the impairment at a size; at ``impairment.none`` nothing is wrong."""
         model = self.subject.model
         rows = [model.state_index(name) for name in model.controlled]
@@ -63,58 +252,58 @@ class Trial:
         lower, upper = model.input_bounds()
         commands = run.u / ((upper - lower) / 2)
         verdict = self.bounds.verdict(self.errors(run.x), commands, bool(run.ended))
-        return Tried(size, run, verdict)
+        return TrialRun(size, run, verdict)
 
 
 @dataclass(frozen=True)
-class Limits:
+class ImpairmentLimits:
     """What was found of an impairment."""
 
     impairment: Impairment
-    back: Found  #: Up to where the loop comes back to the point
-    calm: Found  #: Up to where it does not swing on, wherever it rests
+    back: FailureBracket  #: Up to where the loop comes back to the point
+    calm: FailureBracket  #: Up to where it does not swing on, wherever it rests
     #: Size at which the linear loop becomes unstable; None: at none, or nothing is foretold
     predicted: float | None
     foretold: bool  #: Whether the linear margins say anything of this impairment
 
 
 def limits_of(
-    trial: Trial,
+    trial: ToleranceTrial,
     impairment: Impairment,
     sizes: Sequence[float],
     precision: float,
-    nothing: Tried,
-    margins: Margins | None,
-) -> Limits:
+    nothing: TrialRun,
+    margins: MarginResult | None,
+) -> ImpairmentLimits:
     """Both limits of one impairment; runs are shared between the two searches."""
-    runs: dict[float, Tried] = {
-        impairment.none: Tried(impairment.none, nothing.run, nothing.verdict)
+    runs: dict[float, TrialRun] = {
+        impairment.none: TrialRun(impairment.none, nothing.run, nothing.verdict)
     }
 
-    def attempt(size: float) -> Tried:
+    def attempt(size: float) -> TrialRun:
         if size not in runs:
             runs[size] = trial.at(impairment, size)
         return runs[size]
 
-    def found(fails: Callable[[Tried], bool]) -> Found:
+    def found(fails: Callable[[TrialRun], bool]) -> FailureBracket:
         return searched(sizes, runs[impairment.none], attempt, precision, fails)
 
     calm = found(lambda tried: not tried.verdict.calm)
     back = found(lambda tried: not tried.verdict.back)
-    return Limits(impairment, back, calm, *_predicted(impairment, margins))
+    return ImpairmentLimits(impairment, back, calm, *_predicted(impairment, margins))
 
 
-def _predicted(impairment: Impairment, margins: Margins | None) -> tuple[float | None, bool]:
+def _predicted(impairment: Impairment, margins: MarginResult | None) -> tuple[float | None, bool]:
     """The size at which the linear loop becomes unstable, and whether it says anything."""
     if margins is None or impairment.kind == "friction":
         return None, False
-    if not isinstance(impairment, Gain):
+    if not isinstance(impairment, GainError):
         delay = margins.together.delay
         return (None if delay is None else delay.value), True
-    crossings = margins.loops[impairment.channel].crossings
+    own = margins.loops[impairment.channel].margins
     if impairment.up:
-        return (None if crossings.up is None else crossings.up.value), True
-    return (None if crossings.down is None else 1 / crossings.down.value), True
+        return (None if own.up is None else own.up.value), True
+    return (None if own.down is None else 1 / own.down.value), True
 
 
 #: Factor within which a foretold and a simulated limit count as the same.
@@ -123,7 +312,7 @@ _ALIKE = 1.2
 _CLOSER = 20.0
 
 
-def explanation(limits: Limits, trial: Trial) -> str:
+def explanation(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
     """Why the simulated limit of the swing is not the foretold one, as far as runs show it.
 
     One more run, between the two limits and from a start much closer to the point, where the rig
@@ -132,7 +321,7 @@ def explanation(limits: Limits, trial: Trial) -> str:
     impairment, limit, predicted = limits.impairment, limits.calm.limit, limits.predicted
     if not limits.foretold:
         return ""
-    if isinstance(impairment, Gain) and not impairment.up:
+    if isinstance(impairment, GainError) and not impairment.up:
         held = _range_ends(limits, impairment, trial)
         if held:
             return held
@@ -157,7 +346,7 @@ def explanation(limits: Limits, trial: Trial) -> str:
             f"swing is not linear{_at_limits(limits, trial)}"
         )
     too = f"{words}, from a start {_CLOSER:g} times closer too"
-    if isinstance(impairment, Gain):
+    if isinstance(impairment, GainError):
         changes = near.at(replace(impairment, of_changes=True), between)
         if changes.verdict.calm == stable:
             return (
@@ -168,7 +357,7 @@ def explanation(limits: Limits, trial: Trial) -> str:
     return too
 
 
-def _range_ends(limits: Limits, gain: Gain, trial: Trial) -> str:
+def _range_ends(limits: ImpairmentLimits, gain: GainError, trial: ToleranceTrial) -> str:
     """A word where the command that holds the point is out of the range at the wrong gain."""
     lower, upper = trial.subject.model.input_bounds()
     u = float(trial.point.u[gain.channel])
@@ -182,7 +371,7 @@ def _range_ends(limits: Limits, gain: Gain, trial: Trial) -> str:
     )
 
 
-def _at_limits(limits: Limits, trial: Trial) -> str:
+def _at_limits(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
     if limits.calm.above is None:
         return ""
     applied = limits.calm.above.run.applied

@@ -9,10 +9,10 @@ from typing import Annotated
 from msgspec import Meta
 
 from trms_cli.core.findings import Findings
-from trms_cli.stability.loops.frequency_response import Analyser, NotHeld
-from trms_cli.stability.loops.margin_findings import findings_of, not_held
-from trms_cli.stability.loops.margins import Margins as LoopMargins
-from trms_cli.stability.loops.place import measured, point_of
+from trms_cli.stability.loops.frequency_response import Analyser, NoResponse
+from trms_cli.stability.loops.margin_findings import margin_findings, no_response_findings
+from trms_cli.stability.loops.margins import MarginResult
+from trms_cli.stability.loops.measurement import measured, point_of
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -44,7 +44,7 @@ class Margins:
         point = point_of(subject, self.at)
         analyser = Analyser(self.lowest, self.ratio, self.amplitude, self.periods)
         response = measured(analyser, subject, loop, point, tell)
-        if isinstance(response, NotHeld):
-            return not_held(response, subject, loop, point)
+        if isinstance(response, NoResponse):
+            return no_response_findings(response, subject, loop, point)
         tell("margins")
-        return findings_of(LoopMargins(response), subject, loop, point)
+        return margin_findings(MarginResult(response), subject, loop, point)

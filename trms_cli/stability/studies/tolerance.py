@@ -11,15 +11,13 @@ from msgspec import Meta
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.core.plugins import nearest
-from trms_cli.stability.loops.frequency_response import Analyser, NotHeld
+from trms_cli.stability.loops.frequency_response import Analyser, NoResponse
 from trms_cli.stability.loops.impairments import impairments_of
-from trms_cli.stability.loops.margin_findings import condition_of, not_held
-from trms_cli.stability.loops.margins import Margins
-from trms_cli.stability.loops.place import measured, point_of
-from trms_cli.stability.loops.tolerance import Trial, limits_of
-from trms_cli.stability.loops.tolerance_findings import findings_of
-from trms_cli.stability.loops.tolerance_search import Tried
-from trms_cli.stability.loops.verdict import Bounds
+from trms_cli.stability.loops.margin_findings import condition_of, no_response_findings
+from trms_cli.stability.loops.margins import MarginResult
+from trms_cli.stability.loops.measurement import measured, point_of
+from trms_cli.stability.loops.tolerance import Bounds, ToleranceTrial, TrialRun, limits_of
+from trms_cli.stability.loops.tolerance_findings import tolerance_findings
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -57,7 +55,7 @@ class Tolerance:
         """
         loop = subject.require_loop("study=tolerance")
         model, point = subject.model, point_of(subject, self.at)
-        trial = Trial(
+        trial = ToleranceTrial(
             subject,
             loop,
             point,
@@ -75,19 +73,19 @@ class Tolerance:
                 remedy="give some of study.delays, study.gains, study.frictions",
             )
         response = measured(Analyser(), subject, loop, point, tell)
-        if isinstance(response, NotHeld):
-            return not_held(response, subject, loop, point)
+        if isinstance(response, NoResponse):
+            return no_response_findings(response, subject, loop, point)
         tell("nothing wrong")
         nothing = trial.at(wanted[0], wanted[0].none)
         self._require_back(nothing, condition_of(subject, loop, point))
-        margins = Margins(response)
+        margins = MarginResult(response)
         limits = []
         for impairment in wanted:
             tell(impairment.words)
             sizes = sorted(scans[impairment.kind])
             limits.append(limits_of(trial, impairment, sizes, self.precision, nothing, margins))
         tell("what differs from the linear margins")
-        return findings_of(limits, trial, margins)
+        return tolerance_findings(limits, trial, margins)
 
     def _start(self, subject: Subject) -> dict[str, float]:
         model = subject.model
@@ -107,7 +105,7 @@ class Tolerance:
                 )
         return {name: value for name, value in self.offset.items() if name in model.state_names}
 
-    def _require_back(self, nothing: Tried, where: str) -> None:
+    def _require_back(self, nothing: TrialRun, where: str) -> None:
         if not nothing.verdict.back:
             does: str = nothing.verdict.kind
             does = "is still creeping" if does == "still creeping" else f"{does} already"
