@@ -13,7 +13,7 @@ import msgspec
 import yaml
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.baseline import FIGURES, Tolerance
+from trms_cli.scoring.figures import FIGURES, Tolerance
 
 HERE = Path(__file__).parent
 MATRIX = HERE / "matrix.yaml"
@@ -94,9 +94,10 @@ def read_matrix(path: Path = MATRIX, pattern: str = "*", extra: Sequence[str] = 
 
 
 def _tolerances(given: Mapping[str, Any]) -> dict[str, Tolerance]:
-    known = {name for figures in FIGURES.values() for name in figures if name}
+    known = {figure.key for figure in FIGURES if figure.tolerance is not None}
+    groups = tuple({"states": "estimate"}.get(f.group, f.group) for f in FIGURES if f.tolerance)
     for name in given:
-        if name not in known and not name.startswith(tuple(FIGURES)):
+        if name not in known and not name.startswith(groups):
             raise TypeError(f"{name!r} is no figure of a score; there are {sorted(known)}")
     return {
         name: Tolerance(**value) if isinstance(value, dict) else Tolerance(absolute=value)

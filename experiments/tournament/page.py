@@ -212,7 +212,7 @@ def fault_rows(ranking: Ranking) -> Rows:
             if run.state is State.FAILED:
                 cells.append("failed")
                 continue
-            degraded = run.degraded()
+            degraded = run.of_run("degraded")
             words = f", {number(degraded)} s" if degraded > 0 else ""
             cells.append(f"{number(run.error(ranking.metric))}{words}")
         rows.append(cells)

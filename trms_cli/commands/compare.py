@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK, RecordingError
+from trms_cli.scoring.figures import metrics
 
 if TYPE_CHECKING:
     from trms_cli.scoring.comparison.gathering import Gathered
@@ -47,7 +48,7 @@ Examples:
   trms compare outputs/2025-01-31/12-00-00-run outputs/2025-01-31/12-00-05-run
 """
 
-METRICS = ("rmse", "iae", "ise", "itae", "max_abs_error")
+METRICS = tuple(metrics())
 SORTS = ("rank", "tracking", "worst", "effort", "variation", "time", "failures", "name")
 
 

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from trms_cli.scoring.comparison.compared_run import METRICS, ComparedRun, State
+from trms_cli.scoring.comparison.compared_run import ComparedRun, State
 from trms_cli.scoring.comparison.document import rule
 from trms_cli.scoring.comparison.figures import Figures, figures_of, worst_condition
 from trms_cli.scoring.comparison.gathering import Gathered
@@ -24,6 +24,7 @@ from trms_cli.scoring.comparison.ranking import (
     Ranking,
     Standing,
 )
+from trms_cli.scoring.figures import metrics
 
 _WIDTH = 100
 #: As many names of conditions, failed runs or settings are listed; JSON has all.
@@ -60,7 +61,7 @@ def tracking_table(
     ranking: Ranking, shown: Sequence[Standing], figures: Mapping[str, Figures]
 ) -> Table:
     """Tracking and robustness: errors over the best of the same condition."""
-    unit = METRICS[ranking.metric].replace("{}", "rad")
+    unit = metrics()[ranking.metric].replace("{}", "rad")
     title = f"{_short(ranking.metric)}\n[{unit}]"
     table = _table("tracking", "runs", title, "over\nbest", "\n95 %", "over\nfirst", "\n95 %", "")
     for title in ("\np95", "\nworst"):

@@ -81,17 +81,15 @@ def _state(row: Mapping[str, Any]) -> Any:
 
 def _score(row: Mapping[str, Any]) -> dict[str, Any]:
     """The figures of a row in the shape of a score, as far as a ranking asks for them."""
-    from trms_cli.runs.columns import CHANNEL_FIGURES, INPUT_FIGURES
+    from trms_cli.scoring.figures import of_group
 
-    def of(figures: Sequence[tuple[Any, ...]], name: str) -> dict[str, Any]:
-        return {key: row.get(f"{stem}_{name}") for stem, key, *_ in figures}
+    def of(group: Any, name: str) -> dict[str, Any]:
+        return {f.key: row.get(f"{f.column_name}_{name}") for f in of_group(group)}
 
     channels = {
-        n: of(CHANNEL_FIGURES, n)
-        for n in ("alpha_v", "alpha_h")
-        if row.get(f"rmse_{n}") is not None
+        n: of("channels", n) for n in ("alpha_v", "alpha_h") if row.get(f"rmse_{n}") is not None
     }
-    inputs = {n: of(INPUT_FIGURES, n) for n in ("u_v", "u_h") if row.get(f"effort_{n}") is not None}
+    inputs = {n: of("inputs", n) for n in ("u_v", "u_h") if row.get(f"effort_{n}") is not None}
     return {
         "duration_s": row.get("duration"),
         "channels": channels,

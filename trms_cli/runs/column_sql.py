@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
-from trms_cli.runs.columns import ALIASES, COLUMNS, FIGURE_STEMS, Column
+from trms_cli.runs.columns import ALIASES, COLUMNS, Column, figure_stems
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def nearest(name: str, extra: Collection[str] | None = ()) -> str:
 
 
 def _may_be_figure(name: str) -> bool:
-    return any(name.startswith(f"{stem}_") for stem in FIGURE_STEMS)
+    return any(name.startswith(f"{stem}_") for stem in figure_stems())
 
 
 def _json_path(key: str) -> str:

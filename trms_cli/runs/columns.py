@@ -8,10 +8,11 @@ can be asked for in the same way.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
+
+from trms_cli.scoring import figures
 
 Kind = Literal["text", "number", "whole", "truth", "any"]
 
@@ -36,35 +37,11 @@ class Column:
 _CHANNELS = ("alpha_v", "alpha_h")
 _INPUTS = ("u_v", "u_h")
 
-#: Figures of a channel: our name, the score's key, kind, unit, what it is.
-CHANNEL_FIGURES: tuple[tuple[str, str, Kind, str, str], ...] = (
-    ("rmse", "rmse", "number", "rad", "tracking error, root of the mean square"),
-    ("iae", "iae", "number", "rad s", "∫|e| dt"),
-    ("ise", "ise", "number", "rad² s", "∫e² dt"),
-    ("itae", "itae", "number", "rad s²", "∫t|e| dt"),
-    ("max_abs_error", "max_abs_error", "number", "rad", "largest error"),
-    ("overshoot", "overshoot_percent", "number", "%", "of the worst step"),
-    ("overshoot_median", "overshoot_median_percent", "number", "%", "over the steps"),
-    ("rise_time", "rise_time_s", "number", "s", "of the worst step"),
-    ("rise_time_median", "rise_time_median_s", "number", "s", "over the steps"),
-    ("settling_time", "settling_time_s", "number", "s", "of the worst step"),
-    ("settling_time_median", "settling_time_median_s", "number", "s", "over the steps"),
-    ("steady_state_error", "steady_state_error", "number", "rad", "before the next step"),
-    ("steps", "steps", "whole", "", "steps of the reference"),
-    ("unsettled", "unsettled_steps", "whole", "", "steps that did not settle"),
-)
-INPUT_FIGURES: tuple[tuple[str, str, Kind, str, str], ...] = (
-    ("effort", "effort", "number", "V² s", "∫u² dt"),
-    ("total_variation", "total_variation", "number", "V", "Σ|Δu|"),
-    ("saturation", "saturation_share", "number", "1", "share of the time at a limit"),
-)
 
-#: What figures of channels, inputs and states begin with: ``rmse_alpha_h``.
-FIGURE_STEMS = (
-    *(name for name, *_ in (*CHANNEL_FIGURES, *INPUT_FIGURES)),
-    "estimate_rmse",
-    "prediction_rmse",
-)
+def figure_stems() -> list[str]:
+    """What figures of channels, inputs and states begin with: ``rmse`` of ``rmse_alpha_h``."""
+    return [f.column_name for f in figures.of_group("channels", "inputs", "states")]
+
 
 _OF_RUN = (
     Column("path", "text", "", "folder of the run, or its log if that has another name"),
@@ -92,31 +69,32 @@ _OF_RUN = (
     Column("sample_time", "number", "s", "of the loop (sim.sample_time)"),
     Column("took", "number", "s", "from the log's beginning to its end by the clock"),
 )
+_TOTALS = {
+    ("channels", "sum"): "sum over the channels, as `trms compare` ranks",
+    ("inputs", "sum"): "sum over the inputs",
+    ("inputs", "largest"): "of the input that was longest at a limit",
+}
+_UNITS = {"channels": "rad", "inputs": "V"}
+
+
+def _of_figure(figure: figures.Figure, name: str, about: str = "") -> Column:
+    kind: Kind = "whole" if figure.whole else "number"
+    unit = figure.unit_of(_UNITS.get(figure.group, ""))
+    if not unit and figure.group in _UNITS and not figure.whole:
+        unit = "1"
+    return Column(name, kind, unit, about or figure.about or figure.label)
+
+
 _OF_SCORE = (
-    Column("rmse", "number", "rad", "sum over the channels, as `trms compare` ranks"),
-    Column("iae", "number", "rad s", "sum over the channels"),
-    Column("ise", "number", "rad² s", "sum over the channels"),
-    Column("itae", "number", "rad s²", "sum over the channels"),
-    Column("effort", "number", "V² s", "sum over the inputs"),
-    Column("total_variation", "number", "V", "sum over the inputs"),
-    Column("saturation", "number", "1", "of the input that was longest at a limit"),
-    Column("solve_median", "number", "ms", "time of a control step"),
-    Column("solve_p99", "number", "ms", "time of a control step"),
-    Column("solve_max", "number", "ms", "time of a control step"),
-    Column("iterations", "number", "", "of the solver, on average"),
-    Column("deadline_misses", "whole", "", "control steps that took too long"),
-    Column("failures", "whole", "", "samples on which the solver failed or a fall-back acted"),
-    Column("objective", "number", "", "of the solver, summed"),
-    Column("violations", "whole", "", "samples beyond a limit, of all channels and inputs"),
-    Column("degraded", "number", "s", "time in which the loop was not normal"),
-    Column("landings", "whole", "", "how often the rig was landed"),
-    Column("nees", "number", "", "estimate's squared error over its covariance, mean"),
-    Column("nees_expected", "number", "", "of a consistent filter"),
-    Column("nis", "number", "", "innovations' squares over their covariance, mean"),
-    Column("nis_expected", "number", "", "of a consistent filter"),
-    Column("whiteness_p", "number", "", "of the innovations"),
-    Column("missing_samples", "whole", "", "that a sensor lost"),
-    Column("rejected_samples", "whole", "", "that the observer took for outliers"),
+    *(
+        _of_figure(figure, figure.column_name, _TOTALS[figure.group, figure.total])
+        for figure in figures.of_group("channels", "inputs")
+        if figure.total
+    ),
+    *(
+        _of_figure(figure, figure.column_name)
+        for figure in figures.of_group("solver", "run", "estimate")
+    ),
 )
 _OF_ORIGIN = (
     Column("git", "text", "", "revision of the working folder"),
@@ -127,20 +105,16 @@ _OF_ORIGIN = (
     Column("choices", "text", "", "option of each group, as JSON"),
 )
 _OF_CHANNELS = tuple(
-    Column(f"{name}_{channel}", kind, unit, about)
-    for name, _, kind, unit, about in CHANNEL_FIGURES
-    for channel in _CHANNELS
-)
-_OF_INPUTS = tuple(
-    Column(f"{name}_{channel}", kind, unit, about)
-    for name, _, kind, unit, about in INPUT_FIGURES
-    for channel in _INPUTS
+    _of_figure(figure, f"{figure.column_name}_{name}")
+    for group, names in (("channels", _CHANNELS), ("inputs", _INPUTS))
+    for figure in figures.FIGURES
+    if figure.group == group
+    for name in names
 )
 
 #: Every column, in the order in which a frame has them.
 COLUMNS: dict[str, Column] = {
-    column.name: column
-    for column in (*_OF_RUN, *_OF_SCORE, *_OF_CHANNELS, *_OF_INPUTS, *_OF_ORIGIN)
+    column.name: column for column in (*_OF_RUN, *_OF_SCORE, *_OF_CHANNELS, *_OF_ORIGIN)
 }
 
 _OTHER_NAMES = {
@@ -171,84 +145,19 @@ def figures_of(score: Mapping[str, Any]) -> dict[str, float | None]:
         ``trms.score/1``, also one of an older version, or one that holds what it should not:
         what is no finite number is None.
     """
-    found: dict[str, float | None] = {}
-    channels, inputs = _mapping(score, "channels"), _mapping(score, "inputs")
-    for channel, told in channels.items():
-        for name, key, *_ in CHANNEL_FIGURES:
-            found[f"{name}_{channel}"] = _number(told, key)
-    for channel, told in inputs.items():
-        for name, key, *_ in INPUT_FIGURES:
-            found[f"{name}_{channel}"] = _number(told, key)
-    for name in ("rmse", "iae", "ise", "itae"):
-        found[name] = _total(_number(told, name) for told in channels.values())
-    for name in ("effort", "total_variation"):
-        found[name] = _total(_number(told, name) for told in inputs.values())
-    shares = [_number(told, "saturation_share") for told in inputs.values()]
-    found["saturation"] = max((share for share in shares if share is not None), default=None)
-    return found | _of_solver(score) | _of_estimate(score) | _of_loop(score)
-
-
-def _of_solver(score: Mapping[str, Any]) -> dict[str, float | None]:
-    solver = _mapping(score, "solver")
-    found = {
-        f"solve_{key}": _number(solver.get("time_ms"), key) for key in ("median", "p99", "max")
+    values: dict[str, float | None] = {"duration": figures.finite(score.get("duration_s"))}
+    members: dict[figures.Figure, list[float | None]] = {
+        f: [] for f in figures.of_group("channels", "inputs") if f.total
     }
-    return found | {
-        "iterations": _number(solver, "iterations_mean"),
-        "deadline_misses": _number(solver, "deadline_misses"),
-        "failures": _number(solver, "failures"),
-        "objective": _number(solver, "objective_total"),
-    }
-
-
-def _of_estimate(score: Mapping[str, Any]) -> dict[str, float | None]:
-    estimate = _mapping(score, "estimate")
-    found: dict[str, float | None] = {
-        "nees": _number(estimate, "nees_mean"),
-        "nees_expected": _number(estimate, "nees_expected"),
-        "nis": _number(estimate, "nis_mean"),
-        "nis_expected": _number(estimate, "nis_expected"),
-        "whiteness_p": _number(estimate, "innovation_whiteness_p"),
-        "missing_samples": _number(estimate, "missing_samples"),
-        "rejected_samples": _number(estimate, "rejected_samples"),
-    }
-    for key, name in (("rmse", "estimate_rmse"), ("prediction_rmse", "prediction_rmse")):
-        for channel in _mapping(estimate, key):
-            found[f"{name}_{channel}"] = _number(estimate[key], channel)
-    return found
-
-
-def _of_loop(score: Mapping[str, Any]) -> dict[str, float | None]:
-    duration = _number(score, "duration_s")
-    limits = _mapping(score, "constraint_violations")
-    degraded = _mapping(score, "degraded")
-    shares = _total(_number(degraded.get("share"), mode) for mode in _mapping(degraded, "share"))
-    told = "constraint_violations" in score
-    return {
-        "duration": duration,
-        "violations": sum(_number(each, "samples") or 0 for each in limits.values())
-        if told
-        else None,
-        "degraded": None if shares is None or duration is None else shares * duration,
-        "landings": _number(degraded, "landings"),
-    }
-
-
-def _mapping(owner: Any, key: str) -> Mapping[str, Any]:
-    found = owner.get(key) if isinstance(owner, Mapping) else None
-    return found if isinstance(found, Mapping) else {}
-
-
-def _number(owner: Any, key: str) -> float | None:
-    value = owner.get(key) if isinstance(owner, Mapping) else None
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return None
-    return value if abs(value) < 1e300 and math.isfinite(value) else None
-
-
-def _total(values: Iterable[float | None]) -> float | None:
-    """The sum; None where one of them is missing, or without any."""
-    present = list(values)
-    if not present or any(value is None for value in present):
-        return None
-    return float(sum(value for value in present if value is not None))
+    for entry in figures.entries(score):
+        figure = entry.figure
+        if figure.group != "constraint_violations":
+            name = f"{figure.column_name}_{entry.of}" if entry.of else figure.column_name
+            values[name] = entry.value
+        if figure in members:
+            members[figure].append(entry.value)
+    for figure, own in members.items():
+        known = [value for value in own if value is not None]
+        largest = max(known, default=None)
+        values[figure.column_name] = figures.total(own) if figure.total == "sum" else largest
+    return values

@@ -10,76 +10,20 @@ are left out, because they belong to the machine.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from trms_cli.core.data_file import read_json
 from trms_cli.core.errors import RecordingError
+from trms_cli.scoring import figures
 from trms_cli.scoring import score as scoring
+from trms_cli.scoring.figures import Tolerance
 
 SCHEMA = "trms.baseline/1"
 
 Verdict = Literal["better", "same", "worse", "new", "gone"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tolerance:
-    """How far a figure may move: ``absolute + relative·|baseline|``."""
-
-    absolute: float = 0.0  #: In the figure's unit
-    relative: float = 0.0  #: Fraction of the baseline
-
-    def allowed(self, baseline: float) -> float:
-        """In the figure's unit."""
-        return self.absolute + self.relative * abs(baseline)
-
-
-@dataclass(frozen=True)
-class Figure:
-    """What is compared of a score, and how."""
-
-    unit: str  #: ``{}`` stands for the unit of the channel
-    tolerance: Tolerance  #: How far it may move
-    judged: bool = True  #: Whether it decides about the run
-
-
-def _figure(unit: str, absolute: float, relative: float = 0.02, *, judged: bool = True) -> Figure:
-    return Figure(unit, Tolerance(absolute=absolute, relative=relative), judged)
-
-
-#: By group of the score and name of the figure. ``{}`` in a unit is the channel's own.
-#: 1e-3 rad is less than a quantum of an encoder with 4096 lines, 0.1 s ten samples at 100 Hz.
-FIGURES: dict[str, dict[str, Figure]] = {
-    "channels": {
-        "rmse": _figure("{}", 1e-3),
-        "iae": _figure("{} s", 1e-2),
-        "ise": _figure("{}² s", 1e-3),
-        "itae": _figure("{} s²", 0.3),
-        "max_abs_error": _figure("{}", 5e-3),
-        "overshoot_percent": _figure("%", 1.0),
-        "rise_time_s": _figure("s", 0.05, judged=False),
-        "settling_time_s": _figure("s", 0.1),
-        "unsettled_steps": _figure("", 0.0, 0.0),
-        "steady_state_error": _figure("{}", 1e-3),
-    },
-    "inputs": {
-        "effort": _figure("{}² s", 0.1, 0.05, judged=False),
-        "total_variation": _figure("{}", 0.1, 0.05, judged=False),
-        "saturation_share": _figure("", 0.01, judged=False),
-    },
-    "estimate.rmse": {"": _figure("", 1e-3, 0.05)},
-    "estimate.prediction_rmse": {"": _figure("", 1e-3, 0.05)},
-    "solver": {
-        "iterations_mean": _figure("", 0.5, judged=False),
-        "failures": _figure("", 0.0, 0.0),
-    },
-    "constraint_violations": {
-        "samples": _figure("", 0.0, 0.0),
-        "worst": _figure("{}", 1e-4, 0.0),
-    },
-}
 
 
 @dataclass(frozen=True)
@@ -88,7 +32,7 @@ class Baseline:
 
     score: Mapping[str, Any]  #: A document ``trms.score/1``
     #: By key of a figure (``channels.alpha_v.rmse``) or by its last part (``rmse``); they replace
-    #: those of :data:`FIGURES`
+    #: those of :data:`~trms_cli.scoring.figures.FIGURES`
     tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
     reason: str = ""  #: Why this score is the one to hold against
 
@@ -134,19 +78,18 @@ def compare(score: Mapping[str, Any], baseline: Baseline) -> list[Row]:
             where=str(score.get("log", "")),
             remedy="compare runs of the same sim.duration, or write a new baseline",
         )
-    now, then = dict(_figures(score)), dict(_figures(baseline.score))
+    now, then = _compared(score), _compared(baseline.score)
     keys = [*now, *(key for key in then if key not in now)]
     rows = []
     for key in keys:
-        figure = (now.get(key) or then[key])[0]
-        new, old = (side[key][1] if key in side else None for side in (now, then))
+        entry = now.get(key) or then[key]
+        new, old = (side[key].value if key in side else None for side in (now, then))
         if new is None and old is None:
             continue
-        chosen = _chosen_tolerance(key, baseline.tolerances) or figure.tolerance
-        allowed = chosen.allowed(old) if old is not None else 0.0
-        rows.append(
-            Row(key, old, new, allowed, figure.unit, _verdict(new, old, allowed), figure.judged)
-        )
+        chosen = _chosen_tolerance(key, baseline.tolerances) or entry.figure.tolerance
+        allowed = chosen.allowed(old) if chosen is not None and old is not None else 0.0
+        verdict = _verdict(new, old, allowed)
+        rows.append(Row(key, old, new, allowed, entry.unit, verdict, entry.figure.judged))
     return rows
 
 
@@ -197,11 +140,22 @@ def baseline_from(document: Any, where: str) -> Baseline:
 
 
 def _checked_score(score: Any) -> dict[str, Any]:
+    """The score, where it has all parts, and numbers in them."""
     float(score["duration_s"])
-    for _, (_, value) in _figures(score):
-        if value is not None:
-            float(value)
+    for part in ("channels", "inputs", "constraint_violations"):
+        for own in score[part].values():
+            _check_numbers(own, [f.key for f in figures.of_group(part) if f.tolerance])
+    for figure in figures.of_group("states"):
+        _check_numbers(score["estimate"][figure.key], score["estimate"][figure.key])
+    compared = [figure.key for figure in figures.of_group("solver") if figure.tolerance]
+    _check_numbers({key: score["solver"][key] for key in compared}, compared)
     return dict(score)
+
+
+def _check_numbers(owner: Mapping[str, Any], keys: Iterable[str]) -> None:
+    for key in keys:
+        if owner.get(key) is not None:
+            float(owner[key])
 
 
 def _tolerance(given: Any) -> Tolerance:
@@ -213,26 +167,11 @@ def _tolerance(given: Any) -> Tolerance:
     return tolerance
 
 
-def _figures(score: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Figure, float | None]]]:
-    """Key, figure and value of everything in a score that can be compared."""
-    for group, figures in FIGURES.items():
-        node: Any = score
-        for part in group.split("."):
-            node = node[part]
-        if "" in figures:
-            for name, value in node.items():
-                unit = score["estimate"].get("units", {}).get(name, "")
-                own = Figure(unit, figures[""].tolerance, figures[""].judged)
-                yield f"{group}.{name}", (own, value)
-        elif group == "solver":
-            for name, figure in figures.items():
-                yield f"{group}.{name}", (figure, node[name])
-        else:
-            for channel, values in node.items():
-                for name, figure in figures.items():
-                    unit = figure.unit.replace("{}", values.get("unit", ""))
-                    own = Figure(unit.strip(), figure.tolerance, figure.judged)
-                    yield f"{group}.{channel}.{name}", (own, values.get(name))
+def _compared(score: Mapping[str, Any]) -> dict[str, figures.Entry]:
+    """Everything in a score that can be compared, by its key."""
+    return {
+        entry.key: entry for entry in figures.entries(score) if entry.figure.tolerance is not None
+    }
 
 
 def _chosen_tolerance(key: str, tolerances: Mapping[str, Tolerance]) -> Tolerance | None:

@@ -9,6 +9,7 @@ computed is NaN; :mod:`trms_cli.scoring.score` turns it into null.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,3 +86,20 @@ def excess(values: Array, lower: float, upper: float) -> Array:
     """How far each present value is outside its limits, 0 inside; shorter if some are NaN."""
     present = values[~np.isnan(values)]
     return np.maximum(np.maximum(lower - present, present - upper), 0.0)
+
+
+def worst(values: Iterable[float]) -> float:
+    """The largest; NaN without any."""
+    return max(values, default=math.nan)
+
+
+def median(values: Iterable[float]) -> float:
+    """The median; NaN without any."""
+    present = list(values)
+    return float(np.median(present)) if present else math.nan
+
+
+def quantile(values: Array, share: float) -> float:
+    """A quantile of the samples that there are."""
+    present = values[~np.isnan(values)]
+    return float(np.quantile(present, share)) if present.size else math.nan

@@ -17,12 +17,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trms_cli.core.data_file import not_as_written
-from trms_cli.scoring import metrics, step_response
+from trms_cli.scoring import figures, metrics, step_response
 from trms_cli.scoring.degraded import degraded_figures
 from trms_cli.scoring.estimate import estimate_figures
 from trms_cli.scoring.metrics import Array
@@ -114,6 +116,39 @@ def score_tables(
     return _without_nan(document)
 
 
+@dataclass(frozen=True)
+class Tracked:
+    """A channel that was to follow a reference, as the figures of channels take it."""
+
+    time: Array  #: (n,) s
+    wanted: Array  #: (n,) reference
+    response: Array  #: (n,) what it did; NaN where no sample is
+
+    @cached_property
+    def error(self) -> Array:
+        """(n,) reference minus response."""
+        return self.wanted - self.response
+
+    @cached_property
+    def steps(self) -> list[step_response.StepMetrics]:
+        """Of the reference, in order; ``inf`` for what did not happen."""
+        return step_response.steps(self.time, self.wanted, self.response)
+
+    @cached_property
+    def steady_state_error(self) -> float:
+        """Mean over the last part of each hold."""
+        return step_response.steady_state_error(self.time, self.wanted, self.response)
+
+
+@dataclass(frozen=True)
+class Applied:
+    """An input as it was applied, as the figures of inputs take it."""
+
+    time: Array  #: (n,) s
+    command: Array  #: (n,)
+    limits: tuple[float, float] | None  #: None where the log tells none
+
+
 def _channels(tables: Mapping[str, Columns]) -> dict[str, Any]:
     reference = tables.get("/reference")
     if reference is None or len(reference.time) == 0:
@@ -123,41 +158,15 @@ def _channels(tables: Mapping[str, Columns]) -> dict[str, Any]:
         source = _source_of(name, tables)
         if source is None:
             continue
-        table = tables[source]
-        time, wanted = reference.time, floats(reference, name)
-        response = held(table, name, time)
-        if np.all(np.isnan(wanted)) or np.all(np.isnan(response)):
+        table, time = tables[source], reference.time
+        signals = Tracked(time, floats(reference, name), held(table, name, time))
+        if np.all(np.isnan(signals.wanted)) or np.all(np.isnan(signals.response)):
             continue
-        error = wanted - response
-        scored[name] = {
-            "rmse": metrics.rmse(error),
-            "iae": metrics.iae(time, error),
-            "ise": metrics.ise(time, error),
-            "itae": metrics.itae(time, error),
-            "max_abs_error": metrics.max_abs_error(error),
-            **_step_figures(step_response.steps(time, wanted, response)),
-            "steady_state_error": step_response.steady_state_error(time, wanted, response),
+        scored[name] = _computed("channels", signals) | {
             "unit": unit(table, name),
             "scored_on": "state" if source == "/plant/state" else "measurement",
         }
     return scored
-
-
-def _step_figures(steps: list[step_response.StepMetrics]) -> dict[str, Any]:
-    """Worst and median over the steps; NaN without steps, inf for what did not happen."""
-    overshoot = [step.overshoot_percent for step in steps]
-    rise = [step.rise_time for step in steps]
-    settling = [step.settling_time for step in steps]
-    return {
-        "overshoot_percent": max(overshoot, default=math.nan),
-        "overshoot_median_percent": _median(overshoot),
-        "rise_time_s": max(rise, default=math.nan),
-        "rise_time_median_s": _median(rise),
-        "settling_time_s": max(settling, default=math.nan),
-        "settling_time_median_s": _median(settling),
-        "steps": len(steps),
-        "unsettled_steps": sum(math.isinf(value) for value in settling),
-    }
 
 
 def _inputs(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]:
@@ -166,15 +175,18 @@ def _inputs(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]:
         return {}
     scored = {}
     for name in command.columns:
-        values = floats(command, name)
-        share = metrics.saturation_share(values, *limits[name]) if name in limits else math.nan
-        scored[name] = {
-            "effort": metrics.input_effort(command.time, values),
-            "total_variation": metrics.total_variation(values),
-            "saturation_share": share,
-            "unit": unit(command, name),
-        }
+        signals = Applied(command.time, floats(command, name), limits.get(name))
+        scored[name] = _computed("inputs", signals) | {"unit": unit(command, name)}
     return scored
+
+
+def _computed(group: figures.Group, signals: Tracked | Applied) -> dict[str, Any]:
+    """The figures of a channel or an input, by their keys."""
+    return {
+        figure.key: figure.of(metrics, signals)
+        for figure in figures.of_group(group)
+        if figure.of is not None
+    }
 
 
 def _solver(tables: Mapping[str, Columns]) -> dict[str, Any]:
@@ -245,10 +257,6 @@ def _source_of(name: str, tables: Mapping[str, Columns]) -> str | None:
         if table is not None and name in table.columns and len(table.time):
             return topic
     return None
-
-
-def _median(values: list[float]) -> float:
-    return float(np.median(values)) if values else math.nan
 
 
 def _without_nan(value: Any) -> Any:

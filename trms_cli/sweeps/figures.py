@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.runs.columns import ALIASES, COLUMNS, FIGURE_STEMS
+from trms_cli.runs.columns import ALIASES, COLUMNS, figure_stems
 from trms_cli.sweeps.point import Result
 
 #: What a command itself calls its figure of merit: the cost of ``trms identify``, …
@@ -28,7 +28,7 @@ def canonical(name: str, where: str) -> str:
     if found == MERIT or (column is not None and column.is_number):
         return found
     said = _all_names()
-    of_channel = column is None and any(found.startswith(f"{stem}_") for stem in FIGURE_STEMS)
+    of_channel = column is None and any(found.startswith(f"{stem}_") for stem in figure_stems())
     if of_channel and not get_close_matches(found, said, n=1, cutoff=_MISSPELT):
         return found  # of a channel that the twin rotor does not have
     raise ConfigurationError(

@@ -8,14 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-#: Figures of a channel that a comparison can rank by, with their units beside the channel's.
-METRICS: dict[str, str] = {
-    "rmse": "{}",
-    "iae": "{} s",
-    "ise": "{}² s",
-    "itae": "{} s²",
-    "max_abs_error": "{}",
-}
+from trms_cli.scoring.figures import entries
 
 
 class State(Enum):
@@ -76,20 +69,10 @@ class ComparedRun:
         """``median``, ``p99`` or ``max`` of the time of a control step, ms."""
         return _number((self.score or {}).get("solver", {}).get("time_ms", {}).get(figure))
 
-    def degraded(self) -> float:
-        """Time in which the loop was not normal, s; NaN where the score does not tell."""
-        told = (self.score or {}).get("degraded")
-        if not isinstance(told, Mapping):
-            return math.nan
-        share = sum(_number(value) for value in told.get("share", {}).values())
-        return share * _number((self.score or {}).get("duration_s"))
-
-    def violations(self) -> float:
-        """Samples beyond a limit, of all channels and inputs; NaN where the score has none."""
-        told = (self.score or {}).get("constraint_violations")
-        if told is None:
-            return math.nan
-        return float(sum(_number(each.get("samples")) for each in told.values()))
+    def of_run(self, key: str) -> float:
+        """A figure of the run as a whole: ``degraded`` (s), ``violations``; NaN without one."""
+        found = next((e for e in entries(self.score or {}, "run") if e.key == key), None)
+        return _number(None if found is None else found.value)
 
     def _inputs(self) -> list[Mapping[str, Any]]:
         return list((self.score or {}).get("inputs", {}).values())

@@ -8,11 +8,12 @@ from dataclasses import asdict
 from typing import Any
 
 from trms_cli.scoring.comparison import ranking as ranked
-from trms_cli.scoring.comparison.compared_run import METRICS, ComparedRun, State
+from trms_cli.scoring.comparison.compared_run import ComparedRun, State
 from trms_cli.scoring.comparison.figures import figures_of, worst_condition
 from trms_cli.scoring.comparison.gathering import Gathered
 from trms_cli.scoring.comparison.pair import Pair
 from trms_cli.scoring.comparison.ranking import Interval, Ranking, Standing
+from trms_cli.scoring.figures import metrics
 
 SCHEMA, PAIR_SCHEMA = "trms.compare/1", "trms.compare_pair/1"
 
@@ -76,7 +77,7 @@ def pair_document(pair: Pair) -> dict[str, Any]:
 
 def _entrant(standing: Standing, ranking: Ranking) -> dict[str, Any]:
     told = asdict(figures_of(standing, ranking.metric))
-    others = {metric: _mean(standing, metric) for metric in METRICS if metric != ranking.metric}
+    others = {metric: _mean(standing, metric) for metric in metrics() if metric != ranking.metric}
     errors = {name: told.pop(f"error_{name}") for name in ("mean", "p95", "worst")}
     return {
         "name": standing.name,

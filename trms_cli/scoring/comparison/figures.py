@@ -49,7 +49,7 @@ def figures_of(standing: Standing, metric: str = "rmse") -> Figures:
     ended = [run for run in runs if run.state is not State.FAILED]
     errors = [run.error(metric) for run in ended]
     counted = [run.non_finite for run in runs if run.non_finite is not None]
-    degraded = [run.degraded() for run in ended]
+    degraded = [run.of_run("degraded") for run in ended]
     return Figures(
         runs=len(runs),
         error_mean=_mean(errors),
@@ -68,7 +68,7 @@ def figures_of(standing: Standing, metric: str = "rmse") -> Figures:
         degraded_s=math.fsum(value for value in degraded if math.isfinite(value)),
         degraded_runs=sum(value > 0 for value in degraded),
         missed=_count(run.solver("deadline_misses") for run in ended),
-        violations=_count(run.violations() for run in ended),
+        violations=_count(run.of_run("violations") for run in ended),
     )
 
 

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from trms_cli.scoring.comparison.compared_run import ComparedRun
 from trms_cli.scoring.comparison.coordinates import differences
+from trms_cli.scoring.figures import Group, entries
 
-_CHANNEL = (
-    ("rmse", "RMSE", "{}"),
-    ("iae", "IAE", "{} s"),
-    ("ise", "ISE", "{}² s"),
-    ("max_abs_error", "largest error", "{}"),
-    ("steady_state_error", "steady-state error", "{}"),
-    ("overshoot_percent", "overshoot, worst step", "%"),
-    ("rise_time_s", "rise time, worst step", "s"),
-    ("settling_time_s", "settling time, worst step", "s"),
-)
-_INPUT = (("effort", "effort ∫u²dt", "{}² s"), ("total_variation", "total variation", "{}"))
+_GROUPS: tuple[Group, ...] = ("channels", "inputs", "solver", "run")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,28 +60,14 @@ def pair(one: ComparedRun, other: ComparedRun) -> Pair:
 
 
 def _rows(one: ComparedRun, other: ComparedRun) -> Iterator[Row]:
-    for group, figures in (("channels", _CHANNEL), ("inputs", _INPUT)):
-        left, right = ((run.score or {}).get(group, {}) for run in (one, other))
-        for name in dict.fromkeys([*left, *right]):
-            for key, label, unit in figures:
-                own = (left.get(name) or right.get(name) or {}).get("unit", "")
-                values = [side.get(name, {}).get(key) for side in (left, right)]
-                if any(value is not None for value in values):
-                    yield Row(
-                        key=f"{group}.{name}.{key}",
-                        label=f"{name} {label}",
-                        unit=unit.replace("{}", own).strip(),
-                        one=values[0],
-                        other=values[1],
-                    )
-    for key, label in (("median", "time of a step, median"), ("p99", "time of a step, p99")):
-        yield _row(f"solver.time_ms.{key}", label, "ms", one.step_time(key), other.step_time(key))
-    for key, label in (("failures", "solver failures"), ("deadline_misses", "deadlines missed")):
-        yield _row(f"solver.{key}", label, "", one.solver(key), other.solver(key))
-    yield _row("degraded", "time not normal", "s", one.degraded(), other.degraded())
-    yield _row("violations", "samples beyond a limit", "", one.violations(), other.violations())
-
-
-def _row(key: str, label: str, unit: str, one: float, other: float) -> Row:
-    left, right = (None if math.isnan(value) else value for value in (one, other))
-    return Row(key=key, label=label, unit=unit, one=left, other=right)
+    """The figures of both that are better when small, where one of them has one."""
+    left, right = ({e.key: e for e in entries(run.score or {}, *_GROUPS)} for run in (one, other))
+    for key in dict.fromkeys([*left, *right]):
+        entry = left.get(key) or right[key]
+        values = [side[key].value if key in side else None for side in (left, right)]
+        of_all = entry.figure.group in ("solver", "run")
+        if of_all:
+            values = [None if value is None else float(value) for value in values]
+        if entry.figure.better == "less" and (of_all or any(v is not None for v in values)):
+            unit = entry.unit or (right[key].unit if key in right else "")
+            yield Row(key=key, label=entry.label, unit=unit, one=values[0], other=values[1])

@@ -110,7 +110,7 @@ def rank(runs: Contest, metric: str = "rmse", *, resamples: int = RESAMPLES) -> 
     ----------
     runs : Contest
     metric : str
-        One of :data:`trms_cli.scoring.comparison.compared_run.METRICS`.
+        One of :func:`trms_cli.scoring.figures.metrics`.
     resamples : int
         Of the bootstrap.
     """
