@@ -88,9 +88,9 @@ def _add(table: Table, way: str, seconds: float, loop: float, limit: float) -> N
 def _loop(place: Path, words: list[str], count: int) -> float:
     """Time of a run in a plain loop, s."""
     from trms_cli.commands.run import perform
-    from trms_cli.composition.recomposition import recomposer
+    from trms_cli.composition.composer import composer_of
 
-    composer = recomposer("run", ())
+    composer = composer_of("run", ())
     begin = time.perf_counter()
     for number in range(count):
         composition = composer.compose([*words, f"seed={number}"], number)

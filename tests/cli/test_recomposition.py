@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.composition import recomposition
-from trms_cli.composition.composer import compose
-from trms_cli.composition.recomposition import Recomposer
+from trms_cli.composition import composer, hydra_composition
+from trms_cli.composition.composer import Composer, compose
 from trms_cli.core.errors import TrmsError
 
 CHOICES = [
@@ -79,8 +78,8 @@ def _outcome(composing):
 
 
 @pytest.fixture(scope="module")
-def known() -> Recomposer:
-    return Recomposer("run")
+def known() -> Composer:
+    return Composer("run")
 
 
 @settings(max_examples=12, deadline=None)
@@ -119,8 +118,7 @@ def test_what_sweeps_vary_is_not_composed_again(known, monkeypatch, words):
     def refuse(*_):
         raise AssertionError("composed from the start")
 
-    monkeypatch.setattr(recomposition, "compose_request", refuse)
-    monkeypatch.setattr(recomposition, "_hydra_compose", refuse)
+    monkeypatch.setattr(hydra_composition, "compose_by_hydra", refuse)
     again = known.compose([*words, "sim.prediction_every=3"], job=7)
     assert again.job == 7 and again.config["sim"]["prediction_every"] == 3
 
@@ -138,11 +136,11 @@ def test_the_rig_follows_the_model_that_is_varied(known):
 
 
 def test_what_is_kept_is_bounded(monkeypatch):
-    monkeypatch.setattr(recomposition, "_MOST_BASES", 2)
-    composer = Recomposer("run")
+    monkeypatch.setattr(composer, "_MOST_BASES", 2)
+    kept = Composer("run")
     for name in ("pid", "lqr", "linear_mpc"):
-        composer.compose([f"controller={name}"])
-    assert len(composer._bases) == 2
+        kept.compose([f"controller={name}"])
+    assert len(kept._bases) == 2
 
 
 def test_a_tenth_of_the_time(known):

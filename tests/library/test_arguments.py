@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trms_cli import compare, plot, report, run, score
+from trms_cli.composition.arguments import arguments_of, text_of
 from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError, SimulationError
-from trms_cli.library.arguments import arguments_of, text_of
-from trms_cli.library.time_function import TimeFunction
+from trms_cli.references.time_function import TimeFunction
 
 from .own_parts import Steady
 

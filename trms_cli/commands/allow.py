@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from trms_cli.commands.plain_options import as_options
 from trms_cli.composition.catalogue import take_config_dirs
 from trms_cli.core.allowed import (
     ENVIRONMENT,
@@ -50,7 +51,8 @@ _REMOVE = "--remove"
 
 def main(argv: Sequence[str]) -> int:
     """Allow a package, remove one, or tell what is allowed."""
-    folders, rest = take_config_dirs(argv)
+    options = {"json": False, "remove": True, "config-dir": True}
+    folders, rest = take_config_dirs(as_options(argv, options))
     as_json = "--json" in rest
     words = [word for word in rest if word not in ("--json", "--list")]
     removing = _REMOVE in words or any(word.startswith(f"{_REMOVE}=") for word in words)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from trms_cli import __version__
+from trms_cli.commands.plain_options import as_options
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 
 SUMMARY = "tell whether this machine is ready, and what to install"
@@ -44,6 +45,7 @@ class Finding(NamedTuple):
 
 def main(argv: Sequence[str]) -> int:
     """Print the findings; exit code 1 when one of them keeps trms from working."""
+    argv = as_options(argv, {"json": False})
     unknown = [word for word in argv if word != "--json"]
     if unknown:
         raise ConfigurationError(

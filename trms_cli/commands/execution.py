@@ -43,7 +43,7 @@ def execute(argv: Sequence[str], primary: str, task: Task) -> int:
         Exit code; that of a sweep is 1 when any job failed.
     """
     swept = any(word in ("-m", "--multirun") for word in argv)
-    request = read_request([word for word in argv if not (swept and word == "--json")])
+    request = read_request([word for word in argv if not (swept and word == "--json")], primary)
     if request.multirun:
         from trms_cli.commands.sweep import first_job, sweep
 

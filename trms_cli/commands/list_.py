@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from trms_cli.commands.plain_options import as_options
 from trms_cli.composition.catalogue import (
     Groups,
     about,
@@ -40,7 +41,7 @@ examples
 
 def main(argv: Sequence[str]) -> int:
     """Print groups, one group, or one option."""
-    config_dirs, rest = take_config_dirs(argv)
+    config_dirs, rest = take_config_dirs(as_options(argv, {"json": False, "config-dir": True}))
     as_json = "--json" in rest
     words = [word for word in rest if word != "--json"]
     _refuse_options(words)

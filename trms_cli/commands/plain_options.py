@@ -1,12 +1,46 @@
-"""Options of the commands that read files: argparse, with our errors instead of its exit."""
+"""Options of the commands that read files: argparse, with our errors instead of its exit.
+
+They are also taken as experiments have their keys: ``out=DIR`` for ``--out DIR``.
+"""
 
 from __future__ import annotations
 
 import argparse
 import difflib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from trms_cli.core.errors import ConfigurationError
+
+
+def as_options(argv: Sequence[str], takes: Mapping[str, bool]) -> list[str]:
+    """The words with each ``KEY=VALUE`` of an option as ``--KEY=VALUE``, as experiments have it.
+
+    A file of that name stays one, and so does the value of the option before. ``out=`` is one for
+    every command: a command without ``--out`` says so.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        What follows the command word.
+    takes : mapping of str to bool
+        The options without their dashes, and whether each takes a value.
+    """
+    words: list[str] = []
+    is_value = False
+    for word in argv:
+        key, equals, value = word.partition("=")
+        if not is_value and equals and (key in takes or key == "out") and not Path(word).exists():
+            if takes.get(key, True):
+                word = f"--{key}={value}"
+            elif value.lower() in ("true", "false"):
+                if value.lower() == "false":
+                    continue
+                word = f"--{key}"
+        words.append(word)
+        is_value = word.startswith("--") and "=" not in word and takes.get(word[2:], False)
+    return words
 
 
 class PlainOptions(argparse.ArgumentParser):
@@ -30,7 +64,12 @@ class PlainOptions(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse; ``--help`` ends the program with 0, a wrong option raises."""
-        known, unknown = self.parse_known_args(args, namespace)
+        takes = {
+            name.removeprefix("--"): action.nargs != 0
+            for action in self._actions
+            for name in action.option_strings
+        }
+        known, unknown = self.parse_known_args(as_options(args or (), takes), namespace)
         if unknown:
             options = [name for action in self._actions for name in action.option_strings]
             close = difflib.get_close_matches(unknown[0].partition("=")[0], options, n=1)

@@ -14,7 +14,7 @@ from trms_cli.composition.catalogue import (
     read_primary,
     take_config_dirs,
 )
-from trms_cli.composition.declared_keys import DeclaredKeys
+from trms_cli.composition.checks import DeclaredKeys
 from trms_cli.composition.overrides import PATH_KEYS
 from trms_cli.core.errors import TrmsError
 

@@ -39,9 +39,9 @@ def check_choices(space: Space, primary: str, config_dirs: tuple[Path, ...]) -> 
     TrmsError
         For the first value that no run can be made with; it names the value.
     """
-    from trms_cli.composition.recomposition import recomposer
+    from trms_cli.composition.composer import composer_of
 
-    composer = recomposer(primary, config_dirs)
+    composer = composer_of(primary, config_dirs)
     seen: set[str] = set()
     for word, overrides in _runs(space):
         try:

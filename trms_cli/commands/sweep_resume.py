@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.commands.execution import Task
+from trms_cli.commands.plain_options import as_options
 from trms_cli.composition.sweep_settings import Settings, names_of, settings_of
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, RecordingError
 from trms_cli.core.plugins import nearest
@@ -67,7 +68,7 @@ def _read(
     """The folder, the overrides and the options of a command line."""
     from trms_cli.composition.catalogue import take_allowed
 
-    argv = take_allowed(argv)
+    argv = as_options(take_allowed(argv), {name.removeprefix("--"): False for name in allowed})
     options = [text for text in argv if text.startswith("-")]
     for option in options:
         if option not in allowed:

@@ -22,8 +22,7 @@ from typing import Any
 
 from trms_cli.commands.execution import Outcome, Task
 from trms_cli.commands.git_revision import known_revision
-from trms_cli.composition.composer import Composition
-from trms_cli.composition.recomposition import recomposer
+from trms_cli.composition.composer import Composition, composer_of
 from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.core.invocation import called_as
@@ -112,7 +111,7 @@ class MakeRun:
         try:
             with _here(self.directory), _watched(run, attempt.number, Path(self.folder)):
                 folders = tuple(map(Path, self.config_dirs))
-                composition = recomposer(self.primary, folders).compose(
+                composition = composer_of(self.primary, folders).compose(
                     point.overrides, point.number
                 )
                 told["choices"] = composition.choices

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from trms_cli.composition.model_files import with_parameter_sets
+from trms_cli.composition.checks import with_parameter_sets
 from trms_cli.core.errors import ConfigurationError
 
 _KEY = "model="

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from trms_cli.composition.catalogue import Groups, Primary, yaml_error
+from trms_cli.composition.checks import unknown_key
 from trms_cli.composition.overrides import parse
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
@@ -175,12 +176,8 @@ def _unknown_key(
             where=key,
             remedy=f"allowed: {', '.join(map(str, node))}",
         )
-    wrong = parts[depth]
-    return ConfigurationError(
-        f"there is no key {wrong!r} (given: {value})",
-        where=key,
-        remedy=nearest(wrong, [str(name) for name in node if not str(name).startswith("_")]),
-    )
+    public = [str(name) for name in node if not str(name).startswith("_")]
+    return unknown_key(parts[depth], value, key, public)
 
 
 def _cannot_be_set(

@@ -11,8 +11,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from copy import deepcopy
+from dataclasses import fields, is_dataclass, replace
+from hashlib import sha256
 from typing import Any
 
+from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET
 
@@ -21,6 +25,10 @@ _TARGET = f"{__name__}.taken"
 _FORMER = "trms_cli.commands.given_object.taken"
 #: Letters of an object's own words that a log keeps.
 _LONGEST = 400
+#: Letters of an object's label in tables and titles.
+_LONGEST_LABEL = 48
+#: Where an object goes besides the place that it is given to.
+_ALSO = {"effect": "plant.effects", "fault": "plant.faults"}
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
 _given: ContextVar[Sequence[Any]] = ContextVar("given", default=())
 
@@ -98,3 +106,77 @@ def words_of(plugin: Any) -> str:
     """What an object says of itself, on one line, without its place in memory."""
     words = _ADDRESS.sub("", " ".join(repr(plugin).split()))
     return words if len(words) <= _LONGEST else f"{words[:_LONGEST]}…"
+
+
+def with_objects(composition: Composition, objects: Mapping[str, Any]) -> Composition:
+    """The composition with objects at their places, in its choices by what they are.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such place.
+    """
+    if not objects:
+        return composition
+    config, choices = deepcopy(composition.config), dict(composition.choices)
+    for number, (place, plugin) in enumerate(objects.items()):
+        node = node_of(number, plugin)
+        for spot in _places(place, composition):
+            _put(config, spot, node)
+        group, *inside = place.split(".")
+        if not inside:
+            choices[group] = label_of(plugin)
+        elif isinstance(choices.get(group), list):
+            choices[group] = [*choices[group], ".".join(inside)]
+    return replace(composition, config=config, choices=choices)
+
+
+def _places(place: str, composition: Composition) -> Iterator[str]:
+    """A place, and those that follow it: the rig's model is that of the controller."""
+    yield place
+    config, (group, _, rest) = composition.config, place.partition(".")
+    plant = config.get("plant")
+    if not isinstance(plant, Mapping):
+        return
+    if place == "model" and not composition.choices.get("model@plant.model"):
+        yield "plant.model"
+    if group in _ALSO and rest and _ALSO[group].partition(".")[2] in plant:
+        yield f"{_ALSO[group]}.{rest}"
+
+
+def _put(config: dict[str, Any], place: str, node: Any) -> None:
+    *path, last = place.split(".")
+    inner: Any = config
+    for name in path:
+        inner = inner.get(name) if isinstance(inner, dict) else None
+    if not isinstance(inner, dict):
+        raise ConfigurationError(
+            "an object is given, and there is no such place",
+            where=place,
+            remedy=f"top-level places: {', '.join(config)}",
+        )
+    inner[last] = node
+
+
+def label_of(plugin: Any) -> str:
+    """What tells an object from others of its class: its fields that are not as by default."""
+    name = type(plugin).__name__
+    if not is_dataclass(plugin):
+        whole = words_of(plugin)
+        return whole if len(whole) <= _LONGEST_LABEL and not whole.startswith("<") else name
+    changed = [
+        f"{f.name}={value!r}"
+        for f in fields(plugin)
+        if f.repr and not _same(value := getattr(plugin, f.name), f.default)
+    ]
+    label = f"{name}({', '.join(changed)})" if changed else name
+    if len(label) <= _LONGEST_LABEL and "\n" not in label:
+        return label
+    return f"{name} #{sha256(words_of(plugin).encode()).hexdigest()[:6]}"
+
+
+def _same(one: Any, other: Any) -> bool:
+    try:
+        return bool(one == other)
+    except (TypeError, ValueError):  # arrays
+        return False

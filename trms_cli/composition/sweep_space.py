@@ -23,10 +23,10 @@ from trms_cli.composition.catalogue import (
     read_groups,
     read_primary,
 )
+from trms_cli.composition.checks import DeclaredKeys, prepare
 from trms_cli.composition.composer import Composition, compose
-from trms_cli.composition.declared_keys import DeclaredKeys
 from trms_cli.composition.errors import explained
-from trms_cli.composition.overrides import PATH_KEYS, Override, Request, parse, prepare
+from trms_cli.composition.overrides import PATH_KEYS, Override, Request, parse
 from trms_cli.composition.sweep_priors import PRIOR, PriorTables
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.space import Choice, Prior, Range, Space

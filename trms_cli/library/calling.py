@@ -7,16 +7,13 @@ import shlex
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from copy import deepcopy
-from dataclasses import fields, is_dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, ConfigurationError
-from trms_cli.library.arguments import Arguments
+from trms_cli.composition.arguments import Arguments
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED
 
 if TYPE_CHECKING:
     from trms_cli.commands.execution import Outcome
@@ -24,10 +21,6 @@ if TYPE_CHECKING:
 
 #: One call at a time: a composition and the standard streams are the process's own.
 _TURN = threading.RLock()
-#: Letters of an object's label in tables and titles.
-_LONGEST_LABEL = 48
-#: Where an object goes besides the place that it is given to.
-_ALSO = {"effect": "plant.effects", "fault": "plant.faults"}
 
 
 class TrmsNote(UserWarning):
@@ -152,6 +145,7 @@ def perform(
         If it was stopped, and has left something.
     """
     from trms_cli.composition.composer import compose
+    from trms_cli.composition.given_object import with_objects
 
     objects = list(asked.objects.values())
     with called(words_of(command, asked), objects, verbose=verbose) as heard:
@@ -169,58 +163,6 @@ def finished(outcome: Outcome, heard: Heard, *, verbose: bool) -> tuple[Path, st
     return outcome.folder, heard.text
 
 
-def with_objects(composition: Composition, objects: Mapping[str, Any]) -> Composition:
-    """The composition with objects at their places, in its choices by what they are.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such place.
-    """
-    from trms_cli.composition.given_object import node_of
-
-    if not objects:
-        return composition
-    config, choices = deepcopy(composition.config), dict(composition.choices)
-    for number, (place, plugin) in enumerate(objects.items()):
-        node = node_of(number, plugin)
-        for spot in _places(place, composition):
-            _put(config, spot, node)
-        group, *inside = place.split(".")
-        if not inside:
-            choices[group] = label_of(plugin)
-        elif isinstance(choices.get(group), list):
-            choices[group] = [*choices[group], ".".join(inside)]
-    return replace(composition, config=config, choices=choices)
-
-
-def _places(place: str, composition: Composition) -> Iterator[str]:
-    """A place, and those that follow it: the rig's model is that of the controller."""
-    yield place
-    config, (group, _, rest) = composition.config, place.partition(".")
-    plant = config.get("plant")
-    if not isinstance(plant, Mapping):
-        return
-    if place == "model" and not composition.choices.get("model@plant.model"):
-        yield "plant.model"
-    if group in _ALSO and rest and _ALSO[group].partition(".")[2] in plant:
-        yield f"{_ALSO[group]}.{rest}"
-
-
-def _put(config: dict[str, Any], place: str, node: Any) -> None:
-    *path, last = place.split(".")
-    inner: Any = config
-    for name in path:
-        inner = inner.get(name) if isinstance(inner, dict) else None
-    if not isinstance(inner, dict):
-        raise ConfigurationError(
-            "an object is given, and there is no such place",
-            where=place,
-            remedy=f"top-level places: {', '.join(config)}",
-        )
-    inner[last] = node
-
-
 def words_of(command: str, asked: Arguments) -> str:
     """A call in words: as it would be typed, or in Python where it has objects."""
     from trms_cli.composition.given_object import words_of as said
@@ -229,29 +171,3 @@ def words_of(command: str, asked: Arguments) -> str:
         return shlex.join(["trms", command, *asked.argv])
     words = [*map(repr, asked.words), *(f"{p}={said(o)}" for p, o in asked.objects.items())]
     return f"Python: {command}({', '.join(words)})"
-
-
-def label_of(plugin: Any) -> str:
-    """What tells an object from others of its class: its fields that are not as by default."""
-    from trms_cli.composition.given_object import words_of as said
-
-    name = type(plugin).__name__
-    if not is_dataclass(plugin):
-        whole = said(plugin)
-        return whole if len(whole) <= _LONGEST_LABEL and not whole.startswith("<") else name
-    changed = [
-        f"{f.name}={value!r}"
-        for f in fields(plugin)
-        if f.repr and not _same(value := getattr(plugin, f.name), f.default)
-    ]
-    label = f"{name}({', '.join(changed)})" if changed else name
-    if len(label) <= _LONGEST_LABEL and "\n" not in label:
-        return label
-    return f"{name} #{sha256(said(plugin).encode()).hexdigest()[:6]}"
-
-
-def _same(one: Any, other: Any) -> bool:
-    try:
-        return bool(one == other)
-    except (TypeError, ValueError):  # arrays
-        return False

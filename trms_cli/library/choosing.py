@@ -135,12 +135,13 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
     >>> model.parameters["k_g"].value
     0.1
     """
+    from trms_cli.composition.arguments import arguments_of
     from trms_cli.composition.catalogue import read_primary
     from trms_cli.composition.composer import compose
+    from trms_cli.composition.given_object import with_objects
     from trms_cli.core.plugins import build as built
     from trms_cli.core.plugins import nearest
-    from trms_cli.library.arguments import arguments_of
-    from trms_cli.library.calling import called, with_objects, words_of
+    from trms_cli.library.calling import called, words_of
 
     defaults = read_primary("run", _folders(config_dir)).defaults
     one = [key for key, option in defaults.items() if option and not isinstance(option, list)]
@@ -157,6 +158,6 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
 
 
 def _folders(config_dir: Paths) -> tuple[Path, ...]:
-    from trms_cli.library.paths import folders_of
+    from trms_cli.composition.arguments import folders_of
 
     return folders_of(config_dir, "config_dir")

@@ -8,11 +8,12 @@ from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.composition.arguments import path_of
 from trms_cli.core.errors import RecordingError
 from trms_cli.library import html
 from trms_cli.library.findings import Diagnosis, Excitation, Fit, Stability, Validation
 from trms_cli.library.frames import frame_of
-from trms_cli.library.paths import path_of, run_paths
+from trms_cli.library.paths import run_paths
 from trms_cli.library.result import Result
 from trms_cli.library.run_result import run_in
 

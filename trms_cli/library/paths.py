@@ -10,33 +10,6 @@ from typing import Any
 from trms_cli.core.errors import ConfigurationError
 
 
-def path_of(value: Any, where: str) -> Path:
-    """A path that was given, with ``~`` as the home folder.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is no path.
-    """
-    if not isinstance(value, str | PathLike):
-        raise ConfigurationError(
-            f"{value!r} given", where=where, remedy=f'give a path: {where}="FOLDER"'
-        )
-    return Path(value).expanduser()
-
-
-def folders_of(value: Any, where: str) -> tuple[Path, ...]:
-    """One folder or several, from the root.
-
-    Raises
-    ------
-    ConfigurationError
-        If one is no path.
-    """
-    several = list(value) if isinstance(value, list | tuple | set) else [value]
-    return tuple(path_of(one, where).resolve() for one in several)
-
-
 def run_paths(runs: Iterable[Any]) -> Iterator[Path]:
     """Paths of runs, given one by one or in sequences.
 

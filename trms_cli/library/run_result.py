@@ -10,9 +10,9 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from trms_cli.composition.arguments import Arguments
 from trms_cli.core.errors import RecordingError
 from trms_cli.library import html
-from trms_cli.library.arguments import Arguments
 from trms_cli.library.frames import frame_of
 from trms_cli.library.result import Result
 

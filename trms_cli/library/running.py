@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.composition.arguments import Arguments, arguments_of, path_of
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.library.arguments import Arguments, arguments_of
 from trms_cli.library.calling import called, finished, perform, words_of
-from trms_cli.library.paths import path_of
 from trms_cli.library.run_result import Run, run_in
 
 if TYPE_CHECKING:
@@ -136,7 +135,7 @@ def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
     """What ``trms run --from LOG`` does."""
     from trms_cli.commands.run import perform as task
     from trms_cli.commands.run_repeat import repeat
-    from trms_cli.library.calling import with_objects
+    from trms_cli.composition.given_object import with_objects
 
     done: list[Outcome] = []
 

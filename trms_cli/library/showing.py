@@ -7,9 +7,10 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.composition.arguments import path_of
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.library.calling import called
-from trms_cli.library.paths import path_of, run_paths
+from trms_cli.library.paths import run_paths
 
 if TYPE_CHECKING:
     from trms_cli.reporting.notebook_figure import NotebookFigure

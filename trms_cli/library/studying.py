@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any, TypeVar
 
-from trms_cli.library.arguments import Arguments, arguments_of, text_of
+from trms_cli.composition.arguments import Arguments, arguments_of, text_of
 from trms_cli.library.calling import called, finished, perform, words_of
 from trms_cli.library.findings import Diagnosis, Excitation, Fit, Stability, Validation
 from trms_cli.library.result import Result

@@ -8,12 +8,11 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from trms_cli.composition.arguments import Arguments, arguments_of, path_of, text_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.library import html
-from trms_cli.library.arguments import Arguments, arguments_of, text_of
 from trms_cli.library.calling import called, words_of
 from trms_cli.library.judging import Comparison, compare
-from trms_cli.library.paths import path_of
 from trms_cli.library.result import Result
 from trms_cli.library.run_result import Run, run_in
 

@@ -18,11 +18,11 @@ from typing import Any
 from trms_cli.composition.catalogue import Groups, Primary, read_groups, read_primary
 from trms_cli.composition.overrides import parse, quoted
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.library.paths import folders_of, path_of
-from trms_cli.library.result import Result
 
 #: Words that need no quotes: they cannot be read as a number, a truth value or Hydra's grammar.
 _PLAIN = re.compile(r"[A-Za-z_][\w/-]*(\.[A-Za-z_][\w/-]*)*", re.ASCII)
+#: The method of a result that names its file for a key (:class:`trms_cli.library.result.Result`).
+_OF_RESULT = "file_for"
 _OTHER_MEANING = {"true", "false", "null", "none", "inf", "nan", "yes", "no", "on", "off"}
 
 
@@ -121,7 +121,7 @@ class _Layout:
             self._lay_value(key, value)
 
     def _lay_choice(self, group: str, value: Any) -> None:
-        if isinstance(value, str | PathLike | Result):
+        if isinstance(value, str | PathLike) or hasattr(value, _OF_RESULT):
             self.words.append(f"{group}={_file_of(value, group)}")
         elif isinstance(value, Mapping):
             chosen = self._option_with_keys(group, value)
@@ -215,7 +215,7 @@ def _instance(value: Any, where: str) -> Any:
                 if where == "ref"
                 else "give an object with the methods of its kind (docs/writing-a-plugin.md)",
             )
-        from trms_cli.library.time_function import TimeFunction
+        from trms_cli.references.time_function import TimeFunction
 
         return TimeFunction(value)
     return value
@@ -235,7 +235,7 @@ def text_of(value: Any, key: str = "") -> str:
         return "true" if value else "false"
     if isinstance(value, int | float):
         return repr(float(value)) if isinstance(value, float) else str(int(value))
-    if isinstance(value, Result | PathLike):
+    if isinstance(value, PathLike) or hasattr(value, _OF_RESULT):
         value = _file_of(value, key)
     if isinstance(value, str):
         plain = _PLAIN.fullmatch(value) and value.lower() not in _OTHER_MEANING
@@ -250,11 +250,12 @@ def text_of(value: Any, key: str = "") -> str:
     raise TypeError(f"{type(value).__name__} is no data")
 
 
-def _file_of(value: str | PathLike[str] | Result, key: str) -> str:
+def _file_of(value: Any, key: str) -> str:
     """A name or a path; of a result the file that a key asks for."""
     if isinstance(value, str):
         return value
-    path = value.file_for(key.split(".")[0]) if isinstance(value, Result) else Path(value)
+    result = hasattr(value, _OF_RESULT)
+    path = value.file_for(key.split(".")[0]) if result else Path(value)
     text = str(path.expanduser())
     # a name without a folder would be read as an option's
     return text if "/" in text or key not in ("model",) else f"./{text}"
@@ -276,3 +277,30 @@ def _refuse_keys_of_objects(words: Sequence[str], objects: Mapping[str, Any]) ->
                     where=place,
                     remedy="an object is complete: set its values where it is made",
                 )
+
+
+def path_of(value: Any, where: str) -> Path:
+    """A path that was given, with ``~`` as the home folder.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is no path.
+    """
+    if not isinstance(value, str | PathLike):
+        raise ConfigurationError(
+            f"{value!r} given", where=where, remedy=f'give a path: {where}="FOLDER"'
+        )
+    return Path(value).expanduser()
+
+
+def folders_of(value: Any, where: str) -> tuple[Path, ...]:
+    """One folder or several, from the root.
+
+    Raises
+    ------
+    ConfigurationError
+        If one is no path.
+    """
+    several = list(value) if isinstance(value, list | tuple | set) else [value]
+    return tuple(path_of(one, where).resolve() for one in several)
