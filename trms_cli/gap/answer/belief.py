@@ -12,7 +12,8 @@ from trms_cli.gap.blocks import quantum_of
 from trms_cli.gap.candidates import Suspect
 from trms_cli.gap.confidence import Calibration, Features, beliefs
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
-from trms_cli.gap.force import ForceRecord, exogenous
+from trms_cli.gap.force.exogenous import exogenous
+from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.innovations.sizes import log_likelihood
 from trms_cli.gap.location import Location
 from trms_cli.gap.problem import GapProblem

@@ -11,7 +11,7 @@ from trms_cli.gap.answer.belief import Believed
 from trms_cli.gap.answer.far import Far
 from trms_cli.gap.blocks import Parts
 from trms_cli.gap.diagnosis import Traces
-from trms_cli.gap.force import ForceRecord
+from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.free_runs import history, start_states
 from trms_cli.gap.innovations.discrepancy import Discrepancy
 from trms_cli.gap.location import smoothed_forces

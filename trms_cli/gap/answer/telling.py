@@ -29,7 +29,9 @@ from trms_cli.gap.diagnosis import (
     RegionShare,
     SizeEstimate,
 )
-from trms_cli.gap.force import ForceRecord, description, regions
+from trms_cli.gap.force.description import description
+from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.force.regions import regions
 from trms_cli.gap.location import Location
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race.contest import Contest, Entry

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from trms_cli.gap.force.exogenous import exogenous
+from trms_cli.gap.force.laws import LAWS, explained_shares
 from trms_cli.gap.force.record import (
     FloatArray,
     ForceRecord,
@@ -22,7 +23,6 @@ from trms_cli.gap.force.record import (
     thinned,
 )
 from trms_cli.gap.force.regions import change_time, regions
-from trms_cli.gap.force.signatures import Judge
 
 #: t-value of what is told, from about a dozen blocks or more.
 _TOLD = 4.0
@@ -36,31 +36,10 @@ _NARROW = 0.5
 _LINE = 0.1
 #: Predictable share from which a force is the rig's own, and up to which it is from outside.
 _OWN, _OUTSIDE = 0.5, 0.15
-#: Share from which a family's form is called the closest.
+#: Share from which a law's form is called the closest.
 _CLOSE = 0.5
 #: Hz, of means, works and trends.
 _RATE = 25.0
-
-_FORM = {
-    "sign_of_rate": "the sign of the {axis} rate (dry friction)",
-    "rest": "what holds the axis at rest (stiction)",
-    "quadratic_damping": "the {axis} rate squared",
-    "stiffness": "the {axis} angle (a spring)",
-    "cubic_stiffness": "the {axis} angle cubed (a hardening spring)",
-    "hysteresis": "the travel since the last reversal (hysteresis)",
-    "imbalance": "cosine and sine of the pitch (a mass out of balance)",
-    "reaction": "drag and acceleration of the other rotor",
-    "gyroscopic": "rotor speed times the rate of the other axis",
-    "inflow": "rotor speed times the {axis} rate (inflow)",
-    "thrust": "the thrust itself",
-    "reverse_thrust": "the thrust in reverse",
-    "near_table": "the thrust near the table",
-    "rotor_friction": "the direction in which the rotor turns",
-    "dead_zone": "the command near zero (a dead zone)",
-    "input_change": "changes of the command (a delay or lag)",
-    "derating": "the command times its load or time (derating)",
-    "spin_up": "the rotor's acceleration",
-}
 
 
 def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
@@ -207,13 +186,12 @@ def _origin(record: ForceRecord, seed: int) -> str:
 
 
 def _closest_form(record: ForceRecord) -> str:
-    judge = Judge(record)
-    marks = {name: judge.share_of_variation(name) for name in _FORM}
-    best = max(_FORM, key=lambda name: marks[name])
-    if marks[best] < _CLOSE:
+    shares = explained_shares(record)
+    best = max(shares, key=lambda name: shares[name])
+    if shares[best] < _CLOSE:
         return "No known form comes near it."
-    form = _FORM[best].format(axis=record.axis)
-    return f"The closest known form is {form}: {marks[best]:.0%} of its variance."
+    form = LAWS[best][0].format(axis=record.axis)
+    return f"The closest known form is {form}: {shares[best]:.0%} of its variance."
 
 
 def _blocks_of(record: ForceRecord) -> tuple[IntArray, IntArray]:

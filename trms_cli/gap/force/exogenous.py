@@ -5,22 +5,34 @@ angles (hysteresis) predicts the force on blocks that were held out. A draught l
 predict; friction, a cable, a thrust curve do.
 
 The states themselves will not do: they contain the response to the force, and so a draught too
-could be read off them. What is used instead is the motion without that response (see
-:mod:`trms_cli.gap.force.response`), and, since a strong force of the state changes the motion much,
-that motion again with a law of the states put in place of the force. The law comes from the other
-half of the blocks. Neither knows of a force from outside. Surrogates with the force's spectrum and
-random phases (Theiler et al. 1992) say what chance predicts.
+could be read off them. What is used instead is the motion without that response, and, since a
+strong force of the state changes the motion much, that motion again with a law of the states put in
+place of the force. The law comes from the other half of the blocks. Neither knows of a force from
+outside. Surrogates with the force's spectrum and random phases (Theiler et al. 1992) say what
+chance predicts.
+
+The response to the force comes from the record alone: increments of the states are regressed on
+states, commands, some products that the physics has, and the force; linearised along the motion
+that regression says how the force's share δ of the motion evolves::
+
+    δ⁺ = (I + A + C ∂g/∂z) δ + B f
+
+A command that follows the states (closed loop) is treated as one of them.
+
+For blocks the leave-one-out formula of linear smoothers holds as it does for samples (Cook &
+Weisberg 1982, ch. 3.6): with the hat matrix ``H = Φ(ΦᵀΦ + λ)⁻¹Φᵀ`` and the residuals ``r`` of the
+fit to everything, the residuals of block ``b`` when it was left out are ``(I − H_bb)⁻¹ r_b``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from trms_cli.gap.force.families import hysteresis
-from trms_cli.gap.force.held_out import PENALTIES, held_out_errors
+from trms_cli.gap.force.laws import hysteresis
 from trms_cli.gap.force.record import (
     BoolArray,
     FloatArray,
@@ -31,7 +43,153 @@ from trms_cli.gap.force.record import (
     signal_power,
     thinned,
 )
-from trms_cli.gap.force.response import Response, fitted_response
+
+#: Ridge penalties, relative to the number of samples; features have unit variance.
+PENALTIES = (1e-3, 1e-2, 1e-1)
+
+
+def held_out_errors(
+    features: FloatArray,
+    targets: FloatArray,
+    block: IntArray,
+    penalties: tuple[float, ...] = PENALTIES,
+) -> FloatArray:
+    """Squared errors by block of the ridge regression that does best over all blocks.
+
+    Parameters
+    ----------
+    features : (k, p) array
+    targets : (k, t) array
+        Each with the penalty that suits it best.
+    block : (k,) array of int
+        Rising numbers; each block is left out once.
+    penalties : tuple of float
+        To choose from.
+
+    Returns
+    -------
+    (n_blocks, t) array
+        About the mean of the target over everything.
+    """
+    spread = features.std(axis=0)
+    kept = spread > 1e-9
+    phi = (features[:, kept] - features[:, kept].mean(axis=0)) / spread[kept]
+    y = targets - targets.mean(axis=0)
+    edges = [*np.flatnonzero(np.diff(block, prepend=-1)).tolist(), block.size]
+    power, directions = np.linalg.eigh(phi.T @ phi)
+    turned = phi @ directions
+    inner = turned.T @ y
+    best = np.empty((0, 0))
+    for penalty in penalties:
+        weight = 1.0 / (np.maximum(power, 0.0) + penalty * block.size)
+        residual = y - turned @ (weight[:, None] * inner)
+        errors = np.empty((len(edges) - 1, y.shape[1]))
+        for b, (first, end) in enumerate(pairwise(edges)):
+            rows = turned[first:end]
+            own = np.eye(end - first) - (rows * weight) @ rows.T
+            errors[b] = np.sum(np.linalg.solve(own, residual[first:end]) ** 2, axis=0)
+        if best.size:
+            best = np.where(errors.sum(axis=0) < best.sum(axis=0), errors, best)
+        else:
+            best = errors
+    return best
+
+
+#: Share of a command's unexplained increments that the states must explain for a closed loop.
+_FEEDBACK = 0.3
+#: Spreads of a variable beyond which its response to the force is not believed.
+_LARGEST = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response:
+    """How the variables of a record answer to the force."""
+
+    record: ForceRecord
+    #: (k, n) array; the variables of the record, in the order of :attr:`ForceRecord.variables`
+    motion: FloatArray
+    steps: FloatArray  #: (k, n, n) array; linearised transition from a sample to the next
+    push: FloatArray  #: (n,) array; answer within one step to a force of one
+
+    def undisturbed(self) -> FloatArray:
+        """The motion without the force, (k, n); each stretch begins with the measured state."""
+        force = self.record.force
+        middle = np.append(force[:-1] / 2 + force[1:] / 2, 0.0)
+        return self.motion - self._response(lambda i, _: middle[i])
+
+    def governed(
+        self, undisturbed: FloatArray, law: Callable[[int, FloatArray], float]
+    ) -> FloatArray:
+        """The motion, (k, n), if the force followed a law of sample and variables, (n,)."""
+        return undisturbed + self._response(lambda i, now: law(i, undisturbed[i] + now))
+
+    def _response(self, force: Callable[[int, FloatArray], float]) -> FloatArray:
+        limit = _LARGEST * self.motion.std(axis=0)
+        response = np.zeros_like(self.motion)
+        for part in segments(self.record):
+            now = np.zeros(self.push.size)
+            for i in range(part.start, part.stop - 1):
+                now = self.steps[i] @ now + self.push * force(i, now)
+                now = np.minimum(np.maximum(now, -limit), limit)
+                response[i + 1] = now
+        return response
+
+
+def fitted_response(record: ForceRecord) -> Response:
+    """Fit the response to the force; the record at about 10 Hz."""
+    names = list(record.variables)
+    z = np.array([record.variables[name] for name in names]).T
+    terms, slopes = _terms(names, z)
+    starts = np.concatenate([np.arange(p.start, p.stop - 1) for p in segments(record)])
+    force = record.force[starts] / 2 + record.force[starts + 1] / 2
+    increments = z[starts + 1] - z[starts]
+    columns = np.column_stack([z[starts], terms[starts], force, np.ones(starts.size)])
+    scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
+    fitted = np.linalg.lstsq(columns / scale, increments, rcond=1e-8)[0] / scale[:, None]
+    for row, name in enumerate(names):
+        if name.endswith("command") and not _follows(names, row, z[starts], increments[:, row]):
+            fitted[:, row] = 0.0
+    n, m = len(names), terms.shape[1]
+    linear, curved, push = fitted[:n].T, fitted[n : n + m].T, fitted[n + m]
+    steps = np.eye(n) + linear + np.einsum("im,kmj->kij", curved, slopes)
+    return Response(record=record, motion=z, steps=steps, push=push)
+
+
+def _terms(names: list[str], z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Products that the physics has, (k, m), and their derivatives by the variables, (k, m, n)."""
+    values: list[FloatArray] = []
+    slopes: list[FloatArray] = []
+
+    def add(column: int, value: FloatArray, slope: FloatArray) -> None:
+        values.append(value)
+        derivative = np.zeros_like(z)
+        derivative[:, column] = slope
+        slopes.append(derivative)
+
+    for column, name in enumerate(names):
+        v = z[:, column]
+        if name.endswith(("rate", "rotor speed")):
+            add(column, v * np.abs(v), 2 * np.abs(v))
+        elif name == "pitch angle":
+            add(column, np.cos(v), -np.sin(v))
+            add(column, np.sin(v), np.cos(v))
+    if not values:
+        return np.zeros((len(z), 0)), np.zeros((len(z), 0, len(names)))
+    return np.array(values).T, np.array(slopes).transpose(1, 0, 2)
+
+
+def _follows(names: list[str], row: int, z: FloatArray, increments: FloatArray) -> bool:
+    """Whether angles and rates decide a command's increments: a loop is closed."""
+    motion = [i for i, name in enumerate(names) if name.endswith(("angle", "rate"))]
+
+    def left(columns: FloatArray) -> float:
+        fitted = np.linalg.lstsq(columns, increments)[0]
+        return float(np.sum((increments - columns @ fitted) ** 2))
+
+    alone = np.column_stack([z[:, row], np.ones(len(z))])
+    both = np.column_stack([alone, z[:, motion]])
+    return left(both) < (1 - _FEEDBACK) * left(alone)
+
 
 #: Hz, of the regression, and s, of a held-out block.
 _RATE, _BLOCK = 6.0, 10.0

@@ -18,7 +18,7 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 #: The largest part of a mean square that is taken for noise, whatever the smoother says of it.
-_MOST_NOISE = 0.8
+MOST_NOISE = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,4 +156,4 @@ def correlation_time(record: ForceRecord, values: FloatArray, power: int = 1) ->
 def signal_power(record: ForceRecord, mean_square: float) -> float:
     """A mean square of the force less that of its noise; a fifth of it is always left."""
     noise = float(np.mean(record.sd**2))
-    return mean_square - min(noise, _MOST_NOISE * mean_square)
+    return mean_square - min(noise, MOST_NOISE * mean_square)

@@ -1,9 +1,9 @@
-"""Families of laws that a missing force may follow, each as a few columns of a regression.
+"""Laws that a missing force may follow, each as a few columns of a regression.
 
-A family is the form of an effect without its size: ``rate·|rate|`` for quadratic damping. What
-enters nonlinearly, such as the width of a dead zone, is spread over a few columns. The nuisance
-columns are what a refit of nominal parameters bends: it takes its part of a force with it, and
-only the rest of a law may be left.
+A law is the form of an effect without its size: ``rate·|rate|`` for quadratic damping. What enters
+nonlinearly, such as the width of a dead zone, is spread over a few columns. The share of the
+force's variation, its noise apart, that a regression on the columns explains, less what as many
+columns explain by chance, says which law comes nearest.
 """
 
 from __future__ import annotations
@@ -14,14 +14,27 @@ from functools import cached_property
 
 import numpy as np
 
-from trms_cli.gap.force.record import FloatArray, ForceRecord, sample_time, segments
+from trms_cli.gap.force.record import (
+    MOST_NOISE,
+    FloatArray,
+    ForceRecord,
+    correlation_time,
+    sample_time,
+    segments,
+    thinned,
+)
 
 Columns = list[FloatArray]
 
+#: Hz, of the regression.
+_RATE = 25.0
+#: Largest share that is put down to chance.
+_MOST_CHANCE = 0.4
+#: Relative ridge that keeps columns that say the same from an exact tie.
+_RIDGE = 1e-7
+
 #: Parts of a rate's or a speed's spread within which its sign turns.
 _SHARP = (0.03, 0.15)
-#: rad/s, of the Stribeck range.
-_STRIBECK = (0.03, 0.1)
 #: rad, of travel after a reversal.
 _WIDTHS = (0.05, 0.1, 0.2, 0.35)
 #: s, of delays and lags.
@@ -39,8 +52,8 @@ _ROTORS = (0.2, 0.8)
 
 
 @dataclass(frozen=True)
-class Seen:
-    """A force record as the families see it: its own axis, its rotor, the other ones."""
+class LawInputs:
+    """The motion about a force as laws take it: its own axis, its rotor, the other ones."""
 
     record: ForceRecord
 
@@ -136,15 +149,11 @@ def _sign(values: FloatArray, widths: tuple[float, ...] = _SHARP) -> Columns:
     return [np.tanh(values / (width * spread)) for width in widths]
 
 
-def _constant(at: Seen) -> Columns:
-    return [at.one]
-
-
-def _sign_of_rate(at: Seen) -> Columns:
+def _sign_of_rate(at: LawInputs) -> Columns:
     return [column for rate in at.rate(at.axis) for column in _sign(rate)]
 
 
-def _rest(at: Seen) -> Columns:
+def _rest(at: LawInputs) -> Columns:
     """At rest friction holds against whatever drives: thrust, cable, weight."""
     columns: Columns = []
     for rate in at.rate(at.axis):
@@ -155,27 +164,19 @@ def _rest(at: Seen) -> Columns:
     return columns
 
 
-def _stribeck(at: Seen) -> Columns:
-    return [
-        np.tanh(rate / (0.3 * width)) * np.exp(-((rate / width) ** 2))
-        for rate in at.rate(at.axis)
-        for width in _STRIBECK
-    ]
-
-
-def _quadratic(at: Seen) -> Columns:
+def _quadratic(at: LawInputs) -> Columns:
     return [rate * np.abs(rate) for rate in at.rate(at.axis)]
 
 
-def _linear_stiffness(at: Seen) -> Columns:
+def _linear_stiffness(at: LawInputs) -> Columns:
     return at.angle(at.axis)
 
 
-def _cubic_stiffness(at: Seen) -> Columns:
+def _cubic_stiffness(at: LawInputs) -> Columns:
     return [angle**3 for angle in at.angle(at.axis)]
 
 
-def _hysteresis(at: Seen) -> Columns:
+def _hysteresis(at: LawInputs) -> Columns:
     return [column for angle in at.angle(at.axis) for column in hysteresis(at.record, angle)]
 
 
@@ -200,15 +201,11 @@ def hysteresis(record: ForceRecord, angle: FloatArray) -> Columns:
     return columns
 
 
-def _imbalance(at: Seen) -> Columns:
+def _imbalance(at: LawInputs) -> Columns:
     return [at.cosine, at.sine] if at.angle("pitch") else []
 
 
-def _inertia(at: Seen) -> Columns:
-    return [at.slope(rate) for rate in at.rate(at.axis)]
-
-
-def _reaction(at: Seen) -> Columns:
+def _reaction(at: LawInputs) -> Columns:
     """Drag and acceleration of the other axis's rotor."""
     lever = at.cosine if at.axis == "yaw" else at.one
     columns: Columns = []
@@ -217,7 +214,7 @@ def _reaction(at: Seen) -> Columns:
     return columns
 
 
-def _gyroscopic(at: Seen) -> Columns:
+def _gyroscopic(at: LawInputs) -> Columns:
     return [
         speed * rate * lever
         for speed in at.speeds("main")
@@ -226,31 +223,22 @@ def _gyroscopic(at: Seen) -> Columns:
     ]
 
 
-def _inflow(at: Seen) -> Columns:
+def _inflow(at: LawInputs) -> Columns:
     return [np.abs(speed) * rate for speed in at.speeds(at.rotor) for rate in at.rate(at.axis)]
 
 
-def _thrust(at: Seen) -> Columns:
+def _thrust(at: LawInputs) -> Columns:
     lever = at.cosine if at.axis == "yaw" and at.record.location.endswith("moment") else at.one
     return [lever * speed * np.abs(speed) for speed in at.speeds(at.rotor)]
 
 
-def _thrust_exponent(at: Seen) -> Columns:
-    columns: Columns = []
-    for speed, thrust in zip(at.speeds(at.rotor), _thrust(at), strict=True):
-        largest = float(np.abs(speed).max()) + 1e-12
-        part = np.abs(speed) / largest
-        columns += [thrust * np.log(np.maximum(part, 1e-3)), thrust * part]
-    return columns
-
-
-def _reverse_thrust(at: Seen) -> Columns:
+def _reverse_thrust(at: LawInputs) -> Columns:
     return [
         thrust * (speed < 0) for speed, thrust in zip(at.speeds(at.rotor), _thrust(at), strict=True)
     ]
 
 
-def _near_table(at: Seen) -> Columns:
+def _near_table(at: LawInputs) -> Columns:
     if at.axis != "pitch":
         return []
     return [
@@ -260,11 +248,11 @@ def _near_table(at: Seen) -> Columns:
     ]
 
 
-def _rotor_friction(at: Seen) -> Columns:
+def _rotor_friction(at: LawInputs) -> Columns:
     return _downstream(at, [column for speed in at.speeds(at.rotor) for column in _sign(speed)])
 
 
-def _dead_zone(at: Seen) -> Columns:
+def _dead_zone(at: LawInputs) -> Columns:
     columns: Columns = []
     for u in at.command(at.rotor):
         widths = [part * float(np.abs(u).max()) for part in _DEAD]
@@ -272,14 +260,14 @@ def _dead_zone(at: Seen) -> Columns:
     return _downstream(at, columns)
 
 
-def _input_change(at: Seen) -> Columns:
+def _input_change(at: LawInputs) -> Columns:
     """As a lag leaves it, and as a smoother that looks both ways shows it: on both sides."""
     columns = [u - at.lagged(u, time) for u in at.command(at.rotor) for time in _DELAYS]
     columns += [at.smoothed(at.slope(u), sd) for u in at.command(at.rotor) for sd in _SMOOTHERS]
     return _downstream(at, columns)
 
 
-def _derating(at: Seen) -> Columns:
+def _derating(at: LawInputs) -> Columns:
     columns: Columns = []
     for u in at.command(at.rotor):
         load = (u / (float(np.abs(u).max()) + 1e-12)) ** 2
@@ -288,7 +276,7 @@ def _derating(at: Seen) -> Columns:
     return _downstream(at, columns)
 
 
-def _downstream(at: Seen, columns: Columns) -> Columns:
+def _downstream(at: LawInputs, columns: Columns) -> Columns:
     """What volts before the motor are in the thrust: after the rotor's lag, times its speed."""
     if at.record.location.endswith(("actuator", "motor")):
         return columns
@@ -298,49 +286,64 @@ def _downstream(at: Seen, columns: Columns) -> Columns:
     return [np.abs(speed[-1]) * at.lagged(column, time) for column in columns for time in _ROTORS]
 
 
-def _spin_up(at: Seen) -> Columns:
+def _spin_up(at: LawInputs) -> Columns:
     return [at.lagged(at.slope(speed), 0.05) for speed in at.speeds(at.rotor)]
 
 
-def _motion(at: Seen) -> Columns:
-    """What a late angle lacks."""
-    return [c for rate in at.rate(at.axis) for c in (rate, at.slope(rate), at.lagged(rate, 0.1))]
-
-
-#: The families by name.
-FAMILIES: dict[str, Callable[[Seen], Columns]] = {
-    "constant": _constant,
-    "sign_of_rate": _sign_of_rate,
-    "rest": _rest,
-    "stribeck": _stribeck,
-    "quadratic_damping": _quadratic,
-    "stiffness": _linear_stiffness,
-    "cubic_stiffness": _cubic_stiffness,
-    "hysteresis": _hysteresis,
-    "imbalance": _imbalance,
-    "inertia": _inertia,
-    "reaction": _reaction,
-    "gyroscopic": _gyroscopic,
-    "inflow": _inflow,
-    "thrust": _thrust,
-    "thrust_exponent": _thrust_exponent,
-    "reverse_thrust": _reverse_thrust,
-    "near_table": _near_table,
-    "rotor_friction": _rotor_friction,
-    "dead_zone": _dead_zone,
-    "input_change": _input_change,
-    "derating": _derating,
-    "spin_up": _spin_up,
-    "motion": _motion,
+#: In words, and what a regression takes, by name.
+LAWS: dict[str, tuple[str, Callable[[LawInputs], Columns]]] = {
+    "sign_of_rate": ("the sign of the {axis} rate (dry friction)", _sign_of_rate),
+    "rest": ("what holds the axis at rest (stiction)", _rest),
+    "quadratic_damping": ("the {axis} rate squared", _quadratic),
+    "stiffness": ("the {axis} angle (a spring)", _linear_stiffness),
+    "cubic_stiffness": ("the {axis} angle cubed (a hardening spring)", _cubic_stiffness),
+    "hysteresis": ("the travel since the last reversal (hysteresis)", _hysteresis),
+    "imbalance": ("cosine and sine of the pitch (a mass out of balance)", _imbalance),
+    "reaction": ("drag and acceleration of the other rotor", _reaction),
+    "gyroscopic": ("rotor speed times the rate of the other axis", _gyroscopic),
+    "inflow": ("rotor speed times the {axis} rate (inflow)", _inflow),
+    "thrust": ("the thrust itself", _thrust),
+    "reverse_thrust": ("the thrust in reverse", _reverse_thrust),
+    "near_table": ("the thrust near the table", _near_table),
+    "rotor_friction": ("the direction in which the rotor turns", _rotor_friction),
+    "dead_zone": ("the command near zero (a dead zone)", _dead_zone),
+    "input_change": ("changes of the command (a delay or lag)", _input_change),
+    "derating": ("the command times its load or time (derating)", _derating),
+    "spin_up": ("the rotor's acceleration", _spin_up),
 }
 
 
-def nuisance(at: Seen) -> FloatArray:
-    """Columns that a refit of nominal parameters bends, (k, p)."""
-    columns = [at.one, *at.angle(at.axis), *at.rate(at.axis)]
-    if at.axis == "pitch":
-        columns += [at.sine, at.cosine]
-    columns += [speed * np.abs(speed) for speed in at.speeds(at.rotor)]
-    if at.record.location.endswith(("actuator", "motor")):
-        columns += [*at.speeds(at.rotor), *at.command(at.rotor)]
-    return np.column_stack(columns)
+def explained_shares(record: ForceRecord) -> dict[str, float]:
+    """Share of the force's variation about its mean that each law explains, 0 to 1, by name."""
+    record = thinned(record, _RATE)
+    at = LawInputs(record)
+    of_law: dict[str, list[int]] = {}
+    columns: Columns = []
+    for name, (_, law) in LAWS.items():
+        own = [column for column in law(at) if np.any(column)]
+        of_law[name] = list(range(len(columns), len(columns) + len(own)))
+        columns += own
+    force = record.force - record.force.mean()
+    energy = float(force @ force)
+    if energy <= 0 or not columns:
+        return dict.fromkeys(LAWS, 0.0)
+    phi = np.column_stack(columns)
+    phi = phi - phi.mean(axis=0)
+    size = np.linalg.norm(phi, axis=0)
+    # what is constant up to rounding must not come back as something
+    unit = np.where(size > 1e-6 * size.max(), phi / np.maximum(size, 1e-300), 0.0)
+    gram, product = unit.T @ unit, unit.T @ force
+    noise = min(float(np.sum(record.sd**2)) / energy, MOST_NOISE)
+    memory = correlation_time(record, force, power=2)
+    chance = min(memory / (force.size * sample_time(record)), 0.2)
+
+    def share(rows: list[int]) -> float:
+        if not rows:
+            return 0.0
+        inner = gram[np.ix_(rows, rows)] + _RIDGE * np.eye(len(rows))
+        explained = product[rows] @ np.linalg.solve(inner, product[rows])
+        by_chance = min(chance * len(rows), _MOST_CHANCE)
+        beyond = (explained / energy - by_chance) / (1 - by_chance)
+        return float(np.clip(beyond / (1 - noise), 0.0, 1.0))
+
+    return {name: share(rows) for name, rows in of_law.items()}
