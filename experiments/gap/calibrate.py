@@ -1,9 +1,9 @@
-"""Fit the constants of the beliefs to development rigs whose truth is known.
+"""Fit the constants of the posterior to development rigs whose truth is known.
 
     python -m experiments.gap.calibrate KEY DIAGNOSES
 
 reads the key of a blind set and the ``diagnosis.json`` of its recordings, maximises the probability
-that the beliefs give to the truth (the logarithmic score, which nothing but honest probabilities
+that the posterior gives to the truth (the logarithmic score, which nothing but honest probabilities
 maximises), and writes ``trms_cli/gap/calibration.json``. A weak prior holds each constant near
 where it was, so that a few dozen rigs cannot drive one to infinity.
 """
@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from trms_cli.core.whole_file import replace_whole
-from trms_cli.gap.confidence import Calibration, Features, beliefs, calibration
+from trms_cli.gap.posterior import Calibration, Features, calibration, probabilities_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -41,7 +41,7 @@ FITTED = (
 _WIDTH = 1.0
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
-#: Effects that these beliefs do not weigh: noise and rounding are told apart from "none of these"
+#: Effects that the posterior does not weigh: noise and rounding are told from "none of these"
 #: and from "no gap" by other marks.
 _APART = ("disturbance", "quantisation")
 #: Quantile of the errors of equations, over rigs without an effect, that counts as usual.
@@ -50,12 +50,12 @@ _USUAL = 0.9
 #: Errors below this are not worth to be called unusual: a rig has more than simulated ones.
 _LEAST_USUAL = 0.01
 
-#: What the beliefs say of a rig, and which of their entries are right.
+#: What the posterior knows of a rig, and which of its entries are right.
 Case = tuple[Features, frozenset[tuple[str, ...]]]
 
 
 def right_answers(truth: Mapping[str, Any]) -> frozenset[tuple[str, ...]]:
-    """Entries of the beliefs that are right for a case of a blind set's key."""
+    """Entries of the posterior that are right for a case of a blind set's key."""
     kind = truth["kind"]
     if kind == "null":
         return frozenset({("no_gap",)})
@@ -84,7 +84,7 @@ def loss(constants: Calibration, cases: Sequence[Case]) -> float:
     """Mean surprise at the truth, nats a case."""
     total = 0.0
     for features, right in cases:
-        believed = beliefs(features, constants)
+        believed = probabilities_of(features, constants)
         named = sum(believed.get(answer, 0.0) for answer in right)
         total -= np.log(_LEAST + (1 - _LEAST) * named)
     return total / max(len(cases), 1)

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trms_cli.gap.diagnosis import Gap, LocationShare
-from trms_cli.gap.document import document_of
+from trms_cli.gap.diagnosis import Gap, LocationShare, document_of
 
 from .diagnosis_case import diagnosis
 

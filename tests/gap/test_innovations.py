@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.gap.innovations import kalman
-from trms_cli.gap.innovations.discrepancy import Discrepancy, equation_channels
-from trms_cli.gap.innovations.kalman import LinearSystem
-from trms_cli.gap.innovations.sizes import FLOOR, likely_shares, log_likelihood
-from trms_cli.gap.innovations.trajectory import Linearisation
+from trms_cli.gap import kalman
+from trms_cli.gap.discrepancy import (
+    FLOOR,
+    Discrepancy,
+    TrajectoryLinearisation,
+    equation_channels,
+    likely_shares,
+    log_likelihood,
+)
+from trms_cli.gap.kalman import LinearSystem
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem
 
@@ -152,7 +157,7 @@ def test_a_rig_without_a_gap_has_white_innovations_and_no_discrepancy(windows):
     model = windows.problem.model
     p = model.parameters.values
     starts = windows.starts(p)
-    trajectory = Linearisation(windows).along(p, starts)
+    trajectory = TrajectoryLinearisation(windows).along(p, starts)
     discrepancy = Discrepancy(windows, trajectory, equation_channels(model))
     r = np.where(windows.measured, windows.target - trajectory.y, 0.0)
     filter_ = discrepancy.filter(np.full(4, FLOOR))
@@ -166,7 +171,7 @@ def test_a_force_that_is_missing_is_found_on_its_equation(windows):
     model = windows.problem.model
     p = model.parameters.values
     starts = windows.starts(p)
-    trajectory = Linearisation(windows).along(p, starts)
+    trajectory = TrajectoryLinearisation(windows).along(p, starts)
     discrepancy = Discrepancy(windows, trajectory, equation_channels(model))
     r = np.where(windows.measured, windows.target - trajectory.y, 0.0)
     # a sine of 30 percent of what acts on yaw, through the linear system itself

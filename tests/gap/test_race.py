@@ -1,4 +1,4 @@
-"""Refit, traces and race on rigs whose cause is known, with a few suspects."""
+"""Refit, traces and race on rigs whose cause is known, with a few candidates."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from trms_cli.gap.blocks import divide, quantum_of, with_noise
-from trms_cli.gap.candidates import suspects
-from trms_cli.gap.race.contest import EFFORTS, Contest, Ledger, Stable, contest
-from trms_cli.gap.race.nominal import nominal_parameters, refit
-from trms_cli.gap.separability import traces
+from trms_cli.gap.candidates import applicable_candidates
+from trms_cli.gap.race import EFFORTS, Checkpoint, Race, StructureCache, run_race
+from trms_cli.gap.refit import nominal_parameters, refit
+from trms_cli.gap.separability import effect_traces
 from trms_cli.models.newtonian import Newtonian
 
 from .recorded import QUANTUM, SPEED_NOISE, effect, recording
@@ -23,18 +23,18 @@ NAMES = (
 MODEL = Newtonian()
 
 
-def raced(dataset, ledger: Ledger | None = None) -> Contest:
-    found, left_out = suspects(MODEL, {name: effect(name) for name in NAMES})
+def raced(dataset, checkpoint: Checkpoint | None = None) -> Race:
+    found, left_out = applicable_candidates(MODEL, {name: effect(name) for name in NAMES})
     assert not left_out
     parts = divide((dataset,), 10.0, 0.25, MODEL.stops)
     nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
-    stable = Stable(nominal, parts.block)
-    seen = traces(nominal.contestant, nominal.fit, list(found.values()), stable.of)
-    return contest(nominal, found, seen, stable, EFFORTS["quick"], ledger=ledger)
+    structures = StructureCache(nominal, parts.block)
+    seen = effect_traces(nominal.structure, nominal.fit, list(found.values()), structures.of)
+    return run_race(nominal, found, seen, structures, EFFORTS["quick"], checkpoint=checkpoint)
 
 
 @pytest.fixture(scope="module")
-def friction() -> Contest:
+def friction() -> Race:
     rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.003)}
     return raced(recording(rig, seconds=50.0, values={"k_fvp": 1.66e-5}))
 
@@ -42,7 +42,7 @@ def friction() -> Contest:
 def test_friction_is_told_with_its_size(friction):
     best = friction.entries[0]
     assert best.names == ("yaw_coulomb_friction",)
-    sizes = best.contestant.values(best.fit.theta)
+    sizes = best.structure.values(best.fit.theta)
     assert sizes["yaw_coulomb_friction.torque"] == pytest.approx(0.003, rel=0.03)
     others = [e.fit.score for e in friction.entries if "yaw_coulomb_friction" not in e.names]
     assert all(best.fit.score > score + 30 for score in others)
@@ -79,9 +79,9 @@ def test_a_race_that_was_interrupted_ends_where_it_would_have(friction):
     kept: dict = {}
     rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.003)}
     dataset = recording(rig, seconds=50.0, values={"k_fvp": 1.66e-5})
-    raced(dataset, Ledger(None, kept.update))
+    raced(dataset, Checkpoint(None, kept.update))
     assert any(key.startswith("final") for key in kept)
-    again = raced(dataset, Ledger(kept))
+    again = raced(dataset, Checkpoint(kept))
     assert [e.names for e in again.entries] == [e.names for e in friction.entries]
     for one, other in zip(again.entries, friction.entries, strict=True):
         np.testing.assert_allclose(one.fit.theta, other.fit.theta, rtol=1e-6, atol=1e-9)

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from trms_cli.gap.answer.wording import sentence
 from trms_cli.gap.diagnosis import Cause, Gap
-from trms_cli.gap.shrinkage import Measured
+from trms_cli.gap.shrinkage import Shrinkage
+from trms_cli.gap.summary import sentence
 
 
 @pytest.mark.parametrize(("refit", "told"), [(0.002, False), (0.06, True)])
@@ -19,7 +19,7 @@ def test_parameters_that_do_not_hold_on_the_sealed_part_are_told(refit, told):
         SimpleNamespace(verdict="parameters_only", confusable=()),  # type: ignore[arg-type]
         [cause],
         [],
-        Measured({"alpha_h": {"2.0": gap}}, {}, ()),
+        Shrinkage({"alpha_h": {"2.0": gap}}, {}, ()),
         {},
     )
     assert said.startswith("No effect is missing")

@@ -75,7 +75,7 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     from trms_cli.commands.diagnose_screen import DiagnoseScreen
     from trms_cli.commands.identify_files import write_config
     from trms_cli.gap.diagnose import diagnose
-    from trms_cli.gap.document import document_of
+    from trms_cli.gap.diagnosis import document_of
     from trms_cli.runs.run_folder import write_document
 
     asked = diagnosis_asked(composition)

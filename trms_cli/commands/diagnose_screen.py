@@ -11,8 +11,7 @@ from typing import Any
 from trms_cli.commands.diagnose_request import Asked
 from trms_cli.composition.composer import Composition
 from trms_cli.core.invocation import program
-from trms_cli.gap.diagnosis import Cause, Diagnosis, Gap
-from trms_cli.gap.document import horizon_key
+from trms_cli.gap.diagnosis import Cause, Diagnosis, Gap, horizon_key
 from trms_cli.reporting.diagnosis_words import (
     cause_words,
     interval_words,

@@ -1,4 +1,4 @@
-"""The suspects: effects as candidate causes, with what is believed of their sizes beforehand."""
+"""The candidates: effects as candidate causes, with what is believed of their sizes beforehand."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WIDTH = 2.0
 
 
 @dataclass(frozen=True)
-class Suspect:
+class CandidateEffect:
     """An effect as a candidate cause."""
 
     name: str
@@ -44,19 +44,19 @@ class Suspect:
         return not self.stochastic and not isinstance(self.effect, Quantisation)
 
 
-def suspects(
-    model: Model, candidates: Mapping[str, Effect]
-) -> tuple[dict[str, Suspect], dict[str, str]]:
-    """Those of the candidates that a model can carry and does not have already.
+def applicable_candidates(
+    model: Model, effects: Mapping[str, Effect]
+) -> tuple[dict[str, CandidateEffect], dict[str, str]]:
+    """Those effects that a model can carry and does not have already.
 
     Returns
     -------
-    found : dict of str to Suspect
+    applicable : dict of str to CandidateEffect
     left_out : dict of str to str
         Why the others cannot be the cause here.
     """
-    found, left_out = {}, {}
-    for name, effect in candidates.items():
+    applicable, left_out = {}, {}
+    for name, effect in effects.items():
         if name in effect_names(model):
             left_out[name] = "the nominal model has it already"
             continue
@@ -65,7 +65,7 @@ def suspects(
         except ModelError as error:
             left_out[name] = str(error.args[0] if error.args else error)
             continue
-        found[name] = Suspect(
+        applicable[name] = CandidateEffect(
             name,
             effect,
             locations(effect, with_effect),
@@ -73,12 +73,12 @@ def suspects(
             variants(effect.parameters()),
             _is_stochastic(effect),
         )
-    return found, left_out
+    return applicable, left_out
 
 
-def joint(model: Model, chosen: Sequence[Suspect]) -> Model:
+def joint(model: Model, chosen: Sequence[CandidateEffect]) -> Model:
     """The model with several effects."""
-    return extended(model, {suspect.name: suspect.effect for suspect in chosen})
+    return extended(model, {candidate.name: candidate.effect for candidate in chosen})
 
 
 def locations(effect: Effect, model: ExtendedModel) -> tuple[str, ...]:

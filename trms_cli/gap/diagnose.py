@@ -9,23 +9,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
-from trms_cli.gap import answer
 from trms_cli.gap.blocks import Parts, divide
-from trms_cli.gap.candidates import Suspect, suspects
-from trms_cli.gap.confidence import calibration
+from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
 from trms_cli.gap.diagnosis import Diagnosis
-from trms_cli.gap.existence import innovation_tests
-from trms_cli.gap.fitting.metric import Metric
-from trms_cli.gap.innovations.discrepancy import Discrepancy
+from trms_cli.gap.discrepancy import Discrepancy
+from trms_cli.gap.fitting import Metric
+from trms_cli.gap.innovation_tests import innovation_tests
 from trms_cli.gap.location import locate, smoothed_forces
+from trms_cli.gap.posterior import calibration, posterior_of
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.race.contest import EFFORTS, Contest, Ledger, Stable, contest
-from trms_cli.gap.race.nominal import Refit, nominal_parameters, refit
-from trms_cli.gap.separability import Traces, traces
+from trms_cli.gap.race import EFFORTS, Checkpoint, Race, StructureCache, run_race
+from trms_cli.gap.refit import Refit, nominal_parameters, refit
+from trms_cli.gap.separability import EffectTraces, effect_traces
+from trms_cli.gap.shrinkage import sealed_comparison
+from trms_cli.gap.summary import summary_fields
 from trms_cli.identification.method import Progress, Unwatched
 
 #: Where on the way each stage begins, as a share of the whole.
@@ -47,7 +47,7 @@ class _Watch:
         self._progress = progress
         self.seconds: dict[str, float] = {}
         self._stage, self._begun = "", time.perf_counter()
-        self.ledger = Ledger(progress.saved(), progress.save)
+        self.checkpoint = Checkpoint(progress.saved(), progress.save)
 
     def enter(self, stage: str) -> None:
         self.leave()
@@ -90,65 +90,65 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
     free = nominal_parameters(problem.model)
     nominal = refit(problem.model, free, parts.fitted, parts.block)
-    found, left_out = suspects(problem.model, problem.candidates)
+    candidates, left_out = applicable_candidates(problem.model, problem.candidates)
     simulated = {
         name: s
-        for name, s in found.items()
+        for name, s in candidates.items()
         if not s.stochastic and not name.endswith("quantisation")
     }
-    stable = Stable(nominal, parts.block)
+    structures = StructureCache(nominal, parts.block)
     watch.enter("separability")
-    seen = _traces(nominal, simulated, stable, problem.jobs, watch)
+    traces = _traces(nominal, simulated, structures, problem.jobs, watch)
     watch.enter("race")
-    raced = contest(
+    race = run_race(
         nominal,
         simulated,
-        seen,
-        stable,
+        traces,
+        structures,
         EFFORTS[problem.effort],
-        ledger=watch.ledger,
+        checkpoint=watch.checkpoint,
         jobs=problem.jobs,
         watch=watch.tell,
     )
-    return _answered(problem, parts, found, left_out, raced, watch)
+    return _answered(problem, parts, candidates, left_out, race, watch)
 
 
 def _answered(
     problem: GapProblem,
     parts: Parts,
-    found: Mapping[str, Suspect],
+    candidates: Mapping[str, CandidateEffect],
     left_out: Mapping[str, str],
-    raced: Contest,
+    race: Race,
     watch: _Watch,
 ) -> Diagnosis:
     constants = calibration()
-    nominal = raced.refit
+    nominal = race.refit
     channels = nominal.metric.discrepancy.channels
     usual = {c.location: constants.usual(c.location) for c in channels if c.fixed is None}
     watch.enter("where")
-    place = locate(nominal.contestant, nominal.fit, nominal.metric.discrepancy, usual)
+    place = locate(nominal.structure, nominal.fit, nominal.metric.discrepancy, usual)
     following = Discrepancy(
-        nominal.contestant.windows, nominal.metric.discrepancy.trajectory, channels
+        nominal.structure.windows, nominal.metric.discrepancy.trajectory, channels
     )
-    forces = smoothed_forces(nominal.contestant, nominal.fit, following, nominal.metric.shares)
+    forces = smoothed_forces(nominal.structure, nominal.fit, following, nominal.metric.shares)
     watch.enter("tests")
     # errors that are smaller than usual are no gap either
     limits = np.array([usual.get(c.location, np.inf) for c in channels])
     shares = np.minimum(nominal.metric.shares, limits)
     calm = Metric(nominal.metric.discrepancy, shares)
     tests = innovation_tests(
-        nominal.contestant, nominal.fit, calm, nominal.centres, seed=problem.seed
+        nominal.structure, nominal.fit, calm, nominal.centres, seed=problem.seed
     )
-    believed = answer.believe(problem, raced, found, forces, place, constants)
+    posterior = posterior_of(problem, race, candidates, forces, place, constants)
     watch.enter("how far")
-    far = answer.how_far(problem, parts, raced, believed)
+    sealed = sealed_comparison(problem, parts, race, posterior)
     watch.enter("advice")
-    told: dict[str, Any] = answer.told(
-        problem, parts, raced, believed, far, place, forces, found, left_out
+    fields = summary_fields(
+        problem, parts, race, posterior, sealed, place, forces, candidates, left_out
     )
     watch.leave()
     return Diagnosis(
-        **told,
+        **fields,
         tests=tests,
         effort=problem.effort,
         seconds={name: round(value, 3) for name, value in watch.seconds.items()},
@@ -156,23 +156,27 @@ def _answered(
 
 
 def _traces(
-    nominal: Refit, simulated: Mapping[str, Suspect], stable: Stable, jobs: int, watch: _Watch
-) -> Traces:
-    """Traces of all suspects; their models are compiled side by side, which takes longest."""
+    nominal: Refit,
+    simulated: Mapping[str, CandidateEffect],
+    structures: StructureCache,
+    jobs: int,
+    watch: _Watch,
+) -> EffectTraces:
+    """Traces of all candidates; their models are compiled side by side, which takes longest."""
     from concurrent.futures import ThreadPoolExecutor
 
     chosen = list(simulated.values())
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        for k, _ in enumerate(pool.map(stable.of, chosen)):
+        for k, _ in enumerate(pool.map(structures.of, chosen)):
             try:
                 watch.tell(0.7 * (k + 1) / len(chosen), chosen[k].name)
             except KeyboardInterrupt:
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
-    return traces(
-        nominal.contestant,
+    return effect_traces(
+        nominal.structure,
         nominal.fit,
         chosen,
-        stable.of,
+        structures.of,
         watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(chosen), 1), "traces"),
     )

@@ -14,15 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.gap.fitting.contestant import Contestant, Fit
-from trms_cli.gap.force.record import ForceRecord
-from trms_cli.gap.innovations.discrepancy import (
-    Channel,
+from trms_cli.gap.discrepancy import (
     Discrepancy,
+    DiscrepancyChannel,
+    likely_shares,
+    log_likelihood,
     sensor_channels,
     usual_channels,
 )
-from trms_cli.gap.innovations.sizes import likely_shares, log_likelihood
+from trms_cli.gap.fitting import Fit, ModelStructure
+from trms_cli.gap.force.record import ForceRecord
 from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
@@ -52,13 +53,13 @@ class Location:
 
 
 def locate(
-    contestant: Contestant, fit: Fit, discrepancy: Discrepancy, usual: Mapping[str, float]
+    structure: ModelStructure, fit: Fit, discrepancy: Discrepancy, usual: Mapping[str, float]
 ) -> Location:
     """Try every equation and every measured sensor.
 
     Parameters
     ----------
-    contestant : Contestant
+    structure : ModelStructure
         The nominal model.
     fit : Fit
         Its refit.
@@ -67,16 +68,16 @@ def locate(
     usual : dict of str to float
         Share by which each equation errs on rigs without a gap.
     """
-    model = contestant.problem.model
-    channels: tuple[Channel, ...] = (
+    model = structure.problem.model
+    channels: tuple[DiscrepancyChannel, ...] = (
         *usual_channels(model),
-        *sensor_channels(model, contestant.windows.measured),
+        *sensor_channels(model, structure.windows.measured),
     )
     every = replace(discrepancy, channels=channels)
     floor = np.array(
         [_SENSOR_FLOOR if c.kind == "output" else usual.get(c.location, 0.03) for c in channels]
     )
-    r = contestant.residuals(fit)
+    r = structure.residuals(fit)
     none = log_likelihood(every, r, floor)
     gains, shares = [], []
     tried = [i for i in range(len(channels)) if channels[i].fixed is None]
@@ -98,7 +99,7 @@ def locate(
 
 
 def smoothed_forces(
-    contestant: Contestant, fit: Fit, discrepancy: Discrepancy, shares: FloatArray
+    structure: ModelStructure, fit: Fit, discrepancy: Discrepancy, shares: FloatArray
 ) -> dict[str, ForceRecord]:
     """The force that each equation lacks, read by a smoother from what a fit left over.
 
@@ -107,8 +108,8 @@ def smoothed_forces(
     shares : (n_d,) array
         Sizes of the forces of ``discrepancy``.
     """
-    model, windows = contestant.problem.model, contestant.windows
-    r = contestant.residuals(fit)
+    model, windows = structure.problem.model, structure.windows
+    r = structure.residuals(fit)
     x, variance = discrepancy.smoothed(shares, r)
     n = discrepancy.trajectory.x.shape[-1]
     inside = windows.inside
@@ -116,7 +117,7 @@ def smoothed_forces(
     time = windows.first[:, None] * windows.sample_time + windows.sample_time * np.arange(
         inside.shape[1]
     )
-    starts = np.cumsum([0, *(len(d) for d in contestant.problem.datasets)])
+    starts = np.cumsum([0, *(len(d) for d in structure.problem.datasets)])
     recording = np.searchsorted(starts, windows.first, side="right") - 1
     motion = _motion(model, states, windows.commands, windows.sample_time)
     records = {}

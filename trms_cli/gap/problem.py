@@ -20,7 +20,7 @@ HORIZONS = (0.1, 0.5, 2.0, 10.0)
 
 @dataclass(frozen=True, kw_only=True)
 class GapProblem:
-    """A model, recordings of one rig, suspects."""
+    """A model, recordings of one rig, candidates."""
 
     model: Model  #: The nominal model, with the effects that it has already
     model_name: str  #: As the user named it

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.gap.candidates import Suspect
-from trms_cli.gap.fitting.contestant import Contestant, Fit
-from trms_cli.gap.fitting.metric import Metric
+from trms_cli.gap.candidates import CandidateEffect
+from trms_cli.gap.fitting import Fit, Metric, ModelStructure
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -89,7 +88,7 @@ class Signatures:
 
 
 @dataclass(frozen=True)
-class Traces:
+class EffectTraces:
     """What each effect changes in the outputs when it is added to a fitted model."""
 
     names: tuple[str, ...]  #: Of the effect of each row
@@ -97,80 +96,80 @@ class Traces:
     changes: FloatArray  #: (k, m, c, n_y) array
 
 
-def traces(
-    nominal: Contestant,
+def effect_traces(
+    nominal: ModelStructure,
     fit: Fit,
-    suspects: Sequence[Suspect],
-    contestant_of: Callable[[Suspect], Contestant],
+    candidates: Sequence[CandidateEffect],
+    structure_of: Callable[[CandidateEffect], ModelStructure],
     *,
     watch: Callable[[int], bool] = lambda k: True,
-) -> Traces:
+) -> EffectTraces:
     """Simulate every effect at a few sizes, all else as fitted without it.
 
     Parameters
     ----------
-    nominal : Contestant
-        Without any of the suspects.
+    nominal : ModelStructure
+        Without any of the candidates.
     fit : Fit
         Of it.
-    suspects : sequence of Suspect
+    candidates : sequence of CandidateEffect
         None that noise drives.
-    contestant_of : callable
-        Makes the contestant of one suspect.
+    structure_of : callable
+        Makes the structure of one candidate.
     watch : callable
-        Told how many suspects are done; False stops.
+        Told how many candidates are done; False stops.
     """
     base = nominal.windows.residuals(nominal.problem.all_values(fit.theta), fit.starts).r
     theta = nominal.values(fit.theta)
     changes: list[FloatArray] = []
     names: list[str] = []
     sizes: list[FloatArray] = []
-    for k, suspect in enumerate(suspects):
+    for k, candidate in enumerate(candidates):
         if not watch(k):
             break
-        contestant = contestant_of(suspect)
-        for row in suspect.variants:
-            own = {f.name: v for f, v in zip(suspect.free, row, strict=True)}
-            vector = contestant.theta({**theta, **own})
-            starts = contestant.starts(vector, fit.starts)
+        structure = structure_of(candidate)
+        for row in candidate.variants:
+            own = {f.name: v for f, v in zip(candidate.free, row, strict=True)}
+            vector = structure.theta({**theta, **own})
+            starts = structure.starts(vector, fit.starts)
             with np.errstate(all="ignore"):
-                r = contestant.windows.residuals(contestant.problem.all_values(vector), starts).r
+                r = structure.windows.residuals(structure.problem.all_values(vector), starts).r
             if np.isfinite(r).all():
                 changes.append(r - base)
-                names.append(suspect.name)
+                names.append(candidate.name)
                 sizes.append(row)
-    return Traces(tuple(names), tuple(sizes), np.array(changes).reshape(-1, *base.shape))
+    return EffectTraces(tuple(names), tuple(sizes), np.array(changes).reshape(-1, *base.shape))
 
 
 def projected(
-    contestant: Contestant, fit: Fit, metric: Metric, centres: FloatArray, found: Traces
+    structure: ModelStructure, fit: Fit, metric: Metric, centres: FloatArray, traces: EffectTraces
 ) -> Signatures:
     """Traces, freed of what the starts and parameters of a fitted model could do as well.
 
     Parameters
     ----------
-    contestant : Contestant
+    structure : ModelStructure
         The nominal model, or one with an effect: then its sizes are among the parameters.
     fit : Fit
         Of it.
     metric : Metric
     centres : (m, n_x) array
         Centres of the priors of the windows' starts.
-    found : Traces
+    traces : EffectTraces
     """
-    windows, problem = contestant.windows, contestant.problem
+    windows, problem = structure.windows, structure.problem
     residuals = windows.residuals(problem.all_values(fit.theta), fit.starts, slopes=True)
     base, slopes = residuals.r, residuals.j
     assert slopes is not None
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     scales = np.concatenate([windows.spread, problem.scales])
-    n, n_f, count = windows.n_x, len(fit.theta), len(found.names)
+    n, n_f, count = windows.n_x, len(fit.theta), len(traces.names)
     total = np.zeros((n_f + count + 1, n_f + count + 1))
     raw = np.zeros(count)
-    gaps = (fit.starts - contestant.starts(fit.theta, centres)) / windows.spread
+    gaps = (fit.starts - structure.starts(fit.theta, centres)) / windows.spread
     for j in range(0, len(windows), _AT_ONCE):
         rows = slice(j, j + _AT_ONCE)
-        changes = np.moveaxis(found.changes[:, rows], 0, -1)
+        changes = np.moveaxis(traces.changes[:, rows], 0, -1)
         parts = [slopes[rows] * scales, changes, base[rows][..., None]]
         white = _part(metric, rows, np.concatenate(parts, axis=-1))
         flat = white.reshape(white.shape[0], -1, white.shape[-1])
@@ -189,8 +188,8 @@ def projected(
     energy = np.maximum(np.diag(left)[:-1], 1e-12)
     length = np.sqrt(energy)
     return Signatures(
-        found.names,
-        found.sizes,
+        traces.names,
+        traces.sizes,
         raw,
         energy,
         -left[:-1, -1],
@@ -200,11 +199,11 @@ def projected(
 
 def _part(metric: Metric, rows: slice, columns: FloatArray) -> FloatArray:
     """Columns of some windows, whitened."""
-    from trms_cli.gap.innovations.kalman import Gains, LinearSystem, whiten
+    from trms_cli.gap.kalman import FilterGains, LinearSystem, whiten
 
     system, filter_ = metric.discrepancy.system, metric.filter_
     part = LinearSystem(system.f[rows], system.h[rows], system.seen[rows], system.r, system.start)
-    gains = Gains(
+    gains = FilterGains(
         np.ascontiguousarray(filter_.k[rows]),
         np.ascontiguousarray(filter_.root[rows]),
         filter_.logdet[rows],

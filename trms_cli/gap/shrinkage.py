@@ -1,4 +1,4 @@
-"""How far a gap shrank on the sealed part, with intervals over resampled blocks."""
+"""How far a gap shrank on the sealed part, that nothing was chosen on; intervals over blocks."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import numpy as np
 from trms_cli.gap.blocks import Parts
 from trms_cli.gap.diagnosis import Gap, Shrink
 from trms_cli.gap.free_runs import Errors, expected_errors, free_run_errors
+from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.race import Race
 from trms_cli.identification.dataset import FloatArray, IntArray
+from trms_cli.identification.judgement import with_values
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
 
@@ -25,7 +28,7 @@ ALL = "all"
 
 
 @dataclass(frozen=True)
-class Measured:
+class Shrinkage:
     """Fields of a diagnosis that say how far."""
 
     gap: Mapping[str, Mapping[str, Gap]]  #: By channel and horizon
@@ -33,14 +36,14 @@ class Measured:
     worse: tuple[str, ...]  #: Channels that the correction made worse at 2 s
 
 
-def measure(
+def measure_shrinkage(
     problem: GapProblem,
     parts: Parts,
     raw: Model,
     refit: Model,
     corrected: Model,
     rollouts: tuple[Rollout | None, Rollout | None] = (None, None),
-) -> Measured:
+) -> Shrinkage:
     """Free runs of three models on the sealed part.
 
     The floor is what the corrected model would leave of its own simulation, seen through the
@@ -96,7 +99,7 @@ def measure(
         for channel, table in gap.items()
         if told in table and table[told].corrected > _WORSE * table[told].refit
     )
-    return Measured(gap, shrink, worse)
+    return Shrinkage(gap, shrink, worse)
 
 
 def _shrink(squares: FloatArray, block: IntArray, seed: int) -> Shrink:
@@ -132,3 +135,33 @@ def _pooled(parts: Sequence[tuple[FloatArray, IntArray]], seed: int) -> Shrink:
         return Shrink(fraction=whole, ci95=None)
     low, high = np.quantile(found, [0.025, 0.975])
     return Shrink(fraction=whole, ci95=(float(low), float(high)))
+
+
+@dataclass(frozen=True)
+class SealedComparison:
+    """The opened seal."""
+
+    measured: Shrinkage
+    raw: Model  #: As their free runs were made
+    refit: Model  #: As their free runs were made
+    corrected: Model  #: As their free runs were made
+    plain: Rollout  #: Of the first two, and of the last
+    richer: Rollout  #: Of the first two, and of the last
+
+
+def sealed_comparison(
+    problem: GapProblem, parts: Parts, race: Race, posterior: Posterior
+) -> SealedComparison:
+    """Free runs of the model as it was, refitted, and corrected."""
+    refit = race.refit
+    fitted = with_values(problem.model, refit.structure.values(refit.fit.theta))
+    corrected = fitted
+    plain = richer = refit.structure.windows.rollout
+    if posterior.corrected is not None:
+        entry = posterior.corrected
+        corrected = with_values(
+            entry.structure.problem.model, entry.structure.values(entry.fit.theta)
+        )
+        richer = entry.structure.windows.rollout
+    measured = measure_shrinkage(problem, parts, problem.model, fitted, corrected, (plain, richer))
+    return SealedComparison(measured, problem.model, fitted, corrected, plain, richer)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from trms_cli.core.findings import Cell, Judged, Judgement
-from trms_cli.gap.diagnosis import Cause, Diagnosis, GapTest, Shrink
-from trms_cli.gap.document import horizon_key
+from trms_cli.gap.diagnosis import Cause, Diagnosis, GapTest, Shrink, horizon_key
 from trms_cli.reporting import diagnosis_figures as figures
 from trms_cli.reporting.diagnosis_diagram import diagram
 from trms_cli.reporting.diagnosis_words import (

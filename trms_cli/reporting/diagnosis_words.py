@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from trms_cli.gap.diagnosis import NO_EFFECT, Cause, Diagnosis, RaceEntry, SizeEstimate
-from trms_cli.gap.document import horizon_key
+from trms_cli.gap.diagnosis import NO_EFFECT, Cause, Diagnosis, RaceEntry, SizeEstimate, horizon_key
 
 #: Prior standard deviations from which a parameter has moved far.
 FAR = 2.5

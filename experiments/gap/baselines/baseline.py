@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Protocol, runtime_checkable
 
 import trms_cli
-from trms_cli.gap.candidates import Suspect
+from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import (
     Cause,
     Diagnosis,
@@ -17,7 +17,7 @@ from trms_cli.gap.diagnosis import (
     Verdict,
 )
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.shrinkage import Measured
+from trms_cli.gap.shrinkage import Shrinkage
 from trms_cli.models.model import names
 
 
@@ -35,7 +35,7 @@ def diagnosis(
     problem: GapProblem,
     verdict: Verdict,
     causes: Sequence[Cause],
-    measured: Measured,
+    measured: Shrinkage,
     *,
     where: Sequence[LocationShare] = (),
     confusable: Sequence[tuple[str, ...]] = (),
@@ -81,9 +81,9 @@ def diagnosis(
     )
 
 
-def places(suspects: Sequence[Suspect], share: float) -> tuple[LocationShare, ...]:
+def places(candidates: Sequence[CandidateEffect], share: float) -> tuple[LocationShare, ...]:
     """Where named effects act, each with an equal part of a share of the gap."""
-    named = list(dict.fromkeys(place for suspect in suspects for place in suspect.locations))
+    named = list(dict.fromkeys(place for candidate in candidates for place in candidate.locations))
     return tuple(
         LocationShare(location=p, share=share / len(named), ci95=(0.0, 1.0)) for p in named
     )

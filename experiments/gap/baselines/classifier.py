@@ -27,10 +27,10 @@ from experiments.gap.baselines.synthetic import Request, rigs
 from experiments.gap.baselines.white_noise import compete
 from trms_cli.core.compilation import cache_folder
 from trms_cli.effects.effect import Effect
-from trms_cli.gap.candidates import suspects
+from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.diagnosis import Cause, Diagnosis
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.shrinkage import measure
+from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.dataset import FloatArray
 from trms_cli.models.model import Model, names
 
@@ -83,7 +83,7 @@ class Classifier:
         best = model.classes[int(order[0])]
         plain = refit(problem, parts)
         corrected, chosen = plain, []
-        found, _ = suspects(problem.model, problem.candidates)
+        found, _ = applicable_candidates(problem.model, problem.candidates)
         likely = float(told[order[0]]) >= _LIKELY
         if best in found and likely:
             chosen = [found[best]]
@@ -102,7 +102,7 @@ class Classifier:
                 for i in order
                 if told[i] > _TOLD
             ],
-            measure(problem, parts, problem.model, plain.model, corrected.model),
+            measure_shrinkage(problem, parts, problem.model, plain.model, corrected.model),
             where=places(chosen, 1.0),
             parameters=corrected.nominal(),
             refit=plain.values,
@@ -136,7 +136,7 @@ def trained(
     tell : callable
         Told a line an effect.
     """
-    found, _ = suspects(model, candidates)
+    found, _ = applicable_candidates(model, candidates)
     kept = {name: s.effect for name, s in found.items() if not s.stochastic}
     file = _file(model, kept, outputs, sample_time, rigs_each)
     if file.is_file():

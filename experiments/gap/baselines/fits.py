@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.gap.blocks import Parts, divide
-from trms_cli.gap.candidates import Suspect, joint
+from trms_cli.gap.candidates import CandidateEffect, joint
 from trms_cli.gap.diagnosis import FittedParameter, SizeEstimate
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import FloatArray
@@ -77,7 +77,7 @@ def nominal_free(model: Model) -> tuple[FreeParameter, ...]:
 def fit_problem(
     problem: GapProblem,
     parts: Parts,
-    chosen: Sequence[Suspect] = (),
+    chosen: Sequence[CandidateEffect] = (),
     starts: Mapping[str, float] | None = None,
     **settings: object,
 ) -> FitProblem:
@@ -85,13 +85,13 @@ def fit_problem(
 
     Parameters
     ----------
-    chosen : sequence of Suspect
+    chosen : sequence of CandidateEffect
     starts : dict of str to float or None
         Where a search begins instead of at the prior's centre or the typical size.
     """
     model = with_values(joint(problem.model, chosen), starts or {})
     priors = {p.name: p for p in nominal_free(problem.model)}
-    priors |= {p.name: p for suspect in chosen for p in suspect.free}
+    priors |= {p.name: p for candidate in chosen for p in candidate.free}
     free = tuple(_started(priors[p.name], p.value) for p in model.parameters if p.name in priors)
     return FitProblem(
         model=model,

@@ -24,7 +24,7 @@ from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import extended
 from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.shrinkage import measure
+from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.dataset import FloatArray
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
@@ -110,7 +110,7 @@ class FlexibleResidual:
             problem,
             "none_of_these" if foretold else "no_gap",
             [Cause(effects=("none_of_these" if foretold else "no_gap",), probability=1.0)],
-            measure(problem, parts, problem.model, fit.model, model),
+            measure_shrinkage(problem, parts, problem.model, fit.model, model),
             where=[
                 LocationShare(location=place, share=share / total, ci95=(0.0, 1.0))
                 for place, share in sorted(foretold.items(), key=lambda item: -item[1])

@@ -15,10 +15,10 @@ import numpy as np
 from experiments.gap.baselines.baseline import diagnosis, places
 from experiments.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
 from experiments.gap.baselines.white_noise import compete
-from trms_cli.gap.candidates import suspects
+from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.diagnosis import Cause, Diagnosis, Verdict
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.shrinkage import measure
+from trms_cli.gap.shrinkage import measure_shrinkage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Oracle:
         begun = time.perf_counter()
         parts = parts_of(problem)
         plain = refit(problem, parts)
-        found, _ = suspects(problem.model, problem.candidates)
+        found, _ = applicable_candidates(problem.model, problem.candidates)
         chosen = [found[name] for name in self.effects if name in found]
         verdict: Verdict = "parameters_only"
         fit, cause = plain, "parameters_only"
@@ -51,7 +51,7 @@ class Oracle:
             problem,
             verdict,
             [Cause(effects=effects, probability=1.0, parameters=fit.sizes())],
-            measure(problem, parts, problem.model, plain.model, fit.model),
+            measure_shrinkage(problem, parts, problem.model, plain.model, fit.model),
             where=places(chosen, 1.0),
             parameters=fit.nominal(),
             refit=plain.values,

@@ -10,7 +10,7 @@ from experiments.gap.baselines.baseline import diagnosis
 from experiments.gap.baselines.fits import parts_of, refit
 from trms_cli.gap.diagnosis import Cause, Diagnosis
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.shrinkage import measure
+from trms_cli.gap.shrinkage import measure_shrinkage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class ParameterRefit:
         begun = time.perf_counter()
         parts = parts_of(problem)
         fit = refit(problem, parts)
-        measured = measure(problem, parts, problem.model, fit.model, fit.model)
+        measured = measure_shrinkage(problem, parts, problem.model, fit.model, fit.model)
         return diagnosis(
             problem,
             "parameters_only",

@@ -22,7 +22,7 @@ from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import build, nearest
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
-from trms_cli.gap.document import document_of
+from trms_cli.gap.diagnosis import document_of
 from trms_cli.gap.problem import GapProblem
 
 DOCUMENT = "diagnosis.json"

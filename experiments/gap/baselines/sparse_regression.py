@@ -23,10 +23,10 @@ from experiments.gap.baselines.fits import Fit, parts_of, refit
 from experiments.gap.baselines.force_terms import AddedForces, Term, columns
 from experiments.gap.baselines.restoring_force import Motion, motion
 from trms_cli.effects.extended_model import extended
-from trms_cli.gap.candidates import Suspect, suspects
+from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
 from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.shrinkage import measure
+from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.dataset import FloatArray, IntArray
 from trms_cli.identification.judgement import with_values
 from trms_cli.models.model import Model, names
@@ -63,8 +63,8 @@ class SparseRegression:
             problem,
             "effect" if found else "parameters_only",
             causes,
-            measure(problem, parts, problem.model, fit.model, corrected),
-            where=_where(found, suspects(problem.model, problem.candidates)[0]),
+            measure_shrinkage(problem, parts, problem.model, fit.model, corrected),
+            where=_where(found, applicable_candidates(problem.model, problem.candidates)[0]),
             confusable=[term.effects for term in found if len(term.effects) > 1],
             parameters=fit.nominal(),
             refit=fit.values,
@@ -218,7 +218,9 @@ def _causes(found: Mapping[Term, Found], problem: GapProblem) -> list[Cause]:
     return [Cause(effects=(name,), probability=gain / total) for name, gain in ordered]
 
 
-def _where(found: Mapping[Term, Found], known: Mapping[str, Suspect]) -> list[LocationShare]:
+def _where(
+    found: Mapping[Term, Found], known: Mapping[str, CandidateEffect]
+) -> list[LocationShare]:
     """Where the effects that terms speak for act; a term that speaks for none, at its equation."""
     gains: dict[str, float] = defaultdict(float)
     for term, entry in found.items():

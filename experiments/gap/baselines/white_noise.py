@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments.gap.baselines.fits import Fit, fit_problem
 from trms_cli.gap.blocks import Parts
-from trms_cli.gap.candidates import Suspect
+from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import FloatArray
 from trms_cli.identification.greybox.information import information
@@ -37,7 +37,7 @@ _FIRST_STEPS, _LAST_STEPS, _TOLERANCE = 4, 6, 0.5
 class Competitor:
     """A fitted candidate."""
 
-    chosen: tuple[Suspect, ...]
+    chosen: tuple[CandidateEffect, ...]
     fit: Fit  #: Without standard deviations
     starts: FloatArray  #: (m, n_x) array; of the windows
     residual_sd: FloatArray  #: (n_y,) array; root mean square of the residuals of each output
@@ -55,7 +55,7 @@ class Competitor:
 def compete(
     problem: GapProblem,
     parts: Parts,
-    chosen: Sequence[Suspect],
+    chosen: Sequence[CandidateEffect],
     nominal: Competitor | None,
     *,
     held: bool = False,
@@ -109,7 +109,7 @@ def with_deviations(competitor: Competitor, problem: GapProblem, parts: Parts) -
 
 
 def _beginnings(
-    asked: FitProblem, windows: Windows, chosen: Sequence[Suspect], nominal: Competitor
+    asked: FitProblem, windows: Windows, chosen: Sequence[CandidateEffect], nominal: Competitor
 ) -> list[tuple[FloatArray, FloatArray | None]]:
     """The nominal optimum and the priors' centre, with the likeliest of the effects' sizes."""
     centre, known = asked.starts.copy(), nominal.fit.values
@@ -117,13 +117,13 @@ def _beginnings(
     objective = _objective(windows, at, nominal.residual_sd)
     starts = objective.centres.copy()
     starts[:, : nominal.starts.shape[1]] = nominal.starts
-    for suspect in chosen:
-        columns = [asked.names.index(p.name) for p in suspect.free]
+    for candidate in chosen:
+        columns = [asked.names.index(p.name) for p in candidate.free]
         costs = []
-        for sizes in suspect.variants:
+        for sizes in candidate.variants:
             at[columns] = sizes
             costs.append(objective.cost(at, starts))
-        at[columns] = centre[columns] = suspect.variants[int(np.argmin(costs))]
+        at[columns] = centre[columns] = candidate.variants[int(np.argmin(costs))]
     return [(at, starts), (centre, None)]
 
 

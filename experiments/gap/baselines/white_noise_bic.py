@@ -11,10 +11,10 @@ import numpy as np
 from experiments.gap.baselines.baseline import diagnosis, places
 from experiments.gap.baselines.fits import parts_of
 from experiments.gap.baselines.white_noise import Competitor, compete, with_deviations
-from trms_cli.gap.candidates import suspects
+from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.diagnosis import Cause, Diagnosis, Verdict
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.shrinkage import measure
+from trms_cli.gap.shrinkage import measure_shrinkage
 
 #: Causes of less probability are not told.
 _TOLD = 1e-6
@@ -39,11 +39,11 @@ class WhiteNoiseBic:
             ("no_gap",): compete(problem, parts, (), nominal, held=True),
             ("parameters_only",): nominal,
         }
-        found, _ = suspects(problem.model, problem.candidates)
-        for name, suspect in found.items():
+        found, _ = applicable_candidates(problem.model, problem.candidates)
+        for name, candidate in found.items():
             # A force that noise drives has no simulation to be compared with.
-            if not suspect.stochastic:
-                field[(name,)] = compete(problem, parts, (suspect,), nominal)
+            if not candidate.stochastic:
+                field[(name,)] = compete(problem, parts, (candidate,), nominal)
         fitted = time.perf_counter() - begun
         ranked = sorted(field.items(), key=lambda item: item[1].bic)
         weights = np.exp([-(entry.bic - ranked[0][1].bic) / 2 for _, entry in ranked])
@@ -59,7 +59,7 @@ class WhiteNoiseBic:
                 for (effects, entry), p in zip(ranked, probability, strict=True)
                 if p > _TOLD
             ],
-            measure(problem, parts, problem.model, nominal.fit.model, winner.fit.model),
+            measure_shrinkage(problem, parts, problem.model, nominal.fit.model, winner.fit.model),
             where=places(winner.chosen, float(np.clip(share, 0.0, 1.0))),
             parameters=winner.fit.nominal(),
             refit=nominal.fit.values,

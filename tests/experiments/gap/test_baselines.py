@@ -31,8 +31,7 @@ from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.model_file import load_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
-from trms_cli.gap.diagnosis import Diagnosis
-from trms_cli.gap.document import document_of
+from trms_cli.gap.diagnosis import Diagnosis, document_of
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import _pooled
 from trms_cli.identification.dataset import Dataset

@@ -19,9 +19,7 @@ from scipy import stats
 
 from trms_cli.gap.blocks import quantum_of
 from trms_cli.gap.diagnosis import GapTest
-from trms_cli.gap.fitting.contestant import Contestant, Fit
-from trms_cli.gap.fitting.metric import Metric
-from trms_cli.gap.fitting.objective import InnovationObjective
+from trms_cli.gap.fitting import Fit, InnovationObjective, Metric, ModelStructure
 from trms_cli.models.model import names
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,7 +31,7 @@ _BANDS = 4
 
 
 def innovation_tests(
-    contestant: Contestant,
+    structure: ModelStructure,
     fit: Fit,
     metric: Metric,
     centres: FloatArray,
@@ -45,7 +43,7 @@ def innovation_tests(
 
     Parameters
     ----------
-    contestant : Contestant
+    structure : ModelStructure
     fit : Fit
         Of it.
     metric : Metric
@@ -56,28 +54,26 @@ def innovation_tests(
         Of the bootstrap.
     seed : int
     """
-    objective = InnovationObjective(
-        contestant.windows, metric, contestant.starts(fit.theta, centres)
-    )
+    objective = InnovationObjective(structure.windows, metric, structure.starts(fit.theta, centres))
     _, _, residuals = objective.parabola(fit.theta, fit.starts)
     columns = objective.columns(residuals)
-    measured = contestant.windows.measured
+    measured = structure.windows.measured
     z = np.where(measured, np.clip(columns[..., -1], -6, 6), 0.0)
-    take = _taken_by_fits(columns[..., :-1], contestant, objective)
+    take = _taken_by_fits(columns[..., :-1], structure, objective)
     random = np.random.default_rng(np.random.SeedSequence([seed, 0x6A9]))
-    commands = contestant.windows.commands
-    observed = _statistics(z, measured, commands, contestant.windows.sample_time)
+    commands = structure.windows.commands
+    observed = _statistics(z, measured, commands, structure.windows.sample_time)
     drawn: dict[tuple[str, int], list[float]] = {key: [] for key in observed}
-    quanta = _quanta(contestant)
+    quanta = _quanta(structure)
     for drawn_residual in _drawn(metric, quanta, draws, random):
         white = np.where(
             measured, np.clip(metric.whitened(drawn_residual[..., None])[..., 0], -6, 6), 0.0
         )
         left = np.where(measured, take(white), 0.0)
-        again = _statistics(left, measured, commands, contestant.windows.sample_time)
+        again = _statistics(left, measured, commands, structure.windows.sample_time)
         for key, value in again.items():
             drawn[key].append(value)
-    outputs = names(contestant.problem.model.outputs)
+    outputs = names(structure.problem.model.outputs)
     keys = list(observed)
     p = np.array([_tail(observed[key], np.array(drawn[key])) for key in keys])
     corrected = _holm(p)
@@ -120,9 +116,9 @@ def _drawn(
         yield rounded[..., k] - trajectory.y
 
 
-def _quanta(contestant: Contestant) -> FloatArray:
+def _quanta(structure: ModelStructure) -> FloatArray:
     """Step of each sensor, 0 where it has none, (n_y,)."""
-    target = contestant.windows.target
+    target = structure.windows.target
     return np.array([quantum_of(target[..., i]) for i in range(target.shape[2])])
 
 
@@ -176,10 +172,10 @@ def _portmanteau(
 
 
 def _taken_by_fits(
-    slopes: FloatArray, contestant: Contestant, objective: InnovationObjective
+    slopes: FloatArray, structure: ModelStructure, objective: InnovationObjective
 ) -> Callable[[FloatArray], FloatArray]:
     """What is left of innovations (m, c, n_y) when starts and parameters were fitted to them."""
-    m, n = len(contestant.windows), contestant.windows.n_x
+    m, n = len(structure.windows), structure.windows.n_x
     flat = slopes.reshape(m, -1, slopes.shape[-1])
     a, b = flat[..., :n], flat[..., n:]
     own = np.swapaxes(a, 1, 2) @ a + np.eye(n)

@@ -42,7 +42,7 @@ _FROM_REST = 0.5
 
 
 @dataclass(frozen=True)
-class Experiment:
+class OpenLoopExperiment:
     """Commands, what they are in words, and what to type for them."""
 
     words: str
@@ -113,7 +113,7 @@ def experiments(
     model_name: str,
     *,
     load: bool = False,
-) -> Iterator[Experiment]:
+) -> Iterator[OpenLoopExperiment]:
     """Those of the experiments that the simulated rig survives.
 
     Parameters
@@ -205,7 +205,7 @@ class _Trial:
         return found
 
 
-def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[Experiment]:
+def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[OpenLoopExperiment]:
     model = trial.model
     rest = model.rest()
     angles = [_FROM_REST * float(rest[model.state_index(name)]) for name in model.controlled]
@@ -254,7 +254,7 @@ def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[Ex
         keys += ["excitation.iterations=0"] * (option == "multisine")
         keys += ["reversals=true"] * reverses
         keys += [f"duration={DURATION:g}", f"lead_in={LEAD_IN:g}", f"amplitude={{{told}}}"]
-        yield Experiment(
+        yield OpenLoopExperiment(
             words, commands(amplitude), _typed("excite", model_name, keys, sample_time)
         )
 
@@ -264,7 +264,7 @@ def _played(
     sample_time: float,
     model_name: str,
     kinds: Sequence[tuple[str, _Wave, _Wave]],
-) -> Iterator[Experiment]:
+) -> Iterator[OpenLoopExperiment]:
     model = trial.model
     inputs = names(model.inputs)
     if any(name not in ("u_v", "u_h") for name in inputs):
@@ -290,7 +290,9 @@ def _played(
             keys += [f"controller.{name}.{key}={v:g}" for key, v in wave.keys(size).items()]
         keys += ["ref=speed"] * (not trial.angles)  # a rotor alone has no angle to refer to
         keys.append(f"sim.duration={DURATION + LEAD_IN:g}")
-        yield Experiment(words, commands(amplitude), _typed("run", model_name, keys, sample_time))
+        yield OpenLoopExperiment(
+            words, commands(amplitude), _typed("run", model_name, keys, sample_time)
+        )
 
 
 def _typed(command: str, model_name: str, keys: Sequence[str], sample_time: float) -> str:

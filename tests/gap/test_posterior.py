@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.gap.calibrate import features_of, fitted, loss, right_answers, usual_shares
-from trms_cli.gap.confidence import Features, beliefs, calibration
+from trms_cli.gap.posterior import Features, calibration, probabilities_of
 
 NAMES = (("a",), ("b",), ("a", "b"))
 
@@ -32,38 +32,38 @@ nats = st.floats(-100, 5000)
 @settings(max_examples=100, deadline=None)
 @given(st.tuples(nats, nats, nats), st.floats(0, 1e5), st.floats(0, 1e5), nats)
 def test_probabilities_are_probabilities(scores, behind, left, gained):
-    found = beliefs(features(gained, behind, scores, (left, left, left)), calibration())
+    found = probabilities_of(features(gained, behind, scores, (left, left, left)), calibration())
     assert sum(found.values()) == pytest.approx(1.0)
     assert all(0 <= p <= 1 for p in found.values())
     assert list(found.values()) == sorted(found.values(), reverse=True)
 
 
 def test_nothing_gained_means_no_effect():
-    found = beliefs(features(gained=-3.0), calibration())
+    found = probabilities_of(features(gained=-3.0), calibration())
     assert next(iter(found)) == ("no_gap",)
-    found = beliefs(features(gained=500.0), calibration())
+    found = probabilities_of(features(gained=500.0), calibration())
     assert next(iter(found)) == ("parameters_only",)
 
 
 def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_is_not():
     closes = features(behind=3000.0, scores=(2900.0, 50.0, 2901.0), behinds=(0.0, 2900.0, 0.0))
-    assert next(iter(beliefs(closes, calibration()))) == ("a",)
+    assert next(iter(probabilities_of(closes, calibration()))) == ("a",)
     leaves = features(behind=3000.0, scores=(40.0, 30.0, 41.0), behinds=(2900.0,) * 3)
-    assert next(iter(beliefs(leaves, calibration()))) == ("none_of_these",)
+    assert next(iter(probabilities_of(leaves, calibration()))) == ("none_of_these",)
 
 
 def test_of_two_that_explain_the_same_the_simpler_is_likelier():
-    found = beliefs(features(behind=500.0, scores=(480.0, 480.0, 480.0)), calibration())
+    found = probabilities_of(features(behind=500.0, scores=(480.0, 480.0, 480.0)), calibration())
     assert found["a",] > found["b",] > found["a", "b"]
 
 
 def test_one_that_could_not_be_simulated_is_no_candidate():
-    found = beliefs(features(scores=(np.nan, 5.0, -np.inf)), calibration())
+    found = probabilities_of(features(scores=(np.nan, 5.0, -np.inf)), calibration())
     assert ("a",) not in found
 
 
 def test_the_fit_of_the_constants_finds_honest_ones():
-    """Cases are drawn from the beliefs of other constants; those are less surprised after a fit."""
+    """Cases are drawn from other constants; those are less surprised after a fit."""
     random = np.random.default_rng(1)
     truth = replace(calibration(), temperature=0.05, entrance=2.0, unnamed=3.0)
     cases = []
@@ -74,7 +74,7 @@ def test_the_fit_of_the_constants_finds_honest_ones():
             random.normal(0, 40, 3),
             random.exponential(20, 3),
         )
-        believed = beliefs(drawn, truth)
+        believed = probabilities_of(drawn, truth)
         names = list(believed)
         right = names[random.choice(len(names), p=list(believed.values()))]
         cases.append((drawn, frozenset({right})))

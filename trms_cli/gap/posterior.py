@@ -1,26 +1,125 @@
-"""Beliefs in each cause, the verdict, and what cannot be told apart."""
+"""How sure: from scores to probabilities that mean what they say, the verdict, what is confusable.
+
+A nat of a likelihood is not a nat of belief: the real discrepancy is not Gaussian, and of forty
+candidates one fits best by chance. With ``x`` the held-out score of a competitor above the refit's
+(each in the discrepancy that suits it) and ``R`` the nats that it owes to discrepancies larger than
+those of rigs without a gap, probabilities are proportional to the exponentials of
+
+    no effect              −γ log(1 + R₀/ρ)
+    effects                β x − γ log(1 + R/ρ) R/(R₀ + ρ) − κ·(effects) − κ′·(further sizes)
+    none of these          β x* − κ*                     x* the best competitor's
+
+and that of no effect is divided between "no gap" and "parameters only" by a logistic function of
+what the refit gained. The constants are fitted to development rigs whose truth is known, built by
+other code than the models (``calibration.json``, with the command that makes it again).
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.gap.blocks import quantum_of
-from trms_cli.gap.candidates import Suspect
-from trms_cli.gap.confidence import Calibration, Features, beliefs
+from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
+from trms_cli.gap.discrepancy import log_likelihood
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.record import ForceRecord
-from trms_cli.gap.innovations.sizes import log_likelihood
 from trms_cli.gap.location import Location
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.race.contest import Contest, Entry
+from trms_cli.gap.race import Race, RacedCandidate
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """Constants of the probabilities."""
+
+    #: Error of each equation of a rig without a gap, as a share of what acts there
+    usual_shares: Mapping[str, float] = field(default_factory=dict)
+    temperature: float  #: β, belief per nat
+    rest_weight: float  #: γ and ρ, nats
+    rest_scale: float  #: γ and ρ, nats
+    #: ``entrance``, ``shape``, ``unnamed``: κ, κ′ and κ*: of two laws that explain the same, the
+    #: one with fewer sizes
+    entrance: float
+    shape: float
+    unnamed: float
+    #: ``parameters_slope``, ``parameters_centre``: Of the logistic function, in the logarithm of
+    #: one plus the refit's gain in nats
+    parameters_slope: float
+    parameters_centre: float
+    command: str = ""  #: That makes the file again
+
+    def usual(self, location: str) -> float:
+        """Error of an equation of a rig without a gap."""
+        return self.usual_shares.get(location, max(self.usual_shares.values(), default=0.03))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """What a diagnosis knows before it believes anything; scores by block add up."""
+
+    gained: float  #: Score of the refit above the model as it was, nats
+    behind: float  #: Nats that the refit owes to discrepancies beyond the usual
+    names: tuple[tuple[str, ...], ...]  #: Effects of each competitor
+    scores: FloatArray  #: (k,) array; held-out score above the refit's, nats
+    behinds: FloatArray  #: (k,) array; as ``behind``, of each competitor
+    sizes: FloatArray  #: (k,) array; number of sizes that each competitor's effects have
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain, for the calibration."""
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(self).items()}
+
+
+@cache
+def calibration() -> Calibration:
+    """The package's."""
+    text = (files("trms_cli.gap") / "calibration.json").read_text(encoding="utf-8")
+    return Calibration(**json.loads(text))
+
+
+def probabilities_of(features: Features, constants: Calibration) -> dict[tuple[str, ...], float]:
+    """Probability of each competitor, and of ``no_gap``, ``parameters_only``, ``none_of_these``."""
+    c = constants
+
+    def rest(behind: float | FloatArray) -> Any:
+        return c.rest_weight * np.log1p(np.maximum(behind, 0.0) / c.rest_scale)
+
+    scores = np.asarray(features.scores, dtype=float)
+    finite = np.isfinite(scores)
+    count = np.array([len(n) for n in features.names])
+    logits: dict[tuple[str, ...], float] = {("no_effect",): -float(rest(features.behind))}
+    left = np.maximum(np.asarray(features.behinds), 0.0)
+    # a cause is not blamed for a hundredth of the gap: no law is exactly that of the rig
+    share = np.minimum(left / (max(features.behind, 0.0) + c.rest_scale), 1.0)
+    of_effects = c.temperature * scores - rest(left) * share - c.entrance * count
+    of_effects = of_effects - c.shape * (np.asarray(features.sizes) - count)
+    for name, logit, fine in zip(features.names, of_effects, finite, strict=True):
+        if fine:
+            logits[name] = float(logit)
+    best = float(np.max(scores[finite], initial=0.0))
+    logits["none_of_these",] = c.temperature * max(best, 0.0) - c.unnamed
+    top = max(logits.values())
+    weights = {name: float(np.exp(logit - top)) for name, logit in logits.items()}
+    total = sum(weights.values())
+    found = {name: weight / total for name, weight in weights.items()}
+    nothing = found.pop(("no_effect",))
+    moved = np.log1p(max(features.gained, 0.0)) - np.log1p(c.parameters_centre)
+    of_parameters = float(1 / (1 + np.exp(-c.parameters_slope * 10 * moved)))
+    found["no_gap",] = nothing * (1 - of_parameters)
+    found["parameters_only",] = nothing * of_parameters
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
 
 #: Probability from which a verdict is given.
 _DECIDED = 0.5
@@ -41,14 +140,14 @@ _USUAL_QUANTUM = 2 * np.pi / 4096
 
 
 @dataclass(frozen=True)
-class Believed:
-    """What is believed."""
+class Posterior:
+    """What is believed once all have raced."""
 
     #: Descending; effects together, or one of :data:`NO_EFFECT`
     probabilities: Mapping[tuple[str, ...], float]
     verdict: Verdict
-    best: Entry | None  #: The most probable with effects
-    corrected: Entry | None  #: What goes into the corrected model; None: the refit alone
+    best: RacedCandidate | None  #: The most probable with effects
+    corrected: RacedCandidate | None  #: What goes into the corrected model; None: the refit alone
     confusable: tuple[tuple[str, ...], ...]
     features: Features
     #: The probabilities with blocks drawn anew: how much they hang on single blocks
@@ -57,42 +156,42 @@ class Believed:
 
 
 def features_of(
-    raced: Contest, behinds: Sequence[FloatArray], blocks: IntArray | None = None
+    race: Race, behinds: Sequence[FloatArray], blocks: IntArray | None = None
 ) -> Features:
     """Scores of all, from some blocks; None: from all. ``behinds`` as of :func:`excesses`."""
-    refit = raced.refit
+    refit = race.refit
     chosen: slice | IntArray = slice(None) if blocks is None else blocks
     own = _scores(refit.fit)[chosen].sum()
     raw = _scores(refit.raw)[chosen].sum()
-    scores = np.array([_scores(e.fit)[chosen].sum() for e in raced.entries])
+    scores = np.array([_scores(e.fit)[chosen].sum() for e in race.entries])
     return Features(
         gained=float(own - raw),
         behind=float(behinds[0][chosen].sum()),
-        names=tuple(e.names for e in raced.entries),
+        names=tuple(e.names for e in race.entries),
         scores=scores - own,
         behinds=np.array([b[chosen].sum() for b in behinds[1:]]),
-        sizes=np.array([sum(len(s.free) for s in e.contestant.effects) for e in raced.entries]),
+        sizes=np.array([sum(len(s.free) for s in e.structure.effects) for e in race.entries]),
     )
 
 
-def excesses(raced: Contest, constants: Calibration) -> list[FloatArray]:
+def excesses(race: Race, constants: Calibration) -> list[FloatArray]:
     """What the refit and each competitor owe to discrepancies beyond the usual, nats by block.
 
     The log likelihood of what they leave, less what it would be if no equation might err by more
     than those of rigs without a gap do.
     """
-    refit = raced.refit
+    refit = race.refit
     discrepancy = refit.metric.discrepancy
     usual = np.array([constants.usual(c.location) for c in discrepancy.channels])
     found = []
-    for contestant, fit, metric in [
-        (refit.contestant, refit.fit, refit.metric),
-        *((e.contestant, e.fit, e.metric) for e in raced.entries),
+    for structure, fit, metric in [
+        (refit.structure, refit.fit, refit.metric),
+        *((e.structure, e.fit, e.metric) for e in race.entries),
     ]:
         if np.all(discrepancy.effective(metric.shares) <= discrepancy.effective(usual) * 1.001):
-            found.append(np.zeros(len(refit.contestant.windows)))
+            found.append(np.zeros(len(refit.structure.windows)))
             continue
-        r = contestant.residuals(fit)
+        r = structure.residuals(fit)
         calm = np.minimum(metric.shares, usual)
         excess = log_likelihood(discrepancy, r, metric.shares) - log_likelihood(
             discrepancy, r, calm
@@ -101,46 +200,46 @@ def excesses(raced: Contest, constants: Calibration) -> list[FloatArray]:
     return found
 
 
-def believe(
+def posterior_of(
     problem: GapProblem,
-    raced: Contest,
-    found: Mapping[str, Suspect],
+    race: Race,
+    found: Mapping[str, CandidateEffect],
     forces: Mapping[str, ForceRecord],
     place: Location,
     constants: Calibration,
-) -> Believed:
-    """Weigh all that raced.
+) -> Posterior:
+    """Weigh all that race.
 
     Parameters
     ----------
-    raced : Contest
-    found : dict of str to Suspect
-        All suspects, those that noise drives among them.
+    race : Race
+    found : dict of str to CandidateEffect
+        All candidates, those that noise drives among them.
     forces : dict of str to ForceRecord
         Smoothed missing force of each equation.
     place : Location
     """
-    behinds = excesses(raced, constants)
-    features = features_of(raced, behinds)
-    probabilities = beliefs(features, constants)
+    behinds = excesses(race, constants)
+    features = features_of(race, behinds)
+    probabilities = probabilities_of(features, constants)
     probabilities, outside = _from_outside(probabilities, found, forces, place, problem.seed)
     probabilities = _with_coarse_sensor(probabilities, problem, found)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
-    m = len(raced.refit.contestant.windows)
+    m = len(race.refit.structure.windows)
     resampled = tuple(
-        beliefs(features_of(raced, behinds, random.integers(0, m, m)), constants)
+        probabilities_of(features_of(race, behinds, random.integers(0, m, m)), constants)
         for _ in range(_RESAMPLES)
     )
-    entries = {e.names: e for e in raced.entries}
+    entries = {e.names: e for e in race.entries}
     named = [n for n in probabilities if n in entries]
     best = entries[named[0]] if named else None
     confusable: tuple[tuple[str, ...], ...] = ()
     if best is not None and probabilities[best.names] > _MENTIONED:
-        confusable = _confusable(raced, best)
+        confusable = _confusable(race, best)
     verdict = _verdict(probabilities, confusable)
     likely = next(iter(probabilities))
     corrected = best if verdict in ("effect", "undecided") and likely in entries else None
-    return Believed(
+    return Posterior(
         probabilities, verdict, best, corrected, confusable, features, resampled, outside
     )
 
@@ -165,11 +264,11 @@ def _scores(fit: object) -> FloatArray:
     return predictive
 
 
-def _confusable(raced: Contest, best: Entry) -> tuple[tuple[str, ...], ...]:
+def _confusable(race: Race, best: RacedCandidate) -> tuple[tuple[str, ...], ...]:
     """Groups with the best that the scores, or the traces themselves, do not part."""
     own = _scores(best.fit)
     group: list[str] = []
-    for entry in raced.entries:
+    for entry in race.entries:
         if entry.names == best.names or len(entry.names) != len(best.names):
             continue
         apart = own - _scores(entry.fit)
@@ -177,7 +276,7 @@ def _confusable(raced: Contest, best: Entry) -> tuple[tuple[str, ...], ...]:
         if apart.sum() < max(_NATS, _ERRORS * error) and np.isfinite(apart).all():
             group += [n for n in entry.names if n not in best.names]
     pairs = []
-    signs = raced.tight
+    signs = race.tight
     known = sorted(set(signs.names))
     for name in best.names:
         alike = [
@@ -193,37 +292,37 @@ def _confusable(raced: Contest, best: Entry) -> tuple[tuple[str, ...], ...]:
 
 def _from_outside(
     probabilities: Mapping[tuple[str, ...], float],
-    found: Mapping[str, Suspect],
+    found: Mapping[str, CandidateEffect],
     forces: Mapping[str, ForceRecord],
     place: Location,
     seed: int,
 ) -> tuple[dict[tuple[str, ...], float], str]:
     """Divide "none of these" where the missing torque does not depend on what the rig does."""
-    beliefs_ = dict(probabilities)
-    unnamed = beliefs_.get(("none_of_these",), 0.0)
+    divided = dict(probabilities)
+    unnamed = divided.get(("none_of_these",), 0.0)
     shares = place.share()
     moments = {f"{axis}_moment": axis for axis in ("pitch", "yaw")}
     known = {m: shares[m] for m in moments if m in shares and m in forces}
     if unnamed < 0.05 or not known:
-        return beliefs_, ""
+        return divided, ""
     location = max(known, key=lambda m: known[m])
     axis = moments[location]
-    suspect = found.get(f"{axis}_disturbance")
-    if suspect is None or known[location] < 0.5:
-        return beliefs_, ""
+    candidate = found.get(f"{axis}_disturbance")
+    if candidate is None or known[location] < 0.5:
+        return divided, ""
     judged = exogenous(forces[location], seed)
     if judged.predictable_share > _FROM_OUTSIDE and judged.p_value < 0.05:
-        return beliefs_, ""
+        return divided, ""
     share = _OUTSIDE_SURE if judged.predictable_share < _FROM_OUTSIDE else _OUTSIDE_UNSURE
-    beliefs_["none_of_these",] = unnamed * (1 - share)
-    beliefs_[suspect.name,] = unnamed * share
-    return dict(sorted(beliefs_.items(), key=lambda item: -item[1])), axis
+    divided["none_of_these",] = unnamed * (1 - share)
+    divided[candidate.name,] = unnamed * share
+    return dict(sorted(divided.items(), key=lambda item: -item[1])), axis
 
 
 def _with_coarse_sensor(
     probabilities: Mapping[tuple[str, ...], float],
     problem: GapProblem,
-    found: Mapping[str, Suspect],
+    found: Mapping[str, CandidateEffect],
 ) -> dict[tuple[str, ...], float]:
     """A sensor that rounds coarser than the other shows in its steps, and in nothing else."""
     quanta = {}
@@ -238,13 +337,13 @@ def _with_coarse_sensor(
         if f"{axis}_quantisation" in found
         and quantum > 1.5 * max(_USUAL_QUANTUM, min(quanta.values()))
     ]
-    beliefs_ = dict(probabilities)
+    divided = dict(probabilities)
     if not coarse or len(quanta) < 2:
-        return beliefs_
+        return divided
     name = (f"{coarse[0]}_quantisation",)
     nothing = [(n,) for n in ("no_gap", "parameters_only")]
-    moved = 0.95 * sum(beliefs_.get(n, 0.0) for n in nothing)
+    moved = 0.95 * sum(divided.get(n, 0.0) for n in nothing)
     for n in nothing:
-        beliefs_[n] = 0.05 * beliefs_.get(n, 0.0)
-    beliefs_[name] = moved
-    return dict(sorted(beliefs_.items(), key=lambda item: -item[1]))
+        divided[n] = 0.05 * divided.get(n, 0.0)
+    divided[name] = moved
+    return dict(sorted(divided.items(), key=lambda item: -item[1]))

@@ -12,11 +12,16 @@ import numpy as np
 import pytest
 
 from tests.identification.greybox.rigs import recording
-from trms_cli.gap.advice import advise, experiments
-from trms_cli.gap.advice.imagined import imagined
-from trms_cli.gap.advice.separation import between, visibility, with_rows
-from trms_cli.gap.candidates import Suspect, suspects
-from trms_cli.gap.race.nominal import Refit, refit
+from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
+from trms_cli.gap.experiments import experiments
+from trms_cli.gap.next_experiment import (
+    advise,
+    between,
+    predicted_recordings,
+    visibility,
+    with_rows,
+)
+from trms_cli.gap.refit import Refit, refit
 from trms_cli.identification.problem import free_parameters
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout
@@ -42,8 +47,8 @@ SHARES = np.full(6, 0.01)  # four equations, and the gains of two drives
 
 
 @pytest.fixture(scope="module")
-def known() -> dict[str, Suspect]:
-    found, _ = suspects(MODEL, {name: effect(name) for name in EFFECTS})
+def known() -> dict[str, CandidateEffect]:
+    found, _ = applicable_candidates(MODEL, {name: effect(name) for name in EFFECTS})
     return found
 
 
@@ -57,7 +62,7 @@ def plain() -> Refit:
 
 @pytest.fixture(scope="module")
 def recordings(plain: Refit) -> dict:
-    return {e.words: r for e, r in imagined(plain, SHARES, "newtonian")}
+    return {e.words: r for e, r in predicted_recordings(plain, SHARES, "newtonian")}
 
 
 def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(
@@ -75,7 +80,7 @@ def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(
 def test_crossing_zero_tells_a_dead_zone_from_rotor_friction(plain: Refit, known: dict) -> None:
     advice = advise(
         refit=plain,
-        suspects=known,
+        candidates=known,
         model_name="newtonian",
         apart=["tail_dead_zone", "tail_rotor_friction"],
         shares=SHARES,
@@ -93,7 +98,7 @@ def test_a_thrust_in_reverse_becomes_visible(plain: Refit, recordings: dict, kno
     assert seen["random levels with rotors that reverse"] > 12.5
     advice = advise(
         refit=plain,
-        suspects={name: reverse},
+        candidates={name: reverse},
         model_name="newtonian",
         untested=[name],
         shares=SHARES,
@@ -106,7 +111,7 @@ def test_a_thrust_in_reverse_becomes_visible(plain: Refit, recordings: dict, kno
 def test_the_angles_stay_within_their_bounds(recordings: dict) -> None:
     assert len(recordings) == 6
     for recording_ in recordings.values():
-        windows = recording_.contestant.windows
+        windows = recording_.structure.windows
         angles = np.abs(windows.target[..., :2])
         assert (np.nanmax(angles, axis=(0, 1)) < [0.8 * 1.05, 0.8 * 2.8]).all()
 
@@ -114,7 +119,7 @@ def test_the_angles_stay_within_their_bounds(recordings: dict) -> None:
 def test_noise_from_outside_is_told_by_what_does_not_repeat(plain: Refit, known: dict) -> None:
     advice = advise(
         refit=plain,
-        suspects=known,
+        candidates=known,
         model_name="newtonian",
         apart=["tail_dead_zone", "yaw_disturbance"],
     )
@@ -123,7 +128,7 @@ def test_noise_from_outside_is_told_by_what_does_not_repeat(plain: Refit, known:
 
 
 def test_nothing_is_advised_where_nothing_is_known(plain: Refit) -> None:
-    assert advise(refit=plain, suspects={}, model_name="newtonian") is None
+    assert advise(refit=plain, candidates={}, model_name="newtonian") is None
 
 
 @pytest.mark.parametrize("name", ["newtonian_horizontal", "tras", "quanser_aero"])
@@ -136,7 +141,7 @@ def test_other_models_have_experiments(name: str) -> None:
     text = (config_folder() / "model" / f"{name}.yaml").read_text(encoding="utf-8")
     model = build(yaml.safe_load(text), "model")
     rollout = Rollout(model, 0.02)
-    made = list(experiments.experiments(rollout, [model.parameters.values], 0.02, name))
+    made = list(experiments(rollout, [model.parameters.values], 0.02, name))
     limits = [model.input_limits[signal.name] for signal in model.inputs]
     assert made
     for experiment in made:
@@ -149,7 +154,7 @@ def test_a_command_makes_the_commands_that_were_predicted(tmp_path: Path) -> Non
     from trms_cli.commands.excite import main
 
     rollout = Rollout(MODEL, 0.02)
-    made = experiments.experiments(rollout, [MODEL.parameters.values], 0.02, "newtonian")
+    made = experiments(rollout, [MODEL.parameters.values], 0.02, "newtonian")
     for k, experiment in enumerate(made):
         program, command, *words = shlex.split(experiment.command)
         assert program == "trms"

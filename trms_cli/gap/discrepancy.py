@@ -11,15 +11,106 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.gap.innovations.kalman import Gains, LinearSystem, gains, smooth, whiten
-from trms_cli.gap.innovations.trajectory import Trajectory
+from trms_cli.core.compilation import BufferedFunction
+from trms_cli.gap.kalman import FilterGains, LinearSystem, gains, scores, smooth, whiten
 from trms_cli.identification.greybox.windows import Windows
+from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
+from trms_cli.simulation.rollout import LONGEST_STEP
 
 FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States and slopes at every sample of every window."""
+
+    #: (m, c, n) array; the model's states and its memory; past the end of a short window they stay
+    #: as they were
+    x: FloatArray
+    y: FloatArray  #: (m, c, n_y) array; what the sensors would read
+    a: FloatArray  #: (m, c, n, n) array; ∂x⁺/∂x
+    b: FloatArray  #: (m, c, n, n_u) array; ∂x⁺/∂u
+    g: FloatArray  #: (m, c, n, n_w) array; ∂x⁺/∂w
+    h: FloatArray  #: (m, c, n_y, n) array; ∂y/∂x
+
+
+class TrajectoryLinearisation:
+    """Simulates and linearises the model of some windows.
+
+    Parameters
+    ----------
+    windows : Windows
+        Of the model and the recordings.
+    """
+
+    def __init__(self, windows: Windows) -> None:
+        self.windows = windows
+        model = windows.problem.model
+        step_length = windows.sample_time
+        substeps = 1
+        if model.sample_time is None:
+            substeps = int(np.ceil(step_length / LONGEST_STEP - 1e-9))
+        discrete = discretise(model, step_length, substeps, sensors=True)
+        x, u, p, w = discrete.symbols()
+        after, y = discrete.step(x, u, p, w), discrete.measurement(x, u, p)
+        slopes = [ca.densify(ca.jacobian(after, v)) for v in (x, u, w)]
+        self._step = BufferedFunction(
+            ca.Function("gap_step", [x, u, p, w], ca.cse([after, *slopes]))
+        )
+        in_x = ca.densify(ca.jacobian(y, x))
+        self._measure = BufferedFunction(ca.Function("gap_measure", [x, u, p], ca.cse([y, in_x])))
+        self._none = np.zeros(model.n_w)
+
+    def along(self, p: FloatArray, starts: FloatArray) -> Trajectory:
+        """Along the model's own simulation from some starts.
+
+        Parameters
+        ----------
+        p : (n_p,) array
+        starts : (m, n_x) array
+            Of the model's states; its memory is that of the commands before.
+        """
+        full = self.windows.with_memory(p, starts)
+        m, c = self.windows.measured.shape[:2]
+        trajectory = self._empty(m, c)
+        for j in range(m):
+            x = full[j].copy()
+            for k in range(c):
+                x = self._at(trajectory, j, k, x, p)
+        return trajectory
+
+    def through(self, p: FloatArray, x: FloatArray) -> Trajectory:
+        """Through states that are given, (m, c, n), as a smoother gives them."""
+        m, c = x.shape[:2]
+        trajectory = self._empty(m, c)
+        for j in range(m):
+            for k in range(c):
+                self._at(trajectory, j, k, x[j, k], p)
+        return trajectory
+
+    def _at(
+        self, trajectory: Trajectory, j: int, k: int, x: FloatArray, p: FloatArray
+    ) -> FloatArray:
+        """Evaluate at one sample; the state after it."""
+        u = self.windows.command(j, k)
+        trajectory.x[j, k] = x
+        y, h = self._measure.evaluate(x, u, p)
+        after, a, b, g = self._step.evaluate(x, u, p, self._none)
+        for name, value in (("y", y), ("h", h), ("a", a), ("b", b), ("g", g)):
+            place = getattr(trajectory, name)[j, k]
+            place[...] = np.reshape(value, place.shape)  # one input or output comes without axis
+        return after.copy() if k + 1 < self.windows.count[j] else x
+
+    def _empty(self, m: int, c: int) -> Trajectory:
+        model, n = self.windows.problem.model, self.windows.rollout.n_x
+        sizes = ((n,), (model.n_y,), (n, n), (n, model.n_u), (n, model.n_w), (model.n_y, n))
+        return Trajectory(*(np.zeros((m, c, *size)) for size in sizes))
+
 
 #: s. Time over which a discrepancy forgets itself.
 CORRELATION_TIME = 0.5
@@ -36,7 +127,7 @@ SENSORS = {
 
 
 @dataclass(frozen=True)
-class Channel:
+class DiscrepancyChannel:
     """A place where a discrepancy acts."""
 
     location: str
@@ -46,37 +137,39 @@ class Channel:
     fixed: float | None = None  #: Its size, where that is not to be estimated
 
 
-def equation_channels(model: Model) -> tuple[Channel, ...]:
+def equation_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
     """One for each physical equation of a model, or for each input where it names none."""
     found = tuple(
-        Channel(signal.name, "disturbance", i, signal.unit)
+        DiscrepancyChannel(signal.name, "disturbance", i, signal.unit)
         for i, signal in enumerate(model.disturbances)
     )
     return found or input_channels(model)
 
 
-def input_channels(model: Model) -> tuple[Channel, ...]:
+def input_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
     """One for each command."""
     rotors = {name: rotor for rotor, name in model.rotors.items()}
     return tuple(
-        Channel(f"{rotors.get(s.name, s.name)}_actuator", "input", i, s.unit)
+        DiscrepancyChannel(f"{rotors.get(s.name, s.name)}_actuator", "input", i, s.unit)
         for i, s in enumerate(model.inputs)
     )
 
 
-def usual_channels(model: Model) -> tuple[Channel, ...]:
+def usual_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
     """What may always err: every equation, and the gain of every drive a little."""
     gains_ = tuple(
-        Channel(channel.location, "gain", channel.index, "1", GAIN_DRIFT)
+        DiscrepancyChannel(channel.location, "gain", channel.index, "1", GAIN_DRIFT)
         for channel in input_channels(model)
     )
     return (*equation_channels(model), *gains_)
 
 
-def sensor_channels(model: Model, measured: npt.NDArray[np.bool_]) -> tuple[Channel, ...]:
+def sensor_channels(
+    model: Model, measured: npt.NDArray[np.bool_]
+) -> tuple[DiscrepancyChannel, ...]:
     """One for each output that is measured."""
     return tuple(
-        Channel(SENSORS.get(name, name), "output", i, model.outputs[i].unit)
+        DiscrepancyChannel(SENSORS.get(name, name), "output", i, model.outputs[i].unit)
         for i, name in enumerate(names(model.outputs))
         if measured[..., i].any()
     )
@@ -88,7 +181,7 @@ class Discrepancy:
 
     windows: Windows
     trajectory: Trajectory
-    channels: tuple[Channel, ...]
+    channels: tuple[DiscrepancyChannel, ...]
     #: Standard deviation of the windows' starts, as a share of their prior spread
     start_share: float = 1.0
     #: s, of every channel but a drive's gain
@@ -173,7 +266,7 @@ class Discrepancy:
         noise = np.median(windows.declared, axis=0) ** 2
         return LinearSystem(f, h, windows.measured, noise, start)
 
-    def filter(self, shares: FloatArray, *, covariances: bool = False) -> Gains:
+    def filter(self, shares: FloatArray, *, covariances: bool = False) -> FilterGains:
         """The filter for forces of some size.
 
         Parameters
@@ -195,7 +288,7 @@ class Discrepancy:
         )
         return gains(system, q, covariances=covariances)
 
-    def whitened(self, filter_: Gains, columns: FloatArray) -> FloatArray:
+    def whitened(self, filter_: FilterGains, columns: FloatArray) -> FloatArray:
         """Columns (m, c, n_y, k) as innovations."""
         return whiten(self.system, filter_, columns)
 
@@ -209,3 +302,65 @@ class Discrepancy:
         x[..., n:] *= self.scales
         variance[..., n:] *= self.scales**2
         return x, variance
+
+
+#: Share of what acts on an equation that it may always err by: integration, rounding, jitter.
+FLOOR = 0.004
+#: No discrepancy is larger than what acts there, several times over.
+_MOST = 10.0
+_SETTLED = 0.05
+
+
+def likely_shares(
+    discrepancy: Discrepancy,
+    r: FloatArray,
+    shares: FloatArray,
+    *,
+    moving: npt.NDArray[np.bool_] | None = None,
+    iterations: int = 8,
+    least: FloatArray | float = FLOOR,
+) -> FloatArray:
+    """Most likely sizes of the forces.
+
+    Each iteration multiplies the variances by the ratio of the two parts of the likelihood's
+    slope, which are equal where it is greatest.
+
+    Parameters
+    ----------
+    discrepancy : Discrepancy
+    r : (m, c, n_y) array
+        Shrinkage less predicted.
+    shares : (n_d,) array
+        Where to begin.
+    moving : (n_d,) array of bool or None
+        Those that are to be found; None: all.
+    least : (n_d,) array or float
+        No size is smaller.
+    """
+    shares = np.maximum(np.asarray(shares, dtype=float), least)
+    n = discrepancy.trajectory.x.shape[-1]
+    chosen = ~discrepancy.fixed if moving is None else moving & ~discrepancy.fixed
+    for _ in range(iterations):
+        try:
+            filter_ = discrepancy.filter(shares)
+        except FloatingPointError:  # so large that numbers no longer hold it
+            return np.maximum(shares / 4, least)
+        z = discrepancy.whitened(filter_, r[..., None])[..., 0]
+        squares, variances = scores(discrepancy.system, filter_, z)
+        ratio = squares[n:] / np.maximum(variances[n:], 1e-300)
+        # the size is the root of the variance; half of the rest of the way is taken at a time
+        after = np.clip(shares * np.clip(np.sqrt(ratio), 0.3, 4.0), least, _MOST)
+        after = np.where(chosen, after, shares)
+        settled = np.max(np.abs(np.log(after / shares))) < _SETTLED
+        shares = after
+        if settled:
+            break
+    return shares
+
+
+def log_likelihood(discrepancy: Discrepancy, r: FloatArray, shares: FloatArray) -> FloatArray:
+    """Log likelihood of what a fit left over, by window, up to a constant, (m,) nats."""
+    filter_ = discrepancy.filter(shares)
+    z = discrepancy.whitened(filter_, r[..., None])[..., 0]
+    found: FloatArray = -0.5 * (z**2).sum(axis=(1, 2)) - 0.5 * filter_.logdet
+    return found

@@ -11,12 +11,11 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.gap.candidates import Suspect
-from trms_cli.gap.fitting.contestant import Contestant, Fit
-from trms_cli.gap.fitting.metric import Metric
-from trms_cli.gap.innovations.sizes import FLOOR
-from trms_cli.gap.race.nominal import Refit, own_metric
-from trms_cli.gap.separability import Signatures, Traces, projected
+from trms_cli.gap.candidates import CandidateEffect
+from trms_cli.gap.discrepancy import FLOOR
+from trms_cli.gap.fitting import Fit, Metric, ModelStructure
+from trms_cli.gap.refit import Refit, own_metric
+from trms_cli.gap.separability import EffectTraces, Signatures, projected
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -49,31 +48,31 @@ EFFORTS = {
 
 
 @dataclass(frozen=True)
-class Entry:
+class RacedCandidate:
     """One that raced."""
 
-    contestant: Contestant
+    structure: ModelStructure
     fit: Fit  #: In the metric that is most likely for itself
     metric: Metric
 
     @property
     def names(self) -> tuple[str, ...]:
-        return self.contestant.names
+        return self.structure.names
 
 
 @dataclass(frozen=True)
-class Contest:
+class Race:
     """All that raced, best first."""
 
     refit: Refit
-    entries: tuple[Entry, ...]  #: With one effect or several
+    entries: tuple[RacedCandidate, ...]  #: With one effect or several
     signatures: Signatures  #: In the refit's metric
     tight: Signatures  #: In the tighter one
     #: Those with several effects, as they were tried.
-    joint: tuple[Entry, ...] = field(default=())
+    joint: tuple[RacedCandidate, ...] = field(default=())
 
 
-class Ledger:
+class Checkpoint:
     """Where searches ended, so that an interrupted diagnosis goes on instead of beginning again.
 
     Parameters
@@ -111,8 +110,8 @@ class Ledger:
             self._keep(self._points)
 
 
-class Stable:
-    """Makes each contestant once.
+class StructureCache:
+    """Makes each structure once.
 
     Parameters
     ----------
@@ -123,14 +122,14 @@ class Stable:
 
     def __init__(self, refit: Refit, block: float) -> None:
         self._refit, self._block = refit, block
-        self._known: dict[tuple[str, ...], Contestant] = {}
+        self._known: dict[tuple[str, ...], ModelStructure] = {}
 
-    def of(self, *effects: Suspect) -> Contestant:
-        """The contestant with some effects."""
+    def of(self, *effects: CandidateEffect) -> ModelStructure:
+        """The structure with some effects."""
         key = tuple(sorted(e.name for e in effects))
         if key not in self._known:
-            nominal = self._refit.contestant
-            self._known[key] = Contestant(
+            nominal = self._refit.structure
+            self._known[key] = ModelStructure(
                 nominal.problem.model,
                 nominal.problem.free,
                 sorted(effects, key=lambda e: e.name),
@@ -140,58 +139,72 @@ class Stable:
         return self._known[key]
 
 
-def contest(
+def run_race(
     refit: Refit,
-    suspects: Mapping[str, Suspect],
-    found: Traces,
-    stable: Stable,
+    candidates: Mapping[str, CandidateEffect],
+    traces: EffectTraces,
+    structures: StructureCache,
     effort: Effort,
     *,
-    ledger: Ledger | None = None,
+    checkpoint: Checkpoint | None = None,
     jobs: int = 1,
     watch: Callable[[float, str], bool] = lambda fraction, message: True,
-) -> Contest:
+) -> Race:
     """Run the race.
 
     Parameters
     ----------
     refit : Refit
-    suspects : dict of str to Suspect
+    candidates : dict of str to CandidateEffect
         None that noise drives.
-    found : Traces
-        Of all suspects about the refit.
-    stable : Stable
+    traces : EffectTraces
+        Of all candidates about the refit.
+    structures : StructureCache
     effort : Effort
-    ledger : Ledger or None
+    checkpoint : Checkpoint or None
         Of fits that an interrupted race had finished.
     jobs : int
         Threads.
     watch : callable
         Told the share that is done and what is being done; False stops with what there is.
     """
-    nominal = refit.contestant
-    ledger = ledger or Ledger()
+    nominal = refit.structure
+    checkpoint = checkpoint or Checkpoint()
     shares = np.maximum(FLOOR, refit.metric.shares / _TIGHTER)
     tight = Metric(refit.metric.discrepancy, shares, refit.metric.robust)
-    wide_signs = projected(nominal, refit.fit, refit.metric, refit.centres, found)
-    tight_signs = projected(nominal, refit.fit, tight, refit.centres, found)
-    listed = short_list((tight_signs, wide_signs), suspects, effort.listed)
+    wide_signs = projected(nominal, refit.fit, refit.metric, refit.centres, traces)
+    tight_signs = projected(nominal, refit.fit, tight, refit.centres, traces)
+    listed = short_list((tight_signs, wide_signs), candidates, effort.listed)
     worth = [n for n in listed if max(s.best(n)[0] for s in (tight_signs, wide_signs)) > _HOPELESS]
     listed = worth or listed[:1]
     middle = Metric(
         refit.metric.discrepancy, np.sqrt(shares * refit.metric.shares), refit.metric.robust
     )
 
-    def single(name: str) -> Entry:
-        suspect = suspects[name]
-        contestant = stable.of(suspect)
-        known = ledger.point(f"single {name}")
-        if known is not None:
-            return Entry(contestant, _again(contestant, middle, known, refit), middle)
-        points = _points(contestant, suspect, refit, (tight_signs, wide_signs))
-        fit = contestant.fit(middle, points, centres=refit.centres, iterations=12, tolerance=0.5)
-        ledger.add(f"single {name}", fit, middle)
-        return Entry(contestant, fit, middle)
+    def once(
+        key: str, structure: ModelStructure, search: Callable[[], RacedCandidate]
+    ) -> RacedCandidate:
+        """What a search finds, or where it had ended before the race was interrupted."""
+        known = checkpoint.point(key)
+        if known is None:
+            made = search()
+            checkpoint.add(key, made.fit, made.metric)
+            return made
+        theta, starts, shares = known
+        metric = Metric(refit.metric.discrepancy, shares, refit.metric.robust)
+        fit = structure.fit(metric, [(theta, starts)], centres=refit.centres, iterations=0)
+        return RacedCandidate(structure, fit, metric)
+
+    def single(name: str) -> RacedCandidate:
+        candidate = candidates[name]
+        structure = structures.of(candidate)
+
+        def search() -> RacedCandidate:
+            points = _points(structure, candidate, refit, (tight_signs, wide_signs))
+            fit = structure.fit(middle, points, centres=refit.centres, iterations=12, tolerance=0.5)
+            return RacedCandidate(structure, fit, middle)
+
+        return once(f"single {name}", structure, search)
 
     alone = nominal.fit(
         middle, [(refit.fit.theta, refit.fit.starts)], centres=refit.centres, iterations=5
@@ -201,45 +214,36 @@ def contest(
     entries.sort(key=lambda e: -e.fit.score)
     finals = entries[: effort.finalists]
 
-    def final(entry: Entry) -> Entry:
+    def final(entry: RacedCandidate) -> RacedCandidate:
         key = "final " + "+".join(entry.names)
-        known = ledger.point(key)
-        if known is not None:
-            metric = Metric(refit.metric.discrepancy, known[2], refit.metric.robust)
-            return Entry(entry.contestant, _again(entry.contestant, metric, known, refit), metric)
-        made = assessed(entry)
-        ledger.add(key, made.fit, made.metric)
-        return made
+        return once(key, entry.structure, lambda: assessed(entry))
 
-    def assessed(entry: Entry) -> Entry:
+    def assessed(entry: RacedCandidate) -> RacedCandidate:
         if entry.fit.score < refit_score + _ENTRANCE / 2:
             # it explains nothing: the discrepancy that it leaves is the refit's
             point = (entry.fit.theta, entry.fit.starts)
-            again = entry.contestant.fit(
+            again = entry.structure.fit(
                 refit.metric, [point], centres=refit.centres, iterations=4, tolerance=0.5
             )
-            return Entry(entry.contestant, again, refit.metric)
-        return Entry(
-            entry.contestant, *own_metric(entry.contestant, entry.fit, entry.metric, refit.centres)
+            return RacedCandidate(entry.structure, again, refit.metric)
+        return RacedCandidate(
+            entry.structure, *own_metric(entry.structure, entry.fit, entry.metric, refit.centres)
         )
 
     finals = _each(final, finals, jobs, watch, 0.55, 0.75, "comparing")
     finals.sort(key=lambda e: -e.fit.score)
-    joint: list[Entry] = []
+    joint: list[RacedCandidate] = []
     best = finals[0] if finals else None
     while best is not None and len(best.names) < effort.deepest:
-        partners = _partners(best, refit, found, suspects, effort.pairs)
+        partners = _partners(best, refit, traces, candidates, effort.pairs)
 
-        def pair(name: str, base: Entry = best) -> Entry:
-            key = "joint " + "+".join((*base.names, name))
-            known = ledger.point(key)
-            if known is not None:
-                contestant = stable.of(*base.contestant.effects, suspects[name])
-                metric = Metric(refit.metric.discrepancy, known[2], refit.metric.robust)
-                return Entry(contestant, _again(contestant, metric, known, refit), metric)
-            made = _paired(base, suspects[name], refit, found, stable)
-            ledger.add(key, made.fit, made.metric)
-            return made
+        def pair(name: str, base: RacedCandidate = best) -> RacedCandidate:
+            structure = structures.of(*base.structure.effects, candidates[name])
+            return once(
+                "joint " + "+".join((*base.names, name)),
+                structure,
+                lambda: _paired(base, candidates[name], refit, traces, structure),
+            )
 
         made = _each(pair, partners, jobs, watch, 0.75, 0.95, "beside " + "+".join(best.names))
         if not made:
@@ -251,26 +255,16 @@ def contest(
         best = made[0]
     everyone = finals + joint
     everyone.sort(key=lambda e: -e.fit.score)
-    return Contest(refit, tuple(everyone), wide_signs, tight_signs, tuple(joint))
-
-
-def _again(
-    contestant: Contestant,
-    metric: Metric,
-    known: tuple[FloatArray, FloatArray, FloatArray],
-    refit: Refit,
-) -> Fit:
-    """A fit that had been made, without searching again."""
-    return contestant.fit(metric, [known[:2]], centres=refit.centres, iterations=0)
+    return Race(refit, tuple(everyone), wide_signs, tight_signs, tuple(joint))
 
 
 def short_list(
-    signs: Sequence[Signatures], suspects: Mapping[str, Suspect], count: int
+    signs: Sequence[Signatures], candidates: Mapping[str, CandidateEffect], count: int
 ) -> list[str]:
     """The most promising by any of some metrics, in turn, so that each has its say."""
     orders = [
         sorted(
-            (name for name in suspects if len(sign.rows(name))),
+            (name for name in candidates if len(sign.rows(name))),
             key=lambda name, sign=sign: -sign.best(name)[0],  # type: ignore[misc]
         )
         for sign in signs
@@ -284,57 +278,66 @@ def short_list(
 
 
 def _points(
-    contestant: Contestant, suspect: Suspect, refit: Refit, signs: Sequence[Signatures]
+    structure: ModelStructure, candidate: CandidateEffect, refit: Refit, signs: Sequence[Signatures]
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Where searches begin: the refit's optimum and the priors' centre, sizes as screened."""
-    nominal = refit.contestant.values(refit.fit.theta)
-    prior = {p.name: p.prior_mean for p in refit.contestant.problem.free}
+    nominal = refit.structure.values(refit.fit.theta)
+    prior = {p.name: p.prior_mean for p in refit.structure.problem.free}
     points = []
     rows = []
     for sign in signs:
-        _, row = sign.best(suspect.name)
+        _, row = sign.best(candidate.name)
         by = float(np.clip(sign.towards[row] / max(sign.left[row], 1e-12), 0.3, 2.0))
         sizes = np.array(sign.sizes[row], dtype=float)
-        rows.append(_scaled(suspect, sizes, by))
+        rows.append(_scaled(candidate, sizes, by))
     for values, sizes in ((nominal, rows[0]), (prior, rows[-1])):
-        own = {f.name: float(v) for f, v in zip(suspect.free, sizes, strict=True)}
-        theta = contestant.theta({**values, **own})
-        points.append((theta, contestant.starts(theta, refit.fit.starts)))
+        own = {f.name: float(v) for f, v in zip(candidate.free, sizes, strict=True)}
+        theta = structure.theta({**values, **own})
+        points.append((theta, structure.starts(theta, refit.fit.starts)))
     return points
 
 
-def _scaled(suspect: Suspect, sizes: FloatArray, by: float) -> FloatArray:
+def _scaled(candidate: CandidateEffect, sizes: FloatArray, by: float) -> FloatArray:
     """The sizes that can make the effect vanish, scaled; within bounds."""
     scaled = sizes.copy()
-    for i, free in enumerate(suspect.free):
+    for i, free in enumerate(candidate.free):
         if i == 0 or free.prior_mean == 0.0:
             scaled[i] = np.clip(sizes[i] * by, free.lower, free.upper)
     return scaled
 
 
 def _partners(
-    best: Entry, refit: Refit, found: Traces, suspects: Mapping[str, Suspect], count: int
+    best: RacedCandidate,
+    refit: Refit,
+    traces: EffectTraces,
+    candidates: Mapping[str, CandidateEffect],
+    count: int,
 ) -> list[str]:
     """Effects whose traces point at what the best leaves over."""
-    signs = projected(best.contestant, best.fit, best.metric, refit.centres, found)
-    others = {n: s for n, s in suspects.items() if n not in best.names}
+    signs = projected(best.structure, best.fit, best.metric, refit.centres, traces)
+    others = {n: s for n, s in candidates.items() if n not in best.names}
     listed = short_list((signs,), others, count)
     return [name for name in listed if signs.best(name)[0] > _ENTRANCE]
 
 
-def _paired(best: Entry, partner: Suspect, refit: Refit, found: Traces, stable: Stable) -> Entry:
-    contestant = stable.of(*best.contestant.effects, partner)
-    signs = projected(best.contestant, best.fit, best.metric, refit.centres, found)
+def _paired(
+    best: RacedCandidate,
+    partner: CandidateEffect,
+    refit: Refit,
+    traces: EffectTraces,
+    structure: ModelStructure,
+) -> RacedCandidate:
+    signs = projected(best.structure, best.fit, best.metric, refit.centres, traces)
     _, row = signs.best(partner.name)
     by = float(np.clip(signs.towards[row] / max(signs.left[row], 1e-12), 0.2, 2.0))
     sizes = _scaled(partner, np.array(signs.sizes[row], dtype=float), by)
     own = {f.name: float(v) for f, v in zip(partner.free, sizes, strict=True)}
-    theta = contestant.theta({**best.contestant.values(best.fit.theta), **own})
-    starts = contestant.starts(theta, best.fit.starts[:, : refit.centres.shape[1]])
-    fit = contestant.fit(
+    theta = structure.theta({**best.structure.values(best.fit.theta), **own})
+    starts = structure.starts(theta, best.fit.starts[:, : refit.centres.shape[1]])
+    fit = structure.fit(
         best.metric, [(theta, starts)], centres=refit.centres, iterations=12, tolerance=0.5
     )
-    return Entry(contestant, *own_metric(contestant, fit, best.metric, refit.centres))
+    return RacedCandidate(structure, *own_metric(structure, fit, best.metric, refit.centres))
 
 
 def _each(

@@ -40,7 +40,7 @@ class LinearSystem:
             object.__setattr__(self, name, _c(getattr(self, name)))
 
 
-class Gains(NamedTuple):
+class FilterGains(NamedTuple):
     """A filter that is ready to run."""
 
     k: FloatArray  #: (m, c, n, n_y) array
@@ -50,7 +50,7 @@ class Gains(NamedTuple):
     p: FloatArray | None  #: (m, c, n, n) array or None; covariance of each prediction
 
 
-def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> Gains:
+def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> FilterGains:
     """Riccati's recursion.
 
     Parameters
@@ -81,10 +81,10 @@ def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> 
     )
     if failed:
         raise FloatingPointError("a covariance of the filter is not positive")
-    return Gains(k, root, logdet, p)
+    return FilterGains(k, root, logdet, p)
 
 
-def whiten(system: LinearSystem, filter_: Gains, columns: FloatArray) -> FloatArray:
+def whiten(system: LinearSystem, filter_: FilterGains, columns: FloatArray) -> FloatArray:
     """Innovations of columns, over their standard deviation.
 
     Parameters
@@ -114,7 +114,9 @@ def whiten(system: LinearSystem, filter_: Gains, columns: FloatArray) -> FloatAr
     return out
 
 
-def scores(system: LinearSystem, filter_: Gains, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+def scores(
+    system: LinearSystem, filter_: FilterGains, z: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """What the likelihood's slope in the size of each state's disturbance is made of.
 
     ``∂ log p/∂ log q_i = ½ q_i (squares_i − variances_i)`` (Koopman & Shephard 1992): at the most
@@ -142,7 +144,7 @@ def scores(system: LinearSystem, filter_: Gains, z: FloatArray) -> tuple[FloatAr
 
 
 def _scores_of_arrays(
-    system: LinearSystem, filter_: Gains, e: FloatArray
+    system: LinearSystem, filter_: FilterGains, e: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     m, c, _, n = system.h.shape
     h = system.h * system.seen[..., None]
@@ -160,14 +162,16 @@ def _scores_of_arrays(
     return squares, variances
 
 
-def smooth(system: LinearSystem, filter_: Gains, r: FloatArray) -> tuple[FloatArray, FloatArray]:
+def smooth(
+    system: LinearSystem, filter_: FilterGains, r: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """States given all of a window, by the backward recursion of Durbin and Koopman.
 
     (Time Series Analysis by State Space Methods, 2nd ed., section 4.4.)
 
     Parameters
     ----------
-    filter_ : Gains
+    filter_ : FilterGains
         With covariances.
     r : (m, c, n_y) array
         What is observed of the linear system.
@@ -203,7 +207,7 @@ def smooth(system: LinearSystem, filter_: Gains, r: FloatArray) -> tuple[FloatAr
     return smoothed, np.maximum(variance, 0.0)
 
 
-def _gains_of_arrays(system: LinearSystem, q: FloatArray, p_out: FloatArray | None) -> Gains:
+def _gains_of_arrays(system: LinearSystem, q: FloatArray, p_out: FloatArray | None) -> FilterGains:
     m, c, n_y, n = system.h.shape
     k, root, logdet = np.empty((m, c, n, n_y)), np.empty((m, c, n_y, n_y)), np.zeros(m)
     p = np.broadcast_to(system.start, (m, n, n))
@@ -226,10 +230,10 @@ def _gains_of_arrays(system: LinearSystem, q: FloatArray, p_out: FloatArray | No
         k[:, t] = w @ root[:, t]
         left = p - w @ np.swapaxes(w, 1, 2)
         p = system.f[:, t] @ left @ np.swapaxes(system.f[:, t], 1, 2) + q
-    return Gains(k, root, logdet, p_out)
+    return FilterGains(k, root, logdet, p_out)
 
 
-def _whitened_arrays(system: LinearSystem, filter_: Gains, columns: FloatArray) -> FloatArray:
+def _whitened_arrays(system: LinearSystem, filter_: FilterGains, columns: FloatArray) -> FloatArray:
     m, c, _, count = columns.shape
     out = np.empty_like(columns)
     x = np.zeros((m, system.f.shape[-1], count))

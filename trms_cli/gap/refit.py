@@ -9,11 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.gap.fitting.contestant import Contestant, Fit
-from trms_cli.gap.fitting.metric import Metric
-from trms_cli.gap.innovations.discrepancy import Discrepancy, usual_channels
-from trms_cli.gap.innovations.sizes import likely_shares
-from trms_cli.gap.innovations.trajectory import Linearisation
+from trms_cli.gap.discrepancy import (
+    Discrepancy,
+    TrajectoryLinearisation,
+    likely_shares,
+    usual_channels,
+)
+from trms_cli.gap.fitting import Fit, Metric, ModelStructure
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter, free_parameters
 from trms_cli.models.model import Model
@@ -31,7 +33,7 @@ _UNTOLD = 0.05
 class Refit:
     """The nominal model, before and after."""
 
-    contestant: Contestant  #: Without effects beyond the model's own
+    structure: ModelStructure  #: Without effects beyond the model's own
     raw: Fit  #: With the parameters as they were, in the metric of the refit
     fit: Fit
     metric: Metric  #: With the most likely discrepancies of the refit
@@ -74,11 +76,11 @@ def refit(
     large enough to follow them: about the model's own simulation they would be those of another
     motion where the gap is large.
     """
-    contestant = Contestant(model, free, (), datasets, block)
-    windows = contestant.windows
-    linearisation = Linearisation(windows)
-    theta = contestant.theta({})
-    p = contestant.problem.all_values(theta)
+    structure = ModelStructure(model, free, (), datasets, block)
+    windows = structure.windows
+    linearisation = TrajectoryLinearisation(windows)
+    theta = structure.theta({})
+    p = structure.problem.all_values(theta)
     centres = windows.starts(p)
     channels = usual_channels(model)
     count = len(channels)
@@ -88,59 +90,57 @@ def refit(
     starts = centres
     for share in _FIRST_SHARES:
         metric = Metric(fitting, np.full(count, share), robust)
-        fit = contestant.fit(
+        fit = structure.fit(
             metric, [(theta, starts)], centres=centres, tolerance=0.5, with_evidence=False
         )
         theta, starts = fit.theta, fit.starts
     followed = _followed(
-        replace(
-            first, trajectory=linearisation.along(contestant.problem.all_values(theta), starts)
-        ),
+        replace(first, trajectory=linearisation.along(structure.problem.all_values(theta), starts)),
         starts,
-        contestant.problem.all_values(theta),
+        structure.problem.all_values(theta),
     )
-    trajectory = linearisation.through(contestant.problem.all_values(theta), followed)
+    trajectory = linearisation.through(structure.problem.all_values(theta), followed)
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
     shares = np.full(count, _FIRST_SHARES[-1])
     for _ in range(3):
         before = shares
-        shares = likely_shares(fitting, contestant.residuals(fit), shares)
+        shares = likely_shares(fitting, structure.residuals(fit), shares)
         metric = Metric(fitting, shares, robust)
-        fit = contestant.fit(metric, [(fit.theta, fit.starts)], centres=centres)
+        fit = structure.fit(metric, [(fit.theta, fit.starts)], centres=centres)
         if np.max(np.abs(np.log(shares / before))) < 0.1:
             break
-    return Refit(contestant, unfitted(contestant, fit, metric, centres), fit, metric, centres)
+    return Refit(structure, unfitted(structure, fit, metric, centres), fit, metric, centres)
 
 
-def unfitted(contestant: Contestant, fit: Fit, metric: Metric, centres: FloatArray) -> Fit:
+def unfitted(structure: ModelStructure, fit: Fit, metric: Metric, centres: FloatArray) -> Fit:
     """The model with its parameters as they were: only the windows' starts are fitted."""
-    theta = contestant.theta({})
-    held = parameters_held(contestant, theta)
+    theta = structure.theta({})
+    held = parameters_held(structure, theta)
     return held.fit(metric, [(theta, fit.starts), (theta, centres)], centres=centres)
 
 
-def parameters_held(contestant: Contestant, theta: FloatArray) -> Contestant:
-    """The contestant with its parameters held."""
+def parameters_held(structure: ModelStructure, theta: FloatArray) -> ModelStructure:
+    """The structure with its parameters held."""
     import copy
 
-    held = copy.copy(contestant)
+    held = copy.copy(structure)
     free = tuple(
         replace(p, lower=float(v), upper=float(v))
-        for p, v in zip(contestant.problem.free, theta, strict=True)
+        for p, v in zip(structure.problem.free, theta, strict=True)
     )
-    held.problem = replace(contestant.problem, free=free)
+    held.problem = replace(structure.problem, free=free)
     return held
 
 
 def own_metric(
-    contestant: Contestant, fit: Fit, metric: Metric, centres: FloatArray
+    structure: ModelStructure, fit: Fit, metric: Metric, centres: FloatArray
 ) -> tuple[Fit, Metric]:
-    """A contestant refitted with the discrepancy that is most likely for itself."""
+    """A structure refitted with the discrepancy that is most likely for itself."""
     for _ in range(2):
-        shares = likely_shares(metric.discrepancy, contestant.residuals(fit), metric.shares)
+        shares = likely_shares(metric.discrepancy, structure.residuals(fit), metric.shares)
         change = np.max(np.abs(np.log(shares / metric.shares)))
         metric = Metric(metric.discrepancy, shares, metric.robust)
-        fit = contestant.fit(
+        fit = structure.fit(
             metric, [(fit.theta, fit.starts)], centres=centres, iterations=6, tolerance=0.2
         )
         if change < 0.1:

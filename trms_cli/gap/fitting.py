@@ -1,0 +1,380 @@
+"""A model that competes: the nominal one with some effects, over the same windows as all others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.gap.candidates import CandidateEffect, joint
+from trms_cli.gap.discrepancy import Discrepancy
+from trms_cli.gap.kalman import FilterGains
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.greybox.elimination import Quadratic, triangles
+from trms_cli.identification.greybox.levenberg_marquardt import Point, minimise
+from trms_cli.identification.greybox.windows import Residuals, Windows
+from trms_cli.identification.method import Outcome
+from trms_cli.identification.problem import FitProblem, FreeParameter
+from trms_cli.models.model import Model
+from trms_cli.simulation.rollout import Rollout
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """The same linear operation for all who compete, so that their costs can be compared."""
+
+    #: Linearised along the recording, through the states that the data say
+    discrepancy: Discrepancy
+    #: (n_d,) array; size of the force on each equation, as a share of what acts there
+    shares: FloatArray
+    #: Innovations beyond so many standard deviations count linearly (Huber)
+    robust: float | None = 4.0
+    filter_: FilterGains = field(init=False, repr=False)  #: Ready to run
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "filter_", self.discrepancy.filter(self.shares))
+
+    def whitened(self, columns: FloatArray) -> FloatArray:
+        """Innovations of columns (m, c, n_y, k)."""
+        return self.discrepancy.whitened(self.filter_, columns)
+
+    def losses(self, z: FloatArray) -> FloatArray:
+        """Half the robust squares of innovations (m, c, n_y), by window, shape (m,)."""
+        loss = z**2
+        if self.robust is not None:
+            size = np.abs(z)
+            far = size > self.robust
+            loss = np.where(far, 2 * self.robust * size - self.robust**2, loss)
+        total: FloatArray = 0.5 * loss.sum(axis=(1, 2))
+        return total
+
+    def roots(self, z: FloatArray) -> FloatArray:
+        """Factors of innovations and slopes whose squares make the losses' parabola."""
+        if self.robust is None:
+            return np.ones_like(z)
+        roots: FloatArray = np.sqrt(self.robust / np.maximum(np.abs(z), self.robust))
+        return roots
+
+    @property
+    def normalisation(self) -> FloatArray:
+        """What a window's log density loses by the spread of its innovations, nats, (m,)."""
+        half: FloatArray = 0.5 * self.filter_.logdet
+        return half
+
+
+#: Slopes per scaled unit beyond this say nothing; in the outputs' units.
+_STEEPEST = 1e8
+
+
+@dataclass
+class InnovationObjective:
+    """Maximum a posteriori in a metric; the same face as a grey-box fit's objective."""
+
+    #: Of the model that is fitted: the same windows as the metric's, whose model may differ
+    windows: Windows
+    metric: Metric
+    centres: FloatArray  #: (m, n_x) array; of the starts' priors
+    evaluations: int = field(default=0)  #: Simulations of all windows so far
+
+    def __post_init__(self) -> None:
+        problem = self.windows.problem
+        self.scales = problem.scales
+        self.means, self.precisions = problem.prior_means, problem.prior_precisions
+
+    # A search tries parameters with which a simulation runs away: that is a cost, not a warning.
+
+    @np.errstate(all="ignore")
+    def by_window(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
+        """Each window's part of the cost with its start's prior, shape (m,)."""
+        r = self._simulated(theta, starts, slopes=False).r
+        if not np.isfinite(r).all():
+            fine = np.asarray(np.isfinite(r).all(axis=(1, 2)))
+            parts = self._losses(np.where(fine[:, None, None], r, 0.0), starts)
+            return np.where(fine, parts, np.inf)
+        return self._losses(r, starts)
+
+    def cost(self, theta: FloatArray, starts: FloatArray) -> float:
+        """Its value; infinite where the simulation is not finite."""
+        return float(self.by_window(theta, starts).sum()) + self.of_parameters(theta)
+
+    def better_starts(
+        self, theta: FloatArray, one: FloatArray, other: FloatArray
+    ) -> tuple[float, FloatArray]:
+        """The cost with the better of two starts in every window, and those starts."""
+        parts = np.array([self.by_window(theta, starts) for starts in (one, other)])
+        chosen = np.argmin(parts, axis=0)
+        total = float(parts.min(axis=0).sum()) + self.of_parameters(theta)
+        return total, np.where((chosen == 0)[:, None], one, other)
+
+    def of_parameters(self, theta: FloatArray) -> float:
+        """What the priors of the parameters add, nats."""
+        return 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
+
+    @np.errstate(all="ignore")
+    def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
+        """Its value, and the parabola in scaled changes."""
+        residuals = self._simulated(theta, starts, slopes=True)
+        quadratic, cost = self._quadratic(residuals, theta, starts)
+        return cost, quadratic, residuals
+
+    def innovations(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
+        """Predicted less measured, whitened, (m, c, n_y)."""
+        r = self._simulated(theta, starts, slopes=False).r
+        return self.metric.whitened(r[..., None])[..., 0]
+
+    def columns(self, residuals: Residuals) -> FloatArray:
+        """Whitened slopes in scaled starts and parameters, then the residual, (m, c, n_y, k)."""
+        assert residuals.j is not None
+        scaled = residuals.j * np.concatenate([self.windows.spread, self.scales])
+        # where a simulation bounces its slopes may run away though itself it does not
+        scaled = np.where(np.abs(scaled) < _STEEPEST, scaled, 0.0)
+        return self.metric.whitened(np.concatenate([scaled, residuals.r[..., None]], axis=-1))
+
+    def _quadratic(
+        self, residuals: Residuals, theta: FloatArray, starts: FloatArray
+    ) -> tuple[Quadratic, float]:
+        m = len(self.windows)
+        n_f = len(theta)
+        gaps = (starts - self.centres) / self.windows.spread
+        if not residuals.finite:
+            empty = np.zeros((m, 1, self.windows.n_x + n_f + 1))
+            cost = np.inf
+            made = empty
+        else:
+            columns = self.columns(residuals)
+            z = columns[..., -1]
+            cost = float(self.metric.losses(z).sum() + 0.5 * np.sum(gaps**2))
+            cost += self.of_parameters(theta)
+            columns = columns * self.metric.roots(z)[..., None]
+            flat = columns.reshape(m, -1, columns.shape[-1])
+            made = triangles(flat[..., :-1], flat[..., -1])
+        quadratic = Quadratic(
+            made,
+            gaps,
+            np.sqrt(self.precisions) * self.scales,
+            np.sqrt(self.precisions) * (theta - self.means),
+            None,
+        )
+        return quadratic, cost if np.isfinite(cost) else np.inf
+
+    def _losses(self, r: FloatArray, starts: FloatArray) -> FloatArray:
+        z = self.metric.whitened(r[..., None])[..., 0]
+        gaps = (starts - self.centres) / self.windows.spread
+        parts: FloatArray = self.metric.losses(z) + 0.5 * np.sum(gaps**2, axis=1)
+        return parts
+
+    def _simulated(self, theta: FloatArray, starts: FloatArray, slopes: bool) -> Residuals:
+        self.evaluations += 1
+        p = self.windows.problem.all_values(theta)
+        return self.windows.residuals(p, starts, slopes=slopes)
+
+
+#: Slopes beyond this, per scaled unit, are those of a simulation that runs away.
+_STEEP = 1e9
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A fit's predictive densities and its parameters' spread."""
+
+    predictive: FloatArray  #: (m,) array; log density of each block given the others, nats
+    likelihood: FloatArray  #: (m,) array; the same at the optimum itself
+    covariance: FloatArray  #: (n_f, n_f) array; of the free parameters, in their units
+
+
+def evidence(
+    objective: InnovationObjective,
+    theta: FloatArray,
+    starts: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+) -> Evidence:
+    """Evidence at a fit's optimum.
+
+    Parameters
+    ----------
+    objective : InnovationObjective
+    theta : (n_f,) array
+    starts : (m, n_x) array
+    bounds : (lower, upper)
+        A parameter that lies on one is taken as known.
+    """
+    _, quadratic, residuals = objective.parabola(theta, starts)
+    n, m = quadratic.n, len(starts)
+    if not residuals.finite:
+        nothing = np.full(m, -np.inf)
+        return Evidence(nothing, nothing, np.full((len(theta), len(theta)), np.nan))
+    own = np.zeros((m, n, quadratic.triangles.shape[-1]))
+    own[:, :, :n] = np.eye(n)
+    own[:, :, -1] = quadratic.start_gap
+    rows = np.concatenate([quadratic.triangles, own], axis=1)
+    whole = np.asarray(np.linalg.qr(rows, mode="r"))
+    of_starts = np.log(np.abs(np.einsum("mii->mi", whole[:, :n, :n]))).sum(axis=1)
+    r, c = whole[:, n:, n:-1], whole[:, n:, -1]
+    if not (np.isfinite(r).all() and np.abs(r).max() < _STEEP):
+        nothing = np.full(m, -np.inf)
+        return Evidence(nothing, nothing, np.full((len(theta), len(theta)), np.nan))
+    near = 1e-6 * objective.scales
+    free = (theta > bounds[0] + near) & (theta < bounds[1] - near)
+    r = r[..., free]
+    prior = np.diag(quadratic.prior_root[free] ** 2)
+    each = np.swapaxes(r, 1, 2) @ r
+    total = each.sum(axis=0) + prior
+    base = -of_starts - objective.metric.normalisation
+    likelihood = base - objective.by_window(theta, starts)
+    predictive = np.empty(m)
+    for j in range(m):
+        left = total - each[j]
+        shift = np.linalg.solve(left, r[j].T @ c[j]) if free.any() else np.zeros(0)
+        away = c[j] + r[j] @ shift
+        spread = np.eye(len(away)) + r[j] @ np.linalg.solve(left, r[j].T)
+        _, logdet = np.linalg.slogdet(spread)
+        worse = 0.5 * (away @ np.linalg.solve(spread, away) - c[j] @ c[j])
+        predictive[j] = likelihood[j] - worse - 0.5 * logdet
+    covariance = np.zeros((len(theta), len(theta)))
+    inverse = np.linalg.pinv(total, rcond=1e-13, hermitian=True)
+    covariance[np.ix_(free, free)] = inverse
+    covariance *= np.outer(objective.scales, objective.scales)
+    return Evidence(predictive, likelihood, covariance)
+
+
+#: Compiled models by nominal model: many recordings of one model are diagnosed in one process.
+_ROLLOUTS: WeakKeyDictionary[Model, dict[tuple[object, ...], Rollout]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where the search of a structure ended."""
+
+    theta: FloatArray  #: (n_f,) array; nominal parameters, then the effects' sizes
+    starts: FloatArray  #: (m, n_x) array
+    cost: float  #: Nats
+    outcome: Outcome
+    agreed: bool = True  #: Whether searches from several starts ended at one cost
+    evidence: Evidence | None = None  #: Where it was asked for
+
+    @property
+    def score(self) -> float:
+        """Summed log predictive density of the blocks, nats; −∞ without evidence."""
+        return -np.inf if self.evidence is None else float(self.evidence.predictive.sum())
+
+
+class ModelStructure:
+    """The nominal model with effects, ready to be fitted.
+
+    Parameters
+    ----------
+    nominal : Model
+    free : sequence of FreeParameter
+        Of the nominal model.
+    effects : sequence of CandidateEffect
+    datasets : sequence of Dataset
+    block : float
+        s.
+
+    Attributes
+    ----------
+    windows : Windows
+    problem : FitProblem
+    """
+
+    def __init__(
+        self,
+        nominal: Model,
+        free: Sequence[FreeParameter],
+        effects: Sequence[CandidateEffect],
+        datasets: Sequence[Dataset],
+        block: float,
+    ) -> None:
+        self.effects = tuple(effects)
+        sizes = [size for candidate in effects for size in candidate.free]
+        names = tuple(candidate.name for candidate in effects)
+        known = _ROLLOUTS.setdefault(nominal, {})
+        step = datasets[0].sample_time
+        key = (names, tuple(s.effect for s in effects), round(step, 9), tuple(p.name for p in free))
+        rollout = known.get(key)
+        model = joint(nominal, self.effects) if rollout is None else rollout.model
+        order = {name: i for i, name in enumerate(model.parameters.names)}
+        every = sorted((*free, *sizes), key=lambda p: order[p.name])
+        self.problem = FitProblem(
+            model=model, datasets=tuple(datasets), free=tuple(every), window_length=block, jobs=1
+        )
+        self.windows = Windows(self.problem, rollout=rollout)
+        known[key] = self.windows.rollout
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return tuple(candidate.name for candidate in self.effects)
+
+    def theta(self, values: Mapping[str, float]) -> FloatArray:
+        """The free parameters by name as a vector (n_f,); those not named at their starts."""
+        return np.array([values.get(p.name, p.start) for p in self.problem.free])
+
+    def values(self, theta: FloatArray) -> dict[str, float]:
+        """The vector (n_f,) by name."""
+        return dict(zip(self.problem.names, theta.tolist(), strict=True))
+
+    def starts(self, theta: FloatArray, nominal: FloatArray) -> FloatArray:
+        """Starts (m, n_x): those of the nominal model's states as given, the rest estimated."""
+        n = nominal.shape[1]
+        if self.windows.n_x == n:
+            return nominal
+        estimated = self.windows.starts(self.problem.all_values(theta))
+        return np.hstack([nominal, estimated[:, n:]])
+
+    def fit(
+        self,
+        metric: Metric,
+        points: Sequence[tuple[FloatArray, FloatArray]],
+        *,
+        centres: FloatArray,
+        iterations: int = 25,
+        tolerance: float = 0.05,
+        with_evidence: bool = True,
+    ) -> Fit:
+        """Search from some points and keep the best.
+
+        Parameters
+        ----------
+        points : sequence of (theta, starts)
+        centres : (m, n_nominal states) array
+            Of the starts' priors, the same for all who compete.
+        """
+        bounds = self.problem.bounds
+        searches = []
+        for theta, starts in points:
+            objective = InnovationObjective(self.windows, metric, self.starts(theta, centres))
+            searches.append(
+                minimise(
+                    objective,  # type: ignore[arg-type]
+                    Point(theta, starts, np.inf),
+                    bounds=bounds,
+                    iterations=iterations,
+                    tolerance=tolerance,
+                )
+            )
+        best = min(searches, key=lambda search: search.point.cost)
+        found = best.point
+        fit = Fit(
+            found.theta,
+            found.starts,
+            found.cost,
+            best.outcome,
+            sum(search.point.cost < found.cost + 3.0 for search in searches) > 1
+            or len(searches) == 1,
+        )
+        if with_evidence and np.isfinite(found.cost):
+            objective = InnovationObjective(self.windows, metric, self.starts(found.theta, centres))
+            worth = evidence(objective, found.theta, found.starts, bounds)
+            fit = replace(fit, evidence=worth)
+        return fit
+
+    def residuals(self, fit: Fit) -> FloatArray:
+        """Shrinkage less predicted at a fit, (m, c, n_y)."""
+        p = self.problem.all_values(fit.theta)
+        return -self.windows.residuals(p, fit.starts).r

@@ -1,1 +1,0 @@
-"""The race of causes: every suspect fitted jointly with the parameters, compared by prediction."""

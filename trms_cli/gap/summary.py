@@ -1,0 +1,556 @@
+"""The fields of a diagnosis from the results of its stages, and what a colleague would say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.core.errors import TrmsError
+from trms_cli.gap.blocks import Parts
+from trms_cli.gap.candidates import CandidateEffect
+from trms_cli.gap.diagnosis import (
+    NO_EFFECT,
+    Cause,
+    Detectable,
+    FittedParameter,
+    LocationShare,
+    NextExperiment,
+    NotTestable,
+    RaceEntry,
+    Recorded,
+    RegionShare,
+    SizeEstimate,
+    Traces,
+)
+from trms_cli.gap.discrepancy import Discrepancy
+from trms_cli.gap.force.description import description
+from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.force.regions import regions
+from trms_cli.gap.free_runs import history, start_states
+from trms_cli.gap.location import Location, smoothed_forces
+from trms_cli.gap.next_experiment import advise
+from trms_cli.gap.posterior import Posterior
+from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.race import Race, RacedCandidate
+from trms_cli.gap.shrinkage import SealedComparison, Shrinkage
+from trms_cli.models.model import Model, names
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Causes less probable than this are not listed.
+_LEAST_PROBABILITY = 0.002
+#: Places with less of the gap than this are not listed.
+_LEAST_SHARE = 0.02
+
+
+def summary_fields(
+    problem: GapProblem,
+    parts: Parts,
+    race: Race,
+    posterior: Posterior,
+    sealed: SealedComparison,
+    place: Location,
+    forces: Mapping[str, ForceRecord],
+    found: Mapping[str, CandidateEffect],
+    left_out: Mapping[str, str],
+) -> dict[str, Any]:
+    """Fields by name."""
+    nothing = posterior.verdict in ("no_gap", "parameters_only")
+    where = () if nothing else _where(posterior, place, found, race)
+    main = [w.location for w in where[:2] if w.location in forces] or _strongest(place, forces)
+    region: list[RegionShare] = []
+    words: list[str] = []
+    if not nothing:
+        for location in main:
+            region += regions(forces[location])
+        words = [w for location in main[:1] for w in description(forces[location])]
+    unseen = _not_testable(race, found, left_out)
+    refit = race.refit
+    parameters = _parameters(problem, race, posterior)
+    causes = _causes(posterior, race)
+    experiment = _advice(problem, race, posterior, found, unseen)
+    return {
+        "recordings": tuple(
+            Recorded(
+                file=d.source,
+                sha256=d.sha256,
+                duration_s=d.duration,
+                sample_time_s=d.sample_time,
+                channels=(*names(d.inputs), *names(d.outputs)),
+            )
+            for d in problem.datasets
+        ),
+        "model": problem.model_name,
+        "seed": problem.seed,
+        "versions": {},
+        "verdict": posterior.verdict,
+        "where": where,
+        "region": tuple(region),
+        "causes": causes,
+        "confusable": posterior.confusable,
+        "not_testable": unseen,
+        "detectable": _detectable(race, found),
+        "parameters": parameters,
+        "gap": sealed.measured.gap,
+        "shrink": sealed.measured.shrink,
+        "next_experiment": experiment,
+        "sentence": sentence(posterior, causes, where, sealed.measured, parameters),
+        "race": _race(posterior, race),
+        "description": tuple(words),
+        "warnings": (*problem.warnings, *_remarks(parts, race)),
+        "worse": sealed.measured.worse,
+        "refit": refit.structure.values(refit.fit.theta),
+        "evidence": {
+            **posterior.features.as_json(),
+            "shares": {
+                channel.location: share
+                for channel, share in zip(
+                    refit.metric.discrepancy.channels, refit.metric.shares.tolist(), strict=True
+                )
+                if channel.fixed is None
+            },
+            "outside": posterior.outside,
+        },
+        "traces": report_traces(
+            problem, parts, race, posterior, sealed, forces, [w.location for w in where]
+        ),
+    }
+
+
+def _where(
+    posterior: Posterior, place: Location, found: Mapping[str, CandidateEffect], race: Race
+) -> tuple[LocationShare, ...]:
+    """Each place's share of the gap: by the causes where they are named, else by disturbances."""
+    random = np.random.default_rng(np.random.SeedSequence([race.refit.structure.problem.seed, 1]))
+    m = place.together.size
+    whole = _shares(posterior.probabilities, place.share(), found)
+    drawn = [
+        _shares(p, place.share(random.integers(0, m, m)), found) for p in posterior.resampled[:100]
+    ]
+    listed = []
+    for location, share in sorted(whole.items(), key=lambda item: -item[1]):
+        if share < _LEAST_SHARE:
+            continue
+        values = [d.get(location, 0.0) for d in drawn]
+        low, high = np.quantile(values, [0.025, 0.975]) if values else (share, share)
+        listed.append(
+            LocationShare(
+                location=location,
+                share=share,
+                ci95=(float(min(low, share)), float(max(high, share))),
+            )
+        )
+    return tuple(listed)
+
+
+def _shares(
+    probabilities: Mapping[tuple[str, ...], float],
+    by_disturbance: Mapping[str, float],
+    found: Mapping[str, CandidateEffect],
+) -> dict[str, float]:
+    total = sum(by_disturbance.values())
+    shares: dict[str, float] = {}
+    for effects, probability in probabilities.items():
+        if effects[0] in NO_EFFECT:
+            if effects[0] == "none_of_these" and total > 0:
+                for location, share in by_disturbance.items():
+                    shares[location] = shares.get(location, 0.0) + probability * share / total
+            continue
+        for name in effects:
+            places = found[name].locations
+            weights = np.array([by_disturbance.get(p, 0.0) + 1e-3 for p in places])
+            for location, weight in zip(places, weights / weights.sum(), strict=True):
+                part = probability * weight / len(effects)
+                shares[location] = shares.get(location, 0.0) + float(part)
+    return shares
+
+
+def _strongest(place: Location, forces: Mapping[str, ForceRecord]) -> list[str]:
+    shares = {k: v for k, v in place.share().items() if k in forces}
+    return sorted(shares, key=lambda k: -shares[k])[:1]
+
+
+def _causes(posterior: Posterior, race: Race) -> tuple[Cause, ...]:
+    entries = {e.names: e for e in race.entries}
+    causes = [
+        Cause(
+            effects=effects,
+            probability=probability,
+            parameters=_sizes(entries[effects]) if effects in entries else {},
+        )
+        for effects, probability in posterior.probabilities.items()
+        if probability >= _LEAST_PROBABILITY or effects[0] in NO_EFFECT
+    ]
+    total = sum(cause.probability for cause in causes)
+    return tuple(
+        Cause(effects=c.effects, probability=c.probability / total, parameters=c.parameters)
+        for c in causes
+    )
+
+
+def _sizes(entry: RacedCandidate) -> dict[str, SizeEstimate]:
+    worth = entry.fit.evidence
+    assert worth is not None
+    sd = np.sqrt(np.maximum(np.diag(worth.covariance), 0.0))
+    return {
+        free.name: SizeEstimate(value=float(entry.fit.theta[i]), sd=float(sd[i]), unit=free.unit)
+        for i, free in enumerate(entry.structure.problem.free)
+        if "." in free.name and any(free.name.startswith(f"{n}.") for n in entry.names)
+    }
+
+
+def _parameters(
+    problem: GapProblem, race: Race, posterior: Posterior
+) -> dict[str, FittedParameter]:
+    entry = posterior.corrected
+    structure = race.refit.structure if entry is None else entry.structure
+    fit = race.refit.fit if entry is None else entry.fit
+    worth = fit.evidence
+    assert worth is not None
+    sd = np.sqrt(np.maximum(np.diag(worth.covariance), 0.0))
+    own = set(race.refit.structure.problem.names)
+    return {
+        free.name: FittedParameter(
+            prior=float(problem.model.parameters[free.name].value),
+            fitted=float(fit.theta[i]),
+            sd=float(sd[i]),
+            unit=free.unit,
+            moved=None
+            if not free.prior_sd
+            else float((fit.theta[i] - free.prior_mean) / free.prior_sd),
+        )
+        for i, free in enumerate(structure.problem.free)
+        if free.name in own
+    }
+
+
+def _race(posterior: Posterior, race: Race) -> tuple[RaceEntry, ...]:
+    """Everyone, and those without an effect to compare with."""
+    refit = race.refit
+    own = refit.fit.evidence
+    raw = refit.raw.evidence
+    assert own is not None
+    finite = posterior.features.scores[np.isfinite(posterior.features.scores)]
+    most = max(posterior.features.behind, float(np.max(finite, initial=0.0)), 1e-9)
+    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=_moved(refit, refit.fit))]
+    if raw is not None:
+        apart = raw.predictive - own.predictive
+        rows.append(
+            RaceEntry(
+                effects=("no_gap",),
+                score=float(apart.sum()),
+                se=_se(apart),
+                explained=0.0,
+                moved=0.0,
+            )
+        )
+    for entry in race.entries:
+        worth = entry.fit.evidence
+        if worth is None or not np.isfinite(worth.predictive).all():
+            continue
+        apart = worth.predictive - own.predictive
+        rows.append(
+            RaceEntry(
+                effects=entry.names,
+                score=float(apart.sum()),
+                se=_se(apart),
+                explained=float(np.clip(apart.sum() / most, 0.0, 1.0)),
+                moved=_moved(refit, entry.fit, entry),
+                parameters=_sizes(entry),
+            )
+        )
+    return tuple(sorted(rows, key=lambda row: -row.score))
+
+
+def _se(apart: FloatArray) -> float:
+    return float(np.std(apart, ddof=1) * np.sqrt(len(apart))) if len(apart) > 1 else 0.0
+
+
+def _moved(refit: Any, fit: Any, entry: RacedCandidate | None = None) -> float:
+    structure = refit.structure if entry is None else entry.structure
+    own = set(refit.structure.problem.names)
+    moves = [
+        abs(fit.theta[i] - free.prior_mean) / free.prior_sd
+        for i, free in enumerate(structure.problem.free)
+        if free.name in own and free.prior_sd
+    ]
+    return float(max(moves, default=0.0))
+
+
+def _detectable(race: Race, found: Mapping[str, CandidateEffect]) -> dict[str, Detectable]:
+    sizes = {}
+    for name in dict.fromkeys(race.signatures.names):
+        least = race.signatures.least_size(name)
+        if least is not None:
+            sizes[name] = Detectable(minimum_size=least, unit=found[name].free[0].unit)
+    return sizes
+
+
+def _not_testable(
+    race: Race, found: Mapping[str, CandidateEffect], left_out: Mapping[str, str]
+) -> tuple[NotTestable, ...]:
+    rows = [NotTestable(effect=name, reason=reason) for name, reason in left_out.items()]
+    known = set(race.signatures.names)
+    for name, candidate in found.items():
+        if not candidate.simulated:
+            continue
+        if name not in known:
+            rows.append(NotTestable(effect=name, reason="no simulation with it stays finite"))
+        elif race.signatures.least_size(name) is None:
+            rows.append(NotTestable(effect=name, reason=why_not_testable(race, candidate)))
+    return tuple(rows)
+
+
+def _remarks(parts: Parts, race: Race) -> tuple[str, ...]:
+    remarks = list(dict.fromkeys(r for d in (*parts.whole, *parts.fitted) for r in d.remarks))
+    refit = race.refit
+    proxies = [
+        f"{free.name} had to move {move:.1f} standard deviations of its prior in the refit: "
+        "rather a proxy of what is missing than an explanation"
+        for free, move in (
+            (f, abs(refit.fit.theta[i] - f.prior_mean) / f.prior_sd)
+            for i, f in enumerate(refit.structure.problem.free)
+            if f.prior_sd
+        )
+        if move > 3.0
+    ]
+    return (*remarks, *proxies)
+
+
+def _advice(
+    problem: GapProblem,
+    race: Race,
+    posterior: Posterior,
+    found: Mapping[str, CandidateEffect],
+    unseen: tuple[NotTestable, ...],
+) -> NextExperiment | None:
+    """What to record next: what parts those that are not told apart, else what shows the unseen."""
+    best = posterior.best
+    apart: list[str] = []
+    values: dict[str, float] = {}
+    shares = None
+    if best is not None and posterior.confusable and best.names[0] not in NO_EFFECT:
+        apart = list(dict.fromkeys(n for group in posterior.confusable for n in group))
+        for entry in race.entries:
+            values = {**entry.structure.values(entry.fit.theta), **values}
+        shares = best.metric.shares
+    try:
+        return advise(
+            refit=race.refit,
+            candidates=found,
+            model_name=problem.model_name,
+            apart=apart,
+            untested=[row.effect for row in unseen if row.effect in found],
+            values=values,
+            shares=shares,
+        )
+    except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
+        return None  # an experiment that cannot be predicted is no reason to lose a diagnosis
+
+
+#: s. The horizon that a sentence tells.
+_TOLD_AT = "2.0"
+#: Times the floor from which on a refitted model is said to leave something unexplained.
+_MUCH = 5.0
+
+
+def sentence(
+    posterior: Posterior,
+    causes: Sequence[Cause],
+    where: Sequence[LocationShare],
+    measured: Shrinkage,
+    parameters: Mapping[str, FittedParameter],
+) -> str:
+    """What a colleague would say."""
+    top = causes[0]
+    place = f"the {_readable(where[0].location)}" if where else "no single place"
+    if posterior.verdict == "no_gap":
+        return (
+            "The model as it is explains these recordings down to their noise: no gap was found, "
+            f"with probability {top.probability:.2f}."
+        )
+    if posterior.verdict == "parameters_only":
+        moved = sorted(
+            (name for name, p in parameters.items() if p.moved is not None),
+            key=lambda name: -abs(parameters[name].moved or 0.0),
+        )
+        return (
+            "No effect is missing: other values of the parameters explain these recordings, with "
+            f"probability {top.probability:.2f}; {', '.join(moved[:3])} moved most."
+            + _left_over(measured)
+        )
+    if posterior.verdict == "none_of_these":
+        return (
+            f"Something is missing that is none of the effects known here, with probability "
+            f"{top.probability:.2f}; it acts mostly on {place}."
+        )
+    if posterior.verdict == "undecided":
+        listed = ", ".join(
+            f"{_joined(c.effects)} ({c.probability:.2f})"
+            for c in causes[:3]
+            if c.probability > 0.05
+        )
+        return f"These recordings do not decide what causes the gap: {listed}."
+    sizes = ", ".join(
+        f"{key.split('.', 1)[1]} {size.value:.3g} ± {size.sd:.1g} {size.unit.replace('*', ' ')}"
+        for key, size in list(top.parameters.items())[:3]
+    )
+    text = (
+        f"The gap lies in {place}, and {_joined(top.effects)} causes it, with probability "
+        f"{top.probability:.2f}" + (f" ({sizes})" if sizes else "")
+    )
+    if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
+        return text + "; it is estimated, not explained: the corrected model is the refitted one."
+    shrink = measured.shrink.get("all", {}).get(_TOLD_AT)
+    if shrink is not None and shrink.fraction is not None:
+        text += f"; adding it closes {100 * shrink.fraction:.0f} % of the gap at 2 s"
+        if shrink.ci95 is not None:
+            text += f" ({100 * shrink.ci95[0]:.0f} to {100 * shrink.ci95[1]:.0f} %)"
+    others = sorted({n for g in posterior.confusable for n in g} - set(top.effects))
+    if others:
+        text += f". These recordings do not tell it from {_joined(others, 'or')}"
+    return text + "."
+
+
+def _left_over(measured: Shrinkage) -> str:
+    """What the refitted model still lacks on the sealed part, where that is much.
+
+    The verdict compares causes on the part that was fitted. A short recording can be fitted by
+    parameters that do not hold afterwards; who reads "parameters" has to be told.
+    """
+    shares = {
+        channel: (gaps[_TOLD_AT].refit / gaps[_TOLD_AT].floor, gaps[_TOLD_AT])
+        for channel, gaps in measured.gap.items()
+        if _TOLD_AT in gaps and gaps[_TOLD_AT].floor > 0
+    }
+    worst = max(shares, key=lambda channel: shares[channel][0], default="")
+    if not worst or shares[worst][0] < _MUCH:
+        return ""
+    ratio, gap = shares[worst]
+    return (
+        f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at 2 s, "
+        f"{ratio:.0f} times what the noise explains: do not rely on this, and record longer."
+    )
+
+
+def why_not_testable(race: Race, candidate: CandidateEffect) -> str:
+    """Why recordings say nothing on an effect."""
+    signs = race.signatures
+    rows = signs.rows(candidate.name)
+    raw = float(np.sqrt(np.max(signs.energy[rows])))
+    absorbed = signs.absorbed(candidate.name)
+    if raw < 5.0:
+        return (
+            "what it does was not excited: at several times its typical size it would change the "
+            f"outputs by {raw:.1f} standard deviations of the noise"
+        )
+    return (
+        f"the nominal parameters can do {100 * absorbed:.1f} % of what it does within their "
+        "priors, and the rest is below the noise"
+    )
+
+
+def _readable(name: str) -> str:
+    words = name.replace("_", " ")
+    return words.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+
+
+def _joined(names: Sequence[str], word: str = "and") -> str:
+    readable = [_readable(name) for name in names]
+    if len(readable) < 2:
+        return "".join(readable)
+    return f"{', '.join(readable[:-1])} {word} {readable[-1]}"
+
+
+#: Points of a picture's line at most.
+_POINTS = 1500
+#: s. Length of the free run that is shown.
+_SHOWN = 10.0
+
+
+def report_traces(
+    problem: GapProblem,
+    parts: Parts,
+    race: Race,
+    posterior: Posterior,
+    sealed: SealedComparison,
+    forces: Mapping[str, ForceRecord],
+    locations: Sequence[str],
+) -> Traces:
+    """Missing forces with what explains them, and free runs before and after."""
+    shown = [name for name in locations if name in forces] or list(forces)[:1]
+    explained: dict[str, FloatArray] = {}
+    if posterior.corrected is not None:
+        refit, entry = race.refit, posterior.corrected
+        # the force that the nominal equations lack beside the cause: in the nominal model's states
+        following = Discrepancy(
+            refit.structure.windows,
+            refit.metric.discrepancy.trajectory,
+            refit.metric.discrepancy.channels,
+        )
+        left = smoothed_forces(entry.structure, entry.fit, following, refit.metric.shares)
+        explained = {name: forces[name].force - left[name].force for name in shown}
+    first = forces[shown[0]] if shown else None
+    rows = slice(None, None, 1 if first is None else max(1, len(first.time) // _POINTS))
+    force: dict[str, FloatArray] = {}
+    for name in shown:
+        force[name] = forces[name].force[rows]
+        force[f"{name}.sd"] = forces[name].sd[rows]
+    time, runs = _runs(parts, sealed)
+    return Traces(
+        force_time=np.zeros(0) if first is None else first.time[rows],
+        force=force,
+        force_unit={name: forces[name].unit for name in shown},
+        explained={name: value[rows] for name, value in explained.items()},
+        run_time=time,
+        runs=runs,
+    )
+
+
+def _runs(
+    parts: Parts, sealed: SealedComparison
+) -> tuple[FloatArray, dict[str, dict[str, FloatArray]]]:
+    """The free run over the sealed part in which most was gained."""
+    number, first, last = parts.sealed[0]
+    dataset = parts.whole[number]
+    step = dataset.sample_time
+    samples = min(round(_SHOWN / step), last - first - history(step) - 1)
+    begins = np.arange(max(first, history(step)), last - samples + 1, max(1, samples // 2))
+    if samples < 5 or not len(begins):
+        return np.zeros(0), {}
+    models: dict[str, Model] = {
+        "raw": sealed.raw,
+        "refit": sealed.refit,
+        "corrected": sealed.corrected,
+    }
+    if sealed.corrected is sealed.refit:
+        del models["corrected"]
+    simulated = {}
+    for name, model in models.items():
+        rollout = sealed.richer if name == "corrected" else sealed.plain
+        starts = start_states(model, rollout, dataset, begins)
+        count = np.full(len(begins), samples)
+        p = model.parameters.values
+        y = rollout.outputs(dataset.commands, begins, count, starts, p).y
+        simulated[name] = y.reshape(len(begins), samples, -1)
+    outputs = names(sealed.raw.outputs)
+    columns = [outputs.index(s.name) for s in dataset.outputs]
+    measured = dataset.measurements[begins[:, None] + np.arange(samples)]
+    after = simulated.get("corrected", simulated["refit"])[..., columns]
+    with np.errstate(all="ignore"):
+        worse = np.nansum((simulated["refit"][..., columns] - measured) ** 2, axis=1)
+        better = np.nansum((after - measured) ** 2, axis=1)
+        gained = np.nansum((worse - better) / np.maximum(dataset.noise_sd**2, 1e-18), axis=1)
+    best = int(np.argmax(gained)) if len(simulated) > 2 else int(np.argmax(worse.sum(axis=1)))
+    time = dataset.time[begins[best] : begins[best] + samples]
+    runs = {
+        signal.name: {
+            "measured": measured[best, :, i],
+            **{name: y[best, :, columns[i]] for name, y in simulated.items()},
+        }
+        for i, signal in enumerate(dataset.outputs)
+    }
+    return np.asarray(time - time[0] + float(time[0])), runs
