@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
-from trms_cli.observers.observer import Estimate, ObserverSetup
+from trms_cli.observers.observer import ObserverSetup
 from trms_cli.plants.plant import PlantSetup
 
 

@@ -24,9 +24,9 @@ from trms_cli.controllers.controller import (
 )
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.reference_rates import smooth_rates
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import SteadyState
-from trms_cli.observers.observer import Estimate
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.simulation.closed_loop import Experiment
 

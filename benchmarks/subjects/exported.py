@@ -12,13 +12,14 @@ from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.lockstep import WARM_UP, quantiles
 from benchmarks.options import Options
 from benchmarks.setups import experiment, newton_horizon, newton_of
-from trms_cli.controllers.code.example_run import example_rows, rounding_difference
-from trms_cli.controllers.code.export import export
-from trms_cli.controllers.code.measure import FLAGS, PASSES, Measured, measure
+from trms_cli.code_generation.example_run import example_rows, rounding_difference
+from trms_cli.code_generation.export import export
+from trms_cli.code_generation.measure import FLAGS, PASSES, Measured, measure
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.core.compilation import compiler
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import names
-from trms_cli.observers.observer import Estimate, ObserverSetup
+from trms_cli.observers.observer import ObserverSetup
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.simulation.closed_loop import Experiment
 

@@ -14,8 +14,8 @@ from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
 from trms_cli.controllers.newton_step import Outcome
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.observer import Estimate
 
 FloatArray = npt.NDArray[np.float64]
 

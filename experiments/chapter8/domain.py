@@ -12,7 +12,7 @@ from trms_cli.controllers.controller import ControlSample, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.robust.certificate import certify
 from trms_cli.controllers.robust.polytope import box
-from trms_cli.observers.observer import Estimate
+from trms_cli.models.estimate import Estimate
 
 
 @dataclass(frozen=True)

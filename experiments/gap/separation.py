@@ -174,7 +174,7 @@ def _played(words: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     from trms_cli.commands.run_assembly import experiment_of
     from trms_cli.composition.composer import compose
     from trms_cli.controllers.controller import ControlSample, ControlSetup
-    from trms_cli.observers.observer import Estimate
+    from trms_cli.models.estimate import Estimate
 
     experiment = experiment_of(compose(words).config)
     controller, model = experiment.controller, experiment.model

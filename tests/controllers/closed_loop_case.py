@@ -10,8 +10,8 @@ import numpy as np
 from trms_cli.controllers.controller import Controller, ControlSample, ControlSetup
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
-from trms_cli.observers.observer import Estimate
 
 SAMPLE_TIME = 0.02
 #: Half a period of the default squares, s.

@@ -14,8 +14,8 @@ import pytest
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
-from trms_cli.observers.observer import Estimate
 
 sys.path.insert(0, str(Path(__file__).parent))  # linear_model.py
 

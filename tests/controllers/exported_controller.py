@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.controllers.code.newton_source import newton_source
-from trms_cli.controllers.code.observer_source import ObserverSource
+from trms_cli.code_generation.newton_source import newton_source
+from trms_cli.code_generation.observer_source import ObserverSource
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import BufferedFunction, compiler
 from trms_cli.models.discretisation import discretise
-from trms_cli.observers.observer import Estimate
+from trms_cli.models.estimate import Estimate
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 PERIOD = 0.1

@@ -22,8 +22,8 @@ from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup, Status
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
-from trms_cli.observers.observer import Estimate
 
 FOLDER = Path(__file__).parents[2] / "configs" / "controller"
 #: Overrides that a controller needs to be composed, and packages that it needs to run.

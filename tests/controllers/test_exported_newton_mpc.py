@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from exported_controller import PERIOD, Exported, build, compare, contiguous
 
-from trms_cli.controllers.code.example_run import example_rows, rounding_difference
-from trms_cli.controllers.code.newton_source import newton_source
+from trms_cli.code_generation.example_run import example_rows, rounding_difference
+from trms_cli.code_generation.newton_source import newton_source
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.osqp import Osqp
@@ -20,8 +20,8 @@ from trms_cli.core.compilation import compiler
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.observer import Estimate
 from trms_cli.references.square import Square
 from trms_cli.references.trajectory import ReferenceTrajectory
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from exported_controller import build, pointer
 
-from trms_cli.controllers.code.observer_source import observer_source
+from trms_cli.code_generation.observer_source import observer_source
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import compiler

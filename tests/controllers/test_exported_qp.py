@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from exported_controller import STRICT, contiguous, pointer
 
-import trms_cli.controllers.code as code
-from trms_cli.controllers.qp.daqp import Daqp
-from trms_cli.controllers.qp.problem import Qp
+import trms_cli.code_generation as code
 from trms_cli.core.compilation import compiler
+from trms_cli.core.qp import Daqp, Qp
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 

@@ -14,6 +14,7 @@ from trms_cli.controllers.virtual_moments import virtual_moments
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
@@ -21,7 +22,6 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
-from trms_cli.observers.observer import Estimate
 
 BOTH = Newtonian()
 RATES = (3.0, 2.5, 2.0, 0.7)

@@ -13,15 +13,15 @@ from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.linear_mpc import LinearMpc
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.osqp import Osqp
-from trms_cli.controllers.qp.problem import QpResult
 from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.qp import QpResult
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.observer import Estimate
 
 BOTH = Newtonian()
 PERIOD = 0.1
@@ -213,7 +213,7 @@ class _Moody:
     """A solver that fails when its workspace is told to."""
 
     def start(self) -> dict[str, Any]:
-        from trms_cli.controllers.qp.daqp import Daqp
+        from trms_cli.core.qp import Daqp
 
         return {"fail": False, "solver": Daqp(), "own": Daqp().start()}
 

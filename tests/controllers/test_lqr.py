@@ -12,11 +12,11 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.linearisation import Linearisation
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.steady_state import SteadyState
-from trms_cli.observers.observer import Estimate
 
 BOTH = Newtonian()
 DELAYED = extended(Newtonian(), {"late": InputDelay(rotor="main", delay=0.1)})

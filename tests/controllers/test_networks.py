@@ -184,7 +184,7 @@ def test_a_linear_network_gives_the_regulator_of_the_linear_model():
 
 def _sample(level):
     from trms_cli.controllers.controller import ControlSample
-    from trms_cli.observers.observer import Estimate
+    from trms_cli.models.estimate import Estimate
 
     def sample(x, u):
         estimate = Estimate(x, np.zeros_like(x), np.zeros(2), np.zeros(2))

@@ -16,15 +16,14 @@ from linear_model import DoubleMass, matrices
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.horizon import blocks_of
 from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
-from trms_cli.controllers.qp.daqp import Daqp
 from trms_cli.controllers.qp.osqp import Osqp
-from trms_cli.controllers.qp.problem import Qp, QpResult
 from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.qp import Daqp, Qp, QpResult
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.observer import Estimate
 
 CONVERGED = {"max_iterations": 60, "tolerance": 1e-7}
 SHORT = {"prediction_horizon": 20, "move_blocks": (1,) * 20, "max_iterations": 1}

@@ -20,8 +20,8 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.observer import Estimate
 
 QUASI = {"terminal": "quasi_infinite"}
 SHORT = {"prediction_horizon": 20, "move_blocks": (1,) * 20}

@@ -16,10 +16,10 @@ from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.controllers.nmpc_solver import Solution
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import build
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.observer import Estimate
 
 BOTH = Newtonian()
 #: Small enough to be quick without compiled derivatives.

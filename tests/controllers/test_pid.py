@@ -20,10 +20,10 @@ from trms_cli.controllers.pid_tuning import (
 )
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
-from trms_cli.observers.observer import Estimate
 
 BOTH = Newtonian()
 

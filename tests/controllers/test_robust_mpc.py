@@ -15,9 +15,9 @@ from trms_cli.controllers.robust.family import Family
 from trms_cli.controllers.robust_mpc import RobustMpc
 from trms_cli.controllers.robust_mpc_offline import RobustMpcOffline, RobustMpcOfflineState
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.observer import Estimate
 
 WEIGHTS: dict[str, Any] = {
     "state_weights": {"alpha_v": 1.2, "alpha_h": 1.0},

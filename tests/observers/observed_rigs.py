@@ -10,9 +10,10 @@ import numpy as np
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Axis, Model, Signal, names
 from trms_cli.models.parameters import ParameterSet
-from trms_cli.observers.observer import Estimate, Observer, ObserverSetup
+from trms_cli.observers.observer import Observer, ObserverSetup
 
 NOISE_SD = {"alpha_v": 5e-4, "alpha_h": 5e-4, "omega_v": 1.6, "omega_h": 1.6}
 SAMPLE_TIME = 0.02

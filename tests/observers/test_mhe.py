@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from observed_rigs import NOISE_SD, SAMPLE_TIME, Pendulum, Rig, commands, followed, setup_for
 
-from trms_cli.controllers.qp.daqp import Daqp
-from trms_cli.controllers.qp.problem import QpResult
+from trms_cli.core.qp import Daqp, QpResult
 from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers import mhe

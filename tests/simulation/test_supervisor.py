@@ -7,8 +7,8 @@ import pytest
 
 from trms_cli.controllers.controller import Command, Status
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.observer import Estimate
 from trms_cli.simulation.supervisor import Mode, Supervisor, SupervisorSetup, WatchingRun
 
 T = 0.02

@@ -18,12 +18,12 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.stribeck_friction import StribeckFriction
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.linearisation import Linearisation
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.full_state import FullState
-from trms_cli.observers.observer import Estimate
 from trms_cli.stability.cycles.friction_law import FrictionLaw, frictions_of
 from trms_cli.stability.cycles.hunting_prediction import predicted
 from trms_cli.stability.cycles.hunting_runs import slips, watched, with_sizes

@@ -13,7 +13,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, build, nearest
 
 if TYPE_CHECKING:
-    from trms_cli.commands.execution import Task
+    from trms_cli.composition.composer import Task
 
 SUMMARY = "prove diagnoses on sealed rigs: make a set, diagnose it, open its key"
 

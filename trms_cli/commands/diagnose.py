@@ -9,8 +9,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from trms_cli.commands.execution import Outcome, execute
-from trms_cli.composition.composer import Composition
+from trms_cli.commands.execution import execute
+from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import EXIT_OK, EXIT_TERMINATED, Terminated
 from trms_cli.core.invocation import command_line
 

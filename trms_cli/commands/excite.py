@@ -9,9 +9,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from trms_cli.commands.execution import Outcome, execute
+from trms_cli.commands.execution import execute
 from trms_cli.commands.run_assembly import number, whole_number
-from trms_cli.composition.composer import Composition
+from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.invocation import program
 

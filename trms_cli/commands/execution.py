@@ -3,25 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
 
-from trms_cli.composition.composer import Composition, compose_request
+from trms_cli.composition.composer import Outcome, Task, compose_request
 from trms_cli.composition.overrides import read_request
 from trms_cli.core.errors import EXIT_OK
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a task may return instead of a bare `exit_code`: also a figure to minimise."""
-
-    exit_code: int = EXIT_OK
-    objective: float | None = None  #: smaller is better; None where a sweeper does not search
-    folder: Path | None = None  #: what it wrote into
-
-
-Task = Callable[[Composition], "int | Outcome"]
 
 
 def execute(argv: Sequence[str], primary: str, task: Task) -> int:

@@ -14,8 +14,8 @@ from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 
 if TYPE_CHECKING:
-    from trms_cli.controllers.code.export import Export
-    from trms_cli.controllers.code.measure import Measured
+    from trms_cli.code_generation.export import Export
+    from trms_cli.code_generation.measure import Measured
     from trms_cli.simulation.closed_loop import Experiment
 
 SUMMARY = "a controller as C source for a rig's own computer"
@@ -133,9 +133,9 @@ def _check(config: Mapping[str, Any]) -> None:
 
 
 def _exported(composition: Composition) -> Export:
+    from trms_cli.code_generation.export import export
+    from trms_cli.code_generation.newton_source import check_exportable
     from trms_cli.commands.run_assembly import experiment_of
-    from trms_cli.controllers.code.export import export
-    from trms_cli.controllers.code.newton_source import check_exportable
     from trms_cli.controllers.controller import ControlSetup
     from trms_cli.models.model import names
     from trms_cli.observers.observer import ObserverSetup
@@ -199,7 +199,7 @@ def _check_observer(experiment: Experiment) -> None:
 
 def _measured(found: Export, folder: Path, wanted: bool) -> tuple[Measured | None, str]:
     """What was measured, or why nothing was."""
-    from trms_cli.controllers.code.measure import measure
+    from trms_cli.code_generation.measure import measure
     from trms_cli.core.compilation import compiler
 
     if not wanted:

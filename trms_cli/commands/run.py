@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from time import perf_counter
 from typing import Any
 
-from trms_cli.commands.execution import Outcome, execute
+from trms_cli.commands.execution import execute
 from trms_cli.commands.run_score import limits_of, score_of, units_of
-from trms_cli.composition.composer import Composition
+from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import EXIT_OK, Terminated, interrupted_code
 from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 

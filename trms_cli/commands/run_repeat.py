@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.execution import Outcome, Task, execute
-from trms_cli.composition.composer import Composition, compose
+from trms_cli.commands.execution import execute
+from trms_cli.composition.composer import Composition, Outcome, Task, compose
 from trms_cli.composition.given_object import refuse_given
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError

@@ -11,10 +11,9 @@ from time import perf_counter
 from typing import Any
 
 from trms_cli.commands import run_assembly as assembly
-from trms_cli.commands.execution import Outcome
 from trms_cli.commands.git_revision import GitRevision
 from trms_cli.commands.run_scene import RunScene
-from trms_cli.composition.composer import Composition
+from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError, interrupted_code
 from trms_cli.core.invocation import program
 from trms_cli.core.plugin_contract import check_contract, plugin_failure

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 
-from trms_cli.commands.execution import Outcome, execute
-from trms_cli.composition.composer import Composition
+from trms_cli.commands.execution import execute
+from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import EXIT_OK
 
 SUMMARY = "equilibria, modes, phase portraits, limit cycles, Lyapunov sets, margins"

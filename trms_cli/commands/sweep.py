@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.execution import Task
-from trms_cli.composition.composer import Composition, compose
+from trms_cli.composition.composer import Composition, Task, compose
 from trms_cli.composition.overrides import Request
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, TrmsError
 

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.execution import Task
 from trms_cli.commands.plain_options import as_options
+from trms_cli.composition.composer import Task
 from trms_cli.composition.sweep_settings import Settings, names_of, settings_of
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, RecordingError
 from trms_cli.core.plugins import nearest

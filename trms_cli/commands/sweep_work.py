@@ -20,9 +20,8 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from trms_cli.commands.execution import Outcome, Task
 from trms_cli.commands.git_revision import known_revision
-from trms_cli.composition.composer import Composition, composer_of
+from trms_cli.composition.composer import Composition, Outcome, Task, composer_of
 from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.core.invocation import called_as

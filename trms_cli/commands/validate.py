@@ -6,9 +6,9 @@ import sys
 from collections.abc import Sequence
 from time import perf_counter
 
-from trms_cli.commands.execution import Outcome, execute
+from trms_cli.commands.execution import execute
 from trms_cli.commands.validate_models import model_list, named_sets, one_of
-from trms_cli.composition.composer import Composition, compose
+from trms_cli.composition.composer import Composition, Outcome, compose
 from trms_cli.core.errors import EXIT_OK
 
 SUMMARY = "how well models foretell recordings: errors, residual tests, spectra"

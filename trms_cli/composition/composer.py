@@ -15,7 +15,7 @@ from __future__ import annotations
 import functools
 import re
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -38,7 +38,7 @@ from trms_cli.composition.checks import (
     prepared_value,
 )
 from trms_cli.composition.overrides import Override, Request, parse, read_request
-from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.runs.run_folder import new_folder
 
 #: Choices of options that are kept.
@@ -79,6 +79,18 @@ class Composition:
         dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
         options = {"sort_keys": False, "allow_unicode": True, "width": 100}
         return str(yaml.dump(self.config, Dumper=dumper, **options))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a task may return instead of a bare `exit_code`: also a figure to minimise."""
+
+    exit_code: int = EXIT_OK
+    objective: float | None = None  #: smaller is better; None where a sweeper does not search
+    folder: Path | None = None  #: what it wrote into
+
+
+Task = Callable[[Composition], "int | Outcome"]
 
 
 def compose(

@@ -14,11 +14,13 @@ from contextvars import ContextVar
 from copy import deepcopy
 from dataclasses import fields, is_dataclass, replace
 from hashlib import sha256
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET
+
+if TYPE_CHECKING:
+    from trms_cli.composition.composer import Composition
 
 _TARGET = f"{__name__}.taken"
 #: Its name in logs of former versions.

@@ -10,8 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
-from trms_cli.observers.observer import Estimate
 
 FloatArray = npt.NDArray[np.float64]
 

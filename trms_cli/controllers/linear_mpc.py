@@ -46,11 +46,10 @@ from trms_cli.controllers.newton_problem import (
     check_names,
     check_problem,
 )
-from trms_cli.controllers.qp.daqp import Daqp
-from trms_cli.controllers.qp.problem import QpResult, QpSolver
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.qp import Daqp, QpResult, QpSolver
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.linearisation import Linearisation, require_drivable
 from trms_cli.models.model import names

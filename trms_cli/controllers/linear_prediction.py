@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.qp.problem import Qp
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.qp import Qp
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

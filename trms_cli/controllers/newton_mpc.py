@@ -24,9 +24,8 @@ from msgspec import Meta
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_sizes import typical_sizes
 from trms_cli.controllers.newton_state import NewtonMpcState
-from trms_cli.controllers.qp.daqp import Daqp
-from trms_cli.controllers.qp.problem import QpSolver
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.qp import Daqp, QpSolver
 
 __all__ = ["NewtonMpc", "NewtonMpcState", "typical_sizes"]
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.horizon import Horizon
-from trms_cli.controllers.qp.problem import Qp, QpResult, QpSolver
 from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.qp import Qp, QpResult, QpSolver
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import Target
 

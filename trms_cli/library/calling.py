@@ -16,8 +16,7 @@ from trms_cli.composition.arguments import Arguments
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED
 
 if TYPE_CHECKING:
-    from trms_cli.commands.execution import Outcome
-    from trms_cli.composition.composer import Composition
+    from trms_cli.composition.composer import Composition, Outcome
 
 #: One call at a time: a composition and the standard streams are the process's own.
 _TURN = threading.RLock()

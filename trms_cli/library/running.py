@@ -12,8 +12,7 @@ from trms_cli.library.calling import called, finished, perform, words_of
 from trms_cli.library.run_result import Run, run_in
 
 if TYPE_CHECKING:
-    from trms_cli.commands.execution import Outcome
-    from trms_cli.composition.composer import Composition
+    from trms_cli.composition.composer import Composition, Outcome
     from trms_cli.simulation.closed_loop import Experiment
 
 #: A path, or several.

@@ -18,9 +18,10 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discrete import copied_states
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
 from trms_cli.models.rest import resting_state
-from trms_cli.observers.observer import Estimate, ObserverSetup
+from trms_cli.observers.observer import ObserverSetup
 
 FloatArray = npt.NDArray[np.float64]
 

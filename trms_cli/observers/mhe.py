@@ -22,14 +22,15 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from trms_cli.controllers.qp.daqp import Daqp
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.qp import Daqp
+from trms_cli.models.estimate import Estimate
 from trms_cli.observers.augmentation import Augmentation, FilterOptions, augment
 from trms_cli.observers.ekf import Ekf
 from trms_cli.observers.mhe_window import INPUTS, OUTPUTS, bounded, smoothing_step
-from trms_cli.observers.observer import Estimate, ObserverSetup
+from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState, RecursiveFilter
 from trms_cli.observers.ukf import Ukf
 

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.qp.problem import Qp
+from trms_cli.core.qp import Qp
 from trms_cli.observers.augmentation import Augmentation
 from trms_cli.observers.kalman_step import exact_measurement, exact_transition
 from trms_cli.observers.update import diagonal, gain_stage

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
@@ -49,27 +50,6 @@ class ObserverSetup:
                 else f"choose a model that measures {foreign[0]}",
             )
         return [known.index(name) for name in self.outputs]
-
-
-@dataclass
-class Estimate:
-    """What is known after a measurement. The arrays may be overwritten by the next step."""
-
-    #: ``x``, ``sd``: (n_x,) arrays; state of the model (without memory) and its standard deviations
-    x: FloatArray
-    sd: FloatArray
-    #: (n_w,) arrays; Disturbances on the model's equations, known ones included
-    disturbance: FloatArray
-    disturbance_sd: FloatArray  #: (n_w,) arrays; zero where there is none
-    #: (n_y,) array; measurement predicted before it was seen
-    predicted: FloatArray = field(default_factory=lambda: np.zeros(0))
-    #: ``innovation``, ``innovation_sd``: (n_y,) arrays; measured minus predicted, NaN where
-    #: missing, and what the observer expects of it
-    innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
-    innovation_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
-    #: (n_y,) array; 1 where a sample was there and not believed, else 0; empty for an observer
-    #: without a gate
-    rejected: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 class Observer(Protocol):

@@ -24,9 +24,10 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.compilation import BufferedFunction
+from trms_cli.models.estimate import Estimate
 from trms_cli.observers.augmentation import Augmentation, FilterOptions, augment
 from trms_cli.observers.gating import Gate
-from trms_cli.observers.observer import Estimate, ObserverSetup
+from trms_cli.observers.observer import ObserverSetup
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -26,8 +26,9 @@ from trms_cli.controllers.controller import (
     Status,
 )
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, Signal, names
-from trms_cli.observers.observer import Estimate, Observer, ObserverSetup
+from trms_cli.observers.observer import Observer, ObserverSetup
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
 from trms_cli.simulation.command_gate import CommandGate

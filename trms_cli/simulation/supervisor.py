@@ -31,8 +31,8 @@ from msgspec import Meta
 from trms_cli.controllers.controller import Command, Status
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, names
-from trms_cli.observers.observer import Estimate
 
 FloatArray = npt.NDArray[np.float64]
 Positive = Annotated[float, Meta(gt=0)]

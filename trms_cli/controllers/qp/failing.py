@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.controllers.qp.daqp import Daqp
-from trms_cli.controllers.qp.problem import Qp, QpResult, QpSolver
+from trms_cli.core.qp import Daqp, Qp, QpResult, QpSolver
 
 
 @dataclass
@@ -35,7 +34,7 @@ class FailingQp:
         return _Workspace(self.qp.start())
 
     def solve(self, workspace: _Workspace, qp: Qp) -> QpResult:
-        """See :class:`trms_cli.controllers.qp.problem.QpSolver`."""
+        """See :class:`trms_cli.core.qp.QpSolver`."""
         since = workspace.solves - self.first
         workspace.solves += 1
         if since >= 0 and (since if self.every is None else since % self.every) < self.count:

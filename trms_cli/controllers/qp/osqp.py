@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.controllers.qp.problem import FloatArray, Qp, QpResult
+from trms_cli.core.qp import FloatArray, Qp, QpResult
 
 
 @dataclass
@@ -33,7 +33,7 @@ class Osqp:
         return _Workspace()
 
     def solve(self, workspace: _Workspace, qp: Qp) -> QpResult:
-        """See :class:`trms_cli.controllers.qp.problem.QpSolver`."""
+        """See :class:`trms_cli.core.qp.QpSolver`."""
         import osqp
         from scipy import sparse
 

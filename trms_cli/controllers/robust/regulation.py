@@ -19,9 +19,9 @@ from trms_cli.controllers.robust.lmi import Task
 from trms_cli.controllers.robust.polytope import Coefficients, Polytope, Region, Target
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models import steady_state
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
-from trms_cli.observers.observer import Estimate
 
 FloatArray = npt.NDArray[np.float64]
 Positive = Annotated[float, Meta(gt=0)]

@@ -10,15 +10,15 @@ from typing import Any
 
 import casadi as ca
 
-from trms_cli.controllers.code import newton_tables
-from trms_cli.controllers.code.casadi_source import GeneratedFunctions, generated
-from trms_cli.controllers.code.literals import number
-from trms_cli.controllers.code.observer_source import ObserverSource
+from trms_cli.code_generation import newton_tables
+from trms_cli.code_generation.casadi_source import GeneratedFunctions, generated
+from trms_cli.code_generation.literals import number
+from trms_cli.code_generation.observer_source import ObserverSource
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.controllers.qp.daqp import Daqp
 from trms_cli.controllers.reference_rates import smooth_rates
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.qp import Daqp
 
 _TEMPLATES = Path(__file__).parent
 _FALLBACKS = {"shifted_plan": "SHIFTED_PLAN", "hold": "HOLD", "steady_input": "STEADY_INPUT"}

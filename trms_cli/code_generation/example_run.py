@@ -9,8 +9,8 @@ from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import names
-from trms_cli.observers.observer import Estimate
 from trms_cli.references.trajectory import ReferenceTrajectory
 
 FloatArray = npt.NDArray[np.float64]

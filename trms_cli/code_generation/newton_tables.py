@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.code.literals import number, numbers, table, text, whole_table
+from trms_cli.code_generation.literals import number, numbers, table, text, whole_table
 from trms_cli.models.model import names
 
 FloatArray = npt.NDArray[np.float64]

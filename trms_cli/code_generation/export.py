@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli import __version__
-from trms_cli.controllers.code.example_run import example_csv, example_rows
-from trms_cli.controllers.code.measure import Measured
-from trms_cli.controllers.code.newton_source import (
+from trms_cli.code_generation.example_run import example_csv, example_rows
+from trms_cli.code_generation.measure import Measured
+from trms_cli.code_generation.newton_source import (
     ControllerSource,
     check_exportable,
     named,
     newton_source,
 )
-from trms_cli.controllers.code.observer_source import ObserverSource, observer_source
-from trms_cli.controllers.code.readme import readme
+from trms_cli.code_generation.observer_source import ObserverSource, observer_source
+from trms_cli.code_generation.readme import readme
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.observers.observer import ObserverSetup

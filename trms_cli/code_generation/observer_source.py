@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from trms_cli.controllers.code.literals import number, table, text, whole_table
+from trms_cli.code_generation.literals import number, table, text, whole_table
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model
 from trms_cli.models.rest import equation_weights, rest_equations

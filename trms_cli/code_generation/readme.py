@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trms_cli.controllers.code.measure import Measured
+from trms_cli.code_generation.measure import Measured
 
 if TYPE_CHECKING:
-    from trms_cli.controllers.code.export import Export
+    from trms_cli.code_generation.export import Export
 
 
 def readme(export: Export, command: str, measured: Measured | None) -> str:
