@@ -57,6 +57,16 @@ def test_leaves_figures_and_a_page(trms, tmp_path):
     assert again.returncode == 2 and "not empty" in again.stderr
 
 
+def test_a_recording_of_a_few_seconds_has_errors_but_no_correlations(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "rig.csv", seconds=3.0)
+    assert main(["validate", "real=rig.csv", "model=newtonian_vertical", "out=here"]) == 0
+    document = json.loads((tmp_path / "here/validation.json").read_text(encoding="utf-8"))
+    assert document["error"]["alpha_v"]["0.5"] > 0
+    page = (tmp_path / "here/validation.html").read_text(encoding="utf-8")
+    assert "newtonian_vertical: the recording is too short for tests of correlation." in page
+
+
 def test_compares_models_a_file_among_them(here, capsys):
     (here / "mine.yaml").write_text(
         "name: mine\nmodel: newtonian_vertical\n" + _parameters(), encoding="utf-8"

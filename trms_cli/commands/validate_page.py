@@ -234,8 +234,12 @@ def _tests(
             f"{name}: p over all {of['residual_tests']['count']} tests. {_predictor(of)}",
         )
     for validation in validations:
+        correlations = correlation_rows(validation)
+        if not correlations:
+            page.text(f"{validation.name}: the recording is too short for tests of correlation.")
+            continue
         page.figure(
-            validation_spectra.correlation_figure(correlation_rows(validation)),
+            validation_spectra.correlation_figure(correlations),
             f"{validation.name}: correlations, and the band in which all lags of a right model lie "
             "together with probability 0.95. Red: fails over all tests.",
         )

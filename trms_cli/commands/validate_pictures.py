@@ -107,7 +107,10 @@ def _one_after_another(first: np.ndarray, length: int) -> list[int]:
 
 
 def correlation_rows(validation: ModelValidation) -> dict[str, list[CorrelationPanel]]:
-    """Correlations of the linear tests and those of squares and products, by channel."""
+    """Correlations of the linear tests and those of squares and products, by channel.
+
+    Channels of which no test could be made, as in a recording of a few seconds, are left out.
+    """
     rows = {}
     for signal in validation.channels:
         tests = [t for t in validation.tests.of(signal.name) if t.kind in _DRAWN]
@@ -115,7 +118,7 @@ def correlation_rows(validation: ModelValidation) -> dict[str, list[CorrelationP
         drawn = [t for t in tests if not np.isnan(t.result.correlations).all()]
         if drawn:
             rows[signal.name] = [_panel(test, validation) for test in drawn]
-    return rows or {"": []}
+    return rows
 
 
 def _panel(test: ResidualTest, validation: ModelValidation) -> CorrelationPanel:

@@ -54,7 +54,7 @@ class ChannelSpectra:
 
 
 def correlation_figure(rows: Mapping[str, Sequence[CorrelationPanel]]) -> Figure:
-    """A row a channel, a panel a test."""
+    """A row a channel, a panel a test; there is at least one of each."""
     columns = max(len(panels) for panels in rows.values())
     with house_style():
         width, height = max(_WIDTH, 1.5 * columns), 0.5 + 1.5 * len(rows)
