@@ -1,8 +1,16 @@
-"""For all tests: an example of a property may take long on a busy machine, which says nothing."""
+"""For all tests: what they find the same wherever and however they are started."""
 
 from __future__ import annotations
 
+import signal
+
 from hypothesis import settings
 
+# An example of a property may take long on a busy machine, which says nothing.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
+
+# A shell starts what runs in its background with Ctrl-C ignored, and every process begins with
+# what the one that started it ignores: the programs that tests interrupt would never notice.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
