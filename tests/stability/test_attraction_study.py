@@ -14,9 +14,9 @@ from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.attraction.linear_law import LinearLawLoop, linear_law
+from trms_cli.stability.attraction.loop_region import LinearLawLoop, linear_law
 from trms_cli.stability.attraction.report import percent
-from trms_cli.stability.attraction.truth import Share, share_of
+from trms_cli.stability.attraction.simulation import ConfidenceShare, share_of
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.study import silent
 
@@ -25,7 +25,7 @@ FEW = ("study.samples=100", "study.grid=9")
 
 def answered(*overrides):
     composition = compose(["study=region_of_attraction", *overrides], "stability")
-    return request.answered(request.asked_of(composition), silent)
+    return request.findings_of(request.request_of(composition), silent)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_the_lqr_law_as_equations_moves_as_the_sampled_loop():
     composition = compose(
         ["study=region_of_attraction", "model=newtonian_vertical", "controller=lqr"], "stability"
     )
-    subject = request.asked_of(composition).subject
+    subject = request.request_of(composition).subject
     point = operating_point(subject.model, {"alpha_v": 0.0})
     law = linear_law(subject.model, subject.loop, point)
     loop = LinearLawLoop(subject.model, law)
@@ -229,5 +229,5 @@ def test_proofs_and_simulations_are_of_the_same_rig():
 
 
 def test_a_small_share_that_is_hardly_known_has_its_interval():
-    assert percent(Share(5e-9, 1e-10, 2e-8)) == "5e-07 % (1e-08–2e-06 %)"
-    assert percent(Share(5e-9, 4e-9, 6e-9)) == "5e-07 %"
+    assert percent(ConfidenceShare(5e-9, 1e-10, 2e-8)) == "5e-07 % (1e-08–2e-06 %)"
+    assert percent(ConfidenceShare(5e-9, 4e-9, 6e-9)) == "5e-07 %"

@@ -15,9 +15,9 @@ import sympy as sp
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
-from trms_cli.stability.lyapunov.claims import identity_residual
-from trms_cli.stability.lyapunov.energy import Energy, Weights
-from trms_cli.stability.lyapunov.function import Candidate
+from trms_cli.stability.lyapunov.candidate import EnergyCandidate
+from trms_cli.stability.lyapunov.certificate import identity_residual
+from trms_cli.stability.lyapunov.energy import Energy, EnergyWeights
 
 k_oh, k_ov, k_c, l_t, l_m, k_m, k_t, k_g = sp.symbols("k_oh k_ov k_c l_t l_m k_m k_t k_g")
 J_v, D, E, F, H, G, delta = sp.symbols("J_v D E F H G delta", positive=True)
@@ -209,20 +209,20 @@ CASES: list[Any] = [
         ("both", {"alpha_v": 0.1, "alpha_h": -0.4}),
     )
     for name, weights in (
-        ("energy", Weights(2e-3, 1e-3)),
-        ("strict", Weights(2e-3, 1e-3, 1.0, 0.05, 0.03)),
+        ("energy", EnergyWeights(2e-3, 1e-3)),
+        ("strict", EnergyWeights(2e-3, 1e-3, 1.0, 0.05, 0.03)),
     )
 ]
 
 
 @pytest.mark.parametrize(("kind", "freedom", "at", "weights"), CASES)
 def test_the_form_is_the_derivative_along_the_models_own_equations(
-    kind: type, freedom: str, at: dict[str, float], weights: Weights
+    kind: type, freedom: str, at: dict[str, float], weights: EnergyWeights
 ) -> None:
     parameters = "bench" if kind is Newtonian else "tastemirov"
     model = kind(freedom=freedom, parameter_set=parameters)
     point = operating_point(model, at)
-    candidate = Candidate(Energy(model, point.u), point.x, weights)
+    candidate = EnergyCandidate(Energy(model, point.u), point.x, weights)
     assert identity_residual(candidate, seed=3, states=60) < 1e-8
 
 
@@ -230,7 +230,7 @@ def test_a_saturated_interface_is_part_of_the_rotor() -> None:
     model = Newtonian(main_voltage_limit=8.0)
     point = operating_point(model, {"u_v": 1.4})
     assert point.x[model.state_index("alpha_v")] < -0.2  # 8 V of the 11.9 V asked for
-    candidate = Candidate(Energy(model, point.u), point.x, Weights(2e-3, 1e-3))
+    candidate = EnergyCandidate(Energy(model, point.u), point.x, EnergyWeights(2e-3, 1e-3))
     assert identity_residual(candidate, seed=3, states=60) < 1e-8
 
 
@@ -239,13 +239,13 @@ def test_yaw_may_be_weighed_in_the_newtonian_model() -> None:
     point = operating_point(model, {"alpha_v": 0.2})
     energy = Energy(model, point.u)
     assert energy.weighted and not Energy(Lagrangian(), point.u).weighted
-    candidate = Candidate(energy, point.x, Weights(2e-3, 1e-3, 3.0, 0.05, 0.03))
+    candidate = EnergyCandidate(energy, point.x, EnergyWeights(2e-3, 1e-3, 3.0, 0.05, 0.03))
     assert identity_residual(candidate, seed=3, states=60) < 1e-8
 
 
 def test_states_of_motion_and_states_of_the_model_are_inverse() -> None:
     model = Lagrangian()
     point = operating_point(model, {"alpha_v": 0.1})
-    candidate = Candidate(Energy(model, point.u), point.x, Weights())
+    candidate = EnergyCandidate(Energy(model, point.u), point.x, EnergyWeights())
     states = point.x + np.random.default_rng(0).normal(size=(20, 6)) * [30, 1, 1, 30, 1, 1]
     assert np.allclose(candidate.states(candidate.motions(states)), states, atol=1e-10)

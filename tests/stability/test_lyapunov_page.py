@@ -11,8 +11,7 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.twin_rotor import TwinRotor
-from trms_cli.stability.lyapunov.certificate import certified
-from trms_cli.stability.lyapunov.subject import rig_of
+from trms_cli.stability.lyapunov.certificate import certified, rig_of
 from trms_cli.stability.studies.lyapunov import Lyapunov
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject

@@ -13,23 +13,22 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.lyapunov.energy import Energy, Weights
-from trms_cli.stability.lyapunov.falling import definite, falling
-from trms_cli.stability.lyapunov.function import Candidate
-from trms_cli.stability.lyapunov.seen import on_level, random_directions
-from trms_cli.stability.lyapunov.well import stop_level, wells_of
+from trms_cli.stability.lyapunov.candidate import EnergyCandidate
+from trms_cli.stability.lyapunov.energy import Energy, EnergyWeights
+from trms_cli.stability.lyapunov.level_search import decay_level, definite, stop_level, wells_of
+from trms_cli.stability.lyapunov.motions import on_level, random_directions
 
 RNG = np.random.default_rng(5)
 
 
 @cache
-def candidate_of(kind: type, freedom: str, strict: bool) -> Candidate:
+def candidate_of(kind: type, freedom: str, strict: bool) -> EnergyCandidate:
     model = kind(freedom=freedom)
     at = {"alpha_v": 0.1, "alpha_h": 0.3}
     point = operating_point(model, {k: v for k, v in at.items() if k in model.controlled})
     cross = (0.03, 0.02) if strict else (0.0, 0.0)
-    weights = Weights(2e-3, 1e-3, 1.0, *cross)
-    return Candidate(Energy(model, point.u), point.x, weights)
+    weights = EnergyWeights(2e-3, 1e-3, 1.0, *cross)
+    return EnergyCandidate(Energy(model, point.u), point.x, weights)
 
 
 CASES = [
@@ -113,20 +112,20 @@ def diagonal(boxes: Interval) -> Interval:
 
 def test_the_level_up_to_which_a_matrix_is_definite_is_found_between_bounds() -> None:
     box = Interval.of([-3.0, -3.0], [3.0, 3.0])
-    found = falling(diagonal, disc, box, 9.0, 20_000)
+    found = decay_level(diagonal, disc, box, 9.0, 20_000)
     assert 0.95 < found.level <= 1.0 <= found.fails < 1.05
     assert found.point is not None and abs(found.point[0]) >= 1.0
 
 
 def test_a_level_below_that_is_proved_all_over() -> None:
     box = Interval.of([-0.9, -0.9], [0.9, 0.9])
-    found = falling(diagonal, disc, box, 0.81, 20_000)
+    found = decay_level(diagonal, disc, box, 0.81, 20_000)
     assert found.level == np.inf and found.fails == np.inf and found.point is None
 
 
 def test_little_budget_proves_less() -> None:
     box = Interval.of([-3.0, -3.0], [3.0, 3.0])
-    little = falling(diagonal, disc, box, 9.0, 20)
+    little = decay_level(diagonal, disc, box, 9.0, 20)
     assert 0.0 <= little.level < 0.95
 
 

@@ -11,17 +11,16 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.attraction.fit import expanded
-from trms_cli.stability.attraction.functions import Candidate, basis_of, quadratic
+from trms_cli.stability.attraction.functions import LyapunovCandidate, basis_of, quadratic
 from trms_cli.stability.attraction.inclusion import (
     Ellipsoid,
     from_lyapunov_equation,
     largest_level,
     optimised,
 )
-from trms_cli.stability.attraction.level_set import Rays, SampledLevel, sampled_level
+from trms_cli.stability.attraction.level_set import Rays, SampledLevel, expanded, sampled_level
 from trms_cli.stability.attraction.proof import LevelProof, frame, proved_level
-from trms_cli.stability.attraction.system import Around
+from trms_cli.stability.attraction.system import ReducedSystem
 from trms_cli.stability.study import Tell
 
 FloatArray = npt.NDArray[np.float64]
@@ -51,11 +50,11 @@ _COUNTED = 60_000
 
 
 @dataclass(frozen=True)
-class Estimate:
+class RegionEstimate:
     """{V < level} around the equilibrium."""
 
     method: Method
-    candidate: Candidate
+    candidate: LyapunovCandidate
     level: float  #: Proved if ``proved``, else only sampled
     proved: bool
     means: str  #: What proves it, in words
@@ -119,19 +118,19 @@ class Estimate:
         return np.array([y.min(axis=0, initial=0.0), y.max(axis=0, initial=0.0)])
 
 
-def methods_for(system: Around) -> tuple[Method, ...]:
+def methods_for(system: ReducedSystem) -> tuple[Method, ...]:
     """All methods for a few states; without those that fit many weights for more."""
     return tuple(LABELS) if system.n <= _FEW else ("lyapunov", "inclusion", "level_set")
 
 
 def estimates(
-    system: Around,
+    system: ReducedSystem,
     limits: FloatArray,
     methods: Sequence[Method],
     most: int,
     tell: Tell,
-    linear_inside: tuple[Around, FloatArray] | None = None,
-) -> list[Estimate]:
+    linear_inside: tuple[ReducedSystem, FloatArray] | None = None,
+) -> list[RegionEstimate]:
     """Estimates by the methods asked for; one that finds nothing is left out.
 
     Parameters
@@ -159,7 +158,7 @@ def estimates(
     if set(methods) - {"lyapunov"}:
         tell("linear matrix inequalities over a box")
         best = optimised(simple, walls, first=first)
-    found: list[Estimate] = []
+    found: list[RegionEstimate] = []
     for method, shape in (("lyapunov", first), ("inclusion", best)):
         if method in methods and shape is not None:
             found.append(_ellipsoid(method, system, shape))  # type: ignore[arg-type]
@@ -174,12 +173,14 @@ def estimates(
 
 @dataclass(frozen=True)
 class _Start:
-    candidate: Candidate
+    candidate: LyapunovCandidate
     level: SampledLevel
     rays: Rays
 
 
-def _sampled(system: Around, shapes: Sequence[Ellipsoid], limits: FloatArray) -> list[_Start]:
+def _sampled(
+    system: ReducedSystem, shapes: Sequence[Ellipsoid], limits: FloatArray
+) -> list[_Start]:
     found = []
     for shape in shapes:
         P = shape.P / shape.level
@@ -192,8 +193,8 @@ def _sampled(system: Around, shapes: Sequence[Ellipsoid], limits: FloatArray) ->
 
 
 def _by_level_set(
-    method: Method, system: Around, starts: Sequence[_Start], most: int, tell: Tell
-) -> list[Estimate]:
+    method: Method, system: ReducedSystem, starts: Sequence[_Start], most: int, tell: Tell
+) -> list[RegionEstimate]:
     tell(f"{LABELS[method]}: sampling")
     reached = []
     for start in starts:
@@ -220,12 +221,12 @@ def _by_level_set(
     if proof.level > _TRIFLE * level.level:
         means = "V̇ < 0 by interval branch and bound"
         found.append(
-            Estimate(method, candidate, proof.level, True, means, proof.frame, **common)  # type: ignore[arg-type]
+            RegionEstimate(method, candidate, proof.level, True, means, proof.frame, **common)  # type: ignore[arg-type]
         )
     if not proof.complete:
         means = f"V̇ < 0 at {level.samples} samples only"
         found.append(
-            Estimate(
+            RegionEstimate(
                 method,
                 candidate,
                 _SHARE * level.level,
@@ -238,9 +239,9 @@ def _by_level_set(
     return found
 
 
-def _ellipsoid(method: Method, system: Around, shape: Ellipsoid) -> Estimate:
+def _ellipsoid(method: Method, system: ReducedSystem, shape: Ellipsoid) -> RegionEstimate:
     value, vectors = np.linalg.eigh(shape.P / shape.level)
-    return Estimate(
+    return RegionEstimate(
         method,
         quadratic(system, shape.P / shape.level),
         1.0,

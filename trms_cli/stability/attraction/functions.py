@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.attraction.system import Around, operations
+from trms_cli.stability.attraction.system import ReducedSystem, operations
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -37,7 +37,7 @@ _SWITCHES = {
 class Basis:
     """Basis functions of y."""
 
-    system: Around
+    system: ReducedSystem
     names: tuple[str, ...]  #: ``alpha_v·S_v``, ``∫S_v' d alpha_v``; of each function
     values: ca.Function  #: ``y → b``, (k, 1)
 
@@ -54,14 +54,14 @@ class Basis:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class LyapunovCandidate:
     """V = weights · b."""
 
     basis: Basis
     weights: FloatArray  #: (k,) array
 
     @property
-    def system(self) -> Around:
+    def system(self) -> ReducedSystem:
         return self.basis.system
 
     @cached_property
@@ -101,14 +101,14 @@ class Candidate:
         return np.array(self.function(y.T)).ravel()
 
 
-def quadratic(system: Around, P: FloatArray) -> Candidate:
+def quadratic(system: ReducedSystem, P: FloatArray) -> LyapunovCandidate:
     """V = yᵀPy."""
     basis = basis_of(system)
     weights = [P[i, j] * (1.0 if i == j else 2.0) for i, j in _pairs(system.n)]
-    return Candidate(basis, np.array(weights))
+    return LyapunovCandidate(basis, np.array(weights))
 
 
-def basis_of(system: Around, degree: int = 2, *, integrals: bool = False) -> Basis:
+def basis_of(system: ReducedSystem, degree: int = 2, *, integrals: bool = False) -> Basis:
     """Monomials of degrees 2 to ``degree``, and the integrals of the rates on request.
 
     Parameters
@@ -148,7 +148,7 @@ def _power(names: Sequence[str], group: tuple[int, ...]) -> str:
     return "·".join(parts)
 
 
-def _curved_pairs(system: Around) -> list[tuple[int, int]]:
+def _curved_pairs(system: ReducedSystem) -> list[tuple[int, int]]:
     """(i, j) where ∂f_i/∂y_j depends on y_j, smoothly: along which axis a rate is curved."""
     y, e = system.symbols()
     slopes = system.slopes(y, e)
@@ -161,7 +161,7 @@ def _curved_pairs(system: Around) -> list[tuple[int, int]]:
     return found
 
 
-def _integral(system: Around, y: ca.SX, i: int, j: int) -> ca.SX:
+def _integral(system: ReducedSystem, y: ca.SX, i: int, j: int) -> ca.SX:
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     zero = ca.DM.zeros(system.model.n_x)
     at_rest = system.function(ca.DM.zeros(system.n), zero)[i]

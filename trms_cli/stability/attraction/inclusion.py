@@ -28,8 +28,8 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ModelError
-from trms_cli.stability.attraction.definite import corners, decays, inside_slab
-from trms_cli.stability.attraction.system import Around
+from trms_cli.stability.attraction.system import ReducedSystem
+from trms_cli.stability.intervals.definite import corners, decays, inside_slab
 from trms_cli.stability.intervals.interval import Interval
 
 FloatArray = npt.NDArray[np.float64]
@@ -67,7 +67,7 @@ class Ellipsoid:
         return ball + 0.5 * (n * math.log(self.level) - float(np.linalg.slogdet(self.P)[1]))
 
 
-def scales(system: Around) -> FloatArray:
+def scales(system: ReducedSystem) -> FloatArray:
     """Sizes of the states in proportion to each other, powers of two, (n,).
 
     Those that balance the linearisation: scaling by them rounds nothing.
@@ -78,7 +78,7 @@ def scales(system: Around) -> FloatArray:
     return np.asarray(np.exp2(np.round(np.log2(scaling / scaling.max()))))
 
 
-def from_lyapunov_equation(system: Around) -> FloatArray:
+def from_lyapunov_equation(system: ReducedSystem) -> FloatArray:
     """P of AᵀP + PA = −I in balanced coordinates, (n, n)."""
     from scipy.linalg import solve_continuous_lyapunov
 
@@ -87,7 +87,7 @@ def from_lyapunov_equation(system: Around) -> FloatArray:
     return np.asarray(0.5 * (P + P.T) / np.outer(d, d))
 
 
-def proved(system: Around, shape: Ellipsoid, slabs: FloatArray | None = None) -> bool:
+def proved(system: ReducedSystem, shape: Ellipsoid, slabs: FloatArray | None = None) -> bool:
     """Whether the ellipsoid is proved to be attracted, by the inclusion over its bounding box.
 
     Parameters
@@ -108,7 +108,7 @@ def proved(system: Around, shape: Ellipsoid, slabs: FloatArray | None = None) ->
 
 
 def largest_level(
-    system: Around, P: FloatArray, slabs: FloatArray | None = None, *, start: float = 1.0
+    system: ReducedSystem, P: FloatArray, slabs: FloatArray | None = None, *, start: float = 1.0
 ) -> Ellipsoid | None:
     """The largest {yᵀPy ≤ c} that the inclusion proves, to 1 %; None if not even a tiny one is."""
     reach = math.inf
@@ -123,7 +123,7 @@ def largest_level(
 
 
 def optimised(
-    system: Around,
+    system: ReducedSystem,
     slabs: FloatArray | None = None,
     *,
     first: Ellipsoid | None = None,
@@ -179,7 +179,7 @@ def optimised(
 class _Search:
     """The largest ellipsoid for a given box, by cvxpy and Clarabel; compiled once."""
 
-    def __init__(self, system: Around, slabs: FloatArray | None) -> None:
+    def __init__(self, system: ReducedSystem, slabs: FloatArray | None) -> None:
         import cvxpy as cp
 
         self._system = system

@@ -1,4 +1,16 @@
-"""From which starts a closed loop recovers: its runs, and for an LQR sets that are proved."""
+"""The loop closed by the LQR law in continuous time, with its integral and its saturation.
+
+The sampled law (:mod:`trms_cli.controllers.lqr`) with a state that is known and a reference that
+does not move reads, for short periods,
+
+    v = ū − K (x − x̄) − K_i ξ        u = v within the limits
+    ξ̇ = angles − reference + (unwind/T) (v − u)
+
+and begins with ξ = −M (x − x̄): what starts deviate in is x alone. It is a model like any other, in
+the states (x, ξ), whose command is the feed-forward ū.
+
+From which starts a closed loop recovers: its runs, and for an LQR sets that are proved.
+"""
 
 from __future__ import annotations
 
@@ -6,29 +18,134 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.controllers.controller import ControlSetup
+from trms_cli.controllers.lqr import Lqr, Regulator
 from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
 from trms_cli.core.findings import Block, Findings, Judged, Section, Table
+from trms_cli.models.model import Model, Signal
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.attraction import report
-from trms_cli.stability.attraction.inquiry import (
-    Options,
-    Region,
-    Starts,
-    inquire,
+from trms_cli.stability.attraction.region import (
+    AttractionRegion,
+    RegionOptions,
+    StartSet,
+    attraction_region,
     plane_axes,
     require_states,
 )
-from trms_cli.stability.attraction.linear_law import LinearLaw, LinearLawLoop, linear_law
+from trms_cli.stability.attraction.simulation import ConfidenceShare, share_of
 from trms_cli.stability.attraction.system import around, require_attractive
-from trms_cli.stability.attraction.truth import Share, share_of
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.study import Tell
-from trms_cli.stability.subject import Subject
+from trms_cli.stability.subject import LoopParts, Subject
 
 FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LinearLaw:
+    """The law at an equilibrium."""
+
+    regulator: Regulator
+    period: float  #: Control period T, s
+    point: OperatingPoint  #: x̄ and ū of the rig
+    #: (n_r,) array; ξ at the start with x = x̄, rad s: not zero where the rig rests at another
+    #: command than the controller's model of it does
+    start: FloatArray
+
+
+def linear_law(model: Model, loop: LoopParts, point: OperatingPoint) -> LinearLaw | None:
+    """The law of an LQR loop; None for other controllers, or where rig and belief differ in states.
+
+    Raises ConfigurationError if the controller cannot be designed.
+    """
+    controller = loop.controller
+    if not isinstance(controller, Lqr) or model.state_names != loop.model.state_names:
+        return None
+    period = controller.sample_time or loop.sample_time
+    state = controller.init(ControlSetup(loop.model, period, point.u))
+    law = state.regulator
+    if law.K.shape[1] != model.n_x:
+        return None
+    target = state.steady.solve(point.x[state.rows])
+    if not target.converged:
+        return None
+    away = point.x - target.x
+    # At rest the integral makes up for what the feed-forward lacks.
+    resting = np.linalg.lstsq(law.K_i, target.u - point.u - law.K @ away, rcond=None)[0]
+    return LinearLaw(law, period, point, -law.M @ away - resting)
+
+
+class LinearLawLoop(Model):
+    """The closed loop as a model.
+
+    Parameters
+    ----------
+    base : Model
+        The rig.
+    law : LinearLaw
+    saturated : bool
+        Whether commands stay within the limits.
+    """
+
+    def __init__(self, base: Model, law: LinearLaw, *, saturated: bool = True) -> None:
+        self._base, self._law, self._saturated = base, law, saturated
+        self.name = f"{base.name} with lqr"
+        added = (Signal(f"xi_{name}", "rad s", f"integral of {name}") for name in base.controlled)
+        self.states = (*base.states, *added)
+        self.inputs, self.outputs, self.disturbances = base.inputs, base.outputs, base.disturbances
+        self.parameters, self.controlled = base.parameters, base.controlled
+        self.input_limits, self.stops = base.input_limits, base.stops
+        self.axes, self.rotors, self.stiff = base.axes, base.rotors, base.stiff
+
+    @property
+    def point(self) -> OperatingPoint:
+        """The equilibrium in (x, ξ)."""
+        rest = self._law.point
+        return OperatingPoint(np.concatenate([rest.x, np.zeros(len(self.controlled))]), rest.u)
+
+    @property
+    def gain(self) -> FloatArray:
+        """(K, K_i), (n_u, n_x + n_r)."""
+        return np.hstack([self._law.regulator.K, self._law.regulator.K_i])
+
+    def unsaturated_rows(self) -> FloatArray:
+        """Rows with \\|row · y\\| < 1 where no command is at a limit, (n_u, n)."""
+        lower, upper = self._base.input_bounds()
+        room = np.minimum(upper - self._law.point.u, self._law.point.u - lower)
+        return np.asarray(self.gain / room[:, None])
+
+    def starts(self) -> tuple[FloatArray, FloatArray]:
+        """L, o with y = L (x − x̄) + o at the start, (n, n_x) and (n,)."""
+        n = self._base.n_x
+        matrix = np.vstack([np.eye(n), -self._law.regulator.M])
+        return matrix, np.concatenate([np.zeros(n), self._law.start])
+
+    def rest(self) -> FloatArray:
+        return np.concatenate([self._base.rest(), np.zeros(len(self.controlled))])
+
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        n, point = self._base.n_x, self._law.point
+        away = ca.vertcat(x[:n] - ca.DM(point.x), x[n:])
+        wanted = u - ca.mtimes(ca.DM(self.gain), away)
+        given = wanted
+        if self._saturated:
+            lower, upper = self._base.input_bounds()
+            given = ca.fmin(ca.fmax(wanted, ca.DM(lower)), ca.DM(upper))
+        rows = [self._base.state_index(name) for name in self.controlled]
+        drift = ca.vertcat(*(away[row] for row in rows))
+        if self._saturated:
+            back = self._law.regulator.unwind / self._law.period
+            drift += ca.mtimes(ca.DM(back), wanted - given)
+        return ca.vertcat(self._base.dynamics(x[:n], given, p, w), drift)
+
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        return self._base.measurement(x[: self._base.n_x], u, p)
+
 
 #: s, of a run where none is given.
 _DURATION = 20.0
@@ -39,21 +156,21 @@ _INSIDE = 8
 
 
 @dataclass(frozen=True)
-class Runs:
+class LoopStarts:
     """Runs of the loop."""
 
     d: FloatArray  #: (n, m) array; starts, as deviations
     recovered: npt.NDArray[np.bool_]  #: (n,) bool
 
     @property
-    def share(self) -> Share:
+    def share(self) -> ConfidenceShare:
         return share_of(int(self.recovered.sum()), len(self.recovered))
 
 
 def loop_findings(
     subject: Subject,
     point: OperatingPoint,
-    options: Options,
+    options: RegionOptions,
     chosen: Sequence[str],
     count: int,
     tolerance: float,
@@ -97,19 +214,19 @@ def _by_law(
     law: LinearLaw,
     known: tuple[str, ...],
     box: FloatArray,
-    options: Options,
+    options: RegionOptions,
     tell: Tell,
-) -> Region:
+) -> AttractionRegion:
     loop = LinearLawLoop(subject.model, law)
     system = around(loop, loop.point)
     require_attractive(system)
     matrix, offset = loop.starts()
     columns = [subject.model.state_index(name) for name in known]
     kept = list(system.kept)
-    starts = Starts(known, matrix[np.ix_(kept, columns)], offset[kept])
+    starts = StartSet(known, matrix[np.ix_(kept, columns)], offset[kept])
     free = LinearLawLoop(subject.model, law, saturated=False)
     rows = loop.unsaturated_rows()[:, kept]
-    return inquire(
+    return attraction_region(
         system,
         replace(options, box={}, duration=None),
         tell,
@@ -147,7 +264,7 @@ def _runs(
     duration: float,
     tolerance: float,
     tell: Tell,
-) -> Runs:
+) -> LoopStarts:
     model, loop = subject.model, subject.require_loop("study=region_of_attraction")
     rows = [model.state_index(name) for name in model.controlled]
     recovered = np.zeros(len(d), dtype=bool)
@@ -160,7 +277,7 @@ def _runs(
         away = np.abs(tail - point.x[rows])
         # A comparison with what is not a number is false.
         recovered[k] = not run.ended and bool(np.all(away <= tolerance))
-    return Runs(d, recovered)
+    return LoopStarts(d, recovered)
 
 
 def _told(
@@ -168,10 +285,10 @@ def _told(
     point: OperatingPoint,
     known: Sequence[str],
     box: FloatArray,
-    options: Options,
-    runs: Runs,
-    inside: Runs | None,
-    found: Region | None,
+    options: RegionOptions,
+    runs: LoopStarts,
+    inside: LoopStarts | None,
+    found: AttractionRegion | None,
     duration: float,
     tolerance: float,
     title: str,
@@ -217,7 +334,7 @@ def _told(
     return Findings(title, said, [section, *proofs], _data(known, box, runs, inside, found), notes)
 
 
-def _law_lead(found: Region, inside: Runs | None) -> list[str]:
+def _law_lead(found: AttractionRegion, inside: LoopStarts | None) -> list[str]:
     said = report.lead(found)
     if inside is not None:
         lost = int((~inside.recovered).sum())
@@ -228,7 +345,7 @@ def _law_lead(found: Region, inside: Runs | None) -> list[str]:
     return said
 
 
-def _run_table(runs: Runs, inside: Runs | None) -> Table:
+def _run_table(runs: LoopStarts, inside: LoopStarts | None) -> Table:
     rows = [
         (
             "random in the box",
@@ -260,8 +377,8 @@ def _run_blocks(
     point: OperatingPoint,
     known: Sequence[str],
     box: FloatArray,
-    options: Options,
-    runs: Runs,
+    options: RegionOptions,
+    runs: LoopStarts,
 ) -> list[Chart]:
     model = subject.model
     signals = [model.states[model.state_index(name)] for name in known]
@@ -300,7 +417,11 @@ def _of(origin: Sequence[float], d: FloatArray) -> FloatArray:
 
 
 def _data(
-    known: Sequence[str], box: FloatArray, runs: Runs, inside: Runs | None, found: Region | None
+    known: Sequence[str],
+    box: FloatArray,
+    runs: LoopStarts,
+    inside: LoopStarts | None,
+    found: AttractionRegion | None,
 ) -> Mapping[str, Any]:
     return {
         "runs": {

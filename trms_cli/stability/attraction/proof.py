@@ -25,9 +25,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.attraction.definite import corners, positive_definite, product
-from trms_cli.stability.attraction.functions import Candidate
+from trms_cli.stability.attraction.functions import LyapunovCandidate
 from trms_cli.stability.attraction.level_set import SampledLevel
+from trms_cli.stability.intervals.branch_and_bound import BoxSearch, branch_and_bound, halved
+from trms_cli.stability.intervals.definite import corners, positive_definite
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 
@@ -55,7 +56,7 @@ class LevelProof:
 
 
 def proved_level(
-    candidate: Candidate,
+    candidate: LyapunovCandidate,
     sampled: SampledLevel,
     most: int,
     share: float = 1.0,
@@ -78,42 +79,41 @@ def proved_level(
     if inner == 0.0:
         return LevelProof(0.0, 0, False, 0.0, search.T)
     target = share * sampled.level
-    n = candidate.system.n
-    lower, upper = -np.ones((1, n)), np.ones((1, n))
-    value, falls = search.bounds(lower, upper)
-    count = 1
-    stuck = np.inf
-    while len(lower) and count < most:
+    stuck, count = np.inf, 1
+
+    def visit(boxes: Interval, keys: FloatArray) -> tuple[Interval, FloatArray, int]:
+        nonlocal stuck, count
         # Only what lies below the lowest box that cannot be closed is worth the trouble.
-        wanted = value < min(target, stuck)
-        lower, upper, value, falls = lower[wanted], upper[wanted], value[wanted], falls[wanted]
-        if not len(lower):
-            break
-        size = min(_BATCH, len(lower))
-        order = np.argpartition(value, size - 1)
-        first, rest = order[:size], order[size:]
-        low, high = _halved(lower[first], upper[first])
-        found, fall = search.bounds(low, high)
-        count += len(low)
-        edge = np.any((low <= -1.0) | (high >= 1.0), axis=1)
-        core = np.all((low >= -inner) & (high <= inner), axis=1)
-        open_ = ~core & (edge | ~fall) & (found < target)
-        narrow = open_ & ((high - low).max(axis=1) < 2.0 * _NARROWEST)
-        stuck = min(stuck, float(found[narrow].min(initial=np.inf)))
+        boxes = boxes[keys < min(target, stuck)]
+        halves = halved(boxes, np.argmax(boxes.width, axis=1))
+        value, falls = search.bounds(halves)
+        edge = np.any((halves.lower <= -1.0) | (halves.upper >= 1.0), axis=1)
+        core = np.all((halves.lower >= -inner) & (halves.upper <= inner), axis=1)
+        open_ = ~core & (edge | ~falls) & (value < target)
+        narrow = open_ & (halves.width.max(axis=1) < 2.0 * _NARROWEST)
+        stuck = min(stuck, float(value[narrow].min(initial=np.inf)))
         open_ &= ~narrow
-        lower, upper = np.vstack([lower[rest], low[open_]]), np.vstack([upper[rest], high[open_]])
-        value, falls = (
-            np.concatenate([value[rest], found[open_]]),
-            np.concatenate([falls[rest], fall[open_]]),
-        )
-        if tell and count // (32 * _BATCH) != (count - len(low)) // (32 * _BATCH):
-            done = max(0.0, float(value.min(initial=target))) / target
-            tell(f"{count} boxes, proved to {done:.0%} of the level")
-    reached = min(target, stuck, float(value.min(initial=np.inf)))
-    return LevelProof(max(reached, 0.0), count, reached >= target, inner, search.T)
+        spent = len(value)
+        if tell and (count + spent) // (32 * _BATCH) != count // (32 * _BATCH):
+            done = max(0.0, min(target, float(keys.min()))) / target
+            tell(f"{count + spent} boxes, proved to {done:.0%} of the level")
+        count += spent
+        return halves[open_], value[open_], spent
+
+    whole = Interval(-np.ones((1, candidate.system.n)), np.ones((1, candidate.system.n)))
+    result = branch_and_bound(
+        BoxSearch(whole, search.bounds(whole)[0], 1),
+        visit,
+        budget=most,
+        enough=lambda lowest: lowest >= min(target, stuck),
+        chunk=_BATCH,
+        whole_chunks=True,
+    )
+    reached = min(target, stuck, result.lowest)
+    return LevelProof(max(reached, 0.0), result.examined, reached >= target, inner, search.T)
 
 
-def frame(candidate: Candidate, sampled: SampledLevel) -> FloatArray:
+def frame(candidate: LyapunovCandidate, sampled: SampledLevel) -> FloatArray:
     """T of a cube around the sampled level set, in the axes of V's second derivative, (n, n)."""
     value, vectors = np.linalg.eigh(candidate.P)
     root = vectors / np.sqrt(np.maximum(value, 1e-12 * value[-1]))
@@ -121,20 +121,10 @@ def frame(candidate: Candidate, sampled: SampledLevel) -> FloatArray:
     return np.asarray(root * (_BEYOND * reach))
 
 
-def _halved(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Both halves of boxes, cut across the longest side."""
-    row, axis = np.arange(len(lower)), np.argmax(upper - lower, axis=1)
-    middle = 0.5 * (lower[row, axis] + upper[row, axis])
-    below, above = upper.copy(), lower.copy()
-    below[row, axis] = middle
-    above[row, axis] = middle
-    return np.vstack([lower, above]), np.vstack([below, upper])
-
-
 class _Search:
     """Bounds of V and V̇ in coordinates in which Z is the unit cube."""
 
-    def __init__(self, candidate: Candidate, sampled: SampledLevel) -> None:
+    def __init__(self, candidate: LyapunovCandidate, sampled: SampledLevel) -> None:
         system = candidate.system
         self.T = frame(candidate, sampled)
         self._candidate, self._error = candidate, system.error
@@ -145,9 +135,8 @@ class _Search:
         self._hessian = Enclosure(ca.Function("H", [z, e], [candidate.hessian(y, e)]))
         self._slopes = Enclosure(ca.Function("A", [z, e], [system.slopes(y, e)]))
 
-    def bounds(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    def bounds(self, box: Interval) -> tuple[FloatArray, np.ndarray]:
         """Lower bounds of V, and whether V̇ < 0 is proved, in each box."""
-        box = Interval(lower, upper)
         rough = self._both(box, self._error)[0]
         value, falls = rough.lower[:, 0].copy(), rough.upper[:, 1] < 0.0
         left = np.flatnonzero(~falls)
@@ -169,25 +158,12 @@ class _Search:
         n = self._candidate.system.n
         r = np.nextafter(size * (np.arange(_PARTS) + 1.0) / _PARTS, np.inf)[:, None]
         box = Interval(-r * np.ones(n), r * np.ones(n))
-        H = _mean(_square(self._hessian(box, self._error)[0]))
-        A = corners(_mean(_square(self._slopes(box, self._error)[0]))[0])
+        H = _square(self._hessian(box, self._error)[0]).mean()[None]
+        A = corners(_square(self._slopes(box, self._error)[0]).mean())
         T = Interval.point(self.T[None])
-        turned = _turned(H)
-        inside = product(_turned(T), product(turned, product(A, T)))
-        return bool(np.all(positive_definite(-inside)))
+        return bool(np.all(positive_definite(-(T.transposed @ (H.transposed @ (A @ T))))))
 
 
-def _square(found: Interval) -> Interval:
+def _square(matrices: Interval) -> Interval:
     """A matrix of one row and column is a matrix."""
-    return found if found.lower.ndim == 3 else found[:, :, None]
-
-
-def _turned(matrix: Interval) -> Interval:
-    return Interval(matrix.lower.transpose(0, 2, 1), matrix.upper.transpose(0, 2, 1))
-
-
-def _mean(parts: Interval) -> Interval:
-    total = parts[0]
-    for k in range(1, _PARTS):
-        total = total + parts[k]
-    return (total * Interval.point(np.full(total.lower.shape, 1.0 / _PARTS)))[None]
+    return matrices if matrices.lower.ndim == 3 else matrices[:, :, None]

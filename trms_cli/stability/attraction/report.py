@@ -1,4 +1,7 @@
-"""What was found out about a region of attraction, in sentences, tables and data."""
+"""What was found out about a region of attraction, in sentences, tables and data.
+
+Figures of a region of attraction.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,25 @@ import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from trms_cli.core.chart import Chart
+from trms_cli.core.chart import (
+    Axis,
+    Chart,
+    Colour,
+    Contour,
+    Curve,
+    Mark,
+    Marker,
+    Panel,
+    Points,
+    Region,
+)
 from trms_cli.core.findings import Judged, Section, Table
-from trms_cli.stability.attraction.charts import plane_chart
-from trms_cli.stability.attraction.estimates import LABELS, Estimate
-from trms_cli.stability.attraction.inquiry import Region, Verdict
+from trms_cli.stability.attraction.estimates import LABELS, Method, RegionEstimate
+from trms_cli.stability.attraction.region import AttractionRegion, EstimateTest
+from trms_cli.stability.attraction.simulation import SETTLED, ConfidenceShare
 from trms_cli.stability.attraction.system import written
-from trms_cli.stability.attraction.truth import Share
 
 METHOD = (
     "With y the deviation from the equilibrium, V falls along the motions in each of the sets and "
@@ -29,7 +43,7 @@ METHOD = (
 )
 
 
-def percent(share: Share) -> str:
+def percent(share: ConfidenceShare) -> str:
     """``72 % (67–78 %)``."""
     value, low, high = (100.0 * v for v in (share.value, share.lower, share.upper))
     if value < 0.1:
@@ -48,19 +62,19 @@ def percent(share: Share) -> str:
     return f"{told[0]} % ({told[1]}–{told[2]} %)"
 
 
-def from_to(estimate: Estimate, k: int) -> str:
+def from_to(estimate: RegionEstimate, k: int) -> str:
     """``−0.765 to +1.38``: how far a set goes along a coordinate, from the equilibrium."""
     low, high = (f"{v:+.3g}".replace("-", "−") for v in estimate.bounds[:, k])
     return f"{low} to {high}"
 
 
-def largest(found: Region) -> Verdict | None:
+def largest(found: AttractionRegion) -> EstimateTest | None:
     """The largest set that is proved."""
     proved = [v for v in found.verdicts if v.estimate.proved]
     return max(proved, key=lambda v: v.estimate.log_volume) if proved else None
 
 
-def lead(found: Region) -> list[str]:
+def lead(found: AttractionRegion) -> list[str]:
     """The answer first."""
     system = found.system
     place = system.point.words(system.model)
@@ -105,7 +119,7 @@ def lead(found: Region) -> list[str]:
     return said
 
 
-def sections(found: Region) -> list[Section]:
+def sections(found: AttractionRegion) -> list[Section]:
     """Method, figure, table."""
     blocks: list[Table | Chart] = [estimate_table(found)]
     if found.plane.axes[0] != found.plane.axes[1]:
@@ -113,7 +127,7 @@ def sections(found: Region) -> list[Section]:
     return [Section("Estimates and the region by simulation", METHOD, blocks)]
 
 
-def estimate_table(found: Region) -> Table:
+def estimate_table(found: AttractionRegion) -> Table:
     """A row for each estimate."""
     names = found.system.names
     shown = (
@@ -157,7 +171,7 @@ def estimate_table(found: Region) -> Table:
     )
 
 
-def results(found: Region) -> dict[str, Any]:
+def results(found: AttractionRegion) -> dict[str, Any]:
     """The figures as data."""
     system = found.system
     return {
@@ -185,7 +199,7 @@ def results(found: Region) -> dict[str, Any]:
     }
 
 
-def share_data(share: Share | None) -> dict[str, float | None] | None:
+def share_data(share: ConfidenceShare | None) -> dict[str, float | None] | None:
     """A share as JSON data."""
     if share is None:
         return None
@@ -193,7 +207,7 @@ def share_data(share: Share | None) -> dict[str, float | None] | None:
     return {k: float(v) if math.isfinite(v) else None for k, v in values.items()}
 
 
-def _estimate_data(v: Verdict) -> dict[str, Any]:
+def _estimate_data(v: EstimateTest) -> dict[str, Any]:
     e = v.estimate
     volume = math.exp(e.log_volume)
     return {
@@ -218,7 +232,7 @@ def _estimate_data(v: Verdict) -> dict[str, Any]:
     }
 
 
-def warnings(found: Region) -> list[str]:
+def warnings(found: AttractionRegion) -> list[str]:
     """What limits the answer."""
     said = []
     system = found.system
@@ -263,3 +277,164 @@ def warnings(found: Region) -> list[str]:
             "cover little there, whatever the method."
         )
     return said
+
+
+FloatArray = npt.NDArray[np.float64]
+
+_COLOURS: dict[Method, Colour] = {
+    "lyapunov": "ink",
+    "inclusion": "purple",
+    "level_set": "blue",
+    "integrals": "vermilion",
+    "quartic": "green",
+}
+#: Lines of the grid on which V is drawn.
+_FINE = 241
+
+
+def plane_chart(found: AttractionRegion) -> Chart:
+    """The plane: the region by simulation, the estimates, other equilibria, motions."""
+    i, j = found.plane.axes
+    if i == j:
+        raise ValueError("a plane needs two states")
+    panels = [_panel(found, found.box, "")]
+    small = [v.estimate for v in found.verdicts if _size(v.estimate, found) < 0.25]
+    if small:
+        box = found.box.copy()
+        box[[i, j]] = 1.3 * np.max([_reach(e, found) for e in small], axis=0)
+        panels.append(_panel(found, box, "near the equilibrium"))
+    names, model = found.starts.names, found.system.model
+    others = [n for k, n in enumerate(names) if k not in (i, j)]
+    rest = [*others, *found.system.settled]
+    section = f" In the plane {', '.join(rest)} start at rest." if rest else ""
+    unproved = any(not v.estimate.proved for v in found.verdicts)
+    return Chart(
+        "region_of_attraction",
+        panels,
+        f"Region of attraction of {found.system.point.words(model)}: shaded, which starts come to "
+        "rest there in simulation; lines, what is proved to be attracted"
+        + (" (dashed: sampled only)." if unproved else ".")
+        + section,
+        columns=2,
+        width=4.8,
+        height=4.2,
+    )
+
+
+def _size(estimate: RegionEstimate, found: AttractionRegion) -> float:
+    return float(np.max(_reach(estimate, found) / found.box[list(found.plane.axes)]))
+
+
+def _reach(estimate: RegionEstimate, found: AttractionRegion) -> FloatArray:
+    """Half-widths of the section of a set with the plane, (2,); tiny for an empty one."""
+    axes = list(found.plane.axes)
+    half = found.box[axes].copy()
+    for _ in range(16):
+        d, _, _ = _grid(found, half, 61)
+        inside = np.abs(d[estimate.contains(found.starts.of(d))][:, axes])
+        reach = inside.max(axis=0, initial=0.0) + half / 30.0
+        if np.all(reach > 0.4 * half):
+            return np.asarray(np.minimum(reach, half))
+        half = np.minimum(half, np.maximum(1.2 * reach, 0.25 * half))
+    return half
+
+
+def _grid(
+    found: AttractionRegion, half: FloatArray, lines: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Starts of a grid in the plane, (lines², m), and its lines."""
+    i, j = found.plane.axes
+    x, y = (np.linspace(-half[k], half[k], lines) for k in (0, 1))
+    across, up = np.meshgrid(x, y)
+    d = np.zeros((across.size, len(found.box)))
+    d[:, i], d[:, j] = across.ravel(), up.ravel()
+    return d, x, y
+
+
+def _panel(found: AttractionRegion, box: FloatArray, title: str) -> Panel:
+    (i, j), whole = found.plane.axes, title == ""
+    origin = _origin(found)
+    inside = found.plane.fate == SETTLED
+    near = np.ix_(np.abs(found.plane.y) <= box[j], np.abs(found.plane.x) <= box[i])
+    marks: list[Mark] = []
+    if np.any(inside[near]):
+        marks.append(
+            Region(
+                origin[i] + found.plane.x,
+                origin[j] + found.plane.y,
+                inside,
+                "comes to rest (simulated)",
+                "sky",
+                0.35,
+            )
+        )
+    if whole and found.starts.direct:
+        for path, settled in found.plane.paths:
+            out = np.any(np.abs(path[:, [i, j]]) > 1.02 * box[[i, j]], axis=1)
+            if np.all(out):
+                continue
+            shown = np.where(out[:, None], np.nan, path)
+            colour: Colour = "grey" if settled else "orange"
+            label = "motions that do" if settled else "motions that do not"
+            marks.append(
+                Curve(
+                    origin[i] + shown[:, i],
+                    origin[j] + shown[:, j],
+                    label,
+                    colour,
+                    width=0.7,
+                    arrow=True,
+                )
+            )
+    marks += [mark for v in found.verdicts if (mark := _contour(v.estimate, found, box))]
+    marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
+    for rest in found.rests:
+        place = rest.y if found.starts.direct else rest.y[: len(box)]
+        if np.all(np.abs(place[[i, j]]) <= box[[i, j]]):
+            label = "another rest" if rest.stable else "saddle"
+            marker: Marker = "stable" if rest.stable else "saddle"
+            marks.append(
+                Points(
+                    [origin[i] + place[i]], [origin[j] + place[j]], label, marker, "alarm", size=8
+                )
+            )
+    names, model = found.starts.names, found.system.model
+    axes = [
+        Axis(
+            names[k],
+            model.states[model.state_index(names[k])].unit,
+            (float(origin[k] - box[k]), float(origin[k] + box[k])),
+        )
+        for k in (i, j)
+    ]
+    return Panel(axes[0], axes[1], marks, title)
+
+
+def _origin(found: AttractionRegion) -> FloatArray:
+    model = found.system.model
+    return np.array([found.system.point.x[model.state_index(n)] for n in found.starts.names])
+
+
+def _contour(estimate: RegionEstimate, found: AttractionRegion, box: FloatArray) -> Contour | None:
+    i, j = found.plane.axes
+    origin = _origin(found)
+    # As fine as the set is small.
+    d, x, y = _grid(found, np.minimum(1.1 * _reach(estimate, found), box[[i, j]]), _FINE)
+    states = found.starts.of(d)
+    near = np.all(np.abs(np.linalg.solve(estimate.frame, states.T)) <= 1.2, axis=0)
+    values = np.where(near, estimate.candidate.values(states) / estimate.level, np.nan)
+    seen = values.reshape(_FINE, _FINE)[np.ix_(np.abs(y) <= box[j], np.abs(x) <= box[i])]
+    # A line that does not cross the window would still be in its legend.
+    if not (np.any(seen < 1.0) and np.any(seen >= 1.0)):
+        return None
+    label = estimate.label if estimate.proved else f"{estimate.label} (sampled)"
+    return Contour(
+        origin[i] + x,
+        origin[j] + y,
+        values.reshape(_FINE, _FINE),
+        [1.0],
+        label,
+        _COLOURS[estimate.method],
+        "solid" if estimate.proved else "dashed",
+        1.6,
+    )

@@ -46,7 +46,7 @@ _RADII = (1e-12, 1e-10, 1e-8, 1e-6)
 
 
 @dataclass(frozen=True)
-class Around:
+class ReducedSystem:
     """The equations of a model around an equilibrium."""
 
     model: Model
@@ -113,17 +113,17 @@ class Around:
         """
         n_x = self.model.n_x
         everything = tuple(i for i in range(n_x) if i not in self.neutral)
-        whole = Around(self.model, self.point, everything, self.neutral)
+        whole = ReducedSystem(self.model, self.point, everything, self.neutral)
         bounds, zero = Enclosure(whole.function), Interval.point(np.zeros(n_x))
-        inverse = np.asarray(np.linalg.inv(whole.A), dtype=np.float64)
         rate = bounds(Interval.point(np.zeros((1, whole.n))), zero)[0][0]
-        newton = -_product(inverse, rate)
+        inverse = Interval.point(np.linalg.inv(whole.A)[None])
+        newton = -(inverse @ rate[None, :, None])
         for size in _RADII:
             r = size * (1.0 + np.abs(self.point.x[list(everything)]))
             box = Interval(-r, r)
-            rest = _identity_minus(inverse, whole.slopes_within(box[None], zero)[0])
-            moved = newton + _rows([_dot(rest[i], box) for i in range(whole.n)])
-            if bool(np.all(moved.within(box))):
+            rest = Interval.point(np.eye(whole.n)) - inverse @ whole.slopes_within(box[None], zero)
+            moved = newton + rest @ box[None, :, None]
+            if bool(np.all(moved[0, :, 0].within(box))):
                 full = np.zeros(n_x)
                 full[list(everything)] = r
                 return Interval(-full, full)
@@ -160,14 +160,12 @@ class Around:
         r = np.nextafter(shares[:, None] * radii, np.inf)
         with np.errstate(over="ignore", invalid="ignore"):
             slope = self.slopes_within(Interval(-r, r), self.error)
-        total = slope[0]
-        for k in range(1, _PARTS):
-            total = total + slope[k]
-        share = Interval.point(np.full((self.n, self.n), 1.0 / _PARTS))
-        return total * share
+        return slope.mean()
 
 
-def around(model: Model, point: OperatingPoint, states: Sequence[str] | None = None) -> Around:
+def around(
+    model: Model, point: OperatingPoint, states: Sequence[str] | None = None
+) -> ReducedSystem:
     """The equations in the states that deviate, and in those that they move.
 
     Parameters
@@ -210,10 +208,10 @@ def around(model: Model, point: OperatingPoint, states: Sequence[str] | None = N
         if following == kept:
             break
         kept = following
-    return Around(model, point, tuple(sorted(kept - neutral)), tuple(sorted(neutral)))
+    return ReducedSystem(model, point, tuple(sorted(kept - neutral)), tuple(sorted(neutral)))
 
 
-def require_attractive(system: Around) -> None:
+def require_attractive(system: ReducedSystem) -> None:
     """Refuse an equilibrium that is not asymptotically stable, with its eigenvalues.
 
     Raises ModelError.
@@ -257,28 +255,3 @@ def written(value: complex) -> str:
 def _rates(model: Model, x: ca.SX, u: FloatArray) -> ca.SX:
     constants = [ca.SX(ca.DM(v)) for v in (u, model.parameters.values, np.zeros(model.n_w))]
     return model.dynamics(x, *constants)
-
-
-def _dot(row: Interval, column: Interval) -> Interval:
-    terms = row * column
-    total = terms[0]
-    for k in range(1, len(terms.lower)):
-        total = total + terms[k]
-    return total
-
-
-def _rows(values: list[Interval]) -> Interval:
-    return Interval(np.array([v.lower for v in values]), np.array([v.upper for v in values]))
-
-
-def _product(matrix: FloatArray, column: Interval) -> Interval:
-    return _rows([_dot(Interval.point(row), column) for row in matrix])
-
-
-def _identity_minus(inverse: FloatArray, slope: Interval) -> Interval:
-    n = len(inverse)
-    columns = [_product(inverse, slope[:, j]) for j in range(n)]
-    found = Interval(
-        np.stack([c.lower for c in columns], axis=1), np.stack([c.upper for c in columns], axis=1)
-    )
-    return Interval.point(np.eye(n)) - found

@@ -106,6 +106,25 @@ class Interval:
     def __truediv__(self, other: Interval) -> Interval:
         return self * other.reciprocal()
 
+    def __matmul__(self, other: Interval) -> Interval:
+        """Products of (m, n, k) and (m or 1, k, l) matrices."""
+        total = self[:, :, 0, None] * other[:, None, 0, :]
+        for i in range(1, self.lower.shape[2]):
+            total = total + self[:, :, i, None] * other[:, None, i, :]
+        return total
+
+    @property
+    def transposed(self) -> Interval:
+        """Matrices (m, n, k) with rows and columns exchanged."""
+        return Interval(self.lower.swapaxes(1, 2), self.upper.swapaxes(1, 2))
+
+    def mean(self) -> Interval:
+        """Of parts along the first axis, (m, …) → (…)."""
+        total, count = self[0], len(self.lower)
+        for k in range(1, count):
+            total = total + self[k]
+        return total * Interval.point(np.full(total.lower.shape, 1.0 / count))
+
     def reciprocal(self) -> Interval:
         """1/x; everything where x may be zero."""
         with np.errstate(divide="ignore", over="ignore"):

@@ -1,4 +1,38 @@
-"""The energy-like function V of a rig at a constant command, and its decay as a quadratic form.
+"""A rotor at a constant command: how fast it settles, what it stores, and what thrust it lacks.
+
+The electrical rotor with quasi-static current is one equation in its own speed,
+
+    ω̇ = −s(ω)        s(ω) = [b ω + k_t ω|ω| − k_φ v / R] / J,    b = k_φ²/R + B
+
+s rises with ω and vanishes at one speed ω̄. What the rotor *stores* is
+
+    ∫ s dω  from ω̄ to ω     ≥ 0, and falls as   d/dt ∫ s dω = s ω̇ = −s².
+
+The thrust that it lacks is in proportion to how fast it settles: by Cauchy's mean value theorem
+
+    F(ω) − F(ω̄) = ψ s(ω),    ψ = F'(ξ)/s'(ξ) for a ξ between ω̄ and ω
+    F'/s' = 2 k_f |ω| J / (b + 2 k_t |ω|) = (k_f J / k_t) (1 − b/(b + 2 k_t |ω|)) < k_f J / k_t
+
+so that ψ is bounded at all speeds: the lever by which global statements are possible.
+
+The beam's equations in the form that energies speak of, for both models.
+
+With q = (α_h, α_v), what settles in the rotors s = −ω̇, and balances at the equilibrium taken off,
+
+    M(α_v) q̈ = N(q, q̇, ω) q̇ − Λ α̃ + Ξ s
+
+Newtonian: M = diag(J_h(α_v), J_v), and N has the friction, the cross moment k_g F_v Ω_h cos α_v,
+the centrifugal moment −½ H Ω_h² sin 2α_v, and the yaw moment W Ω_v by which pitching turns the main
+rotor's momentum, from the derivative of Ω_h = S_h + k_m ω_v cos α_v / J_h::
+
+    N = [[−k_oh, W], [k_g F_v cos α_v − ½ H Ω_h sin 2α_v, −k_ov]]
+    W = k_m ω_v J_h d/dα_v (cos α_v / J_h)
+
+It lacks −J_h' Ω_v Ω_h, the moment by which a yawing beam speeds up when it is drawn in.
+
+Lagrangian: M and C from the energies of the rig's bodies, N = −C + friction and cross moment.
+
+The energy-like function V of a rig at a constant command, and its decay as a quadratic form.
 
 With q̇ = Ω, α̃ = α − ᾱ, and s what settles in the rotors (:mod:`.rotor`, :mod:`.beam`)::
 
@@ -25,6 +59,7 @@ Squares completed, V = ½ yᵀΓM y + Σ γU + ½ α̃ᵀΓE(K − M E) α̃ + �
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,10 +68,154 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.lagrangian import Lagrangian
-from trms_cli.models.motor import by_direction
+from trms_cli.models.motor import Motor, by_direction
+from trms_cli.models.newtonian import geometry
+from trms_cli.models.rig_bodies import Energies, bodies, energies
 from trms_cli.models.twin_rotor import TwinRotor
-from trms_cli.stability.lyapunov.beam import Place, beam_of, gravity_of
-from trms_cli.stability.lyapunov.rotor import RotorAtRest, rotor_at_rest
+
+_ROTOR_OF_AXIS = {"v": "mr", "h": "tr"}
+
+
+@dataclass(frozen=True)
+class RotorAtRest:
+    """Expressions of one rotor with its command held."""
+
+    axis: str  #: ``h`` or ``v``
+    omega: ca.SX  #: The speed, rad/s, of which the others are functions
+    settling: ca.SX  #: s, rad/s²
+    stored: ca.SX  #: An antiderivative of s, (rad/s)²/s
+    thrust: ca.SX  #: F, N
+    ratio: ca.SX  #: F'/s', N s²/rad, written so that the speed stands in it once
+    bound: float  #: What the ratio stays below at all speeds; infinite without drag of the air
+
+
+def rotor_at_rest(axis: str, volt: float, c: Mapping[str, float]) -> RotorAtRest:
+    """The rotor of an axis at a motor voltage.
+
+    Parameters
+    ----------
+    axis : str
+        ``h`` or ``v``.
+    volt : float
+        v, V.
+    c : dict of str to float
+        The model's parameters.
+    """
+    motor, name = Motor(axis), _ROTOR_OF_AXIS[axis]
+    omega = ca.SX.sym(f"omega_{axis}")
+    constants = {key: ca.SX(value) for key, value in c.items()}
+    current = motor.steady_current(ca.SX(volt), omega, constants)
+    settling = -motor.acceleration(current, omega, ca.SX(0), constants)
+    inertia = c[f"J_{name}"]
+    resisting = c["kphi"] ** 2 / c["R"] + c[f"B_{name}"]
+    driving = c["kphi"] * volt / c["R"]
+    size = ca.fabs(omega)
+    drag = by_direction(omega, constants[f"k_t{axis}p"], constants[f"k_t{axis}n"])
+    stored = (0.5 * resisting * omega**2 + drag * size**3 / 3 - driving * omega) / inertia
+    pieces = [
+        _ratio(c[f"k_f{axis}{d}"], c[f"k_t{axis}{d}"], resisting, inertia, size) for d in "pn"
+    ]
+    bounds = [
+        c[f"k_f{axis}{d}"] * inertia / c[f"k_t{axis}{d}"] if c[f"k_t{axis}{d}"] else float("inf")
+        for d in "pn"
+    ]
+    return RotorAtRest(
+        axis,
+        omega,
+        settling,
+        stored,
+        motor.thrust(omega, constants),
+        ca.if_else(omega >= 0, *pieces),
+        max(bounds),
+    )
+
+
+def _ratio(thrust: float, drag: float, resisting: float, inertia: float, size: ca.SX) -> ca.SX:
+    if drag == 0.0:
+        return 2 * thrust * inertia / resisting * size
+    return thrust * inertia / drag * (1 - resisting / (resisting + 2 * drag * size))
+
+
+@dataclass(frozen=True)
+class BeamMotion:
+    """Symbols of the beam's motion; zero for what is locked."""
+
+    rate_h: ca.SX  #: Ω, rad/s
+    rate_v: ca.SX  #: Ω, rad/s
+    omega_v: ca.SX  #: Speed of the main rotor, rad/s
+    thrust_v: ca.SX  #: F_v, N
+    alpha_v: ca.SX  #: rad
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Matrices of the form above, (2, 2), yaw first."""
+
+    mass: ca.SX  #: M(α_v), kg m²
+    #: P with q̇ᵀP q̇ = q̇ᵀΓ(N + ½Ṁ) q̇, the power of the motion itself, N m s; Γ = diag(γ, 1)
+    power: ca.SX
+    drift: ca.SX  #: N + Ṁ, N m s
+    arms: ca.SX  #: Lever of each thrust, m, (2, 1)
+    reaction: ca.SX  #: Moments by the rotors' accelerations, kg m²
+
+
+def beam_of(model: TwinRotor, c: Mapping[str, float], at: BeamMotion, yaw_weight: ca.SX) -> Beam:
+    """The form of a model's beam.
+
+    Parameters
+    ----------
+    model : TwinRotor
+        Newtonian or Lagrangian.
+    c : dict of str to float
+        Its parameters.
+    at : Place
+    yaw_weight : casadi.SX
+        γ; of the Newtonian model only, whose M is diagonal.
+    """
+    cosine = ca.cos(at.alpha_v)
+    cross = c["k_g"] * at.thrust_v * cosine
+    friction = ca.blockcat([[-c["k_oh"], 0], [0, -c["k_ov"]]])
+    arms = ca.vertcat(c["l_t"] * cosine, c["l_m"])
+    reaction = ca.blockcat([[0, c["k_m"] * cosine], [c["k_t"], 0]])
+    if isinstance(model, Lagrangian):
+        rig = energies(bodies(c, model.shields), c["g"])
+        turn = [rig.angles, rig.rates]
+        here = [ca.vertcat(0, at.alpha_v), ca.vertcat(at.rate_h, at.rate_v)]
+        inertia = rig.inertia
+        mass, coriolis = ca.substitute([inertia, rig.coriolis(inertia)], turn, here)
+        resisting = friction + ca.blockcat([[0, 0], [cross, 0]])
+        # Ṁ = C + Cᵀ: the Coriolis terms have no power, and N + Ṁ = Cᵀ + friction + cross.
+        return Beam(mass, resisting, resisting + coriolis.T, arms, reaction)
+    g = geometry(c)
+    inertia_h = g["D"] * cosine**2 + g["E"] * ca.sin(at.alpha_v) ** 2 + g["F"]
+    slope = (g["E"] - g["D"]) * ca.sin(2 * at.alpha_v)
+    # J_h d/dα (cos α/J_h) = −sin α − cos α J_h'/J_h
+    turning = -c["k_m"] * at.omega_v * (ca.sin(at.alpha_v) + cosine * slope / inertia_h)
+    double = ca.sin(2 * at.alpha_v)
+    # ½ γ J_h' Ω_v Ω_h² and −½ H sin 2α Ω_h² Ω_v are the same monomial.
+    swinging = 0.5 * double * (yaw_weight * (g["E"] - g["D"]) - g["H"]) * at.rate_h
+    power = ca.blockcat(
+        [[-yaw_weight * c["k_oh"], yaw_weight * turning], [cross + swinging, -c["k_ov"]]]
+    )
+    drift = ca.blockcat(
+        [
+            [slope * at.rate_v - c["k_oh"], turning],
+            [cross - 0.5 * g["H"] * double * at.rate_h, -c["k_ov"]],
+        ]
+    )
+    mass = ca.blockcat([[inertia_h, 0], [0, g["J_v"]]])
+    return Beam(mass, power, drift, arms, reaction)
+
+
+def gravity_of(model: TwinRotor, c: Mapping[str, float]) -> tuple[float, float]:
+    """(a, b) of the moment of gravity on pitch, ``a cos α_v + b sin α_v``, N m."""
+    if isinstance(model, Lagrangian):
+        rig: Energies = energies(bodies(c, model.shields), c["g"])
+        moment = ca.Function("moment", [rig.angles], [-rig.gravity[1]])
+        return float(moment([0.0, 0.0])), float(moment([0.0, ca.pi / 2]))
+    g = geometry(c)
+    return c["g"] * (g["A"] - g["B"]), -c["g"] * g["C"]
+
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,7 +224,7 @@ SLOPES = ("psi_h", "psi_v", "lambda_h", "lambda_v", "sigma", "thrust_h")
 
 
 @dataclass(frozen=True)
-class Weights:
+class EnergyWeights:
     """What is free in V."""
 
     rotor_h: float = 1.0  #: c, J per (rad/s)²/s
@@ -213,7 +392,7 @@ class Energy:
     def _beam(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
         """M, Γ(N + ½Ṁ), N + Ṁ, arms and reaction, of the axes that move."""
         omega_v = self.part("omega", "v")
-        place = Place(
+        place = BeamMotion(
             self.part("Omega", "h"),
             self.part("Omega", "v"),
             omega_v,

@@ -14,18 +14,22 @@ from trms_cli.core.chart import Chart
 from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.models.operating_point import OperatingPoint, operating_point
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.lyapunov import pictures, told
-from trms_cli.stability.lyapunov.certificate import Certificate, certified
-from trms_cli.stability.lyapunov.claims import Claim
-from trms_cli.stability.lyapunov.seen import (
-    Motions,
+from trms_cli.stability.lyapunov import charts, report
+from trms_cli.stability.lyapunov.certificate import (
+    EnergyRig,
+    LyapunovCertificate,
+    StabilityClaim,
+    certified,
+    rig_of,
+)
+from trms_cli.stability.lyapunov.motions import (
+    LevelMotions,
     motions,
-    of_motions,
+    motions_claim,
     on_level,
     plane_directions,
     random_directions,
 )
-from trms_cli.stability.lyapunov.subject import Rig, rig_of
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -76,7 +80,7 @@ class Lyapunov:
             candidate, wells, shown, random_directions(candidate, self.starts, self.seed)
         )
         seen = motions(candidate, subject.model, starts, shown, self.duration)
-        further = (of_motions(seen, self.duration),) if certificate.inner > 0.0 else ()
+        further = (motions_claim(seen, self.duration),) if certificate.inner > 0.0 else ()
         paths = {}
         for a in candidate.energy.axes:
             count, drawn = _IN_PLANE[a]
@@ -85,14 +89,14 @@ class Lyapunov:
         poles = _eigenvalues(rig, point)
         return Findings(
             "Lyapunov function",
-            told.lead(certificate, rig, point, float(poles.real.max()), further),
+            report.lead(certificate, rig, point, float(poles.real.max()), further),
             _sections(certificate, further, seen, paths, shown),
-            told.data(certificate, point, poles, further),
+            report.data(certificate, point, poles, further),
             _warnings(certificate, rig),
         )
 
 
-def _eigenvalues(rig: Rig, point: OperatingPoint) -> ComplexArray:
+def _eigenvalues(rig: EnergyRig, point: OperatingPoint) -> ComplexArray:
     """Of the linearisation; on that side of the cable's switch where they lie further right."""
     field_, found = VectorField(rig.model), []
     for side in (-1.0, 1.0):
@@ -105,32 +109,32 @@ def _eigenvalues(rig: Rig, point: OperatingPoint) -> ComplexArray:
 
 
 def _sections(
-    certificate: Certificate,
-    further: tuple[Claim, ...],
-    seen: Motions,
-    paths: dict[str, Motions],
+    certificate: LyapunovCertificate,
+    further: tuple[StabilityClaim, ...],
+    seen: LevelMotions,
+    paths: dict[str, LevelMotions],
     shown: float,
 ) -> list[Section]:
     outer = certificate.outer if np.isfinite(certificate.outer) else 0.0
     display = max(shown, min(outer, certificate.found.wells.depth))
-    tables: list[Table | Chart] = [told.claims_table(certificate, further)]
-    rising = told.rising_table(certificate)
+    tables: list[Table | Chart] = [report.claims_table(certificate, further)]
+    rising = report.rising_table(certificate)
     sets: list[Table | Chart] = []
     if certificate.inner > 0.0:
-        sets.append(told.extent_table(certificate))
+        sets.append(report.extent_table(certificate))
     sets += [
-        pictures.plane_chart(certificate, paths, display),
-        pictures.decay_chart(seen, bool(further) and all(claim.holds for claim in further)),
+        charts.plane_chart(certificate, paths, display),
+        charts.decay_chart(seen, bool(further) and all(claim.holds for claim in further)),
     ]
     return [
         Section(
             "The function",
             (
-                *told.formula(certificate.found.candidate),
+                *report.formula(certificate.found.candidate),
                 "s is how fast a rotor settles, ω̇ = −s(ω). The function is a reconstruction: those "
                 "of the thesis are not public.",
             ),
-            [pictures.well_chart(certificate)],
+            [charts.well_chart(certificate)],
         ),
         Section(
             "Claims",
@@ -145,7 +149,7 @@ def _sections(
     ]
 
 
-def _about_sets(certificate: Certificate) -> tuple[str, ...]:
+def _about_sets(certificate: LyapunovCertificate) -> tuple[str, ...]:
     if certificate.outer <= 0.0:
         return ("There are none: the figures show the level set of a function that fails.",)
     if certificate.inner <= 0.0:
@@ -159,7 +163,7 @@ def _about_sets(certificate: Certificate) -> tuple[str, ...]:
     )
 
 
-def _warnings(certificate: Certificate, rig: Rig) -> tuple[str, ...]:
+def _warnings(certificate: LyapunovCertificate, rig: EnergyRig) -> tuple[str, ...]:
     said = []
     if rig.resisting:
         said.append(

@@ -12,8 +12,8 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, operating_point
-from trms_cli.stability.attraction.inquiry import Options, inquire
 from trms_cli.stability.attraction.loop_region import loop_findings
+from trms_cli.stability.attraction.region import RegionOptions, attraction_region
 from trms_cli.stability.attraction.report import lead, results, sections, warnings
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.study import Tell
@@ -65,7 +65,7 @@ class RegionOfAttraction:
         model = subject.require_equations(
             "study=region_of_attraction", "replay the model from the starts of interest (trms run)"
         )
-        options = Options(
+        options = RegionOptions(
             self.methods,
             self.box,
             self.plane,
@@ -87,7 +87,7 @@ class RegionOfAttraction:
             model.state_names if self.states == "all" else self.states or model.controlled,
         )
         require_attractive(system)
-        found = inquire(system, options, tell)
+        found = attraction_region(system, options, tell)
         left_out = subject.left_out_of_equations()
         notes = warnings(found)
         if left_out:

@@ -18,9 +18,9 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.operating_point import refined
 from trms_cli.models.vector_field import LONGEST_STEP, VectorField, without_impulses
-from trms_cli.stability.attraction.estimates import Estimate
+from trms_cli.stability.attraction.estimates import RegionEstimate
 from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
-from trms_cli.stability.attraction.system import Around
+from trms_cli.stability.attraction.system import ReducedSystem
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int8]
@@ -36,34 +36,34 @@ _CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
-class Share:
+class ConfidenceShare:
     """A share with its confidence interval (95 %, Clopper and Pearson)."""
 
     value: float  #: the best guess
     lower: float  #: lower end
     upper: float  #: upper end
 
-    def over(self, other: Share) -> Share:
+    def over(self, other: ConfidenceShare) -> ConfidenceShare:
         """The ratio of two, its interval the widest that both allow; at most 1 if they say so."""
-        return Share(
+        return ConfidenceShare(
             self.value / other.value if other.value else math.nan,
             self.lower / other.upper if other.upper else math.nan,
             self.upper / other.lower if other.lower else math.inf,
         )
 
 
-def share_of(hits: int, count: int) -> Share:
+def share_of(hits: int, count: int) -> ConfidenceShare:
     """The share of hits among independent draws."""
     from scipy.special import betaincinv
 
     tail = 0.5 * (1.0 - _CONFIDENCE)
     low = 0.0 if hits == 0 else float(betaincinv(hits, count - hits + 1, tail))
     high = 1.0 if hits == count else float(betaincinv(hits + 1, count - hits, 1.0 - tail))
-    return Share(hits / count if count else math.nan, low, high)
+    return ConfidenceShare(hits / count if count else math.nan, low, high)
 
 
 def fates(
-    system: Around, starts: FloatArray, inside: Inside, duration: float, far: FloatArray
+    system: ReducedSystem, starts: FloatArray, inside: Inside, duration: float, far: FloatArray
 ) -> IntArray:
     """What becomes of motions.
 
@@ -88,7 +88,7 @@ def fates(
 
 
 def _followed(
-    system: Around, starts: FloatArray, inside: Inside, duration: float, far: FloatArray
+    system: ReducedSystem, starts: FloatArray, inside: Inside, duration: float, far: FloatArray
 ) -> tuple[IntArray, FloatArray]:
     """Fates, and the deviations (m, n) where each motion was last seen."""
     kept, origin = list(system.kept), system.point.x
@@ -120,7 +120,7 @@ def _followed(
 class _Mover:
     """Motions over a chunk of time: one compiled function for a block of them."""
 
-    def __init__(self, system: Around) -> None:
+    def __init__(self, system: ReducedSystem) -> None:
         model = without_impulses(system.model)
         substeps = math.ceil(_STEP / LONGEST_STEP - 1e-9)
         discrete = discretise(model, _STEP, substeps)
@@ -146,8 +146,8 @@ class _Mover:
 
 
 def failures(
-    system: Around,
-    sets: Sequence[Estimate],
+    system: ReducedSystem,
+    sets: Sequence[RegionEstimate],
     count: int,
     duration: float,
     seed: int,
@@ -190,7 +190,7 @@ def failures(
     return told
 
 
-def _with_edge(estimate: Estimate, count: int, seed: int) -> FloatArray:
+def _with_edge(estimate: RegionEstimate, count: int, seed: int) -> FloatArray:
     """Starts in a set, half of them as near to its edge as it goes on their ray."""
     starts = estimate.drawn(count, seed)
     for _ in range(40):
@@ -209,7 +209,7 @@ class OtherRest:
     stable: bool  #: all eigenvalues in the left half plane
 
 
-def other_rests(system: Around, limits: FloatArray, seed: int = 0) -> list[OtherRest]:
+def other_rests(system: ReducedSystem, limits: FloatArray, seed: int = 0) -> list[OtherRest]:
     """Other equilibria in the box that Newton's method finds from random starts."""
     field, kept = VectorField(system.model), list(system.kept)
     random = np.random.default_rng(seed)

@@ -19,11 +19,11 @@ from trms_cli.core.chart import (
     Points,
     Region,
 )
+from trms_cli.stability.intervals.definite import definite
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.lyapunov.certificate import Certificate
-from trms_cli.stability.lyapunov.falling import definite
-from trms_cli.stability.lyapunov.function import Candidate
-from trms_cli.stability.lyapunov.seen import Motions
+from trms_cli.stability.lyapunov.candidate import EnergyCandidate
+from trms_cli.stability.lyapunov.certificate import LyapunovCertificate
+from trms_cli.stability.lyapunov.motions import LevelMotions
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -33,7 +33,7 @@ _SYMBOL = {"Omega": "Ω", "omega": "ω", "alpha": "α"}
 _UNIT = {"Omega": "rad/s", "omega": "rad/s", "alpha": "rad"}
 
 
-def well_chart(certificate: Certificate) -> Chart:
+def well_chart(certificate: LyapunovCertificate) -> Chart:
     """U of each axis with its equilibria, levels and stops."""
     candidate = certificate.found.candidate
     panels = [_well(certificate, a) for a in candidate.energy.axes]
@@ -46,7 +46,7 @@ def well_chart(certificate: Certificate) -> Chart:
     )
 
 
-def _well(certificate: Certificate, axis: str) -> Panel:
+def _well(certificate: LyapunovCertificate, axis: str) -> Panel:
     candidate, wells = certificate.found.candidate, certificate.found.wells
     energy = candidate.energy
     rest = float(candidate.centre[energy.index("alpha", axis)])
@@ -84,7 +84,7 @@ def _well(certificate: Certificate, axis: str) -> Panel:
     )
 
 
-def _potential(candidate: Candidate, axis: str, angles: FloatArray) -> FloatArray:
+def _potential(candidate: EnergyCandidate, axis: str, angles: FloatArray) -> FloatArray:
     y = np.tile(candidate.centre, (len(angles), 1))
     y[:, candidate.energy.index("alpha", axis)] = angles
     cross = candidate.weights
@@ -92,7 +92,9 @@ def _potential(candidate: Candidate, axis: str, angles: FloatArray) -> FloatArra
     return plain.value(y)
 
 
-def plane_chart(certificate: Certificate, paths: dict[str, Motions], display: float) -> Chart:
+def plane_chart(
+    certificate: LyapunovCertificate, paths: dict[str, LevelMotions], display: float
+) -> Chart:
     """N and N′ in the plane of each angle and its rate, and where the decay is not proved."""
     candidate = certificate.found.candidate
     panels = [_plane(certificate, a, paths.get(a), display) for a in candidate.energy.axes]
@@ -112,7 +114,7 @@ def plane_chart(certificate: Certificate, paths: dict[str, Motions], display: fl
 
 
 def _grid(
-    certificate: Certificate, first: tuple[str, str], second: tuple[str, str], level: float
+    certificate: LyapunovCertificate, first: tuple[str, str], second: tuple[str, str], level: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Grid lines around {V <= level}, and states of motion (rows, columns, 3k)."""
     candidate = certificate.found.candidate
@@ -135,7 +137,9 @@ def _grid(
     return lines[0], lines[1], places
 
 
-def _plane(certificate: Certificate, axis: str, seen: Motions | None, display: float) -> Panel:
+def _plane(
+    certificate: LyapunovCertificate, axis: str, seen: LevelMotions | None, display: float
+) -> Panel:
     candidate, wells = certificate.found.candidate, certificate.found.wells
     energy = candidate.energy
     x, y, places = _grid(certificate, ("alpha", axis), ("Omega", axis), display)
@@ -172,7 +176,11 @@ def _plane(certificate: Certificate, axis: str, seen: Motions | None, display: f
 
 
 def _sets(
-    certificate: Certificate, x: FloatArray, y: FloatArray, value: FloatArray, between: BoolArray
+    certificate: LyapunovCertificate,
+    x: FloatArray,
+    y: FloatArray,
+    value: FloatArray,
+    between: BoolArray,
 ) -> list[Mark]:
     marks: list[Mark] = []
     inside = np.broadcast_to(between, value.shape)
@@ -186,7 +194,10 @@ def _sets(
 
 
 def _limits(
-    certificate: Certificate, first: tuple[str, str], second: tuple[str, str], display: float
+    certificate: LyapunovCertificate,
+    first: tuple[str, str],
+    second: tuple[str, str],
+    display: float,
 ) -> Panel:
     """Where Q is not definite, beside N."""
     candidate = certificate.found.candidate
@@ -210,7 +221,7 @@ def _limits(
     )
 
 
-def _rates(certificate: Certificate, axis: str, display: float) -> Panel:
+def _rates(certificate: LyapunovCertificate, axis: str, display: float) -> Panel:
     """V̇ over rotor speed and rate."""
     candidate = certificate.found.candidate
     first, second = ("omega", axis), ("Omega", axis)
@@ -247,7 +258,7 @@ def _rates(certificate: Certificate, axis: str, display: float) -> Panel:
     )
 
 
-def _centre(candidate: Candidate, first: tuple[str, str], second: tuple[str, str]) -> Points:
+def _centre(candidate: EnergyCandidate, first: tuple[str, str], second: tuple[str, str]) -> Points:
     rest, index = candidate.centre, candidate.energy.index
     return Points([rest[index(*first)]], [rest[index(*second)]], "equilibrium", "stable", "ink")
 
@@ -256,7 +267,7 @@ def _name(which: tuple[str, str]) -> str:
     return f"{_SYMBOL[which[0]]}_{which[1]}"
 
 
-def decay_chart(seen: Motions, proved: bool) -> Chart:
+def decay_chart(seen: LevelMotions, proved: bool) -> Chart:
     """V over time."""
     share = np.maximum(seen.value / seen.level, 1e-12)
     marks: list[Mark] = [

@@ -1,4 +1,14 @@
-"""One Lyapunov function candidate with its weights: numbers, bounds, and where its sets end."""
+"""The equilibrium of a rig at a constant command, between bounds.
+
+It follows in turns from equations of one unknown each, ``s(ω) = 0`` of each rotor, then the
+balance of pitch and that of yaw at the thrusts found. A change of sign of each, told by interval
+arithmetic, proves an equilibrium between the bounds (intermediate values); that s rises makes the
+rotor's the only one.
+
+Bounds of the slopes θ over boxes of states: mean values of derivatives between two places.
+
+One Lyapunov function candidate with its weights: numbers, bounds, and where its sets end.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +19,187 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.errors import ModelError
+from trms_cli.stability.intervals.definite import definite
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval, stack
-from trms_cli.stability.lyapunov.enclosed_rest import enclosed_rest
-from trms_cli.stability.lyapunov.energy import Energy, Weights
-from trms_cli.stability.lyapunov.falling import definite
-from trms_cli.stability.lyapunov.slopes import Slopes, over
+from trms_cli.stability.lyapunov.energy import SLOPES, Energy, EnergyWeights
 
 FloatArray = npt.NDArray[np.float64]
 
+#: Newton steps from the guess, and how far they may lead away from it, as a share of 1 + |value|.
+#: What a solver leaves of a moment at the equilibrium would be a term of V̇ that is not in −zᵀQz.
+_STEPS, _AWAY = 5, 1e-6
+#: Half widths that are tried, as shares of 1 + |value|.
+_WIDTHS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 
-class Candidate:
+
+def enclosed_rest(energy: Energy, x: FloatArray) -> Interval:
+    """Bounds of the equilibrium near a state, (3k,), as a state of motion.
+
+    Parameters
+    ----------
+    energy : Energy
+    x : (n_x,)
+        A numerical solution of f(x, u) = 0.
+
+    Raises
+    ------
+    ModelError
+        If no change of sign is found.
+    """
+    y = np.array(energy.to_motion(x)).ravel()
+    found = {name: Interval.point(0.0) for name in energy.names()}
+    thrust: dict[str, Interval] = {}
+    for axis in energy.axes:
+        speed = ca.SX.sym("speed")
+        settling = ca.Function("s", [speed], [energy.settling(axis, speed)])
+        guess = float(y[energy.index("omega", axis)])
+        omega = _zero(settling, guess, f"speed of the rotor of axis {axis}")
+        found[f"omega_{axis}"] = omega
+        thrust[axis] = _at(ca.Function("F", [speed], [energy.thrust(axis, speed)]), omega)
+    for axis in reversed(energy.axes):
+        angle, push, lever = ca.SX.sym("angle"), ca.SX.sym("push"), ca.SX.sym("lever")
+        pitch = found.get("alpha_v", Interval.point(0.0))
+        arm = Interval.point(energy.c["l_m" if axis == "v" else "l_t"])
+        lifted = arm if axis == "v" else arm * pitch.cosine()
+        balance = ca.Function(
+            "balance", [angle, push, lever], [energy.restoring(axis, angle) - lever * push]
+        )
+        guess = float(y[energy.index("alpha", axis)])
+        found[f"alpha_{axis}"] = _zero(balance, guess, f"alpha_{axis}", thrust[axis], lifted)
+    return stack([found[name] for name in energy.names()])
+
+
+def _at(function: ca.Function, *values: Interval) -> Interval:
+    columns = [Interval(np.array([[v.lower]]), np.array([[v.upper]])) for v in values]
+    bounds = Enclosure(function)(*columns)[0]
+    return Interval(bounds.lower[0, 0], bounds.upper[0, 0])
+
+
+def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> Interval:
+    """Bounds of a zero near a guess."""
+    exact = _at(function, Interval.point(0.0), *given)
+    if abs(guess) < 1e-9 and abs(exact.lower) < 1e-300 and abs(exact.upper) < 1e-300:
+        return Interval.point(0.0)  # nothing drives it: exactly zero
+    guess = _polished(function, guess, *(v.middle for v in given))
+    for width in _WIDTHS:
+        reach = width * (1.0 + abs(guess))
+        low, high = (_at(function, Interval.point(guess + d), *given) for d in (-reach, reach))
+        if low.upper < 0.0 < high.lower:
+            return Interval.of(guess - reach, guess + reach)
+        if high.upper < 0.0 < low.lower:
+            raise ModelError(
+                f"the equilibrium at {what} = {guess:.4g} is on a crest of the potential: a "
+                "saddle, which no function can show to be stable",
+                where="study.at",
+                remedy="choose one in the well, at a smaller angle; study=equilibria shows both",
+            )
+    raise ModelError(
+        f"no equilibrium is proved near {what} = {guess:.6g}",
+        where="study.at",
+        remedy="choose one away from the fold, where the restoring moment still rises",
+    )
+
+
+def _polished(function: ca.Function, guess: float, *given: FloatArray) -> float:
+    """The zero near a guess to the last digits; the guess where Newton's steps lead away."""
+    symbols = [ca.SX.sym(f"a{i}") for i in range(function.n_in())]
+    value = function(*symbols)
+    slope = ca.Function("slope", symbols, [value, ca.jacobian(value, symbols[0])])
+    at, best, least = guess, guess, float("inf")
+    for _ in range(_STEPS):
+        left, rate = (float(part) for part in slope(at, *(float(g) for g in given)))
+        if abs(left) < least:
+            best, least = at, abs(left)
+        if left == 0.0 or rate == 0.0:
+            break
+        at -= left / rate
+        if abs(at - guess) > _AWAY * (1.0 + abs(guess)):
+            break
+    return best
+
+
+#: Parts into which a range is cut before a derivative is bounded over it.
+_PARTS = 8
+
+
+class Slopes:
+    """θ of an energy function, about an equilibrium known between bounds.
+
+    Parameters
+    ----------
+    energy : Energy
+    rest : Interval
+        (3k,), of :func:`.enclosed_rest.enclosed_rest`.
+    """
+
+    def __init__(self, energy: Energy, rest: Interval) -> None:
+        self.energy, self.rest = energy, rest
+        t = ca.SX.sym("t")
+
+        def of(expression: ca.SX) -> Enclosure:
+            return Enclosure(ca.Function("slope", [t], [expression]))
+
+        self._ratio = {
+            a: of(ca.substitute(energy.rotors[a].ratio, energy.rotors[a].omega, t))
+            for a in energy.axes
+        }
+        self._stiffness = {a: of(energy.stiffness(a, t)) for a in energy.axes}
+        self._restoring = {a: of(energy.restoring(a, t)) for a in energy.axes}
+        self._thrust = of(energy.thrust("h", t))
+
+    def __call__(self, boxes: Interval) -> Interval:
+        """Bounds (m, 6) over boxes (m, 3k)."""
+        count = len(boxes.lower)
+        zero = Interval.point(np.zeros(count))
+        found = dict.fromkeys(SLOPES, zero)
+        for a in self.energy.axes:
+            i, j = self.energy.index("omega", a), self.energy.index("alpha", a)
+            found[f"psi_{a}"] = over(self._ratio[a], boxes[:, i].hull(self.rest[i]))
+            found[f"lambda_{a}"] = self._well(a, boxes[:, j], self.rest[j])
+        if self.energy.k == 2:
+            pitch, yaw = self.energy.index("alpha", "v"), self.energy.index("omega", "h")
+            between = boxes[:, pitch].hull(self.rest[pitch])
+            found["sigma"] = between.sine()
+            speed = self.rest[yaw]
+            still = self._thrust(Interval(speed.lower[None, None], speed.upper[None, None]))[0]
+            found["thrust_h"] = Interval(
+                np.full(count, still.lower[0, 0]), np.full(count, still.upper[0, 0])
+            )
+        return stack([found[name] for name in SLOPES])
+
+    def _well(self, axis: str, angle: Interval, rest: Interval) -> Interval:
+        """λ: between the derivatives on the way, and the quotient itself away from the rest."""
+        slope = over(self._stiffness[axis], angle.hull(rest))
+        apart = ~angle.meets(rest)
+        moment = self._restoring[axis](_column(angle))[0][:, 0]
+        there = self._restoring[axis](Interval(rest.lower[None, None], rest.upper[None, None]))[0]
+        with np.errstate(invalid="ignore", over="ignore"):
+            quotient = (moment - there[:, 0]) / (angle - rest)
+        return Interval(
+            np.where(apart, np.maximum(slope.lower, quotient.lower), slope.lower),
+            np.where(apart, np.minimum(slope.upper, quotient.upper), slope.upper),
+        )
+
+
+def over(derivative: Enclosure, between: Interval, parts: int = _PARTS) -> Interval:
+    """Bounds (m,) of a function of one variable over ranges (m,), cut into parts."""
+    share = np.linspace(0.0, 1.0, parts + 1)
+    edges = between.lower[:, None] + share * between.width[:, None]
+    edges[:, -1] = between.upper
+    bounds = derivative(_column(Interval(edges[:, :-1].ravel(), edges[:, 1:].ravel())))[0]
+    shape = (len(between.lower), parts)
+    return Interval(
+        bounds.lower.reshape(shape).min(axis=1), bounds.upper.reshape(shape).max(axis=1)
+    )
+
+
+def _column(values: Interval) -> Interval:
+    return Interval(values.lower[:, None], values.upper[:, None])
+
+
+class EnergyCandidate:
     """V of a model at a command, with bounds that count.
 
     Parameters
@@ -30,7 +210,7 @@ class Candidate:
     weights : Weights
     """
 
-    def __init__(self, energy: Energy, x: FloatArray, weights: Weights) -> None:
+    def __init__(self, energy: Energy, x: FloatArray, weights: EnergyWeights) -> None:
         self.energy, self.x = energy, np.asarray(x, dtype=float)
         self.weights = weights
         self.rest = enclosed_rest(energy, self.x)
@@ -45,9 +225,9 @@ class Candidate:
         self._mass = Enclosure(energy.inertia)
         self._inverse = _inverse_inertia(energy)
 
-    def weighted(self, weights: Weights) -> Candidate:
+    def weighted(self, weights: EnergyWeights) -> EnergyCandidate:
         """The same with other weights."""
-        other = object.__new__(Candidate)
+        other = object.__new__(EnergyCandidate)
         other.__dict__.update(self.__dict__)
         other.weights = weights
         return other

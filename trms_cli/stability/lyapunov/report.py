@@ -11,10 +11,8 @@ import numpy.typing as npt
 from trms_cli.core.findings import Judged, Judgement, Table, Value
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.lyapunov.certificate import Certificate
-from trms_cli.stability.lyapunov.claims import Claim
-from trms_cli.stability.lyapunov.function import Candidate
-from trms_cli.stability.lyapunov.subject import Rig
+from trms_cli.stability.lyapunov.candidate import EnergyCandidate
+from trms_cli.stability.lyapunov.certificate import EnergyRig, LyapunovCertificate, StabilityClaim
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -23,7 +21,7 @@ _SPOKEN = {"Omega": "Ω", "omega": "ω", "alpha": "α"}
 _UNIT = {"Omega": "rad/s", "omega": "rad/s", "alpha": "rad"}
 
 
-def formula(candidate: Candidate) -> list[str]:
+def formula(candidate: EnergyCandidate) -> list[str]:
     """V with its numbers, a line a term."""
     energy, w, c = candidate.energy, candidate.weights, candidate.energy.c
     y = candidate.centre
@@ -68,21 +66,21 @@ def formula(candidate: Candidate) -> list[str]:
     return lines
 
 
-def _place(candidate: Candidate, what: str, axis: str) -> str:
+def _place(candidate: EnergyCandidate, what: str, axis: str) -> str:
     value = float(candidate.centre[candidate.energy.index(what, axis)])
     return f"{0.0 if abs(value) < 5e-9 else value:.4g}"
 
 
-def _at_rest(candidate: Candidate) -> Interval:
+def _at_rest(candidate: EnergyCandidate) -> Interval:
     return Interval.point(candidate.centre[None])
 
 
 def lead(
-    certificate: Certificate,
-    rig: Rig,
+    certificate: LyapunovCertificate,
+    rig: EnergyRig,
     point: OperatingPoint,
     growth: float,
-    further: tuple[Claim, ...] = (),
+    further: tuple[StabilityClaim, ...] = (),
 ) -> tuple[str, ...]:
     """The answer; what is not shown comes first, and nothing is said that rests on it."""
     found, words = certificate.found, point.words(rig.model)
@@ -151,13 +149,13 @@ def lead(
     return tuple(said)
 
 
-def _level(certificate: Certificate) -> str:
+def _level(certificate: LyapunovCertificate) -> str:
     outer = f"V < {certificate.outer:.4g} J" if math.isfinite(certificate.outer) else "all states"
     inner = f"V <= {certificate.inner:.4g} J" if certificate.inner > 0.0 else "none"
     return f"N: {outer}, N′: {inner}"
 
 
-def _end_of_outer(certificate: Certificate) -> str:
+def _end_of_outer(certificate: LyapunovCertificate) -> str:
     found = certificate.found
     if certificate.outer >= found.wells.depth * (1.0 - 1e-6):
         assert found.wells.saddles is not None
@@ -167,7 +165,7 @@ def _end_of_outer(certificate: Certificate) -> str:
     return "the decay of V, proved up to there"
 
 
-def claims_table(certificate: Certificate, further: tuple[Claim, ...]) -> Table:
+def claims_table(certificate: LyapunovCertificate, further: tuple[StabilityClaim, ...]) -> Table:
     """Every claim and how it was checked."""
     rows: list[list[Value | Judged]] = [
         [claim.statement, Judged(claim.how, _JUDGED.get(claim.how, "good")), claim.detail]
@@ -176,7 +174,7 @@ def claims_table(certificate: Certificate, further: tuple[Claim, ...]) -> Table:
     return Table(("claim", "checked by", "figures"), rows, "Claims")
 
 
-def extent(certificate: Certificate) -> dict[str, tuple[float, float]]:
+def extent(certificate: LyapunovCertificate) -> dict[str, tuple[float, float]]:
     """How far N′ reaches in each state of motion."""
     candidate = certificate.found.candidate
     box = candidate.extent(certificate.inner, certificate.found.wells.ends)
@@ -184,7 +182,7 @@ def extent(certificate: Certificate) -> dict[str, tuple[float, float]]:
     return {name: (float(low), float(high)) for name, low, high in pairs}
 
 
-def extent_table(certificate: Certificate) -> Table:
+def extent_table(certificate: LyapunovCertificate) -> Table:
     """The box around N′."""
     rest = certificate.found.candidate.centre
     rows: list[list[Value | Judged]] = []
@@ -199,7 +197,7 @@ def extent_table(certificate: Certificate) -> Table:
     )
 
 
-def rising_table(certificate: Certificate) -> Table | None:
+def rising_table(certificate: LyapunovCertificate) -> Table | None:
     """The counterexample."""
     if certificate.rising is None:
         return None
@@ -220,7 +218,10 @@ def rising_table(certificate: Certificate) -> Table | None:
 
 
 def data(
-    certificate: Certificate, point: OperatingPoint, poles: ComplexArray, further: tuple[Claim, ...]
+    certificate: LyapunovCertificate,
+    point: OperatingPoint,
+    poles: ComplexArray,
+    further: tuple[StabilityClaim, ...],
 ) -> dict[str, Any]:
     """The figures as JSON data."""
     found = certificate.found
@@ -251,7 +252,7 @@ def data(
             "depth": found.wells.depth if 0.0 < found.wells.depth < math.inf else None,
             "saddles": list(found.wells.saddles) if found.wells.saddles else None,
         },
-        "boxes": found.falling.examined,
+        "boxes": found.decay_level.examined,
         "counterexample": None
         if rising is None
         else {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,24 +13,24 @@ from trms_cli.core.plugins import nearest
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.attraction.estimates import (
     LABELS,
-    Estimate,
     Method,
+    RegionEstimate,
     estimates,
     methods_for,
 )
 from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
-from trms_cli.stability.attraction.system import Around
-from trms_cli.stability.attraction.truth import (
+from trms_cli.stability.attraction.simulation import (
     LEFT,
     SETTLED,
     UNDECIDED,
+    ConfidenceShare,
     OtherRest,
-    Share,
     failures,
     fates,
     other_rests,
     share_of,
 )
+from trms_cli.stability.attraction.system import ReducedSystem
 from trms_cli.stability.study import Tell
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,7 +54,7 @@ _DRAWN, _SHOWN = 6, 12.0
 
 
 @dataclass(frozen=True)
-class Starts:
+class StartSet:
     """What starts deviate in: y = matrix d + offset."""
 
     names: tuple[str, ...]  #: States of d
@@ -62,7 +62,7 @@ class Starts:
     offset: FloatArray  #: (n,) array
 
     @classmethod
-    def of_all(cls, system: Around) -> Starts:
+    def of_all(cls, system: ReducedSystem) -> StartSet:
         """In all states of the system."""
         return cls(system.names, np.eye(system.n), np.zeros(system.n))
 
@@ -79,7 +79,7 @@ class Starts:
 
 
 @dataclass(frozen=True)
-class Options:
+class RegionOptions:
     """How much is done; see the study."""
 
     methods: Sequence[Method] | None
@@ -98,25 +98,25 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class EstimateTest:
     """An estimate beside the truth."""
 
-    estimate: Estimate
+    estimate: RegionEstimate
     #: Of the true region in the box that it covers; None where that is below what can be counted
-    share: Share | None
+    share: ConfidenceShare | None
     #: ``tested``, ``failed``: Starts in it that were simulated, and those that did not come to rest
     tested: int
     failed: int
 
 
 @dataclass(frozen=True)
-class Plane:
+class RegionSection:
     """A section of the region."""
 
     axes: tuple[int, int]  #: Positions in d
     x: FloatArray  #: (g,) arrays; deviations of the grid
     y: FloatArray  #: (g,) arrays; deviations of the grid
-    #: (g, g) array; at ``(x[j], y[i])``, see :mod:`~trms_cli.stability.attraction.truth`
+    #: (g, g) array; at ``(x[j], y[i])``, see :mod:`~trms_cli.stability.attraction.simulation`
     fate: npt.NDArray[np.int8]
     #: tuple of ((k, n) array, bool); motions that begin in it, as deviations y, and whether they
     #: come to rest
@@ -124,22 +124,22 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Region:
+class AttractionRegion:
     """All that was found out."""
 
-    system: Around
-    starts: Starts
+    system: ReducedSystem
+    starts: StartSet
     box: FloatArray  #: (m,) array; half-widths of the box in d
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[EstimateTest, ...]
     #: Of the box that comes to rest. Where time was cut off, what is undecided widens its upper
     #: end.
-    truth: Share
+    truth: ConfidenceShare
     #: ``samples``, ``undecided``: Random starts in the box, and those undecided when time was over
     samples: int
     undecided: int
     duration: float  #: s, until a motion is undecided
     wanted: float  #: s, that the slowest mode would need; above ``duration`` where that was cut off
-    plane: Plane
+    plane: RegionSection
     rests: tuple[OtherRest, ...]
     #: Labels of methods that were tried and found no set, or none larger than a quadratic's
     nothing: tuple[str, ...]
@@ -150,15 +150,15 @@ class Region:
         return self.duration < self.wanted
 
 
-def inquire(
-    system: Around,
-    options: Options,
+def attraction_region(
+    system: ReducedSystem,
+    options: RegionOptions,
     tell: Tell,
     *,
-    starts: Starts | None = None,
-    linear_inside: tuple[Around, FloatArray] | None = None,
+    starts: StartSet | None = None,
+    linear_inside: tuple[ReducedSystem, FloatArray] | None = None,
     box: FloatArray | None = None,
-) -> Region:
+) -> AttractionRegion:
     """Estimates of a region of attraction, proofs of them, and the region by simulation.
 
     Parameters
@@ -174,13 +174,13 @@ def inquire(
     box : (m,) array, optional
         Half-widths where the options give none; default: the largest estimate's and some room.
     """
-    starts = Starts.of_all(system) if starts is None else starts
+    starts = StartSet.of_all(system) if starts is None else starts
     require_states(options.box, starts.names, "study.box")
     limits = _limits(system, options.box)
     tried = methods_for(system) if options.methods is None else options.methods
     found = estimates(system, limits, tried, options.boxes, tell, linear_inside)
     proved = [e for e in found if e.proved]
-    arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(system, limits)
+    arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(limits)
     rests = other_rests(system, limits)
     if box is None:
         drawn = [np.abs(e.drawn(4000, 1)).max(axis=0, initial=0.0) for e in found]
@@ -213,13 +213,13 @@ def inquire(
     tell("motions from starts in the estimates")
     tests = failures(system, found, _TESTED, duration, 1, duration < wanted)
     verdicts = tuple(
-        Verdict(e, _covered(e, starts, box, truth), *test)
+        EstimateTest(e, _covered(e, starts, box, truth), *test)
         for e, test in zip(found, tests, strict=True)
     )
     tell(f"{grid}² motions in a plane")
     plane = _plane(system, starts, options, box, lambda y: fates(system, y, arrival, duration, far))
     undecided = int(np.sum(fate == UNDECIDED))
-    return Region(
+    return AttractionRegion(
         system,
         starts,
         box,
@@ -251,7 +251,7 @@ def require_states(
             )
 
 
-def _limits(system: Around, box: Mapping[str, float]) -> FloatArray:
+def _limits(system: ReducedSystem, box: Mapping[str, float]) -> FloatArray:
     """How far estimates are sought: half a turn, and as far in the other states as fits to that."""
     size = np.sqrt(np.diag(np.linalg.inv(from_lyapunov_equation(system))))
     signals = [system.model.states[i] for i in system.kept]
@@ -269,12 +269,14 @@ def _limits(system: Around, box: Mapping[str, float]) -> FloatArray:
     )
 
 
-def _tiny(system: Around, limits: FloatArray):  # type: ignore[no-untyped-def]
+def _tiny(limits: FloatArray) -> Callable[[FloatArray], npt.NDArray[np.bool_]]:
     """Arrival where nothing is proved: within a thousandth of the limits."""
-    return lambda y: np.all(np.abs(y) <= 1e-3 * limits, axis=1)
+    return lambda y: np.asarray(np.all(np.abs(y) <= 1e-3 * limits, axis=1))
 
 
-def _covered(estimate: Estimate, starts: Starts, box: FloatArray, truth: Share) -> Share | None:
+def _covered(
+    estimate: RegionEstimate, starts: StartSet, box: FloatArray, truth: ConfidenceShare
+) -> ConfidenceShare | None:
     d = np.random.default_rng(2).uniform(-1.0, 1.0, (_COUNTED, len(box))) * box
     hits = int(np.sum(estimate.contains(starts.of(d))))
     if hits >= 100:
@@ -282,7 +284,7 @@ def _covered(estimate: Estimate, starts: Starts, box: FloatArray, truth: Share) 
     if not starts.direct or np.any(estimate.extents > box) or truth.value == 0.0:
         return None
     filled = float(np.exp(estimate.log_volume - np.sum(np.log(2.0 * box))))
-    return Share(filled, filled, filled).over(truth)
+    return ConfidenceShare(filled, filled, filled).over(truth)
 
 
 def plane_axes(
@@ -311,7 +313,13 @@ def plane_axes(
     )
 
 
-def _plane(system: Around, starts: Starts, options: Options, box: FloatArray, fate_of) -> Plane:  # type: ignore[no-untyped-def]
+def _plane(
+    system: ReducedSystem,
+    starts: StartSet,
+    options: RegionOptions,
+    box: FloatArray,
+    fate_of: Callable[[FloatArray], npt.NDArray[np.int8]],
+) -> RegionSection:
     units = [system.model.states[system.model.state_index(n)].unit for n in starts.names]
     i, j = plane_axes(starts.names, units, options.plane)
     lines = np.linspace(-1.0, 1.0, options.for_states(system.n)[1])
@@ -335,4 +343,4 @@ def _plane(system: Around, starts: Starts, options: Options, box: FloatArray, fa
     path = field.motions(begin, system.point.u, _SHOWN, 0.05, impulses=False)
     path = path[:, :, kept] - system.point.x[kept]
     paths = tuple((path[:, m], settled) for m, (_, settled) in enumerate(chosen))
-    return Plane((i, j), lines * box[i], lines * box[j], fate.reshape(across.shape), paths)
+    return RegionSection((i, j), lines * box[i], lines * box[j], fate.reshape(across.shape), paths)

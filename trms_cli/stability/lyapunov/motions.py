@@ -9,10 +9,9 @@ import numpy.typing as npt
 
 from trms_cli.models.model import Model
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.lyapunov.claims import Claim
-from trms_cli.stability.lyapunov.function import Candidate
-from trms_cli.stability.lyapunov.search import rays
-from trms_cli.stability.lyapunov.well import Wells
+from trms_cli.stability.lyapunov.candidate import EnergyCandidate
+from trms_cli.stability.lyapunov.certificate import StabilityClaim
+from trms_cli.stability.lyapunov.level_search import Wells, rays
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -25,7 +24,7 @@ _ERROR = 1e-6
 
 
 @dataclass(frozen=True)
-class Motions:
+class LevelMotions:
     """Motions from one level set."""
 
     time: FloatArray  #: (n,) array; s
@@ -46,7 +45,7 @@ class Motions:
 
 
 def on_level(
-    candidate: Candidate, wells: Wells, level: float, directions: FloatArray
+    candidate: EnergyCandidate, wells: Wells, level: float, directions: FloatArray
 ) -> FloatArray:
     """States of motion with V = level, one on each ray that meets it in the well: (m, 3k)."""
     y, k = candidate.centre, candidate.energy.k
@@ -77,7 +76,7 @@ def on_level(
     return np.asarray(found[np.abs(candidate.value(found) - level) < 1e-6 * level])
 
 
-def plane_directions(candidate: Candidate, axis: str, count: int) -> FloatArray:
+def plane_directions(candidate: EnergyCandidate, axis: str, count: int) -> FloatArray:
     """Directions in the plane of one angle and its rate, the rotors settled: (count, 3k)."""
     energy = candidate.energy
     turn = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False) + 0.3
@@ -87,14 +86,14 @@ def plane_directions(candidate: Candidate, axis: str, count: int) -> FloatArray:
     return found
 
 
-def random_directions(candidate: Candidate, count: int, seed: int) -> FloatArray:
+def random_directions(candidate: EnergyCandidate, count: int, seed: int) -> FloatArray:
     """Directions all round, (count, 3k)."""
     return rays(candidate, count, seed)
 
 
 def motions(
-    candidate: Candidate, model: Model, starts: FloatArray, level: float, duration: float
-) -> Motions:
+    candidate: EnergyCandidate, model: Model, starts: FloatArray, level: float, duration: float
+) -> LevelMotions:
     """Motions of a model, with its effects, from states of motion (m, 3k)."""
     states = candidate.states(starts)
     n = states.shape[1]
@@ -104,13 +103,13 @@ def motions(
     count, m = path.shape[:2]
     y = candidate.motions(path[:, :, :n].reshape(-1, n)).reshape(count, m, -1)
     value = candidate.value(y.reshape(count * m, -1)).reshape(count, m)
-    return Motions(np.linspace(0.0, _STEP * (count - 1), count), y, value, level)
+    return LevelMotions(np.linspace(0.0, _STEP * (count - 1), count), y, value, level)
 
 
-def of_motions(seen: Motions, duration: float) -> Claim:
+def motions_claim(seen: LevelMotions, duration: float) -> StabilityClaim:
     """Whether V fell along all of them."""
     good = bool(np.isfinite(seen.value).all()) and seen.rise <= _ERROR
-    return Claim(
+    return StabilityClaim(
         "seen",
         f"Along {seen.value.shape[1]} motions from the edge of N′ V falls and none leaves N′",
         "simulated" if good else "failed",

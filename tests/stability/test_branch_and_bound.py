@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.stability.lyapunov.proof import prove_negative
+from trms_cli.stability.intervals.branch_and_bound import prove_negative
 
 
 def of(expression: ca.SX, *symbols: ca.SX) -> ca.Function:
@@ -31,30 +31,6 @@ def test_a_false_claim_gives_a_state_where_it_fails() -> None:
     assert proof.point is not None and proof.value is not None
     assert float(f(proof.point)) >= 0.0
     assert proof.value == pytest.approx(float(f(proof.point)), abs=1e-12)
-
-
-def test_a_constraint_takes_away_the_states_where_it_fails() -> None:
-    f, disc = of(X[0] - 0.75, X), of(X[0] ** 2 + X[1] ** 2 - 0.5, X)
-    assert not prove_negative(f, [-1.0, -1.0], [1.0, 1.0]).holds
-    assert prove_negative(f, [-1.0, -1.0], [1.0, 1.0], inside=disc).holds
-    tight = of(X[0] - 0.7, X)
-    proof = prove_negative(tight, [-1.0, -1.0], [1.0, 1.0], inside=disc)
-    assert proof.status == "counterexample" and proof.point is not None
-    assert float(disc(proof.point)) <= 0.0
-
-
-def test_an_excluded_neighbourhood_does_not_count() -> None:
-    f = of(-(X[0] ** 2) - X[1] ** 2, X)
-    whole = prove_negative(f, [-1.0, -1.0], [1.0, 1.0], budget=20_000)
-    assert not whole.holds  # zero at the origin is not negative
-    assert prove_negative(f, [-1.0, -1.0], [1.0, 1.0], exclude=([-0.01, -0.02], [0.01, 0.02])).holds
-
-
-def test_what_is_excluded_entirely_is_proved_and_what_lies_beside_is_not_spared() -> None:
-    f = of(X[0] + X[1], X)
-    assert prove_negative(f, [0.1, 0.1], [0.9, 0.9], exclude=([0.0, 0.0], [1.0, 1.0])).holds
-    beside = prove_negative(f, [0.1, 0.1], [0.9, 0.9], exclude=([2.0, 2.0], [3.0, 3.0]))
-    assert beside.status == "counterexample"
 
 
 def test_the_budget_ends_the_search_and_tells_what_is_left() -> None:
