@@ -28,8 +28,8 @@ from trms_cli import cli
 from trms_cli.commands.watch_chart import Curve, chart, scale
 from trms_cli.commands.watch_frame import NAMES, About, View, about, plain_line, run_frame
 from trms_cli.commands.watch_player import Player
+from trms_cli.commands.watch_screen import keys_in
 from trms_cli.commands.watch_sweep import sweep_frame, sweep_line
-from trms_cli.commands.watch_terminal import keys_in
 from trms_cli.runs.followed import FollowedRun
 from trms_cli.runs.latest import latest_run
 from trms_cli.runs.moment import Axis, Event, Input, Moment, Solver

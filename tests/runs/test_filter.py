@@ -9,13 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.runs.column_sql import Sql
-from trms_cli.runs.columns import COLUMNS
+from trms_cli.runs.columns import COLUMNS, Sql
 from trms_cli.runs.entry import Entry
-from trms_cli.runs.filter_errors import FilterError
-from trms_cli.runs.filter_language import translated
-from trms_cli.runs.filter_names import names_in
-from trms_cli.runs.index import Looked, RunIndex, Seen
+from trms_cli.runs.filter import FilterError, names_in, translated
+from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 
 NUMBERS = ("rmse_alpha_h", "rmse_alpha_v", "duration")
 WHOLES = ("seed", "failures")
@@ -136,7 +133,7 @@ def by_index(condition: Sql, rows: list[dict[str, Any]]) -> list[int]:
     looked = []
     for k, row in enumerate(rows):
         values = dict.fromkeys(COLUMNS) | row | {"log": f"/{k:03}"}
-        looked.append(Looked(values["log"], Seen(1, 1), Entry(values["log"], values)))
+        looked.append(LogReading(values["log"], FileStamp(1, 1), Entry(values["log"], values)))
     with RunIndex(None) as index:
         index.put(looked)
         columns = {"log": (COLUMNS["log"], Sql("log"))}

@@ -16,7 +16,7 @@ from trms_cli.recordings.log_reader import Table, read_log
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, standard_topics
 from trms_cli.runs.followed import FollowedRun
-from trms_cli.runs.samples import Growing, RunningSum
+from trms_cli.runs.moment import Growing, RunningSum
 from trms_cli.scoring.score import limits_of, score_tables
 
 LIMITS = '{"u_v": [-1.0, 1.0], "u_h": [null, 0.5]}'

@@ -19,9 +19,9 @@ from trms_cli.recordings.log_reader import read_log
 from trms_cli.runs import find_runs
 from trms_cli.runs.columns import COLUMNS, figures_of
 from trms_cli.runs.entry import Entry
-from trms_cli.runs.finding import Question, find
-from trms_cli.runs.index import Looked, RunIndex, Seen
-from trms_cli.runs.place import index_file, runs_told_of, tell_of_run
+from trms_cli.runs.index import FileStamp, LogReading, RunIndex
+from trms_cli.runs.place import index_file, new_runs, note_run
+from trms_cli.runs.query import Query, find
 from trms_cli.scoring.score import score_log
 
 
@@ -122,7 +122,7 @@ class TestRow:
             writer = Writer(file)
             writer.start()
             writer.finish()
-        found = find(Question())
+        found = find(Query())
         assert (found.runs, found.unreadable) == ([], ())
 
 
@@ -156,10 +156,10 @@ class TestFolders:
         find_runs()
         write_run("b")
         looked = []
-        from trms_cli.runs import finding
+        from trms_cli.runs import query
 
         monkeypatch.setattr(
-            finding, "read_entry", lambda path: looked.append(path.parent.name) or None
+            query, "read_entry", lambda path: looked.append(path.parent.name) or None
         )
         find_runs()
         assert looked == ["b"]
@@ -172,10 +172,10 @@ class TestFolders:
         write_run("killed", ending=None, samples=60)
         (runs / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + b"\x0c" + b"\xff" * 40)
         (runs / "no.mcap").write_bytes(b"nothing like it")
-        fed = find(Question(sort="path"))
-        rebuilt = find(Question(sort="path", rebuild=True))
+        fed = find(Query(sort="path"))
+        rebuilt = find(Query(sort="path", rebuild=True))
         shutil.rmtree(index_of_its_own)
-        anew = find(Question(sort="path"))
+        anew = find(Query(sort="path"))
         assert fed == rebuilt == anew
         assert len(fed.runs) == 4
 
@@ -202,7 +202,7 @@ class TestFolders:
     def test_a_name_that_is_no_text(self, write_run, runs):
         log = write_run("a")
         shutil.copy(log, os.fsencode(runs) + b"/\xff.mcap")
-        found = find(Question())
+        found = find(Query())
         assert len(found.runs) == 1
         assert found.unreadable[0][1] == "its name is no text"
 
@@ -211,12 +211,12 @@ class TestFolders:
     ):
         for k in range(5):
             write_run(f"r{k}")
-        monkeypatch.setattr("trms_cli.runs.finding.MOST_ENTRIES", 4)
-        found = find(Question())
+        monkeypatch.setattr("trms_cli.runs.query.MOST_ENTRIES", 4)
+        found = find(Query())
         assert len(found.runs) < 5
         assert "name the folder of the runs with --in" in found.remarks[0]
-        assert len(find(Question(folders=(".",))).runs) == 5
-        assert len(find(Question()).runs) == 5  # known by now, and still there
+        assert len(find(Query(folders=(".",))).runs) == 5
+        assert len(find(Query()).runs) == 5  # known by now, and still there
 
     @pytest.mark.parametrize(
         "content",
@@ -230,11 +230,11 @@ class TestFolders:
     def test_a_broken_log_is_told_of_and_disturbs_no_other(self, write_run, runs, content):
         write_run("a")
         (runs / "broken.mcap").write_bytes(content)
-        found = find(Question())
+        found = find(Query())
         assert [run["controller"] for run in found.runs] == ["pid"]
         assert [Path(log).name for log, _ in found.unreadable] == ["broken.mcap"]
         (runs / "broken.mcap").unlink()
-        assert find(Question()).unreadable == ()
+        assert find(Query()).unreadable == ()
 
     @settings(
         max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -248,7 +248,7 @@ class TestFolders:
             content[data.draw(st.integers(8, len(content) - 1))] = data.draw(st.integers(0, 255))
         other = runs / "other.mcap"
         other.write_bytes(content[: data.draw(st.integers(1, len(content)))])
-        found = find(Question())
+        found = find(Query())
         assert "pid" in [run["controller"] for run in found.runs if run["log"] == str(log)]
         assert {log for log, _ in found.unreadable} <= {str(other)}
 
@@ -295,7 +295,7 @@ class TestStatus:
     @pytest.mark.parametrize("text", ["", "[1]", '{"schema": "other/1"}', "[" * 5000, "\xff"])
     def test_files_of_this_name_of_others_are_passed_over(self, runs, text):
         (runs / "status.json").write_text(text, encoding="latin-1")
-        found = find(Question())
+        found = find(Query())
         assert (found.runs, found.unreadable) == ([], ())
 
     @pytest.mark.parametrize(
@@ -315,7 +315,7 @@ class TestTold:
         elsewhere = tmp_path / "elsewhere" / "a"
         elsewhere.parent.mkdir()
         shutil.move(log.parent, elsewhere)
-        tell_of_run(elsewhere / "run.mcap")
+        note_run(elsewhere / "run.mcap")
         assert paths() == []
         assert paths(everywhere=True) == ["a"]
         shutil.rmtree(elsewhere)
@@ -323,7 +323,7 @@ class TestTold:
 
     def test_a_line_that_is_no_path_does_nothing(self, write_run, index_of_its_own):
         write_run("a")
-        tell_of_run(Path("one\ntwo"))
+        note_run(Path("one\ntwo"))
         ledger = next(index_of_its_own.glob("new-runs-*"))
         ledger.write_bytes(ledger.read_bytes() + b"\xff\xfe\n\0/x\nrelative\n/no/such/log.mcap\n")
         assert paths(everywhere=True) == []
@@ -332,25 +332,25 @@ class TestTold:
     def test_off(self, monkeypatch, tmp_path):
         monkeypatch.setenv("TRMS_RUNS", "off")
         monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "cache"))
-        tell_of_run(tmp_path / "run.mcap")
+        note_run(tmp_path / "run.mcap")
         assert not (tmp_path / "cache").exists()
 
     def test_a_folder_that_cannot_be_is_no_error_of_a_run(self, monkeypatch, tmp_path):
         (tmp_path / "file").touch()
         monkeypatch.setenv("TRMS_RUNS", str(tmp_path / "file" / "index"))
-        tell_of_run(tmp_path / "run.mcap")
+        note_run(tmp_path / "run.mcap")
 
     def test_lines_of_many_processes_stay_whole(self, tmp_path):
         code = (
-            "import sys; from pathlib import Path; from trms_cli.runs.place import tell_of_run\n"
-            "for k in range(200): tell_of_run(Path(f'/runs/{sys.argv[1]}/{k}/' + 'x' * 60))"
+            "import sys; from pathlib import Path; from trms_cli.runs.place import note_run\n"
+            "for k in range(200): note_run(Path(f'/runs/{sys.argv[1]}/{k}/' + 'x' * 60))"
         )
         started = [subprocess.Popen([sys.executable, "-c", code, str(k)]) for k in range(3)]
         told = []
         while any(process.poll() is None for process in started):
-            for batch in runs_told_of():
+            for batch in new_runs():
                 told += batch
-        for batch in runs_told_of():
+        for batch in new_runs():
             told += batch
         whole = {f"/runs/{p}/{k}/" + "x" * 60 for p in range(3) for k in range(200)}
         assert set(told) <= whole
@@ -398,7 +398,7 @@ class TestDatabase:
         write_run("a")
         (tmp_path / "file").touch()
         monkeypatch.setenv("TRMS_RUNS", str(tmp_path / "file" / "index"))
-        found = find(Question())
+        found = find(Query())
         assert [run["controller"] for run in found.runs] == ["pid"]
         assert "cannot be kept" in found.remarks[0]
 
@@ -407,8 +407,8 @@ class TestDatabase:
             write_run(f"r{k}", seed=str(k))
         code = (
             "from trms_cli.runs import find_runs\n"
-            "from trms_cli.runs.finding import Question, find\n"
-            "for _ in range(3): find(Question(rebuild=True))\n"
+            "from trms_cli.runs.query import Query, find\n"
+            "for _ in range(3): find(Query(rebuild=True))\n"
             "print(len(find_runs()), sum(r['seed'] for r in find_runs()))"
         )
         started = [
@@ -430,9 +430,9 @@ class TestDatabase:
                 "rmse_alpha_h": k / 2000,
                 "time": f"2025-01-01 00:{k // 60:02}:{k % 60:02}",
             }
-            looked.append(Looked(values["log"], Seen(1, 1), Entry(values["log"], values)))
-        from trms_cli.runs.column_sql import column_sql
-        from trms_cli.runs.filter_language import translated
+            looked.append(LogReading(values["log"], FileStamp(1, 1), Entry(values["log"], values)))
+        from trms_cli.runs.columns import column_sql
+        from trms_cli.runs.filter import translated
 
         with RunIndex(index_file()) as index:
             index.put(looked)

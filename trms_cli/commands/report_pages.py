@@ -32,7 +32,7 @@ from trms_cli.runs.run_folder import LOG_NAME
 if TYPE_CHECKING:
     from trms_cli.reporting.page import Page
     from trms_cli.reporting.reported import ReportedRun
-    from trms_cli.runs.finding import Found
+    from trms_cli.runs.query import QueryResult
 
 #: More runs than this are told as a sweep: curves over one another could not be told apart.
 MOST_OVERLAID = 8
@@ -126,7 +126,7 @@ def _of_logs(
 
 
 def _of_sweep(
-    given: Sequence[Path], found: Found, folder: Path, page_folder: Path, title: str
+    given: Sequence[Path], found: QueryResult, folder: Path, page_folder: Path, title: str
 ) -> Report:
     from trms_cli.reporting.report_sweep import sweep_page
 
@@ -139,7 +139,7 @@ def _of_sweep(
     return Report(page, "sweep", runs, folder, tuple(found.unreadable))
 
 
-def _of_scores(given: Sequence[Path], found: Found, folder: Path, title: str) -> Report:
+def _of_scores(given: Sequence[Path], found: QueryResult, folder: Path, title: str) -> Report:
     """Folders without a log: scores alone, as tournaments leave them."""
     from trms_cli.reporting.report_sweep import sweep_page
     from trms_cli.scoring.comparison.gathering import gather

@@ -9,7 +9,7 @@ from trms_cli.commands.report_sweeps import keys_of, typed_of, value_of
 
 if TYPE_CHECKING:
     from trms_cli.reporting.report_comparison import RankedEntrant
-    from trms_cli.runs.finding import Found
+    from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.compared_run import ComparedRun
 
 #: Coordinates that every ranking looks at, also where runs do not differ in them.
@@ -34,7 +34,7 @@ def ranking_of(runs: Sequence[ComparedRun]) -> tuple[list[RankedEntrant], str]:
     return [_entrant(s, ranking.metric) for s in ordered(ranking, "rank")], rule(ranking)
 
 
-def compared(found: Found, drawn: Sequence[str] = ()) -> list[ComparedRun]:
+def compared(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparedRun]:
     """Rows of the index as a ranking takes them, without reading a log again.
 
     All that was `drawn` for a run is one coordinate, its draw: a condition, and no entrant's.

@@ -21,7 +21,7 @@ from trms_cli.commands.report_search import (
 
 if TYPE_CHECKING:
     from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun, Value
-    from trms_cli.runs.finding import Found
+    from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.gathering import Gathered
 
 STATUS_NAME = "status.json"
@@ -56,24 +56,24 @@ _FIGURES = (
 _NUMBERS = "number", "whole"
 
 
-def rows_of(folders: Sequence[Path]) -> Found:
+def rows_of(folders: Sequence[Path]) -> QueryResult:
     """The runs in folders, as ``trms runs`` has them; logs that are new are read."""
     from trms_cli.commands.runs_screen import Progress
-    from trms_cli.runs.finding import Question, find
+    from trms_cli.runs.query import Query, find
 
     with Progress() as progress:
-        found = find(Question(folders=tuple(folders), sort="path", descending=False), progress)
+        found = find(Query(folders=tuple(folders), sort="path", descending=False), progress)
     return replace(found, runs=_completed(found.runs))
 
 
-def read_sweep(folders: Sequence[Path], found: Found, page_folder: Path) -> ReportedSweep:
+def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -> ReportedSweep:
     """Many runs as a report sees them.
 
     Parameters
     ----------
     folders : sequence of Path
         Where they lie.
-    found : Found
+    found : QueryResult
         Their rows.
     page_folder : Path
         Where the page will be, for links to reports of single runs.

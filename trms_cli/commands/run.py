@@ -102,7 +102,7 @@ def perform(composition: Composition) -> Outcome:
     def make_history(plant: Any) -> History:
         # The folder is made once everything that may be wrong with the input has been looked at.
         from trms_cli.recordings.run_log import RunLog
-        from trms_cli.runs.place import tell_of_run
+        from trms_cli.runs.place import note_run
 
         topics = assembly.topics_of(experiment, plant)
         scene = RunScene(composition.config, topics, experiment.model, plant)
@@ -114,7 +114,7 @@ def perform(composition: Composition) -> Outcome:
             assembly.attachments(composition, experiment.model, getattr(plant, "parameters", None)),
         )
         logs.append(log)
-        tell_of_run(log.path)
+        note_run(log.path)
         return History({topic.name: units_of(topic) for topic in topics}, scene.sink(log))
 
     # What is not finite is looked for and told in words: NumPy's warnings would only repeat it.

@@ -22,7 +22,7 @@ from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig, RecordedRun
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
-from trms_cli.runs.place import tell_of_run
+from trms_cli.runs.place import note_run
 from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.scoring.innovations import innovation_table
 from trms_cli.scoring.score import Series, score_tables
@@ -74,7 +74,7 @@ def perform_replay(composition: Composition) -> Outcome:
             publish_time="log",
         )
         logs.append(log)
-        tell_of_run(log.path)
+        note_run(log.path)
         units = {t.name: {f.name: f.unit for f in t.fields} for t in topics}
         return History(units, scene.sink(log))
 

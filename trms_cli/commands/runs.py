@@ -10,7 +10,7 @@ from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
 
 if TYPE_CHECKING:
-    from trms_cli.runs.finding import Found
+    from trms_cli.runs.query import QueryResult
 
 SUMMARY = "what has been run: list, filter, sort, export"
 
@@ -72,8 +72,8 @@ def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     given = _given(argv)
     from trms_cli.runs.columns import COLUMNS
-    from trms_cli.runs.filter_names import names_in
-    from trms_cli.runs.finding import Question, find
+    from trms_cli.runs.filter import names_in
+    from trms_cli.runs.query import Query, find
 
     shown = not (given.json or given.csv or given.parquet)
     extra, asked = _asked(given.columns)
@@ -90,7 +90,7 @@ def main(argv: list[str]) -> int:
         columns = tuple(dict.fromkeys([*USUAL, *told, OVERRIDES]))
     else:
         columns = tuple(dict.fromkeys([*COLUMNS, *asked] if usual else asked))
-    question = Question(
+    question = Query(
         filter=given.filter,
         folders=tuple(given.folders),
         everywhere=given.all,
@@ -106,15 +106,15 @@ def main(argv: list[str]) -> int:
     return EXIT_OK
 
 
-def _present(found: Found, given: Any, told: list[str] | None, shown: bool) -> None:
-    from trms_cli.commands import runs_files, runs_screen
+def _present(found: QueryResult, given: Any, told: list[str] | None, shown: bool) -> None:
+    from trms_cli.commands import runs_screen
 
     if given.csv:
-        runs_files.write_csv(found, given.csv, force=given.force)
+        runs_screen.write_csv(found, given.csv, force=given.force)
     if given.parquet:
-        runs_files.write_parquet(found, given.parquet, force=given.force)
+        runs_screen.write_parquet(found, given.parquet, force=given.force)
     if given.json:
-        runs_files.print_json(found, given.filter)
+        runs_screen.print_json(found, given.filter)
     if given.unreadable and shown:
         runs_screen.print_unreadable(found)
     elif shown:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from time import perf_counter
-from typing import Any, Self
+from typing import Any, Self, TextIO
 
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Judged, Table, Value
 from trms_cli.runs.columns import ALIASES, Column
-from trms_cli.runs.finding import Found
+from trms_cli.runs.query import QueryResult
 
 #: Read with the usual columns, for the settings in which runs differ; not shown itself.
 OVERRIDES = "overrides"
@@ -60,7 +62,7 @@ _NOTHING = "–"
 _MOST_TOLD = 200  # characters of a line on trouble
 
 
-def print_runs(found: Found, told: Sequence[str] | None, *, filtered: bool) -> None:
+def print_runs(found: QueryResult, told: Sequence[str] | None, *, filtered: bool) -> None:
     """Print the table, and a line on how much of all it is.
 
     Parameters
@@ -84,7 +86,7 @@ def print_runs(found: Found, told: Sequence[str] | None, *, filtered: bool) -> N
         print(_count(found, filtered))
 
 
-def print_unreadable(found: Found) -> None:
+def print_unreadable(found: QueryResult) -> None:
     """Print the logs that could not be read, a line each."""
     for log, problem in found.unreadable:
         print(f"{_clean(log)}: {_clean(problem)}")
@@ -92,7 +94,7 @@ def print_unreadable(found: Found) -> None:
         print("all logs could be read")
 
 
-def say_remarks(found: Found, *, unreadable: bool) -> None:
+def say_remarks(found: QueryResult, *, unreadable: bool) -> None:
     """Say what limits the answer, apart from it."""
     for remark in found.remarks:
         sys.stderr.write(f"note   {_clean(remark)}\n")
@@ -129,7 +131,7 @@ class Progress:
             sys.stderr.flush()
 
 
-def _chosen(found: Found, told: Sequence[str]) -> list[str]:
+def _chosen(found: QueryResult, told: Sequence[str]) -> list[str]:
     """The columns worth showing: those asked for, and the usual ones that say something."""
     asked = {ALIASES.get(name, name) for name in told}
     chosen: dict[str, str] = {}  # by the column's own name: an alias is shown once
@@ -150,7 +152,7 @@ def _chosen(found: Found, told: Sequence[str]) -> list[str]:
 _SET_BY_SWEEPS = ("picture", "sim.scene_every")
 
 
-def _settings(found: Found, names: Sequence[str]) -> list[str]:
+def _settings(found: QueryResult, names: Sequence[str]) -> list[str]:
     """Keys that were typed, and in which the runs differ: else the runs of a sweep look alike."""
     from trms_cli.runs.entry import typed
 
@@ -172,7 +174,7 @@ def _settings(found: Found, names: Sequence[str]) -> list[str]:
     return [key for key in settings if key not in names][:_MOST_SETTINGS]
 
 
-def _print_plain(found: Found, names: Sequence[str]) -> None:
+def _print_plain(found: QueryResult, names: Sequence[str]) -> None:
     """Aligned columns with two spaces between them: nothing is cut or left out."""
     rows = [list(names)]
     rows += [
@@ -188,7 +190,7 @@ def _print_plain(found: Found, names: Sequence[str]) -> None:
         print("  ".join(cells).rstrip())
 
 
-def _print_table(found: Found, names: Sequence[str]) -> None:
+def _print_table(found: QueryResult, names: Sequence[str]) -> None:
     """As wide as the terminal: names are folded, and columns parted into tables of their own."""
     from trms_cli.reporting.screen import console, show_table
 
@@ -242,7 +244,7 @@ def _cut(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def _count(found: Found, filtered: bool) -> str:
+def _count(found: QueryResult, filtered: bool) -> str:
     count = f"{found.matching} of {found.of} runs" if filtered else f"{found.of} runs"
     if found.of == 1 and not filtered:
         count = "1 run"
@@ -251,10 +253,75 @@ def _count(found: Found, filtered: bool) -> str:
     return count
 
 
-def _why_nothing(found: Found, filtered: bool) -> str:
+def _why_nothing(found: QueryResult, filtered: bool) -> str:
     if found.of and filtered:
         return f"none of the {found.of} runs matches"
     where = " and ".join(_clean(folder) for folder in found.folders)
     if not where:
         return "no run is known: make one by `trms run`"
     return f"no run under {where}: another folder by --in FOLDER, every known run by --all"
+
+
+SCHEMA = "trms.runs/1"
+
+
+def print_json(found: QueryResult, filter: str) -> None:
+    """Print ``trms.runs/1``."""
+    json.dump(document(found, filter), sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def document(found: QueryResult, filter: str) -> dict[str, Any]:
+    """``trms.runs/1``: the runs, the units of their columns, and what limits the answer."""
+    return {
+        "schema": SCHEMA,
+        "filter": filter,
+        "folders": list(found.folders),
+        "matching": found.matching,
+        "of": found.of,
+        "units": {name: column.unit for name, column in found.columns.items() if column.unit},
+        "runs": found.runs,
+        "unreadable": [{"log": log, "problem": problem} for log, problem in found.unreadable],
+        "remarks": list(found.remarks),
+    }
+
+
+def write_csv(found: QueryResult, path: Path, *, force: bool) -> None:
+    """Write a header of names and a line a run; ``-`` prints it. Empty cells for what is not there.
+
+    Raises RecordingError if there is such a file and not `force`, or it cannot be written.
+    """
+    if path == Path("-"):
+        _write_lines(found, sys.stdout)
+        return
+    from trms_cli.recordings.output_file import whole_file
+
+    with (
+        whole_file(path, force=force) as temporary,
+        temporary.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file,
+    ):
+        _write_lines(found, file)
+
+
+def write_parquet(found: QueryResult, path: Path, *, force: bool) -> None:
+    """Write a table with types, and units in the metadata of its fields.
+
+    Raises RecordingError if there is such a file and not `force`, or it cannot be written.
+    """
+    from trms_cli.recordings.figure_table import write_parquet
+    from trms_cli.runs.frame import table_of
+
+    write_parquet(table_of(found), path, force=force)
+
+
+def _write_lines(found: QueryResult, file: TextIO) -> None:
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(found.columns)
+    for run in found.runs:
+        writer.writerow([_csv_cell(run[name]) for name in found.columns])
+
+
+def _csv_cell(value: Any) -> Any:
+    if value is None:
+        return ""
+    return ("yes" if value else "no") if isinstance(value, bool) else value

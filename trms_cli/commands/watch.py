@@ -170,7 +170,7 @@ def _watch_sweep(sweep: FollowedSweep, given: Any) -> int:
 
 
 def _plain(given: Any) -> bool:
-    from trms_cli.commands.watch_terminal import is_plain
+    from trms_cli.commands.watch_screen import is_plain
 
     return bool(given.plain) or is_plain()
 

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import select
 import shutil
+import signal
 import sys
+import threading
+import time
 from collections.abc import Callable
 from time import monotonic
-from typing import Protocol
+from types import FrameType, TracebackType
+from typing import Any, Protocol, Self
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from trms_cli.commands.watch_terminal import Keyboard, is_interactive
+from trms_cli.core.errors import Terminated
 
 #: s between two pictures: ten a second are a motion, more are only work.
 _FRAME = 0.1
@@ -113,3 +119,128 @@ def _in_lines(shown: Shown, say: Callable[[str], object] = print) -> None:
 def _print(console: Console, lines: list[Text]) -> None:
     for line in lines:
         console.print(line, soft_wrap=True, end="\n")
+
+
+#: What the keys of a terminal send, by what they are called here.
+_SEQUENCES = {
+    "\x1b[C": "right",
+    "\x1bOC": "right",
+    "\x1b[D": "left",
+    "\x1bOD": "left",
+    "\x1b[H": "home",
+    "\x1bOH": "home",
+    "\x1b[1~": "home",
+    "\x1b[F": "end",
+    "\x1bOF": "end",
+    "\x1b[4~": "end",
+}
+_SHOWN = "⣿━─█┼┤·×–…"  # what a picture is made of
+
+
+class Keyboard:
+    """Keys as they are pressed, while the block lasts; none where input is no terminal.
+
+    Whatever ends the block, an error, Ctrl-C or SIGTERM, the terminal is as it was before. Ctrl-Z
+    does nothing meanwhile: it would leave a terminal behind that shows no typing.
+    """
+
+    def __init__(self) -> None:
+        self.there = False
+        self._descriptor = -1
+        self._before: list[Any] | None = None
+        self._handler: Any = None
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            self._handler = signal.signal(signal.SIGTERM, _terminate)
+        try:
+            import termios
+            import tty
+
+            self._descriptor = sys.stdin.fileno()
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor)
+            modes = termios.tcgetattr(self._descriptor)
+            modes[6][termios.VSUSP] = bytes([os.fpathconf(self._descriptor, "PC_VDISABLE") & 0xFF])
+            termios.tcsetattr(self._descriptor, termios.TCSANOW, modes)
+            self.there = True
+        except (ImportError, OSError, ValueError, AttributeError, termios.error):
+            self._restore()  # no terminal, or one that has no such modes
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._restore()
+        if self._handler is not None:
+            signal.signal(signal.SIGTERM, self._handler)
+            self._handler = None
+
+    def wait(self, seconds: float) -> list[str]:
+        """The keys that were pressed, waiting up to `seconds` for one; "q" when input has ended."""
+        if not self.there:
+            time.sleep(seconds)
+            return []
+        ready, _, _ = select.select([self._descriptor], [], [], seconds)
+        if not ready:
+            return []
+        try:
+            text = os.read(self._descriptor, 256).decode(errors="ignore")
+        except OSError:
+            return ["q"]  # the terminal is gone
+        return keys_in(text) if text else ["q"]
+
+    def _restore(self) -> None:
+        self.there = False
+        if self._before is None:
+            return
+        import termios
+
+        before, self._before = self._before, None
+        try:
+            termios.tcsetattr(self._descriptor, termios.TCSAFLUSH, before)
+        except termios.error:  # it is gone: nothing to restore
+            return
+
+
+def keys_in(text: str) -> list[str]:
+    """The keys that a terminal has sent, by name; what is not known is left out."""
+    keys = []
+    while text:
+        found = next((s for s in _SEQUENCES if text.startswith(s)), "")
+        if found:
+            keys.append(_SEQUENCES[found])
+        elif text[0] != "\x1b":
+            found = text[0]
+            keys.append(found)
+        else:  # an escape of a key that does nothing here, up to its last letter
+            end = next((i for i, c in enumerate(text[1:], 1) if c.isalpha() or c == "~"), 0)
+            found = text[: end + 1]
+        text = text[len(found) :]
+    return keys
+
+
+def is_interactive() -> bool:
+    """Whether output is a terminal that a picture can be drawn on."""
+    return sys.stdout.isatty() and os.environ.get("TERM", "dumb") not in ("dumb", "")
+
+
+def is_plain() -> bool:
+    """Whether the terminal takes ASCII only; the Linux console has no braille."""
+    if os.environ.get("TERM") == "linux":
+        return True
+    try:
+        _SHOWN.encode(sys.stdout.encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return True
+    return False
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated

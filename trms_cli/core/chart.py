@@ -18,12 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-import numpy.typing as npt
+if TYPE_CHECKING:  # findings without a chart are told before NumPy is loaded
+    import numpy as np
+    import numpy.typing as npt
 
-Values = Sequence[float] | npt.NDArray[np.float64]
+    Values = Sequence[float] | npt.NDArray[np.float64]
 #: Names of the house's palette (told apart with any common colour blindness), and of its inks.
 Colour = Literal[
     "blue",
@@ -193,14 +194,10 @@ _KINDS = {
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "tolist"):  # an array, or a number of NumPy's
         return _plain(value.tolist())
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, float | np.floating):
-        return float(f"{float(value):.6g}") if math.isfinite(value) else None
-    if isinstance(value, int | np.integer):
-        return int(value)
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if hasattr(value, "__dataclass_fields__"):

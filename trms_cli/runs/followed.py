@@ -13,8 +13,7 @@ from typing import Any
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_head import read_log_head
 from trms_cli.recordings.log_tail import LogTail
-from trms_cli.runs.moment import Moment
-from trms_cli.runs.run_samples import RunSamples
+from trms_cli.runs.moment import Moment, RunSamples
 
 _WHOLE = ("/reference", "/command", "/measurement", "/plant/state", "/event")
 _TIMES = ("solve_time_s", "iterations", "fallback", "deadline_missed")
@@ -146,7 +145,7 @@ class FollowedRun:
         self._tail.close()
 
     def at(self, time: float, span: float, events: int = 8) -> Moment:
-        """The run at a moment; see :meth:`~trms_cli.runs.run_samples.RunSamples.at`."""
+        """The run at a moment; see :meth:`~trms_cli.runs.moment.RunSamples.at`."""
         return self._samples.at(time, span, events)
 
     def _check_origin(self) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.runs.columns import Column
-from trms_cli.runs.finding import Found, Question, find
+from trms_cli.runs.query import Query, QueryResult, find
 
 Path = str | os.PathLike[str]
 _TYPES: dict[str, type | None] = {
@@ -97,7 +97,7 @@ def runs_frame(
     return frame
 
 
-def table_of(found: Found) -> Any:
+def table_of(found: QueryResult) -> Any:
     """An answer of the index as a ``pyarrow.Table``."""
     from trms_cli.recordings.figure_table import arrow_table
 
@@ -115,10 +115,10 @@ def _found(
     descending: bool = False,
     columns: Sequence[str] = (),
     limit: int | None = None,
-) -> Found:
+) -> QueryResult:
     several = (folders,) if isinstance(folders, (str, os.PathLike)) else tuple(folders)
     return find(
-        Question(
+        Query(
             filter=filter,
             folders=several,
             everywhere=everywhere,

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.runs.column_sql import Sql
-from trms_cli.runs.columns import COLUMNS, Column
+from trms_cli.runs.columns import COLUMNS, Column, Sql
 from trms_cli.runs.entry import Entry
 
 _TYPES = {"text": "TEXT", "number": "REAL", "whole": "INTEGER", "truth": "INTEGER"}
@@ -43,7 +42,7 @@ RUN, OTHER, UNREADABLE, UNSEEN = "run", "other", "unreadable", "unseen"
 
 
 @dataclass(frozen=True)
-class Seen:
+class FileStamp:
     """What is known of a log's file."""
 
     #: ``mtime_ns``, ``size``: When it was looked at; another time or size means that it has
@@ -53,11 +52,11 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Looked:
+class LogReading:
     """A log that has been looked at."""
 
     log: str  #: Its absolute path
-    seen: Seen
+    seen: FileStamp
     entry: Entry | None = None  #: None for what is no run
     problem: str = ""  #: Why it cannot be read; "" if it can
 
@@ -135,13 +134,13 @@ class RunIndex:
             raise
         self._connection.execute("COMMIT")
 
-    def known(self, roots: Sequence[str] | None) -> dict[str, Seen]:
+    def known(self, roots: Sequence[str] | None) -> dict[str, FileStamp]:
         """The logs under folders (None: all) that the index has, and when they were looked at."""
         scope = scope_sql(roots)
         rows = self._connection.execute(
             f"SELECT log, mtime_ns, size FROM logs WHERE {scope.text}", scope.values
         )
-        return {log: Seen(mtime_ns, size) for log, mtime_ns, size in rows}
+        return {log: FileStamp(mtime_ns, size) for log, mtime_ns, size in rows}
 
     def expect(self, logs: Iterable[str]) -> None:
         """Note logs that runs have told of; what is known of them already stays."""
@@ -152,7 +151,7 @@ class RunIndex:
                     "INSERT OR IGNORE INTO logs VALUES (?, -1, -1, ?, '')", rows
                 )
 
-    def put(self, looked: Sequence[Looked]) -> None:
+    def put(self, looked: Sequence[LogReading]) -> None:
         """Write what was found out of logs, in place of what was known of them."""
         names = [*COLUMNS, "typed", "more"]
         columns = ", ".join(f'"{name}"' for name in names)

@@ -1,6 +1,6 @@
 """The run that is going on in a folder, or the latest one that was.
 
-Folders are looked through as :mod:`trms_cli.runs.finding` does, but no index is asked or written:
+Folders are looked through as :mod:`trms_cli.runs.query` does, but no index is asked or written:
 whoever watches wants the one run that began a moment ago, not the figures of a thousand.
 """
 
@@ -16,7 +16,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_head import read_log_head
 from trms_cli.recordings.log_tail import LogTail
 from trms_cli.runs.entry import LOG_NAME
-from trms_cli.runs.finding import MOST_ENTRIES
+from trms_cli.runs.query import MOST_ENTRIES
 
 _PASSED_OVER = frozenset({"__pycache__", "node_modules", "site-packages"})
 _END = b"\x89MCAP0\r\n"

@@ -41,7 +41,7 @@ def index_file() -> Path:
     return index_folder() / f"runs-{_host()}.sqlite"
 
 
-def tell_of_run(log: Path) -> None:
+def note_run(log: Path) -> None:
     """Note that a run has begun to write `log`; never raises, a run does not depend on it."""
     if os.environ.get(ENVIRONMENT) == "off":
         return
@@ -58,7 +58,7 @@ def tell_of_run(log: Path) -> None:
             os.close(file)
 
 
-def runs_told_of() -> Iterator[list[str]]:
+def new_runs() -> Iterator[list[str]]:
     """Take the paths that runs have told of; they are forgotten when the caller comes back.
 
     A line that is written in the very moment may be lost: that run is found when its folder is

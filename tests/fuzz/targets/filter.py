@@ -20,12 +20,12 @@ def read(data: bytes, folder: Path) -> None:
     """How many runs of an index with one in it the filter holds for."""
     from trms_cli.runs.columns import COLUMNS
     from trms_cli.runs.entry import Entry
-    from trms_cli.runs.filter_language import translated
-    from trms_cli.runs.index import Looked, RunIndex, Seen
+    from trms_cli.runs.filter import translated
+    from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 
     condition = translated(data.decode("utf-8", "replace"), ())
     values = dict.fromkeys(COLUMNS) | {"path": "a", "log": "a/run.mcap", "controller": "pid"}
     with RunIndex(None) as index:
         entry = Entry("a/run.mcap", values, {"seed": 1})
-        index.put([Looked("a/run.mcap", Seen(0, 1), entry)])
+        index.put([LogReading("a/run.mcap", FileStamp(0, 1), entry)])
         assert index.count(condition) in (0, 1)

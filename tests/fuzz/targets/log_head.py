@@ -16,12 +16,12 @@ def seeds(folder: Path) -> Iterator[bytes]:
 def read(data: bytes, folder: Path) -> None:
     """The row that the index keeps, written to a database and read from it."""
     from trms_cli.runs.entry import read_entry
-    from trms_cli.runs.index import Looked, RunIndex, Seen
+    from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 
     path = folder / "head.mcap"
     path.write_bytes(data)
     entry = read_entry(path)
     if entry is not None:
         with RunIndex(None) as index:
-            index.put([Looked(str(path), Seen(0, len(data)), entry)])
+            index.put([LogReading(str(path), FileStamp(0, len(data)), entry)])
             index.more_names()

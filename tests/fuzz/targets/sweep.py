@@ -30,7 +30,7 @@ def seeds(folder: Path) -> Iterator[bytes]:
 
 def read(data: bytes, folder: Path) -> None:
     """The row of the index and the state of the sweep."""
-    from trms_cli.runs.index import Looked, RunIndex, Seen
+    from trms_cli.runs.index import FileStamp, LogReading, RunIndex
     from trms_cli.runs.status import read_status
     from trms_cli.runs.sweep_progress import FollowedSweep
 
@@ -43,6 +43,6 @@ def read(data: bytes, folder: Path) -> None:
     entry = read_status(status)
     if entry is not None:
         with RunIndex(None) as index:
-            index.put([Looked(str(status), Seen(0, len(data)), entry)])
+            index.put([LogReading(str(status), FileStamp(0, len(data)), entry)])
     sweep = FollowedSweep(job.parent).now()
     sweep.ended, sweep.best, sweep.failures, sweep.left_s  # noqa: B018

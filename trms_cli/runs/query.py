@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.runs.column_sql import Sql, column_sql, nearest
-from trms_cli.runs.columns import COLUMNS, Column
+from trms_cli.runs.columns import COLUMNS, Column, Sql, column_sql, nearest
 from trms_cli.runs.entry import LOG_NAME, read_entry
-from trms_cli.runs.filter_language import translated
-from trms_cli.runs.index import Looked, RunIndex, Seen, is_damage, remove, scope_sql
-from trms_cli.runs.place import index_file, runs_told_of
+from trms_cli.runs.filter import translated
+from trms_cli.runs.index import FileStamp, LogReading, RunIndex, is_damage, remove, scope_sql
+from trms_cli.runs.place import index_file, new_runs
 from trms_cli.runs.status import STATUS_NAME, read_status
 
 _BATCH = 200  # logs between two writes
@@ -36,10 +35,10 @@ Tell = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Question:
+class Query:
     """What is asked of the index."""
 
-    filter: str = ""  #: :mod:`~trms_cli.runs.filter_language`; empty: every run
+    filter: str = ""  #: :mod:`~trms_cli.runs.filter`; empty: every run
     folders: tuple[str | os.PathLike[str], ...] = ()  #: Where to look; empty: the working folder
     everywhere: bool = False  #: Every run that this host knows of, instead
     sort: str = "time"  #: A column
@@ -50,7 +49,7 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Found:
+class QueryResult:
     """The answer."""
 
     runs: list[dict[str, Any]]  #: A run each: values by column, None for what it does not have
@@ -66,18 +65,18 @@ class Found:
 class _Walk:
     """What a walk through folders has found."""
 
-    logs: dict[str, Seen] = field(default_factory=dict)
+    logs: dict[str, FileStamp] = field(default_factory=dict)
     odd: list[tuple[str, str]] = field(default_factory=list)
     left: int | None = None  # entries that may still be looked at
     remarks: list[str] = field(default_factory=list)
 
 
-def find(question: Question, tell: Tell = lambda done, of: None) -> Found:
+def find(question: Query, tell: Tell = lambda done, of: None) -> QueryResult:
     """Bring the index up to date, and ask it.
 
     Parameters
     ----------
-    question : Question
+    question : Query
     tell : callable
         Called with the number of logs read and of those to be read.
 
@@ -97,7 +96,7 @@ def find(question: Question, tell: Tell = lambda done, of: None) -> Found:
         return _find(question, tell)
 
 
-def _find(question: Question, tell: Tell) -> Found:
+def _find(question: Query, tell: Tell) -> QueryResult:
     # What is misspelt is told before logs are read.
     translated(question.filter, None)
     for name in (*question.columns, question.sort):
@@ -108,7 +107,7 @@ def _find(question: Question, tell: Tell) -> Found:
         roots = [_folder(os.curdir)]
     walk = _Walk(left=MOST_ENTRIES if bounded else None)
     with _opened(walk.remarks) as index:
-        for told in runs_told_of():
+        for told in new_runs():
             index.expect(told)
         if question.rebuild:
             index.doubt(roots)
@@ -124,7 +123,7 @@ def _find(question: Question, tell: Tell) -> Found:
         runs = index.select(
             columns, within, order, descending=question.descending, limit=question.limit
         )
-        return Found(
+        return QueryResult(
             runs=runs,
             columns={name: column for name, (column, _) in columns.items()},
             matching=index.count(within),
@@ -154,7 +153,7 @@ def refresh(
         else:
             found[log] = seen
     changed = sorted(log for log, seen in found.items() if known.get(log) != seen)
-    batch: list[Looked] = []
+    batch: list[LogReading] = []
     for done, log in enumerate(changed):
         if tell is not None:
             tell(done, len(changed))
@@ -167,12 +166,12 @@ def refresh(
     index.forget(log for log in gone if _seen(log) is None)
 
 
-def _look(log: str, seen: Seen) -> Looked:
+def _look(log: str, seen: FileStamp) -> LogReading:
     try:
         read = read_status if os.path.basename(log) == STATUS_NAME else read_entry
-        return Looked(log, seen, read(Path(log)))
+        return LogReading(log, seen, read(Path(log)))
     except RecordingError as error:
-        return Looked(log, seen, problem=error.problem or "it cannot be read")
+        return LogReading(log, seen, problem=error.problem or "it cannot be read")
 
 
 def _look_through(root: str, walk: _Walk) -> None:
@@ -218,10 +217,10 @@ def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
             walk.odd.append((name, "its name is no text"))
             return
         status = entry.stat()
-        walk.logs[entry.path] = Seen(status.st_mtime_ns, status.st_size)
+        walk.logs[entry.path] = FileStamp(status.st_mtime_ns, status.st_size)
 
 
-def _seen(log: str) -> Seen | None:
+def _seen(log: str) -> FileStamp | None:
     """A file's time and size; None if there is no such file, or its word does not count.
 
     The status of a job counts only where the job has left no log.
@@ -233,7 +232,7 @@ def _seen(log: str) -> Seen | None:
         status = os.stat(log)
     except (OSError, ValueError):
         return None
-    return Seen(status.st_mtime_ns, status.st_size) if os.path.isfile(log) else None
+    return FileStamp(status.st_mtime_ns, status.st_size) if os.path.isfile(log) else None
 
 
 def _folder(folder: str | os.PathLike[str]) -> str:

@@ -6,7 +6,7 @@
     0.1 < rmse_yaw / rmse_pitch <= 2 and plant.prior_seed == 3
     settling_time_yaw is None and controller like '*mpc'
 
-What a filter says is data. It is read into a syntax tree (:mod:`~trms_cli.runs.filter_words`) of
+What a filter says is data. It is read into a syntax tree (:mod:`~trms_cli.runs.filter`) of
 which only the kinds of nodes below are taken; columns are looked up among those there are, and
 every value that was typed is bound as a parameter. There are no calls, subscripts or methods.
 
@@ -18,21 +18,147 @@ it gives None, as division by zero does.
 from __future__ import annotations
 
 import ast
+import io
+import keyword
+import tokenize
+import warnings
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NoReturn
 
-from trms_cli.runs.column_sql import Sql, column_sql, nearest
-from trms_cli.runs.columns import Kind
-from trms_cli.runs.filter_errors import FilterError
-from trms_cli.runs.filter_words import (
-    CONTAINS,
-    LIKE,
-    NOT_CONTAINS,
-    NOT_LIKE,
-    character,
-    parsed,
-)
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.runs.columns import Kind, Sql, column_sql, nearest
+
+_SHOWN = 64  # characters of a filter on one line
+
+
+class FilterError(ConfigurationError):
+    """A filter of runs cannot be used.
+
+    Parameters
+    ----------
+    problem : str
+    filter : str
+        The whole of it.
+    position : int
+        Character at which the trouble begins, from 0.
+    remedy : str
+    """
+
+    def __init__(self, problem: str, filter: str, position: int, remedy: str = "") -> None:
+        super().__init__(problem, where=_pointed(filter, position), remedy=remedy)
+        #: Character at which the trouble begins, from 0.
+        self.position = position
+
+
+def _pointed(filter: str, position: int) -> str:
+    """The part of the filter around a position, with a mark under it."""
+    position = min(max(position, 0), len(filter))
+    begin = max(0, min(position - _SHOWN // 2, len(filter) - _SHOWN))
+    part = filter[begin : begin + _SHOWN]
+    head, tail = "…" if begin else "", "…" if begin + _SHOWN < len(filter) else ""
+    printable = "".join(c if c.isprintable() else " " for c in part)
+    mark = " " * (position - begin + len(head)) + "^"
+    return f"the filter, character {position + 1}\n  {head}{printable}{tail}\n  {mark}"
+
+
+LONGEST = 4000  # characters
+#: The operators that stand for the words; typed as such they are refused.
+LIKE, NOT_LIKE, CONTAINS, NOT_CONTAINS = ast.MatMult, ast.FloorDiv, ast.Mod, ast.Pow
+_WORDS = {"like": "@", "not like": "//", "contains": "%", "not contains": "**"}
+_HINTS = {
+    "=": "two signs compare: ==",
+    "&": "write `and`",
+    "|": "write `or`",
+    "!": "write `not`",
+    "~": "write `not`",
+    "<>": "write !=",
+    ":=": "two signs compare: ==",
+}
+_GENERAL = "compare columns with values: controller == 'newton_mpc' and rmse_yaw < 0.05"
+
+
+def parsed(text: str) -> ast.expr:
+    """The syntax tree of a filter; positions (``col_offset``) are bytes of its UTF-8.
+
+    Raises FilterError if it is no expression, or too long.
+    """
+    if len(text) > LONGEST:
+        raise FilterError(
+            f"it is {len(text)} characters long, and {LONGEST} are read", text, LONGEST
+        )
+    flat = "".join(" " if c in "\r\n\t\f\v" else c for c in text)
+    if not flat.isprintable():
+        position = next(i for i, c in enumerate(flat) if not c.isprintable())
+        raise FilterError("there is a character that cannot be printed", text, position)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of odd escapes in texts, told to programmers
+            return ast.parse(_with_operators(flat).strip(" "), mode="eval").body
+    except SyntaxError as error:
+        lead = len(flat) - len(flat.lstrip(" "))
+        position = lead + (error.offset - 1 if error.offset else len(flat.strip(" ")))
+        raise FilterError(*_explained(flat, position, error)) from None
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise FilterError(f"it cannot be read ({error})", text, 0, _GENERAL) from None
+
+
+def character(text: str, offset: int) -> int:
+    """The character of the filter as it was typed at an offset of its tree, in bytes."""
+    bare = text.lstrip(" \r\n\t\f\v")
+    return len(text) - len(bare) + len(bare.encode()[:offset].decode(errors="ignore"))
+
+
+def _with_operators(text: str) -> str:
+    """Put the operators in the place of the words, where a word stands behind a value."""
+    tokens = _tokens(text)
+    found = list(text)
+    for i, token in enumerate(tokens):
+        if token.type == tokenize.OP and token.string in _WORDS.values():
+            raise FilterError(
+                f"{token.string} is not understood in a filter",
+                text,
+                token.start[1],
+                "there are + - * / and comparisons, and the words like and contains",
+            )
+        if token.string not in ("like", "contains") or i == 0 or i + 1 == len(tokens):
+            continue
+        first, word = i, token.string
+        if tokens[i - 1].string == "not":
+            first, word = i - 1, f"not {word}"
+        if first > 0 and _ends_a_value(tokens[first - 1]):
+            begin, end = tokens[first].start[1], token.end[1]
+            found[begin:end] = _WORDS[word].center(end - begin)
+    return "".join(found)
+
+
+def _ends_a_value(token: tokenize.TokenInfo) -> bool:
+    if token.type == tokenize.NAME:
+        return not keyword.iskeyword(token.string) or token.string in ("None", "True", "False")
+    return token.type in (tokenize.STRING, tokenize.NUMBER) or token.string in (")", "]")
+
+
+def _tokens(text: str) -> list[tokenize.TokenInfo]:
+    """As far as they can be told apart; the parser says what is wrong with the rest."""
+    found = []
+    try:
+        for token in tokenize.generate_tokens(io.StringIO(text).readline):
+            if token.string and token.start[0] == 1 and not token.string.isspace():
+                found.append(token)
+    except (tokenize.TokenError, SyntaxError):
+        pass
+    return found
+
+
+def _explained(text: str, position: int, error: SyntaxError) -> tuple[str, str, int, str]:
+    for sign, hint in _HINTS.items():
+        around = text[max(position - 1, 0) : position + 2]
+        lonely = sign in around and not any(f"{c}=" in around for c in "=!<>" if sign == "=")
+        if lonely:
+            place = text.index(sign, max(position - 1, 0))
+            return f"{sign} is not understood in a filter", text, place, hint
+    return f"it is no expression ({error.msg})", text, position, _GENERAL
+
 
 _ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
 _ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
@@ -316,3 +442,22 @@ def dotted(node: ast.expr) -> str | None:
 def _joined(parts: list[Sql], word: str) -> Sql:
     values = tuple(value for part in parts for value in part.values)
     return Sql(f"({word.join(part.text for part in parts)})", values)
+
+
+def names_in(text: str) -> list[str]:
+    """Columns and keys of a filter, as they were typed, each once.
+
+    Raises FilterError if it is no expression.
+    """
+    if not text.strip():
+        return []
+    found: dict[str, None] = {}
+    waiting: list[ast.AST] = [parsed(text)]
+    while waiting:
+        node = waiting.pop(0)
+        name = dotted(node) if isinstance(node, ast.expr) else None
+        if name is None:
+            waiting.extend(ast.iter_child_nodes(node))
+        elif column_sql(name, None) is not None:
+            found[name] = None
+    return list(found)
