@@ -19,14 +19,13 @@ from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian, geometry
 from trms_cli.models.tras import Tras
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.equilibria.completeness import Prover, over_range
-from trms_cli.stability.equilibria.continuation import curves_through, starts
 from trms_cli.stability.equilibria.named_points import named_points
+from trms_cli.stability.equilibria.proof import Prover, over_range
 from trms_cli.stability.equilibria.rest_system import rest_system
-from trms_cli.stability.equilibria.search_box import bounds_of
 from trms_cli.stability.equilibria.survey import (
     Setting,
     Survey,
+    bounds_of,
     completed,
     setting_of,
     survey,
@@ -272,9 +271,9 @@ def test_a_curve_that_the_search_misses_is_found_by_the_proof(over_u_v: Survey) 
 
 
 def test_many_starts_lead_to_the_same_curve(over_u_v: Survey) -> None:
-    seeds = starts(over_u_v.equations, np.linspace(-2.0, 2.1, 4), 4)
+    seeds = over_u_v.equations.starts(np.linspace(-2.0, 2.1, 4), 4)
     assert len(seeds) >= 4
-    assert len(curves_through(over_u_v.equations, seeds)) == 1
+    assert len(over_u_v.equations.curves_through(seeds)) == 1
 
 
 def test_a_dead_zone_is_part_of_rest() -> None:

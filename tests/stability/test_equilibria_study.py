@@ -18,7 +18,7 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.tras import Tras
-from trms_cli.stability.equilibria.friction_band import Band
+from trms_cli.stability.equilibria.named_points import Band
 from trms_cli.stability.equilibria.telling import band_words
 from trms_cli.stability.studies.equilibria import Equilibria
 from trms_cli.stability.study import Study, silent

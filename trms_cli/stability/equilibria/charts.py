@@ -11,9 +11,8 @@ import numpy.typing as npt
 from trms_cli.core import chart as draw
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.stability.equilibria.landmarks import Kind
-from trms_cli.stability.equilibria.map import EquilibriumMap
 from trms_cli.stability.equilibria.named_points import NamedPoint
-from trms_cli.stability.equilibria.survey import JudgedCurve, Survey
+from trms_cli.stability.equilibria.survey import EquilibriumMap, JudgedCurve, Survey
 
 FloatArray = npt.NDArray[np.float64]
 

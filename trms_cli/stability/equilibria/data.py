@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from trms_cli.models.model import Model, names
-from trms_cli.stability.equilibria.completeness import Enclosed, Piece
-from trms_cli.stability.equilibria.curve_equations import EquilibriumPoint
+from trms_cli.stability.equilibria.curves import EquilibriumPoint
 from trms_cli.stability.equilibria.named_points import NamedPoint
+from trms_cli.stability.equilibria.proof import Enclosed, Piece
 from trms_cli.stability.equilibria.survey import Survey
 
 

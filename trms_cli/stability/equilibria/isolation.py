@@ -1,9 +1,11 @@
-"""All roots of one block of equations in a box, by interval branch and prune.
+"""Bounds of one block of equations of rest, and all its roots in a box by branch and prune.
 
 A box is thrown away when bounds of the equations over it exclude zero, or when the image of the
-interval Newton operator (:mod:`trms_cli.stability.equilibria.interval_newton`) has nothing in
-common with it; that operator also tells which boxes hold exactly one root, for each value of what
-is given.
+interval Newton operator has nothing in common with it. The operator also tells which boxes hold
+exactly one root, for each value of what is given. Of one unknown a slope that is nowhere zero and
+ends of opposite signs prove it (Bolzano); of several the Krawczyk operator
+``K(Z) = c − Y g(c) + (I − Y g'(Z))(Z − c)`` in the interior of Z (Krawczyk 1969; Moore, Kearfott &
+Cloud 2009, ch. 8; Neumaier 1990, ch. 5).
 
 All else is cut in two, until it is as small as the tolerance: what is left then is undecided, and
 told so. Boxes are tested a little larger than they are, so that a root on the border of two is
@@ -16,22 +18,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.equilibria.block_equations import BlockEquations
-from trms_cli.stability.equilibria.interval_newton import (
-    centre_of,
-    changes_sign,
-    newton,
-    refined,
-)
+from trms_cli.stability.equilibria.rest_system import Block, RestSystem
+from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
+#: Halvings of a box in which the mobility may have to be shown regular.
+_REGULARITY_CUTS = 14
 #: What has no bounds is searched to here (in its unit); beyond, bounds of the equations alone.
 FAR = 1e6
 _INFLATION = 1.2
@@ -41,6 +41,117 @@ _MOST_BOXES = {1: 256, 2: 1024}
 _MOST_BOXES_OF_MORE = 4096
 #: The same where a doubt ends it: a range that needs more is cut instead.
 _MOST_BOXES_IN_RANGES = 96
+
+
+class BlockEquations:
+    """``g_b`` of a block over boxes.
+
+    Given are all unknowns z (those of blocks before are read) and v, side by side, as intervals:
+    what is proved holds for each of their values.
+
+    Parameters
+    ----------
+    system : RestSystem
+    block : Block
+    """
+
+    def __init__(self, system: RestSystem, block: Block) -> None:
+        self.n = len(block.unknowns)
+        n_z, n_v = system.n, len(system.given)
+        own, given = ca.SX.sym("own", self.n), ca.SX.sym("given", n_z + n_v)
+        p = ca.SX.sym("p", len(system.model.parameters))
+        z = given[:n_z]
+        for k, j in enumerate(block.unknowns):
+            z[j] = own[k]
+        g = system.residual(z, given[n_z:], p)[list(block.rows)]
+        slopes = ca.densify(ca.jacobian(g, own))
+        (g, slopes), constants, bounds = _constants_apart([g, slopes], p, system)
+        self._constants = bounds
+        arguments = [own, given, constants]
+        self._values = Enclosure(ca.Function("values", arguments, [g]))
+        self._both = Enclosure(ca.Function("both", arguments, [g, slopes]))
+
+    def values(self, own: Interval, given: Interval) -> Interval:
+        """g over boxes, (m, n)."""
+        return self._values(own, given, self._constants)[0]
+
+    def with_slopes(self, own: Interval, given: Interval) -> tuple[Interval, Interval]:
+        """g over boxes, (m, n), and its slopes in the block's unknowns, (m, n, n)."""
+        g, slopes = self._both(own, given, self._constants)
+        return g, slopes if slopes.lower.ndim == 3 else slopes[:, :, None]
+
+
+class PointBounds:
+    """Bounds of the whole state and the commands over boxes of z and v.
+
+    Parameters
+    ----------
+    system : RestSystem
+    """
+
+    def __init__(self, system: RestSystem) -> None:
+        z, v = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
+        p = ca.SX.sym("p", len(system.model.parameters))
+        state, commands, _ = system.point(z, v, p)
+        found, constants, self._constants = _constants_apart([state, commands], p, system)
+        self._function = Enclosure(ca.Function("point", [z, v, constants], found))
+
+    def __call__(self, z: Interval, v: Interval) -> tuple[Interval, Interval]:
+        """x, (m, n_x), and u, (m, n_u)."""
+        state, commands = self._function(z, v, self._constants)
+        return state, commands
+
+
+def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
+    """Whether nothing that the rows of a system were divided by is zero in a box of its unknowns.
+
+    Parameters
+    ----------
+    box : Interval
+        (n,); infinite where there is no bound.
+    v : Interval
+        (n_v,).
+    """
+    z, given = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
+    p = ca.SX.sym("p", len(system.model.parameters))
+    (w,), constants, bounds = _constants_apart([system.nonzero(z, given, p)], p, system)
+    read = [j for j in range(system.n) if ca.depends_on(w, z[j])] if w.numel() else []
+    enclosure = Enclosure(ca.Function("nonzero", [z, given, constants], [w]))
+    boxes = box[None, :]
+    for _ in range(_REGULARITY_CUTS):
+        found = enclosure(boxes, v, bounds)[0]
+        doubtful = np.any(found.contains_zero() | ~np.isfinite(found.width), axis=1)
+        if not doubtful.any():
+            return True
+        boxes = boxes[doubtful]
+        for j in read:
+            if not np.all(np.isfinite(boxes.width[:, j])):
+                return False
+            first, second = boxes.upper.copy(), boxes.lower.copy()
+            first[:, j] = second[:, j] = boxes.middle[:, j]
+            boxes = Interval(
+                np.concatenate([boxes.lower, second]), np.concatenate([first, boxes.upper])
+            )
+    return False
+
+
+def _constants_apart(
+    expressions: list[ca.SX], p: ca.SX, system: RestSystem
+) -> tuple[list[ca.SX], ca.SX, Interval]:
+    """Expressions with what depends on parameters alone as constants, and the constants' bounds."""
+    shapes = [e.shape for e in expressions]
+    together = ca.cse(ca.vertcat(*(ca.vec(e) for e in expressions)))
+    symbols: list[ca.SX] = []
+    parts: list[ca.SX] = []
+    if p.numel():
+        together, symbols, parts = ca.extract_parametric(together, p)
+    enclosure = Enclosure(ca.Function("constants", [p], [ca.vertcat(p, *parts)]))
+    bounds = enclosure(Interval.point(system.model.parameters.values))[0]
+    found, at = [], 0
+    for rows, columns in shapes:
+        found.append(ca.densify(ca.reshape(together[at : at + rows * columns], rows, columns)))
+        at += rows * columns
+    return found, ca.vertcat(p, *symbols), bounds[0]
 
 
 @dataclass(frozen=True)
@@ -337,3 +448,153 @@ def _clusters(owner: IntArray, boxes: Interval, tolerance: FloatArray) -> tuple[
     low = np.array([h[0] for h in hulls]).reshape(-1, n)
     high = np.array([h[1] for h in hulls]).reshape(-1, n)
     return np.array(owners, dtype=np.int64), Interval(low, high)
+
+
+_REFINEMENTS = 120
+
+
+@dataclass(frozen=True)
+class Step:
+    """Of the interval Newton operator on boxes: what it tells, and its image."""
+
+    possible: BoolArray  #: whether a root is not excluded
+    unique: BoolArray  #: whether there is exactly one
+    image: Interval  #: holds every root of the box
+    slopes: Interval  #: bounds of g' over it
+
+
+def newton(equations: BlockEquations, box: Interval, given: Interval) -> Step:
+    """One step on boxes (m, n), for what is given (m, n_given)."""
+    g, slopes = equations.with_slopes(box, given)
+    centre = centre_of(box)
+    at_centre = equations.values(Interval.point(centre), given)
+    away = Interval.point(box.lower) - Interval.point(centre)
+    away = Interval(away.lower, (Interval.point(box.upper) - Interval.point(centre)).upper)
+    if equations.n == 1:
+        return _one_unknown(equations, box, given, (g, slopes), (centre, at_centre, away))
+    possible = np.all(g.contains_zero(), axis=1)
+    possible &= np.all((at_centre + _times(slopes, away)).contains_zero(), axis=1)
+    inverse = _inverses(slopes.middle)
+    deviation = _deviation(inverse, slopes)
+    shift = _times(Interval.point(inverse), at_centre)
+    image = Interval.point(centre) - shift + _times(deviation, away)
+    unique = np.all(image.within(box), axis=1)
+    return Step(possible, unique, image, slopes)
+
+
+def _one_unknown(
+    equations: BlockEquations,
+    box: Interval,
+    given: Interval,
+    over: tuple[Interval, Interval],
+    about: tuple[FloatArray, Interval, Interval],
+) -> Step:
+    (g, slopes), (centre, at_centre, away) = over, about
+    slope = slopes[:, :, 0]
+    monotonic = ~slope.contains_zero()[:, 0]
+    possible = (g.contains_zero() & (at_centre + slope * away).contains_zero())[:, 0]
+    low = _signs(equations.values(Interval.point(box.lower), given))
+    high = _signs(equations.values(Interval.point(box.upper), given))
+    unique = monotonic & (low * high < 0)
+    possible &= ~(monotonic & (low * high > 0))
+    image = box.intersection(_newton_image(centre, at_centre, slope))
+    return Step(possible, unique, image, slopes)
+
+
+def _newton_image(centre: FloatArray, at_centre: Interval, slope: Interval) -> Interval:
+    with np.errstate(invalid="ignore", over="ignore"):
+        return Interval.point(centre) - at_centre / slope
+
+
+def centre_of(box: Interval) -> FloatArray:
+    """The middle; of a box with very different ends of one sign, in orders of magnitude."""
+    near = np.minimum(np.abs(box.lower), np.abs(box.upper))
+    far = box.magnitude
+    sign = np.where(box.upper > 0, 1.0, -1.0)
+    wide = ((box.lower >= 0) | (box.upper <= 0)) & (far > 16.0 * np.maximum(near, 1.0))
+    return np.where(wide, sign * np.sqrt(np.maximum(near, 1.0) * far), box.middle)
+
+
+def _signs(values: Interval) -> FloatArray:
+    """−1, 1, or 0 where the sign is not certain."""
+    return np.where(values.lower[:, 0] > 0, 1.0, np.where(values.upper[:, 0] < 0, -1.0, 0.0))
+
+
+def _times(matrix: Interval, vector: Interval) -> Interval:
+    total: Interval | None = None
+    for j in range(vector.lower.shape[1]):
+        term = matrix[:, :, j] * vector[:, None, j]
+        total = term if total is None else total + term
+    assert total is not None
+    return total
+
+
+def _inverses(matrices: FloatArray) -> FloatArray:
+    """Approximate inverses; zero where there is none, which proves nothing."""
+    usable = np.all(np.isfinite(matrices), axis=(1, 2))
+    matrices = np.where(usable[:, None, None], matrices, 0.0)
+    size = np.where(usable, np.abs(matrices).max(axis=(1, 2)), 1.0)
+    usable &= np.abs(np.linalg.det(matrices / np.where(size > 0, size, 1.0)[:, None, None])) > 1e-14
+    found = np.zeros_like(matrices)
+    found[usable] = np.linalg.inv(matrices[usable])
+    return found
+
+
+def _deviation(inverse: FloatArray, slopes: Interval) -> Interval:
+    """``I − Y g'``."""
+    n = inverse.shape[1]
+    identity = np.broadcast_to(np.eye(n), inverse.shape)
+    total = Interval.point(identity)
+    for k in range(n):
+        left = Interval.point(np.repeat(inverse[:, :, k, None], n, axis=2))
+        right = Interval(
+            np.repeat(slopes.lower[:, None, k, :], n, axis=1),
+            np.repeat(slopes.upper[:, None, k, :], n, axis=1),
+        )
+        total = total - left * right
+    return total
+
+
+def refined(equations: BlockEquations, box: Interval, given: Interval) -> Interval:
+    """Boxes (m, n) with one proved root each, made as tight as they get."""
+    active = np.arange(len(box.lower))
+    lower, upper = box.lower.copy(), box.upper.copy()
+    rises = np.zeros(len(active))
+    if equations.n == 1 and len(active):
+        rises = _signs(equations.values(Interval.point(upper), given))
+    for _ in range(_REFINEMENTS):
+        if not len(active):
+            break
+        now = Interval(lower[active], upper[active])
+        image = now.intersection(_smaller(equations, now, given[active], rises[active]))
+        sound = np.all(image.lower <= image.upper, axis=1)
+        lower[active[sound]], upper[active[sound]] = image.lower[sound], image.upper[sound]
+        shrunk = np.any(image.width < 0.8 * now.width, axis=1)
+        active = active[sound & shrunk]
+    return Interval(lower, upper)
+
+
+def _smaller(
+    equations: BlockEquations, box: Interval, given: Interval, rises: FloatArray
+) -> Interval:
+    """The image of a box with one root; of one unknown also the side of its centre."""
+    if equations.n > 1:
+        return newton(equations, box, given).image
+    _, slopes = equations.with_slopes(box, given)
+    centre = centre_of(box)
+    at_centre = equations.values(Interval.point(centre), given)
+    image = _newton_image(centre, at_centre, slopes[:, :, 0])
+    side = (_signs(at_centre) * rises)[:, None]
+    return Interval(
+        np.where(side < 0, np.maximum(image.lower, centre), image.lower),
+        np.where(side > 0, np.minimum(image.upper, centre), image.upper),
+    )
+
+
+def changes_sign(equations: BlockEquations, box: Interval, given: Interval) -> BoolArray:
+    """Whether one equation has ends of opposite signs: at least one root."""
+    if equations.n > 1:
+        return np.zeros(len(box.lower), dtype=bool)
+    low = _signs(equations.values(Interval.point(box.lower), given))
+    high = _signs(equations.values(Interval.point(box.upper), given))
+    return np.asarray(low * high < 0)

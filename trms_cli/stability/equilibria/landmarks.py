@@ -11,10 +11,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.models.continuation import SolutionCurve
 from trms_cli.models.model import names
-from trms_cli.stability.equilibria.continuation import Curve, crossings_of
-from trms_cli.stability.equilibria.curve_equations import CurveEquations, EquilibriumPoint
-from trms_cli.stability.equilibria.stability_of_points import judged
+from trms_cli.stability.equilibria.curves import CurveEquations, EquilibriumPoint
 from trms_cli.stability.local.linear import Linear
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,7 +42,7 @@ class Landmark:
 def landmarks(
     linear: Linear,
     equations: CurveEquations,
-    curve: Curve,
+    curve: SolutionCurve,
     points: Sequence[EquilibriumPoint],
 ) -> list[Landmark]:
     """The special points of a curve, in order along it."""
@@ -63,21 +62,21 @@ def landmarks(
     for k in curve.crossings:
         if not any(abs(place - k) <= 2 for place, _ in found):
             y = curve.y[k]
-            found.append((k, Landmark("crossing", "", y, judged(linear, equations, y))))
+            found.append((k, Landmark("crossing", "", y, equations.stability(linear, y))))
     for index, signal in enumerate(equations.system.unknowns):
         if signal.name in equations.system.model.controlled and _varies(curve.y[:, index]):
-            for y in crossings_of(equations, curve, index, 0.0):
+            for y in equations.crossings_of(curve, 0.0, index):
                 if _stays(equations, curve, y, index):
                     continue
-                point = Landmark("level", signal.name, y, judged(linear, equations, y))
+                point = Landmark("level", signal.name, y, equations.stability(linear, y))
                 found.append((_place(equations, curve, y), point))
-    for y in crossings_of(equations, curve, equations.n, 0.0):
-        point = Landmark("zero", "", y, judged(linear, equations, y))
+    for y in equations.crossings_of(curve, 0.0):
+        point = Landmark("zero", "", y, equations.stability(linear, y))
         found.append((_place(equations, curve, y), point))
     return [landmark for _, landmark in sorted(found, key=lambda item: item[0])]
 
 
-def _stays(equations: CurveEquations, curve: Curve, y: FloatArray, index: int) -> bool:
+def _stays(equations: CurveEquations, curve: SolutionCurve, y: FloatArray, index: int) -> bool:
     """Whether a coordinate keeps its value around a point: in a dead zone it crosses nothing."""
     k = _place(equations, curve, y)
     around = curve.y[max(k - 1, 0) : k + 2, index] - y[index]
@@ -88,11 +87,13 @@ def _varies(values: FloatArray) -> bool:
     return float(np.ptp(values)) > 1e-6
 
 
-def _place(equations: CurveEquations, curve: Curve, y: FloatArray) -> int:
+def _place(equations: CurveEquations, curve: SolutionCurve, y: FloatArray) -> int:
     return int(np.argmin(np.linalg.norm((curve.y - y) / equations.scale, axis=1)))
 
 
-def _folds(linear: Linear, equations: CurveEquations, curve: Curve) -> list[tuple[float, Landmark]]:
+def _folds(
+    linear: Linear, equations: CurveEquations, curve: SolutionCurve
+) -> list[tuple[float, Landmark]]:
     steps = np.diff(curve.y[:, -1])
     found: list[tuple[float, Landmark]] = []
     # The end of a curve may lie on its last point: a step of nothing turns nowhere.
@@ -106,11 +107,13 @@ def _folds(linear: Linear, equations: CurveEquations, curve: Curve) -> list[tupl
         point = y if smooth and y is not None else near
         kind: Kind = "fold" if smooth else "kink"
         place = _between(equations, curve, point, range(int(i), int(j) + 1)) if smooth else float(i)
-        found.append((place, Landmark(kind, "", point, judged(linear, equations, point))))
+        found.append((place, Landmark(kind, "", point, equations.stability(linear, point))))
     return found
 
 
-def _between(equations: CurveEquations, curve: Curve, y: FloatArray, parts: Iterable[int]) -> float:
+def _between(
+    equations: CurveEquations, curve: SolutionCurve, y: FloatArray, parts: Iterable[int]
+) -> float:
     """Where a point lies on some parts of a curve, as a position among its points."""
     places: list[tuple[float, float]] = []
     for k in parts:
@@ -134,7 +137,7 @@ class _Node:
 def _with_folds(
     linear: Linear,
     equations: CurveEquations,
-    curve: Curve,
+    curve: SolutionCurve,
     points: Sequence[EquilibriumPoint],
     folds: Sequence[tuple[float, Landmark]],
 ) -> list[_Node]:
@@ -160,7 +163,7 @@ def _with_folds(
                 guess = fold.y + side * size * along * equations.scale
                 y = equations.corrected(guess, along)
                 if y is not None and equations.inside(y):
-                    at = judged(linear, equations, y)
+                    at = equations.stability(linear, y)
                     where = _between(equations, curve, y, (k,))
                     nodes.append(_Node(where, y, at, beside=size == _BESIDE))
                 size *= 2.0
@@ -184,7 +187,7 @@ def _change(
         here = equations.corrected(before + middle * (after - before), along)
         if here is None:
             break
-        y, at = here, judged(linear, equations, here)
+        y, at = here, equations.stability(linear, here)
         if at.unstable == first.unstable:
             low = middle
         else:

@@ -1,6 +1,8 @@
 """The equations of rest of a model as a square system, in blocks that are solved one by one.
 
-What is left after :mod:`trms_cli.stability.equilibria.elimination` are a few equations
+Three identities take out of them what can be taken out exactly: states that follow linearly from
+others (:func:`eliminated`), inertias that two accelerations have in common (:func:`torques`), and
+factors that are nowhere zero (:func:`without_factors`). What is left are a few equations
 ``g(z, v) = 0`` in unknowns z, given the inputs and constant torques v. A matching of equations to
 unknowns tells what the structure allows:
 
@@ -15,7 +17,7 @@ only what was solved before (Duff & Reid 1978, ACM Trans. Math. Softw. 4; Dulmag
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -28,9 +30,6 @@ from scipy.sparse.csgraph import connected_components
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model, Signal, index_of, names
 from trms_cli.models.rest import arriving, rest_equations
-from trms_cli.stability.equilibria.elimination import Eliminated, eliminated
-from trms_cli.stability.equilibria.factors import without_factors
-from trms_cli.stability.equilibria.torque_balance import torques
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -265,3 +264,213 @@ def _refuse(model: Model, varied: Collection[str], held: Mapping[str, float], mi
         where="study.at" if held else "model",
         remedy="hold fewer angles" if held else "vary fewer inputs",
     )
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Equations after elimination."""
+
+    rows: list[ca.SX]  #: What must be zero, one expression each
+    kept: list[int]  #: Positions of the symbols that are left as unknowns
+    state: ca.SX  #: All symbols by those that are left, (n, 1)
+
+
+def eliminated(
+    f: ca.SX, x: ca.SX, others: ca.SX, p: ca.SX, values: ca.DM, keep: Collection[int]
+) -> Eliminated:
+    """Solve linear equations of ``f(x, others, p) = 0`` for symbols of x, one after the other.
+
+    Parameters
+    ----------
+    f : (n, 1)
+    x : (n, 1)
+        Symbols.
+    others : (m, 1)
+        Symbols that a factor must not depend on either.
+    p, values : (n_p, 1)
+        Parameters and their values: a factor that is zero there cannot be divided by.
+    keep : collection of int
+        Positions in x that are to stay unknowns.
+    """
+    rows = ca.vertsplit(ca.cse(f))
+    state, left = x, [j for j in range(x.numel()) if j not in keep]
+    variables = ca.vertcat(x, others)
+    while True:
+        found = _linear(rows, x, variables, p, values, left)
+        if found is None:
+            break
+        i, j, factor = found
+        rest = ca.substitute(rows[i], x[j], ca.SX(0))
+        # A division by one would stay in the expression, and keep it from cancelling.
+        value = rest if factor.is_minus_one() else -rest if factor.is_one() else -rest / factor
+        rows = [row for k, row in enumerate(rows) if k != i]
+        whole = ca.cse(ca.substitute(ca.vertcat(state, *rows), x[j], value))
+        state, rows = whole[: x.numel()], ca.vertsplit(whole[x.numel() :]) if rows else []
+        left.remove(j)
+    kept = [j for j in range(x.numel()) if j in keep or j in left]
+    # A row that has become identically zero asks for nothing.
+    rows = [row for row in rows if not (row.is_constant() and float(row) == 0.0)]
+    return Eliminated(rows, kept, state)
+
+
+def _linear(
+    rows: list[ca.SX], x: ca.SX, variables: ca.SX, p: ca.SX, values: ca.DM, left: list[int]
+) -> tuple[int, int, ca.SX] | None:
+    """Row, symbol and factor of a linear occurrence, in a row of as few symbols as there is.
+
+    A factor of one comes first: ``S`` by the rate, and not a rotor's speed by ``S``.
+    """
+    if not rows or not left:
+        return None
+    slopes = ca.cse(ca.jacobian(ca.vertcat(*rows), x))
+    filled = np.array(ca.DM(slopes.sparsity(), 1).full(), dtype=bool)
+    for i in np.argsort(filled.sum(axis=1), kind="stable"):
+        candidates = [j for j in left if filled[i, j]]
+        for j in sorted(candidates, key=lambda j: not _is_unit(slopes[int(i), j])):
+            factor = slopes[int(i), j]
+            if ca.depends_on(factor, variables):
+                continue
+            size = float(ca.evalf(ca.substitute(factor, p, values))) if p.numel() else float(factor)
+            if np.isfinite(size) and size != 0.0:
+                return int(i), j, factor
+    return None
+
+
+def _is_unit(factor: ca.SX) -> bool:
+    return bool(factor.is_one() or factor.is_minus_one())
+
+
+def torques(
+    rows: Sequence[ca.SX], moments: Sequence[ca.SX], symbols: ca.SX
+) -> tuple[list[ca.SX], ca.SX | None]:
+    """Two rows of coupled accelerations as torques, and W (2, 2); unchanged and None otherwise.
+
+    Parameters
+    ----------
+    rows : (n,) sequence of scalars
+    moments : sequence of symbols
+        Torques on the axes.
+    symbols : (m, 1)
+        All symbols of the rows.
+    """
+    if len(moments) != 2 or len(rows) < 2:
+        return list(rows), None
+    torque = ca.vertcat(*moments)
+    mobility = ca.cse(ca.jacobian(ca.vertcat(*rows), torque))
+    pushed = [i for i in range(len(rows)) if mobility[i, :].nnz() == 2]
+    if len(pushed) != 2 or ca.depends_on(mobility, torque):
+        return list(rows), None
+    square = ca.densify(mobility[pushed, :])
+    balance = _balance([rows[i] for i in pushed], square, symbols)
+    if balance is None:
+        return list(rows), None
+    after = [balance[pushed.index(i)] if i in pushed else row for i, row in enumerate(rows)]
+    return after, square
+
+
+def _balance(rows: list[ca.SX], square: ca.SX, symbols: ca.SX) -> list[ca.SX] | None:
+    """b of ``rows = square @ b``, or None where the rows are not seen to be that."""
+    count = len(rows)
+    whole = ca.cse(ca.vertcat(*rows, ca.vec(square)))
+    program = ca.Function("program", [symbols], [whole])
+    made = _makers(program)
+    if any(count + k not in made for k in range(4)):
+        return None
+    places = [made[count + k] for k in range(4)]
+    entries = {place: ca.SX.sym(f"mobility_{place}") for place, _ in places}
+    replaced = _run(program, symbols, entries)[:count]
+    own = ca.vertcat(*entries.values())
+    matrix = [[sign * entries[place] for place, sign in places[i::2]] for i in range(2)]
+    found = []
+    for place, sign in places[::2]:
+        share = sign * ca.jacobian(replaced[0], entries[place])
+        if ca.depends_on(share, own):
+            return None
+        found.append(share)
+    # rows − W b must vanish: linear in the entries, with these factors, and nothing else.
+    for i in range(2):
+        difference = replaced[i] - matrix[i][0] * found[0] - matrix[i][1] * found[1]
+        slopes = ca.cse(ca.jacobian(difference, own))
+        at_zero = ca.cse(ca.substitute(replaced[i], own, ca.SX.zeros(own.numel())))
+        if not _vanishes(slopes) or not _vanishes(at_zero):
+            return None
+    return found
+
+
+def _vanishes(expression: ca.SX) -> bool:
+    return all(e.is_zero() for e in ca.vertsplit(ca.vec(ca.densify(expression))))
+
+
+def _makers(program: ca.Function) -> dict[int, tuple[int, int]]:
+    """Which instruction makes each output, up to a sign."""
+    writer: dict[int, tuple[int, int]] = {}
+    made: dict[int, tuple[int, int]] = {}
+    rows = program.sparsity_out(0).row()
+    for k in range(program.n_instructions()):
+        operation = program.instruction_id(k)
+        into, given = program.instruction_output(k), program.instruction_input(k)
+        if operation == ca.OP_OUTPUT:
+            made[rows[into[1]]] = writer[given[0]]
+        elif operation == ca.OP_NEG:
+            place, sign = writer[given[0]]
+            writer[into[0]] = place, -sign
+        else:
+            writer[into[0]] = k, 1
+    return made
+
+
+def _run(program: ca.Function, symbols: ca.SX, instead: dict[int, ca.SX]) -> list[ca.SX]:
+    """The outputs, with the results of some instructions replaced."""
+    work: dict[int, ca.SX] = {}
+    outputs = [ca.SX(0)] * program.size1_out(0)
+    rows = program.sparsity_out(0).row()
+    for k in range(program.n_instructions()):
+        operation = program.instruction_id(k)
+        into, given = program.instruction_output(k), program.instruction_input(k)
+        if operation == ca.OP_OUTPUT:
+            outputs[rows[into[1]]] = work[given[0]]
+        elif k in instead:
+            work[into[0]] = instead[k]
+        elif operation == ca.OP_CONST:
+            work[into[0]] = ca.SX(program.instruction_constant(k))
+        elif operation == ca.OP_INPUT:
+            work[into[0]] = symbols[given[1]]
+        elif len(given) == 1:
+            work[into[0]] = ca.SX.unary(operation, work[given[0]])
+        else:
+            work[into[0]] = ca.SX.binary(operation, work[given[0]], work[given[1]])
+    return outputs
+
+
+def without_factors(row: ca.SX, variables: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
+    """A row without cosines and constants as factors, without its divisor; and what they were.
+
+    Parameters
+    ----------
+    row : scalar
+    variables : (m, 1)
+        Symbols that are no parameters.
+    """
+    taken: list[ca.SX] = []
+    while True:
+        if row.is_op(ca.OP_NEG):
+            row = row.dep(0)
+        elif row.is_op(ca.OP_DIV):
+            taken.append(row.dep(1))
+            row = row.dep(0)
+        elif row.is_op(ca.OP_MUL):
+            first, second = row.dep(0), row.dep(1)
+            if _is_factor(first, variables):
+                taken.append(first)
+                row = second
+            elif _is_factor(second, variables):
+                taken.append(second)
+                row = first
+            else:
+                return row, taken
+        else:
+            return row, taken
+
+
+def _is_factor(expression: ca.SX, variables: ca.SX) -> bool:
+    return expression.is_op(ca.OP_COS) or not ca.depends_on(expression, variables)

@@ -1,27 +1,25 @@
-"""All equilibria over one input: curves, what is special on them, and the proof beside them."""
+"""All equilibria over one input: curves, what is special on them, and the proof beside them.
+
+Over two inputs at once only the stable ones are looked for, from those over the first.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.plugins import nearest
+from trms_cli.models.continuation import SolutionCurve
 from trms_cli.models.model import Model, names
-from trms_cli.stability.equilibria.completeness import Piece, Proof, Prover, over_range
-from trms_cli.stability.equilibria.continuation import (
-    Curve,
-    at_input,
-    curve_through,
-    curves_through,
-    starts,
-)
-from trms_cli.stability.equilibria.curve_equations import CurveEquations, EquilibriumPoint
+from trms_cli.stability.equilibria.curves import CurveEquations, EquilibriumPoint
 from trms_cli.stability.equilibria.landmarks import Landmark, landmarks
+from trms_cli.stability.equilibria.proof import Piece, Proof, Prover, over_range
 from trms_cli.stability.equilibria.rest_system import RestSystem, rest_system
-from trms_cli.stability.equilibria.search_box import bounds_of
-from trms_cli.stability.equilibria.stability_of_points import judged
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.study import Tell
@@ -50,7 +48,7 @@ class Setting:
 class JudgedCurve:
     """A curve with the stability of its points."""
 
-    curve: Curve
+    curve: SolutionCurve
     points: tuple[EquilibriumPoint, ...]  #: One for each point of the curve
     landmarks: tuple[Landmark, ...]
 
@@ -121,8 +119,8 @@ def survey(
     linear = Linear(model)
 
     tell(f"curves over {setting.over}")
-    seeds = starts(equations, np.linspace(*setting.bounds, _INPUTS), _STARTS)
-    curves = curves_through(equations, seeds)
+    seeds = equations.starts(np.linspace(*setting.bounds, _INPUTS), _STARTS)
+    curves = equations.curves_through(seeds)
 
     tell(f"proofs over {setting.over}")
     prover = Prover(system, bounds, scale)
@@ -152,19 +150,19 @@ def survey(
 
 
 def completed(
-    equations: CurveEquations, curves: list[Curve], proofs: Sequence[Proof]
-) -> tuple[list[Curve], int]:
+    equations: CurveEquations, curves: list[SolutionCurve], proofs: Sequence[Proof]
+) -> tuple[list[SolutionCurve], int]:
     """The curves with those through proved equilibria that are on none, and how many those are."""
     late = 0
     for proof in proofs:
         value = float(proof.given.lower[equations.varied])
         for one in proof.proved:
-            known = [y for curve in curves for y in at_input(equations, curve, value)]
+            known = [y for curve in curves for y in equations.crossings_of(curve, value)]
             if any(_within(equations, y, one.z) for y in known):
                 continue
             y = equations.pinned(np.append(one.z.middle, value), equations.n, value)
             if y is not None and equations.inside(y):
-                curves = [*curves, curve_through(equations, y)]
+                curves = [*curves, equations.through(y)]
                 late += 1
     return curves, late
 
@@ -177,11 +175,11 @@ def _within(equations: CurveEquations, y: FloatArray, z: Interval) -> bool:
 def _check(
     linear: Linear,
     equations: CurveEquations,
-    curves: Sequence[Curve],
+    curves: Sequence[SolutionCurve],
     value: float,
     proof: Proof,
 ) -> Checked:
-    known = [y for curve in curves for y in at_input(equations, curve, value)]
+    known = [y for curve in curves for y in equations.crossings_of(curve, value)]
     ordered: list[FloatArray] = []
     agree = True
     for one in proof.found:
@@ -189,12 +187,12 @@ def _check(
         agree &= len(inside) == 1 if one.unique else True
         ordered += inside
     agree &= all(any(_within(equations, y, one.z) for one in proof.found) for y in known)
-    points = tuple(judged(linear, equations, y) for y in (ordered if agree else known))
+    points = tuple(equations.stability(linear, y) for y in (ordered if agree else known))
     return Checked(value, proof, points, agree)
 
 
-def _judged_curve(linear: Linear, equations: CurveEquations, curve: Curve) -> JudgedCurve:
-    points = tuple(judged(linear, equations, y) for y in curve.y)
+def _judged_curve(linear: Linear, equations: CurveEquations, curve: SolutionCurve) -> JudgedCurve:
+    points = tuple(equations.stability(linear, y) for y in curve.y)
     return JudgedCurve(curve, points, tuple(landmarks(linear, equations, curve, points)))
 
 
@@ -227,3 +225,155 @@ def setting_of(
     free = rest_system(model, {over}, held)
     inputs = {n: float(asked.get(n, 0.0)) for n in others if n not in free.released}
     return Setting(over, bounds, inputs, held)
+
+
+#: rad, just within ±π/2: with the beam upright the yaw of some models answers to nothing at all.
+UPRIGHT = 1.57
+#: Random states and inputs at which an equation is tried.
+_TRIED = 4
+
+
+def bounds_of(
+    system: RestSystem, asked: Mapping[str, Sequence[float]], where: str = "study.box"
+) -> tuple[Interval, FloatArray]:
+    """Bounds of the unknowns, (n,) each, and the size of each that counts.
+
+    A pitch reaches to its stop, at least to :data:`UPRIGHT`; another angle to its stop, or a half
+    turn; a released input to its limit; all else has no bounds.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name that is no state, or bounds that are none.
+    ModelError
+        If with the beam upright, within the bounds, an equation holds for whatever else.
+    """
+    model = system.model
+    for name, bounds in asked.items():
+        if name not in model.state_names:
+            raise ConfigurationError(
+                f"{name!r} is no state of model {model.name!r}",
+                where=f"{where}.{name}",
+                remedy=nearest(name, model.state_names),
+            )
+        if len(bounds) != 2 or not bounds[0] < bounds[1]:
+            raise ConfigurationError(
+                f"{list(bounds)} are no bounds",
+                where=f"{where}.{name}",
+                remedy="give a lower and a higher one, as [-1.57, 1.57]",
+            )
+    lower, upper = [], []
+    for signal in system.unknowns:
+        low, high = asked[signal.name] if signal.name in asked else usual_bounds(model, signal.name)
+        lower.append(float(low))
+        upper.append(float(high))
+    box = Interval.of(lower, upper)
+    _require_yaw(system, box, where)
+    width = np.where(np.isfinite(box.width), box.width, np.nan)
+    rest = np.array([100.0 if signal.unit == "rad/s" else 1.0 for signal in system.unknowns])
+    return box, np.where(np.isnan(width), rest, np.minimum(0.5 * width, 10.0))
+
+
+def _require_yaw(system: RestSystem, box: Interval, where: str) -> None:
+    """Nothing upright in the box where an equation of rest then holds for whatever else.
+
+    Raises ModelError.
+    """
+    model = system.model
+    pitch = model.axes["pitch"].angle if "pitch" in model.axes else ""
+    if pitch not in names(system.unknowns):
+        return
+    index = names(system.unknowns).index(pitch)
+    p, random = model.parameters.values, np.random.default_rng(0)
+    for upright in (-0.5 * math.pi, 0.5 * math.pi):
+        if not box.lower[index] < upright < box.upper[index]:
+            continue
+        z = random.uniform(-1.0, 1.0, (system.n, _TRIED))
+        v = random.uniform(-1.0, 1.0, (len(system.given), _TRIED))
+        usual = np.abs(np.array(system.residual(z, v, p))).max(axis=1)
+        z[index] = upright
+        there = np.abs(np.array(system.residual(z, v, p))).max(axis=1)
+        if np.any((usual > 0) & (there <= 1e-12 * usual)):
+            raise ModelError(
+                f"the equations of model {model.name!r} are singular in the box: with the beam "
+                f"upright ({pitch} = {upright:.4g} rad) nothing turns it in yaw",
+                where=f"{where}.{pitch}",
+                remedy=f"stay within ±{UPRIGHT} rad, as {where}.{pitch}=[-{UPRIGHT},{UPRIGHT}]",
+            )
+
+
+def usual_bounds(model: Model, name: str) -> tuple[float, float]:
+    """Bounds of an unknown that nothing is asked of."""
+    if name in names(model.inputs):
+        limit = model.input_limits[name]
+        return -limit, limit
+    pitch = model.axes["pitch"].angle if "pitch" in model.axes else ""
+    stop = model.stops.get(name, math.inf)
+    if name == pitch:
+        half = max(stop, UPRIGHT) if math.isfinite(stop) else UPRIGHT
+        return -half, half
+    if any(axis.angle == name for axis in model.axes.values()):
+        half = stop if math.isfinite(stop) else math.pi
+        return -half, half
+    return -math.inf, math.inf
+
+
+_MAP_POINTS = 41
+
+
+@dataclass(frozen=True)
+class EquilibriumMap:
+    """Controlled angles of the stable equilibria over two inputs."""
+
+    first: FloatArray  #: (n,), (m,) arrays; the inputs
+    second: FloatArray  #: (n,), (m,) arrays; the inputs
+    #: dict of str to (m, n) array; rad; NaN where there is no stable equilibrium in the box
+    angles: dict[str, FloatArray]
+
+
+def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap | None:
+    """From the stable points over one input, by steps of the other; None for other structures.
+
+    Parameters
+    ----------
+    along : Survey
+        Over the first input, with the second given.
+    second : str
+    """
+    over = along.setting.over
+    if along.system.free or along.system.released or along.setting.held:
+        return None
+    system = rest_system(model, {over, second})
+    limit = model.input_limits[second]
+    start = along.setting.inputs.get(second, 0.0)
+    first = np.linspace(*along.setting.bounds, _MAP_POINTS)
+    others = np.linspace(-limit, limit, _MAP_POINTS)
+    rows = [model.state_index(name) for name in model.controlled]
+    angles = np.full((len(rows), _MAP_POINTS, _MAP_POINTS), np.nan)
+    linear = Linear(model)
+    names = [signal.name for signal in system.unknowns]
+    box, scale = bounds_of(system, {})
+    for column, value in enumerate(first):
+        known = [y for one in along.curves for y in along.equations.crossings_of(one.curve, value)]
+        stable = [
+            p for p in (along.equations.stability(linear, y) for y in known) if not p.unstable
+        ]
+        if not stable:
+            continue
+        v = np.zeros(len(system.given))
+        v[system.given_index(over)] = value
+        bounds = (-limit, limit)
+        equations = CurveEquations(system, system.given_index(second), v, box, scale, bounds)
+        x = stable[0].x
+        seed = np.array([*(x[model.state_index(name)] for name in names), start])
+        for side in (others[others >= start], others[others < start][::-1]):
+            y: FloatArray | None = seed
+            for at in side:
+                y = equations.pinned(y, equations.n, float(at)) if y is not None else None
+                if y is None or not equations.inside(y):
+                    break
+                here = equations.stability(linear, y)
+                if not here.unstable:
+                    row = int(np.argmin(np.abs(others - at)))
+                    angles[:, row, column] = here.x[rows]
+    return EquilibriumMap(first, others, dict(zip(model.controlled, angles, strict=True)))

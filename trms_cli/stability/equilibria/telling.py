@@ -8,12 +8,11 @@ from collections.abc import Callable, Sequence
 from trms_cli.core.findings import Judged, Table, Value
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.stability.equilibria.charts import symbol
-from trms_cli.stability.equilibria.completeness import Piece
-from trms_cli.stability.equilibria.curve_equations import EquilibriumPoint
+from trms_cli.stability.equilibria.curves import EquilibriumPoint
 from trms_cli.stability.equilibria.data import proved_share
-from trms_cli.stability.equilibria.friction_band import Band
 from trms_cli.stability.equilibria.landmarks import Landmark, state_of
-from trms_cli.stability.equilibria.named_points import NamedPoint
+from trms_cli.stability.equilibria.named_points import Band, NamedPoint
+from trms_cli.stability.equilibria.proof import Piece
 from trms_cli.stability.equilibria.survey import Survey
 from trms_cli.stability.local.linear import Linear
 

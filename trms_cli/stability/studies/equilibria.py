@@ -17,11 +17,16 @@ from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
 from trms_cli.stability.equilibria.charts import curves_chart, map_chart, shown_signals, symbol
 from trms_cli.stability.equilibria.data import named_data, survey_data
-from trms_cli.stability.equilibria.map import equilibrium_map
 from trms_cli.stability.equilibria.named_points import NamedPoint, named_points
 from trms_cli.stability.equilibria.rest_system import rest_system
-from trms_cli.stability.equilibria.search_box import usual_bounds
-from trms_cli.stability.equilibria.survey import Setting, Survey, setting_of, survey
+from trms_cli.stability.equilibria.survey import (
+    Setting,
+    Survey,
+    equilibrium_map,
+    setting_of,
+    survey,
+    usual_bounds,
+)
 from trms_cli.stability.equilibria.telling import (
     band_words,
     landmark_table,
@@ -53,7 +58,7 @@ class Equilibria:
     #: the main rotor's, the beam held level over the tail rotor's.
     at: Mapping[str, float] = field(default_factory=dict)
     #: Bounds by state; what is not named as of
-    #: :func:`trms_cli.stability.equilibria.search_box.bounds_of`
+    #: :func:`trms_cli.stability.equilibria.survey.bounds_of`
     box: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     #: Inputs of each range at which the number of equilibria is proved
     proof_points: Annotated[int, Meta(ge=2, le=201)] = 21

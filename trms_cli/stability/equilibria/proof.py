@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ModelError
-from trms_cli.stability.equilibria.block_equations import BlockEquations, PointBounds, is_regular
-from trms_cli.stability.equilibria.isolation import isolate
+from trms_cli.stability.equilibria.isolation import BlockEquations, PointBounds, is_regular, isolate
 from trms_cli.stability.equilibria.rest_system import RestSystem
 from trms_cli.stability.intervals.interval import Interval
 
