@@ -8,9 +8,8 @@ import pytest
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
-from trms_cli.stability.portraits.coordinates import default_states
 from trms_cli.stability.portraits.rest_points import grid
-from trms_cli.stability.portraits.section import section_of
+from trms_cli.stability.portraits.section import default_states, section_of
 
 VERTICAL = Newtonian(freedom="vertical")
 BOTH = Newtonian()

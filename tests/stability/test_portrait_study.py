@@ -23,12 +23,11 @@ from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.observers.full_state import FullState
-from trms_cli.stability.portraits.account import Told, lead_of_model
-from trms_cli.stability.portraits.drawing import Picture, has_field
-from trms_cli.stability.portraits.ends import ends_of
-from trms_cli.stability.portraits.journeys import journeys
+from trms_cli.stability.portraits.charts import PortraitResult, has_field
+from trms_cli.stability.portraits.report import lead_of_model
 from trms_cli.stability.portraits.rest_points import rest_point
 from trms_cli.stability.portraits.section import section_of
+from trms_cli.stability.portraits.trajectories import ends_of, trajectories
 from trms_cli.stability.studies.phase_portrait import PhasePortrait
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import LoopParts, Subject
@@ -154,8 +153,8 @@ def test_a_projection_is_told():
 
 def test_slopes_of_two_sides_are_told():
     yaw = found(Newtonian(freedom="horizontal"), at={"u_h": 0.0}, starts=2)
-    (told,) = [words for words in yaw.warnings if "mean of both" in words]
-    assert told.startswith("at α_h = 0 the slopes differ")
+    (result,) = [words for words in yaw.warnings if "mean of both" in words]
+    assert result.startswith("at α_h = 0 the slopes differ")
     assert yaw.results["equilibria"][0]["switches"] == ["alpha_h"]
     beside = found(Newtonian(freedom="horizontal"), at={"u_h": 0.5}, starts=2)
     assert not any("mean of both" in words for words in beside.warnings)
@@ -293,7 +292,9 @@ def test_equilibria_at_one_place_of_the_portrait_are_told_apart():
     window = np.array([[100.0, 300.0], [-1.0, 1.0]])
     above = section.point.x + np.array([0.0, 0.0, 1.90274])
     both = [rest_point(section, x) for x in (section.point.x, above)]
-    paths = journeys(section, section.point.x[None], 1.0, 0.1)
-    picture = Picture(section, window, both, paths, ends_of(section, window, both, paths), ())
-    lead = lead_of_model(Told(picture, 1.0, False))
+    paths = trajectories(section, section.point.x[None], 1.0, 0.1)
+    result = PortraitResult(
+        section, window, both, paths, ends_of(section, window, both, paths), 1.0
+    )
+    lead = lead_of_model(result)
     assert "a stable focus at α_v = 0 rad and a saddle at α_v = 1.903 rad" in lead[0]

@@ -12,14 +12,18 @@ from trms_cli.effects.rotor_friction import RotorFriction
 from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
-from trms_cli.stability.portraits.ends import NEAR, ends_of
-from trms_cli.stability.portraits.journeys import journeys, spaced
 from trms_cli.stability.portraits.rest_points import search
-from trms_cli.stability.portraits.section import Section, section_of
+from trms_cli.stability.portraits.section import StateSection, section_of
 from trms_cli.stability.portraits.separatrices import separatrices
-from trms_cli.stability.portraits.starts import default_starts, given_starts, loop_starts
 from trms_cli.stability.portraits.sticking import has_dry_friction, sticking_sets
-from trms_cli.stability.portraits.window import checked_window, default_window
+from trms_cli.stability.portraits.trajectories import NEAR, ends_of, spaced, trajectories
+from trms_cli.stability.portraits.window import (
+    checked_window,
+    default_starts,
+    default_window,
+    given_starts,
+    loop_starts,
+)
 
 VERTICAL = Newtonian(freedom="vertical")
 MOTOR = SingleRotor(rotor="main", currents="dynamic")
@@ -28,7 +32,7 @@ G, F_C = 0.2646, 0.005  # N m
 
 
 @pytest.fixture(scope="module")
-def hover() -> Section:
+def hover() -> StateSection:
     return section_of(VERTICAL, ("alpha_v", "rate_v"), {"alpha_v": 0.0})
 
 
@@ -45,7 +49,7 @@ def into_the_saddle(hover, rests):
 
 
 def ends_from(section, c, duration=20.0):
-    found = journeys(section, section.place(c), duration, 0.05)
+    found = trajectories(section, section.place(c), duration, 0.05)
     return ends_of(section, WINDOW, search(section, WINDOW), found)
 
 
@@ -127,24 +131,26 @@ def test_starts_by_name_may_name_other_states(hover):
 
 
 def test_trajectories_follow_the_field(hover):
-    (journey,) = journeys(hover, hover.place([[0.6, 0.5]]), 2.0, 0.01)
-    slopes = (journey.c[2:] - journey.c[:-2]) / 0.02
-    assert slopes == pytest.approx(hover.rates(journey.c[1:-1]), abs=2e-4)
+    (trajectory,) = trajectories(hover, hover.place([[0.6, 0.5]]), 2.0, 0.01)
+    slopes = (trajectory.c[2:] - trajectory.c[:-2]) / 0.02
+    assert slopes == pytest.approx(hover.rates(trajectory.c[1:-1]), abs=2e-4)
 
 
 def test_a_fall_within_a_step_is_drawn_as_it_is():
     section = section_of(MOTOR, ("omega_v", "i_v"), {"u_v": 1.0})
-    (journey,) = journeys(section, section.place([[0.0, -2.0]]), 1.0, 0.02)
+    (trajectory,) = trajectories(section, section.place([[0.0, -2.0]]), 1.0, 0.02)
     # The current is there before the rotor has turned by 0.1 rad/s.
     settled = 8.5 / 8.0
-    arrived = np.flatnonzero(np.abs(journey.c[:, 1] - settled) < 0.02)[0]
-    assert arrived > 2 and 0 <= journey.c[arrived, 0] < 0.1
-    assert np.all(np.diff(journey.time) > 0) and journey.time[-1] == pytest.approx(1.0, abs=0.01)
+    arrived = np.flatnonzero(np.abs(trajectory.c[:, 1] - settled) < 0.02)[0]
+    assert arrived > 2 and 0 <= trajectory.c[arrived, 0] < 0.1
+    assert np.all(np.diff(trajectory.time) > 0) and trajectory.time[-1] == pytest.approx(
+        1.0, abs=0.01
+    )
 
 
 def test_what_is_drawn_is_evenly_spaced_and_cut_at_the_window(hover):
-    (journey,) = journeys(hover, hover.place([[2.3, 1.0]]), 3.0, 0.01)
-    points, _ = spaced(journey, WINDOW, 0.01, 2.0)
+    (trajectory,) = trajectories(hover, hover.place([[2.3, 1.0]]), 3.0, 0.01)
+    points, _ = spaced(trajectory, WINDOW, 0.01, 2.0)
     seen = points[np.isfinite(points).all(axis=1)]
     assert len(seen) > 5
     assert np.sum(np.any(np.abs(seen) > 2.5, axis=1)) <= 1  # one point to reach the edge
@@ -174,8 +180,8 @@ def test_the_separatrix_leads_into_the_saddle(hover, rests, into_the_saddle):
     saddle = rests[1].c
     assert into_the_saddle.c[-1] == pytest.approx(saddle)
     near = into_the_saddle.c[np.abs(into_the_saddle.c[:, 0] - 1.6).argmin()]
-    (journey,) = journeys(hover, hover.place([near]), 4.0, 0.01)
-    assert np.abs(journey.c - saddle).max(axis=1).min() < 1e-2
+    (trajectory,) = trajectories(hover, hover.place([near]), 4.0, 0.01)
+    assert np.abs(trajectory.c - saddle).max(axis=1).min() < 1e-2
 
 
 def test_the_separatrix_divides_the_starts(hover, into_the_saddle):
@@ -214,7 +220,7 @@ def test_motions_into_a_saddle_of_three_states_fill_a_surface():
     assert sum(path.surface for path in paths) >= 12
     assert sum(not path.into for path in paths) == 2
     x = next(path for path in paths if path.surface).c
-    from_middle = journeys(section, x[len(x) // 2][None], 3.0, 0.01)[0]
+    from_middle = trajectories(section, x[len(x) // 2][None], 3.0, 0.01)[0]
     assert (np.abs(from_middle.c - saddle.c) / np.ptp(window, axis=1)).max(axis=1).min() < 0.01
 
 
@@ -268,11 +274,11 @@ def test_trajectories_end_on_the_sticking_set():
     window = np.array([[-0.8, -0.4], [-0.4, 0.4]])
     rests = search(section, window)
     sets = sticking_sets(section, window, rests)
-    found = journeys(section, default_starts(section, window, 12), 30.0, 0.05)
+    found = trajectories(section, default_starts(section, window, 12), 30.0, 0.05)
     (end,) = ends_of(section, window, rests, found, sets, dry_friction=True)
     assert end.what == "held" and len(end.members) == 12 and end.held is sets[0]
     low, high = sets[0].reach
-    finals = np.array([journey.c[-1] for journey in found])
+    finals = np.array([trajectory.c[-1] for trajectory in found])
     assert np.all((finals[:, 0] >= low - 1e-3) & (finals[:, 0] <= high + 1e-3))
     assert np.ptp(finals[:, 0]) > 0.01  # anywhere on it, not at one point
     assert np.abs(finals[:, 1]).max() < 1e-6

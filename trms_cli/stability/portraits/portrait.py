@@ -3,33 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.chart import Chart
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Findings
-from trms_cli.core.findings import Section as Part
-from trms_cli.stability.portraits import account, captions, tables
-from trms_cli.stability.portraits.account import Told
-from trms_cli.stability.portraits.drawing import Picture, portrait
-from trms_cli.stability.portraits.ends import End, ends_of
-from trms_cli.stability.portraits.journeys import Journey, journeys
-from trms_cli.stability.portraits.loops import loop_journeys
+from trms_cli.core.findings import Findings, Section
+from trms_cli.stability.portraits import report
+from trms_cli.stability.portraits.charts import PortraitResult, portrait
 from trms_cli.stability.portraits.rest_points import RestPoint, grid, rest_point, search
-from trms_cli.stability.portraits.section import Section
+from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.separatrices import separatrices
-from trms_cli.stability.portraits.starts import (
+from trms_cli.stability.portraits.sticking import StickingSet, has_dry_friction, sticking_sets
+from trms_cli.stability.portraits.trajectories import (
+    Trajectory,
+    TrajectoryEnd,
+    ends_of,
+    loop_trajectories,
+    trajectories,
+)
+from trms_cli.stability.portraits.window import (
     DEFAULT_COUNT,
     LOOP_COUNT,
     default_starts,
+    default_window,
     given_starts,
     loop_starts,
 )
-from trms_cli.stability.portraits.sticking import StickingSet, has_dry_friction, sticking_sets
-from trms_cli.stability.portraits.window import default_window
+from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
 
@@ -50,10 +53,10 @@ _INVARIANCE_GRID = {2: 11, 3: 5}
 
 
 @dataclass(frozen=True)
-class Wish:
+class PortraitRequest:
     """What is asked for."""
 
-    section: Section
+    section: StateSection
     window: Mapping[int, tuple[float, float]]  #: Limits that were given, by the coordinate's place
     #: number of states, or the states in SI units
     starts: int | tuple[Mapping[str, float], ...] | None = None
@@ -62,82 +65,91 @@ class Wish:
     open_loop_too: bool = False
 
 
-def portrait_of_model(wish: Wish, tell: Tell) -> Findings:
+def portrait_of_model(request: PortraitRequest, tell: Tell) -> Findings:
     """The model alone, its command held."""
-    section = wish.section
+    section = request.section
     coordinates, n = section.coordinates, len(section.coordinates)
     tell("window and equilibria")
-    window = default_window(section, wish.window)
+    window = default_window(section, request.window)
     rests = search(section, window)
     invariant = section.is_invariant(grid(window, _INVARIANCE_GRID[n]).reshape(-1, n))
-    duration = wish.duration or _settling(rest_point(section, section.point.x))
-    if isinstance(wish.starts, tuple):
-        starts = given_starts(section, wish.starts)
+    duration = request.duration or _settling(rest_point(section, section.point.x))
+    if isinstance(request.starts, tuple):
+        starts = given_starts(section, request.starts)
     else:
-        starts = default_starts(section, window, wish.starts or DEFAULT_COUNT[n])
+        starts = default_starts(section, window, request.starts or DEFAULT_COUNT[n])
     if not len(starts):
         raise ConfigurationError(
             "nowhere in the window have the settled states a value",
             where="others",
             remedy="hold them: study.others=held",
         )
-    _check_size(len(starts), duration, wish.step)
+    _check_size(len(starts), duration, request.step)
     rubs = has_dry_friction(coordinates.model)
     if rubs:
         tell("sticking sets")
     sticking = sticking_sets(section, window, rests)
     tell("trajectories")
-    found, ends = _ended(wish, window, rests, starts, duration, sticking, rubs)
-    duration = float(found[0].time[-1])
+    paths, ends = _ended(request, window, rests, starts, duration, sticking, rubs)
+    duration = float(paths[0].time[-1])
     tell("separatrices")
-    paths = [
+    manifolds = [
         path
         for rest in rests
         if not rubs
         for path in separatrices(section, invariant, window, rest, _SEPARATRIX)
     ]
-    picture = Picture(section, window, rests, found, ends, (), paths, sticking)
-    told = Told(picture, duration, invariant)
-    table = tables.ends_table(section, account.merged(ends), len(found))
+    result = PortraitResult(
+        section, window, rests, paths, ends, duration, invariant, manifolds, sticking
+    )
+    table = report.ends_table(section, report.merged(ends), len(paths))
     parts = [
-        Part("The portrait", captions.of_model(told, rubs), [_chart(told)]),
-        Part("Equilibria in the window", (), [tables.equilibria_table(section, rests)]),
-        Part("Where the trajectories end", (), [table]),
+        Section("The portrait", report.of_model(result, rubs), [_chart(result)]),
+        Section("Equilibria in the window", (), [report.equilibria_table(section, rests)]),
+        Section("Where the trajectories end", (), [table]),
     ]
     return Findings(
         "Phase portrait",
-        account.lead_of_model(told),
+        report.lead_of_model(result),
         parts,
-        tables.results(told),
-        captions.warnings(told),
+        as_json(report.results(result)),
+        report.warnings(result),
     )
 
 
-def portrait_of_loop(wish: Wish, loop: LoopParts, tell: Tell) -> Findings:
+def portrait_of_loop(request: PortraitRequest, loop: LoopParts, tell: Tell) -> Findings:
     """The loop around the model, its references at the operating point."""
-    section = wish.section
+    section = request.section
     tell("window")
-    window = default_window(section, wish.window, around=True)
-    duration = wish.duration or _LOOP_DURATION
-    if isinstance(wish.starts, tuple):
-        starts = given_starts(section, wish.starts)
+    window = default_window(section, request.window, around=True)
+    duration = request.duration or _LOOP_DURATION
+    if isinstance(request.starts, tuple):
+        starts = given_starts(section, request.starts)
     else:
-        starts = loop_starts(section, window, wish.starts or LOOP_COUNT)
-    runs = loop_journeys(section, loop, starts, duration, tell)
-    window = _around(window, np.concatenate([run.c for run in runs.journeys]), wish.window)
+        starts = loop_starts(section, window, request.starts or LOOP_COUNT)
+    runs = loop_trajectories(section, loop, starts, duration, tell)
+    window = _around(window, np.concatenate([run.c for run in runs.trajectories]), request.window)
     goal = rest_point(section, section.point.x)
-    ends = ends_of(section, window, [goal], runs.journeys, search_beyond=False)
-    beside = journeys(section, starts, duration, wish.step) if wish.open_loop_too else ()
-    picture = Picture(section, window, [], runs.journeys, ends, (), beside=beside, loop=True)
-    told = Told(picture, duration, False, loop.names["controller"])
-    at_bound = float(np.mean(np.concatenate([run.saturated for run in runs.journeys])))
-    table = tables.ends_table(section, ends, len(runs.journeys))
+    ends = ends_of(section, window, [goal], runs.trajectories, search_beyond=False)
+    beside = trajectories(section, starts, duration, request.step) if request.open_loop_too else ()
+    result = PortraitResult(
+        section,
+        window,
+        [],
+        runs.trajectories,
+        ends,
+        duration,
+        beside=beside,
+        loop=loop.names["controller"],
+    )
+    at_bound = float(np.mean(np.concatenate([run.saturated for run in runs.trajectories])))
+    table = report.ends_table(section, ends, len(runs.trajectories))
     parts = [
-        Part("The portrait", captions.of_loop(told, loop.names["observer"]), [_chart(told)]),
-        Part("Where the trajectories end", (), [table]),
+        Section("The portrait", report.of_loop(result, loop.names["observer"]), [_chart(result)]),
+        Section("Where the trajectories end", (), [table]),
     ]
-    results = tables.results(told) | {
-        "controller": told.loop,
+    results = report.results(result) | {
+        "controller": result.loop,
         "share_at_bound": at_bound,
         "failed_solves": runs.failures,
         "ended_early": len(runs.ended),
@@ -148,11 +160,11 @@ def portrait_of_loop(wish: Wish, loop: LoopParts, tell: Tell) -> Findings:
     if runs.ended:
         warnings.append(f"{len(runs.ended)} runs ended early: {runs.ended[0]}")
     return Findings(
-        f"Phase portrait under {told.loop}",
-        account.lead_of_loop(told, at_bound),
+        f"Phase portrait under {result.loop}",
+        report.lead_of_loop(result, at_bound),
         parts,
-        results,
-        [*warnings, *captions.warnings(told)],
+        as_json(results),
+        [*warnings, *report.warnings(result)],
     )
 
 
@@ -168,32 +180,31 @@ def _check_size(count: int, duration: float, step: float) -> None:
 
 
 def _ended(
-    wish: Wish,
+    request: PortraitRequest,
     window: FloatArray,
     rests: tuple[RestPoint, ...],
     starts: FloatArray,
     duration: float,
     sticking: tuple[StickingSet, ...],
     rubs: bool,
-) -> tuple[tuple[Journey, ...], tuple[End, ...]]:
+) -> tuple[tuple[Trajectory, ...], tuple[TrajectoryEnd, ...]]:
     """Trajectories and their ends; longer ones where some are still on their way.
 
     Away from the operating point a model may be slower than its slowest mode there.
     """
     while True:
-        found = journeys(wish.section, starts, duration, wish.step)
-        ends = ends_of(wish.section, window, rests, found, sticking, dry_friction=rubs)
+        found = trajectories(request.section, starts, duration, request.step)
+        ends = ends_of(request.section, window, rests, found, sticking, dry_friction=rubs)
         unfinished = any(end.what == "moving" for end in ends)
-        if wish.duration is not None or not unfinished or 2 * duration > _LONGEST:
+        if request.duration is not None or not unfinished or 2 * duration > _LONGEST:
             return found, ends
         duration *= 2
 
 
-def _chart(told: Told) -> Chart:
-    ends = account.merged(told.picture.ends)
-    labels = [account.legend(told.picture.section, end, told.picture.rests) for end in ends]
-    picture = replace(told.picture, ends=ends, labels=labels)
-    return portrait(picture, NAME, captions.caption(told))
+def _chart(result: PortraitResult) -> Chart:
+    ends = report.merged(result.ends)
+    labels = [report.legend(result.section, end, result.rests) for end in ends]
+    return portrait(result, NAME, report.caption(result), ends, labels)
 
 
 def _settling(rest: RestPoint) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.operating_point import refined
-from trms_cli.stability.portraits.section import Section
+from trms_cli.stability.portraits.section import StateSection
 
 FloatArray = npt.NDArray[np.float64]
 Kind = Literal[
@@ -98,7 +98,7 @@ def _no_rate(eigenvalues: npt.NDArray[np.complex128]) -> float:
     return max(1e-9, _NO_RATE * float(np.abs(eigenvalues).max()))
 
 
-def search(section: Section, window: FloatArray) -> tuple[RestPoint, ...]:
+def search(section: StateSection, window: FloatArray) -> tuple[RestPoint, ...]:
     """Equilibria whose coordinates lie in a window (n_c, 2), sorted by them.
 
     Angles that the portrait does not show are looked at within half a turn of the operating point.
@@ -129,14 +129,14 @@ def search(section: Section, window: FloatArray) -> tuple[RestPoint, ...]:
     return tuple(sorted(points, key=lambda rest: tuple(rest.c.round(6))))
 
 
-def _turned(section: Section, x: FloatArray) -> bool:
+def _turned(section: StateSection, x: FloatArray) -> bool:
     """Whether an angle that the portrait does not show is more than half a turn away."""
     model = section.coordinates.model
     unseen = [i for i in section.coordinates.others if model.states[i].unit == "rad"]
     return bool(np.any(np.abs(x - section.point.x)[unseen] > _HALF_A_TURN))
 
 
-def rest_point(section: Section, x: FloatArray) -> RestPoint:
+def rest_point(section: StateSection, x: FloatArray) -> RestPoint:
     """An equilibrium with what its linearisation tells.
 
     On a switch that is the mean of both sides, as in ``study=local``: a small swing spends half of
@@ -180,7 +180,7 @@ def _shown(vectors: npt.NDArray[np.complex128], own: tuple[int, ...]) -> npt.NDA
 
 
 def _on_a_line(
-    section: Section,
+    section: StateSection,
     x: FloatArray,
     eigenvalues: npt.NDArray[np.complex128],
     vectors: npt.NDArray[np.complex128],

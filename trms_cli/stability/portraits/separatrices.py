@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.stability.portraits.rest_points import RestPoint
-from trms_cli.stability.portraits.section import Section
+from trms_cli.stability.portraits.section import StateSection
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Separatrix:
 
 
 def separatrices(
-    section: Section, invariant: bool, window: FloatArray, rest: RestPoint, duration: float
+    section: StateSection, invariant: bool, window: FloatArray, rest: RestPoint, duration: float
 ) -> tuple[Separatrix, ...]:
     """The manifolds of a saddle that are curves of the portrait, and a surface in a space.
 
@@ -71,7 +71,7 @@ def separatrices(
 
 
 def _of_plane(
-    section: Section, window: FloatArray, rest: RestPoint, duration: float
+    section: StateSection, window: FloatArray, rest: RestPoint, duration: float
 ) -> tuple[Separatrix, ...]:
     def field(c: FloatArray) -> FloatArray:
         return section.rates(c)[0]
@@ -87,7 +87,7 @@ def _of_plane(
 
 
 def _of_whole(
-    section: Section, window: FloatArray, rest: RestPoint, duration: float
+    section: StateSection, window: FloatArray, rest: RestPoint, duration: float
 ) -> tuple[Separatrix, ...]:
     coordinates, u = section.coordinates, section.point.u
     values, vectors = np.linalg.eig(coordinates.linear.a(rest.x, u))

@@ -16,9 +16,13 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model
-from trms_cli.stability.portraits.coordinates import Coordinates, rate_names, symbol
 from trms_cli.stability.portraits.rest_points import RestPoint
-from trms_cli.stability.portraits.section import Section
+from trms_cli.stability.portraits.section import (
+    PortraitCoordinates,
+    StateSection,
+    rate_names,
+    symbol,
+)
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -61,7 +65,7 @@ def has_dry_friction(model: Model) -> bool:
 
 
 def sticking_sets(
-    section: Section, window: FloatArray, rests: Sequence[RestPoint]
+    section: StateSection, window: FloatArray, rests: Sequence[RestPoint]
 ) -> tuple[StickingSet, ...]:
     """The sets in a window (n_c, 2) of a plane in which a rate that friction acts on can be set.
 
@@ -86,22 +90,26 @@ def _rates(model: Model) -> tuple[str, ...]:
     return (*rate_names(model), *speeds)
 
 
-def _line(section: Section, along: str, rate: str) -> Section | None:
+def _line(section: StateSection, along: str, rate: str) -> StateSection | None:
     """The same plane by a coordinate of its own and a rate; None where the two do not span it."""
     coordinates = section.coordinates
     if along == rate:
         return None
     try:
-        other = Coordinates(coordinates.field, (along, rate), section.point)
+        other = PortraitCoordinates(coordinates.field, (along, rate), section.point)
     except ConfigurationError:
         return None
     if other.own != coordinates.own:
         return None
-    return Section(other, section.point, section.settled)
+    return StateSection(other, section.point, section.settled)
 
 
 def _held_on(
-    section: Section, line: Section, window: FloatArray, rests: Sequence[RestPoint], along: int
+    section: StateSection,
+    line: StateSection,
+    window: FloatArray,
+    rests: Sequence[RestPoint],
+    along: int,
 ) -> list[StickingSet]:
     """The sets on the line where the rate is zero."""
     width = float(np.ptp(window[along]))
@@ -129,7 +137,7 @@ def _held_on(
     ]
 
 
-def _held(line: Section, values: FloatArray) -> npt.NDArray[np.bool_]:
+def _held(line: StateSection, values: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether friction holds the rate of the line at zero, at each of its points (n,)."""
     x = _placed(line, values)
     known = np.isfinite(x).all(axis=1)
@@ -152,7 +160,7 @@ def _held(line: Section, values: FloatArray) -> npt.NDArray[np.bool_]:
     return known & (held <= _HELD * free + 1e-12) & (held < free)
 
 
-def _placed(line: Section, values: FloatArray) -> FloatArray:
+def _placed(line: StateSection, values: FloatArray) -> FloatArray:
     return line.place(np.stack([values, np.zeros(len(values))], axis=1))
 
 

@@ -9,7 +9,11 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from trms_cli.core.findings import Findings
-from trms_cli.stability.portraits.portrait import Wish, portrait_of_loop, portrait_of_model
+from trms_cli.stability.portraits.portrait import (
+    PortraitRequest,
+    portrait_of_loop,
+    portrait_of_model,
+)
 from trms_cli.stability.portraits.section import section_of
 from trms_cli.stability.portraits.window import checked_window
 from trms_cli.stability.study import Tell
@@ -48,7 +52,7 @@ class PhasePortrait:
         model = subject.require_equations("study=phase_portrait")
         tell("operating point")
         section = section_of(model, self.states, self.at, self.others)
-        wish = Wish(
+        request = PortraitRequest(
             section=section,
             window=checked_window(section.coordinates, self.window),
             starts=self.starts,
@@ -57,5 +61,5 @@ class PhasePortrait:
             open_loop_too=self.open_loop_too,
         )
         if subject.loop is None:
-            return portrait_of_model(wish, tell)
-        return portrait_of_loop(wish, subject.loop, tell)
+            return portrait_of_model(request, tell)
+        return portrait_of_loop(request, subject.loop, tell)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,11 @@ from trms_cli.core.chart import (
     Panel,
     Points,
 )
-from trms_cli.stability.portraits.ends import End
-from trms_cli.stability.portraits.journeys import Journey, spaced
 from trms_cli.stability.portraits.rest_points import RestPoint, grid
-from trms_cli.stability.portraits.section import Section
+from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.separatrices import Separatrix
 from trms_cli.stability.portraits.sticking import StickingSet
+from trms_cli.stability.portraits.trajectories import Trajectory, TrajectoryEnd, spaced
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -60,61 +59,74 @@ _NO_ROOM, _LITTLE_ROOM = 0.06, 0.15
 
 
 @dataclass(frozen=True)
-class Picture:
+class PortraitResult:
     """What a portrait shows."""
 
-    section: Section
+    section: StateSection
     window: FloatArray  #: (n_c, 2) array
     rests: Sequence[RestPoint]
-    journeys: Sequence[Journey]
-    ends: Sequence[End]  #: Of the journeys
-    labels: Sequence[str]  #: What the legend calls each end
+    trajectories: Sequence[Trajectory]
+    ends: Sequence[TrajectoryEnd]  #: Of the trajectories
+    duration: float  #: s of each trajectory
+    invariant: bool = False  #: Whether no motion leaves the section
     separatrices: Sequence[Separatrix] = ()
     sticking: Sequence[StickingSet] = ()
     #: Drawn faintly: the model alone, beside its loop
-    beside: Sequence[Journey] = field(default_factory=tuple)
-    loop: bool = False  #: Whether the trajectories are those of a closed loop
+    beside: Sequence[Trajectory] = ()
+    loop: str = ""  #: The controller of a closed loop; empty for the model alone
 
 
-def portrait(picture: Picture, name: str, caption: str) -> Chart:
-    """The figure, in the plane or in space."""
-    in_space = len(picture.section.coordinates) == 3
-    items = picture.section.coordinates.items
+def portrait(
+    result: PortraitResult,
+    name: str,
+    caption: str,
+    ends: Sequence[TrajectoryEnd],
+    labels: Sequence[str],
+) -> Chart:
+    """The figure, in the plane or in space.
+
+    Parameters
+    ----------
+    ends, labels : sequences
+        Those of the result as they are told apart, and what the legend calls each.
+    """
+    in_space = len(result.section.coordinates) == 3
+    items = result.section.coordinates.items
     axes = [
         Axis(item.label, item.unit, (float(low), float(high)))
-        for item, (low, high) in zip(items, picture.window, strict=True)
+        for item, (low, high) in zip(items, result.window, strict=True)
     ]
     marks: list[Mark] = []
-    if not in_space and not picture.loop:
-        marks += _field(picture)
+    if not in_space and not result.loop:
+        marks += _field(result)
     if not in_space:
-        marks += _stops(picture)
+        marks += _stops(result)
     marks += [
-        _curve(spaced(journey, picture.window, _APART, _LONGEST)[0], "without controller", "grey")
-        for journey in picture.beside
+        _curve(spaced(trajectory, result.window, _APART, _LONGEST)[0], "without controller", "grey")
+        for trajectory in result.beside
     ]
-    marks += _trajectories(picture)
-    marks += _manifolds(picture)
+    marks += _trajectories(result, ends, labels)
+    marks += _manifolds(result)
     marks += [
         _curve(s.c, f"dry friction holds {s.what}", "alarm", width=4.5)
-        for s in picture.sticking
-        if not is_hidden(picture, s)
+        for s in result.sticking
+        if not is_hidden(result, s)
     ]
-    marks += _rest_points(picture)
+    marks += _rest_points(result)
     panel = Panel(axes[0], axes[1], marks, z=axes[2] if in_space else None)
     return Chart(name, [panel], caption, columns=1, width=5.6 if in_space else 6.6, height=4.8)
 
 
-def is_hidden(picture: Picture, held: StickingSet) -> bool:
+def is_hidden(result: PortraitResult, held: StickingSet) -> bool:
     """Whether a sticking set is shorter than the marker of a rest point that lies on it."""
-    width = np.ptp(picture.window, axis=1)
+    width = np.ptp(result.window, axis=1)
     low, high = held.reach
     return (high - low) / width[held.along] < _MARKER and any(
-        held.holds(rest.c, 0.5 * _MARKER * width) for rest in picture.rests
+        held.holds(rest.c, 0.5 * _MARKER * width) for rest in result.rests
     )
 
 
-def has_field(section: Section, window: FloatArray) -> bool:
+def has_field(section: StateSection, window: FloatArray) -> bool:
     """Whether both rates of a plane differ from zero somewhere in it.
 
     The two angles of a rig with its rates held have none of their own: what moves them is not seen.
@@ -124,9 +136,9 @@ def has_field(section: Section, window: FloatArray) -> bool:
     return bool(size.min() > 1e-9 * max(1.0, size.max()))
 
 
-def _field(picture: Picture) -> list[Mark]:
+def _field(result: PortraitResult) -> list[Mark]:
     """Stream lines of the section, and where each coordinate's rate is zero."""
-    section, window = picture.section, picture.window
+    section, window = result.section, result.window
     if not has_field(section, window):
         return []
     x, y, rates = _on_grid(section, window, _FLOW_GRID)
@@ -141,7 +153,7 @@ def _field(picture: Picture) -> list[Mark]:
 
 
 def _on_grid(
-    section: Section, window: FloatArray, count: int
+    section: StateSection, window: FloatArray, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Grid lines, and the rates (y, x, n_c) in the section."""
     points = grid(window, count)
@@ -149,29 +161,31 @@ def _on_grid(
     return points[:, 0, 0], points[0, :, 1], rates
 
 
-def _stops(picture: Picture) -> list[Mark]:
-    model = picture.section.coordinates.model
+def _stops(result: PortraitResult) -> list[Mark]:
+    model = result.section.coordinates.model
     marks: list[Mark] = []
-    for place, item in enumerate(picture.section.coordinates.items):
+    for place, item in enumerate(result.section.coordinates.items):
         stop = model.stops.get(item.name, np.inf)
         for value in (-stop, stop):
-            if picture.window[place, 0] < value < picture.window[place, 1]:
+            if result.window[place, 0] < value < result.window[place, 1]:
                 x, y = (value, None) if place == 0 else (None, value)
                 marks.append(Line(x, y, "mechanical stop"))
     return marks
 
 
-def _trajectories(picture: Picture) -> list[Mark]:
-    colours = _colours(picture)
-    in_space = len(picture.section.coordinates) == 3
-    usual = np.inf if picture.loop else _LONGEST_IN_SPACE if in_space else _LONGEST
+def _trajectories(
+    result: PortraitResult, ends: Sequence[TrajectoryEnd], labels: Sequence[str]
+) -> list[Mark]:
+    colours = _colours(result, ends)
+    in_space = len(result.section.coordinates) == 3
+    usual = np.inf if result.loop else _LONGEST_IN_SPACE if in_space else _LONGEST
     marks: list[Mark] = []
     starts: list[FloatArray] = []
-    for end, label, colour in zip(picture.ends, picture.labels, colours, strict=True):
+    for end, label, colour in zip(ends, labels, colours, strict=True):
         for place, number in enumerate(end.members):
             # Where friction holds them is what matters: some are drawn to their end.
             longest = np.inf if end.what == "held" and place < _TO_THE_END else usual
-            points, saturated = spaced(picture.journeys[number], picture.window, _APART, longest)
+            points, saturated = spaced(result.trajectories[number], result.window, _APART, longest)
             marks.append(_curve(points, label, colour, width=1.1, arrow=True))
             if saturated.any():
                 at_bound = points.copy()
@@ -183,17 +197,17 @@ def _trajectories(picture: Picture) -> list[Mark]:
     return marks
 
 
-def _colours(picture: Picture) -> list[Colour]:
+def _colours(result: PortraitResult, ends: Sequence[TrajectoryEnd]) -> list[Colour]:
     """One for the trajectories of each end, none of them that of something else in the figure."""
     taken: set[Colour] = set()
-    if picture.loop:
+    if result.loop:
         taken.add("orange")  # a command at its bound
-    elif len(picture.section.coordinates) == 2:
+    elif len(result.section.coordinates) == 2:
         taken.update(_NULLCLINES)
-    if any(path.surface for path in picture.separatrices):
+    if any(path.surface for path in result.separatrices):
         taken.add("orange")
     found: list[Colour] = []
-    for end in picture.ends:
+    for end in ends:
         usual = _USUAL[end.what]
         free = [colour for colour in (usual, *_OTHERWISE) if colour not in taken]
         found.append(free[0] if free else usual)
@@ -201,14 +215,14 @@ def _colours(picture: Picture) -> list[Colour]:
     return found
 
 
-def _manifolds(picture: Picture) -> list[Mark]:
+def _manifolds(result: PortraitResult) -> list[Mark]:
     marks: list[Mark] = []
-    for path in picture.separatrices:
+    for path in result.separatrices:
         c = path.c
         if not path.into:  # it winds into a rest point: a turn and a half shows where it goes
-            steps = np.linalg.norm(np.diff(c, axis=0) / np.ptp(picture.window, axis=1), axis=1)
+            steps = np.linalg.norm(np.diff(c, axis=0) / np.ptp(result.window, axis=1), axis=1)
             c = c[np.concatenate([[0.0], np.cumsum(steps)]) <= _LONGEST]
-        c = _clipped(c, picture.window)
+        c = _clipped(c, result.window)
         label = "into the saddle (separatrix)" if path.into else "out of the saddle"
         if path.surface:
             label = f"surface of motions {'into' if path.into else 'out of'} the saddle"
@@ -224,13 +238,13 @@ def _manifolds(picture: Picture) -> list[Mark]:
     return marks
 
 
-def _rest_points(picture: Picture) -> list[Mark]:
-    section = picture.section
-    if picture.loop:
+def _rest_points(result: PortraitResult) -> list[Mark]:
+    section = result.section
+    if result.loop:
         goal = section.coordinates.values(section.point.x, section.point.u)
         return [_points(goal[None], "goal", "star", "ink", 8.0)]
     marks: list[Mark] = []
-    for rest in picture.rests:
+    for rest in result.rests:
         marker: Marker = "saddle" if rest.kind == "saddle" else "unstable"
         if rest.line:
             marks.append(_points(rest.c[None], "rest points, side by side", "square", "ink", 4.0))
@@ -239,8 +253,8 @@ def _rest_points(picture: Picture) -> list[Mark]:
             marker = "stable"
         label = rest.kind if rest.in_section else f"{rest.kind}, beside the section"
         shown = _points(rest.c[None], label, marker, "ink" if rest.in_section else "grey", 7.0)
-        if len(picture.rests) <= _MOST_NAMES:
-            room = (picture.window[0, 1] - rest.c[0]) / np.ptp(picture.window[0])
+        if len(result.rests) <= _MOST_NAMES:
+            room = (result.window[0, 1] - rest.c[0]) / np.ptp(result.window[0])
             name = _name(section, rest, short=room < _LITTLE_ROOM)
             if room >= _NO_ROOM or rest.c.size == 3:
                 shown = replace(shown, names=(name,))
@@ -248,7 +262,7 @@ def _rest_points(picture: Picture) -> list[Mark]:
     return marks
 
 
-def _name(section: Section, rest: RestPoint, *, short: bool) -> str:
+def _name(section: StateSection, rest: RestPoint, *, short: bool) -> str:
     """``α_v = 1.9``, or ``1.9``: by an angle where there is one."""
     items = section.coordinates.items
     places = [place for place, item in enumerate(items) if not item.is_rate]
