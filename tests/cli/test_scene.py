@@ -14,7 +14,7 @@ from trms_cli.cli import main
 from trms_cli.commands.scene_of_log import scene_of_log
 from trms_cli.recordings.export import export_log
 from trms_cli.recordings.foxglove.added_scene import scene_messages
-from trms_cli.recordings.foxglove.topics import SCENE_TOPICS, layout, schema_text
+from trms_cli.recordings.foxglove.topics import SCENE_TOPICS, layout
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.log_tail import LogTail
 from trms_cli.reporting.scene_picture import frames_of
@@ -44,7 +44,7 @@ def messages(path: Path) -> dict[str, list[tuple[int, dict, bytes]]]:
     return found
 
 
-def test_every_message_is_as_its_published_schema_says(log):
+def test_every_message_is_as_its_schema_says(log):
     found = messages(log)
     assert {topic: len(told) > 0 for topic, told in found.items()} == dict.fromkeys(
         SCENE_TOPICS, True
@@ -53,7 +53,6 @@ def test_every_message_is_as_its_published_schema_says(log):
         validator = jsonschema.Draft202012Validator(json.loads(told[0][2]))
         for _, message, _ in told[:20]:
             validator.validate(message)
-    assert found["/tf"][0][2] == schema_text("FrameTransforms")
 
 
 def test_the_pose_is_the_angles(log):

@@ -11,7 +11,8 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+
+from msgspec import Struct, to_builtins
 
 from trms_cli.core.scene import (
     BASE,
@@ -30,6 +31,22 @@ from trms_cli.core.scene import (
     rotation_onto,
     yaw_rotation,
 )
+from trms_cli.recordings.foxglove.types import (
+    Color,
+    CylinderPrimitive,
+    KeyValuePair,
+    LinePrimitive,
+    LineType,
+    Log,
+    LogLevel,
+    Point3,
+    Pose,
+    SceneEntity,
+    SceneUpdate,
+    Timestamp,
+    Vector3,
+)
+from trms_cli.recordings.foxglove.types import Quaternion as Rotation
 
 #: Yaw and pitch of the rig ("") and of its ghosts, rad.
 Attitudes = Mapping[str, tuple[float, float]]
@@ -42,21 +59,15 @@ _HEAD, _SHAFT_WIDTH, _HEAD_WIDTH = 0.25, 0.06, 0.14
 _SECOND = 1_000_000_000  # ns
 #: Levels of a log line, by beginnings of an event's kind; what is not here is plain information.
 _LEVELS = {
-    "fault_removed": 2,
-    "fault_end": 2,
-    "fault": 4,
-    "solver": 3,
-    "landing_begin": 4,
-    "degraded_begin": 3,
-    "outlier": 3,
-    "gap": 3,
+    "fault_removed": LogLevel.INFO,
+    "fault_end": LogLevel.INFO,
+    "fault": LogLevel.ERROR,
+    "solver": LogLevel.WARNING,
+    "landing_begin": LogLevel.ERROR,
+    "degraded_begin": LogLevel.WARNING,
+    "outlier": LogLevel.WARNING,
+    "gap": LogLevel.WARNING,
 }
-#: What an entity of arrows has besides them.
-_ENTITY = (
-    f'"frame_id":"{BEAM}","id":"commands","lifetime":{{"sec":0,"nsec":0}},"frame_locked":true,'
-    '"metadata":[],"cubes":[],"spheres":[],"cylinders":[],"lines":[],"triangles":[],"texts":[],'
-    '"models":[]'
-)
 
 
 class SceneEncoder:
@@ -88,6 +99,10 @@ class SceneEncoder:
             (_arrow_text(arrow, 1.0), _arrow_text(arrow, -1.0), arrow.reach)
             for arrow in scene.arrows
         ]
+        # one entity, with places for its time and, at its end, for its arrows
+        entity = _encoded(SceneUpdate([], [SceneEntity(Timestamp(0, 0), BEAM, "commands")]))
+        timed = entity.replace(_stamp_text(0), "%s", 1).replace('"arrows":[],', "")
+        self._commands = timed.removesuffix("}]}") + ',"arrows":[%s]}]}'
 
     def bodies(self, time_ns: int) -> bytes:
         """All parts of the rig and of its ghosts, to be written once (foxglove.SceneUpdate)."""
@@ -100,7 +115,7 @@ class SceneEncoder:
             frame = f"{ghost}_{BEAM}"
             shape = [_pointer(parts)] if ghost == "estimate" else _inside(parts)
             entities.append(_entity(time_ns, frame, ghost, shape, "", ghost))
-        return _encoded({"deletions": [], "entities": entities})
+        return _encoded(SceneUpdate([], entities)).encode()
 
     def transforms(self, time_ns: int, attitudes: Attitudes) -> bytes:
         """The frames at one time (foxglove.FrameTransforms).
@@ -139,25 +154,15 @@ class SceneEncoder:
                 continue
             head = min(_HEAD * reach, length)
             texts.append((forth if share > 0 else back) % (length - head, head))
-        return (
-            f'{{"deletions":[],"entities":[{{"timestamp":{_stamp_text(time_ns)},{_ENTITY},'
-            f'"arrows":[{",".join(texts)}]}}]}}'
-        ).encode()
+        return (self._commands % (_stamp_text(time_ns), ",".join(texts))).encode()
 
 
 def log_line(time_ns: int, kind: str, source: str, message: str) -> bytes:
     """An event as a line of Foxglove's log panel (foxglove.Log)."""
-    level = next((n for start, n in _LEVELS.items() if kind.startswith(start)), 2)
-    return _encoded(
-        {
-            "timestamp": _stamp(time_ns),
-            "level": level,
-            "message": f"{kind}: {message}" if message else kind,
-            "name": source,
-            "file": "",
-            "line": 0,
-        }
-    )
+    levels = (level for start, level in _LEVELS.items() if kind.startswith(start))
+    level = next(levels, LogLevel.INFO)
+    text = f"{kind}: {message}" if message else kind
+    return _encoded(Log(_stamp(time_ns), level, text, source)).encode()
 
 
 def _transform(parent: str, child: str, where: str) -> str:
@@ -175,25 +180,15 @@ def _entity(
     parts: Sequence[Cylinder | Ring],
     about: str = "",
     ghost: str = "",
-) -> dict[str, Any]:
-    cylinders = [_cylinder(part, ghost) for part in parts if isinstance(part, Cylinder)]
-    lines = [_ring(part, ghost) for part in parts if isinstance(part, Ring)]
-    return {
-        "timestamp": _stamp(time_ns),
-        "frame_id": frame,
-        "id": name,
-        "lifetime": {"sec": 0, "nsec": 0},
-        "frame_locked": True,
-        "metadata": [{"key": "about", "value": about}] if about else [],
-        "arrows": [],
-        "cubes": [],
-        "spheres": [],
-        "cylinders": cylinders,
-        "lines": lines,
-        "triangles": [],
-        "texts": [],
-        "models": [],
-    }
+) -> SceneEntity:
+    return SceneEntity(
+        _stamp(time_ns),
+        frame,
+        name,
+        metadata=[KeyValuePair("about", about)] if about else [],
+        cylinders=[_cylinder(part, ghost) for part in parts if isinstance(part, Cylinder)],
+        lines=[_ring(part, ghost) for part in parts if isinstance(part, Ring)],
+    )
 
 
 def _inside(parts: Sequence[Cylinder | Ring]) -> list[Cylinder | Ring]:
@@ -218,29 +213,27 @@ def _pointer(parts: Sequence[Cylinder | Ring]) -> Cylinder:
     )  # fmt: skip
 
 
-def _cylinder(part: Cylinder, ghost: str) -> dict[str, Any]:
-    return {
-        "pose": _pose(part.centre, rotation_onto(part.axis)),
-        "size": _xyz((2 * part.radius, 2 * part.radius, part.length)),
-        "bottom_scale": 1.0,
-        "top_scale": 1.0,
-        "color": _colour(part.tone, part.opacity, ghost),
-    }
+def _cylinder(part: Cylinder, ghost: str) -> CylinderPrimitive:
+    return CylinderPrimitive(
+        _pose(part.centre, rotation_onto(part.axis)),
+        Vector3(2 * part.radius, 2 * part.radius, part.length),
+        bottom_scale=1.0,
+        top_scale=1.0,
+        color=_colour(part.tone, part.opacity, ghost),
+    )
 
 
-def _ring(part: Ring, ghost: str) -> dict[str, Any]:
+def _ring(part: Ring, ghost: str) -> LinePrimitive:
     turns = [2 * math.pi * i / _CORNERS for i in range(_CORNERS)]
-    corners = [(part.radius * math.cos(t), part.radius * math.sin(t), 0.0) for t in turns]
-    return {
-        "type": 1,  # closed
-        "pose": _pose(part.centre, rotation_onto(part.axis)),
-        "thickness": part.thickness,
-        "scale_invariant": False,
-        "points": [_xyz((round(x, 6), round(y, 6), z)) for x, y, z in corners],
-        "color": _colour(part.tone, part.opacity, ghost),
-        "colors": [],
-        "indices": [],
-    }
+    corners = [(part.radius * math.cos(t), part.radius * math.sin(t)) for t in turns]
+    return LinePrimitive(
+        LineType.LINE_LOOP,
+        _pose(part.centre, rotation_onto(part.axis)),
+        part.thickness,
+        scale_invariant=False,
+        points=[Point3(round(x, 6), round(y, 6), 0.0) for x, y in corners],
+        color=_colour(part.tone, part.opacity, ghost),
+    )
 
 
 def _arrow_text(arrow: Arrow, sign: float) -> str:
@@ -250,10 +243,9 @@ def _arrow_text(arrow: Arrow, sign: float) -> str:
     pose = _pose(arrow.foot, _x_onto((ax, ay, az)))
     widths = f'"shaft_diameter":{_SHAFT_WIDTH * arrow.reach!r}'
     head = f'"head_diameter":{_HEAD_WIDTH * arrow.reach!r}'
-    colour = json.dumps(_colour(arrow.tone, 0.9), separators=(",", ":"))
-    text = json.dumps(pose, separators=(",", ":"))
     return (
-        f'{{"pose":{text},"shaft_length":%.6g,{widths},"head_length":%.6g,{head},"color":{colour}}}'
+        f'{{"pose":{_encoded(pose)},"shaft_length":%.6g,{widths},"head_length":%.6g,{head},'
+        f'"color":{_encoded(_colour(arrow.tone, 0.9))}}}'
     )
 
 
@@ -266,30 +258,25 @@ def _x_onto(axis: Vector) -> Quaternion:
     return (0.0, -z / (2 * half), y / (2 * half), half)
 
 
-def _colour(tone: str, opacity: float, ghost: str = "") -> dict[str, float]:
+def _colour(tone: str, opacity: float, ghost: str = "") -> Color:
     if ghost:
         tone, opacity = ghost, opacity * _GHOST_OPACITY[ghost]
     red, green, blue = TONES[tone]
-    return {"r": red, "g": green, "b": blue, "a": opacity}
+    return Color(red, green, blue, opacity)
 
 
-def _pose(at: Vector, turned: Quaternion) -> dict[str, Any]:
-    x, y, z, w = turned
-    return {"position": _xyz(at), "orientation": {"x": x, "y": y, "z": z, "w": w}}
+def _pose(at: Vector, turned: Quaternion) -> Pose:
+    return Pose(Vector3(*at), Rotation(*turned))
 
 
-def _xyz(vector: Vector) -> dict[str, float]:
-    x, y, z = vector
-    return {"x": x, "y": y, "z": z}
-
-
-def _stamp(time_ns: int) -> dict[str, int]:
-    return {"sec": time_ns // _SECOND, "nsec": time_ns % _SECOND}
+def _stamp(time_ns: int) -> Timestamp:
+    return Timestamp(time_ns // _SECOND, time_ns % _SECOND)
 
 
 def _stamp_text(time_ns: int) -> str:
     return f'{{"sec":{time_ns // _SECOND},"nsec":{time_ns % _SECOND}}}'
 
 
-def _encoded(message: Mapping[str, Any]) -> bytes:
-    return json.dumps(message, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+def _encoded(message: Struct) -> str:
+    content = to_builtins(message)
+    return json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
