@@ -15,7 +15,7 @@ from experiments.page_tables import write_tables
 from experiments.robustness.tables import table_of
 from experiments.study_file import read_as
 from trms_cli.commands.run import perform
-from trms_cli.commands.sweep import Swept, go_on, make_sweep
+from trms_cli.commands.sweep import SweepOutcome, go_on, make_sweep
 from trms_cli.commands.sweep_screen import draw_summary
 from trms_cli.sweeps.outcome import outcome_of
 
@@ -71,7 +71,7 @@ def _study(given: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
-def _made(sweep: OneSweep, folder: Path, given: argparse.Namespace) -> Swept:
+def _made(sweep: OneSweep, folder: Path, given: argparse.Namespace) -> SweepOutcome:
     """The sweep, begun or gone on with."""
     workers = [f"launcher.workers={given.jobs}"] if given.jobs else []
     if (folder / "sweep.json").is_file():

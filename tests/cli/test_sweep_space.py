@@ -15,7 +15,7 @@ from trms_cli.core.plugins import build
 from trms_cli.models.parameters import DRAW_LIMIT_SD
 from trms_cli.sweeps.samplers.drawing import quantiles
 from trms_cli.sweeps.samplers.latin_hypercube import LatinHypercube
-from trms_cli.sweeps.space import Choice, Prior, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 
 
 def space(*words: str) -> Space:
@@ -106,7 +106,7 @@ class TestRanges:
 class TestPriors:
     def test_of_one_parameter(self):
         [found] = space("plant.parameters.k_g=prior").continuous
-        assert isinstance(found, Prior)
+        assert isinstance(found, PriorOfKey)
         assert (found.mean, found.sd) == (0.0123, pytest.approx(0.3 * 0.0123))
         assert found.low == pytest.approx(0.0123 * (1 - 0.3 * DRAW_LIMIT_SD))
 
@@ -137,7 +137,7 @@ class TestPriors:
         ours = np.array([point.values[found.key] for point in points])
         assert theirs.mean() == pytest.approx(ours.mean(), abs=4 * ours.std() / 20)
         assert theirs.std() == pytest.approx(ours.std(), rel=0.15)
-        assert isinstance(found, Prior)
+        assert isinstance(found, PriorOfKey)
         assert found.low <= theirs.min() and theirs.max() <= found.high
 
     def test_of_the_model_and_of_effects(self):

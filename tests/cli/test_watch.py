@@ -25,16 +25,16 @@ from hypothesis import strategies as st
 from rich.text import Text
 
 from trms_cli import cli
-from trms_cli.commands.watch_chart import Curve, chart, scale
+from trms_cli.commands.watch_chart import TerminalCurve, chart, scale
 from trms_cli.commands.watch_frame import NAMES, About, View, about, plain_line, run_frame
 from trms_cli.commands.watch_player import Player
 from trms_cli.commands.watch_screen import keys_in
 from trms_cli.commands.watch_sweep import sweep_frame, sweep_line
-from trms_cli.runs.followed import FollowedRun
+from trms_cli.runs.follower import RunFollower
 from trms_cli.runs.latest import latest_run
-from trms_cli.runs.moment import Axis, Event, Input, Moment, Solver
-from trms_cli.runs.sweep_progress import FollowedSweep, _values
-from trms_cli.sweeps.record import driven
+from trms_cli.runs.moment import AxisMoment, Event, Input, Moment, Solver
+from trms_cli.runs.sweep_progress import SweepFollower, _values
+from trms_cli.sweeps.record import driving
 
 ALTERNATE, NORMAL = b"\x1b[?1049h", b"\x1b[?1049l"
 
@@ -84,7 +84,9 @@ def a_view(axes: int = 2, events: int = 5, words: str = "", **changes) -> View:
         time=12.5,
         speed=37.2,
         axes=tuple(
-            Axis(n, "rad", 0.3, 0.29, 0.291, 0.2905, 0.009, 0.12, t, np.sign(np.sin(t)), np.sin(t))
+            AxisMoment(
+                n, "rad", 0.3, 0.29, 0.291, 0.2905, 0.009, 0.12, t, np.sign(np.sin(t)), np.sin(t)
+            )
             for n in names
         ),
         inputs=(
@@ -211,7 +213,9 @@ class TestChart:
         present = v[~np.isnan(v)]
         if present.size:
             assert limits[0] <= present.min() + 1e-9 and present.max() - 1e-9 <= limits[1]
-        cells = chart(t, (Curve(v, "", "*"),), (0.0, 10.0), limits, (columns, rows), plain=plain)
+        cells = chart(
+            t, (TerminalCurve(v, "", "*"),), (0.0, 10.0), limits, (columns, rows), plain=plain
+        )
         assert [len(row) for row in cells] == [columns] * rows
         drawn = {i for row in cells for i, cell in enumerate(row) if cell.sign != " "}
         expected = {min(int(x / 10.0 * columns), columns - 1) for x in t[~np.isnan(v)]}
@@ -219,7 +223,7 @@ class TestChart:
 
     def test_a_rising_line_rises(self):
         t = np.linspace(0.0, 1.0, 100)
-        cells = chart(t, (Curve(t, "", "*"),), (0.0, 1.0), (0.0, 1.0), (10, 10), plain=True)
+        cells = chart(t, (TerminalCurve(t, "", "*"),), (0.0, 1.0), (0.0, 1.0), (10, 10), plain=True)
         rows = ["".join(cell.sign for cell in row) for row in cells]
         assert rows[0].rstrip().endswith("*") and rows[-1].startswith("*")
         for column in range(9):
@@ -233,14 +237,14 @@ class TestChart:
         lost = (t > 4.0) & (t < 6.0)
         for keep, holes in ((t >= 0, 0), (~lost, 1)):
             v = np.where(keep, 0.5, np.nan)
-            row = chart(t, (Curve(v, "", "*"),), (0.0, 10.0), (0.0, 1.0), (50, 1))[0]
+            row = chart(t, (TerminalCurve(v, "", "*"),), (0.0, 10.0), (0.0, 1.0), (50, 1))[0]
             text = "".join(cell.sign for cell in row)
             assert len(re.findall(" +", text.strip())) == holes
 
     def test_of_dots(self):
         # 2 × 4 dots: a line along the lowest row, and one along the highest
         t = np.linspace(0.0, 1.0, 50)
-        curves = (Curve(np.zeros(50), "a", "-"), Curve(np.ones(50), "b", "*"))
+        curves = (TerminalCurve(np.zeros(50), "a", "-"), TerminalCurve(np.ones(50), "b", "*"))
         row = chart(t, curves, (0.0, 1.0), (0.0, 1.0), (3, 1))[0]
         assert [cell.sign for cell in row] == ["⣉"] * 3
         assert row[0].style == "b"  # the later one lies over the earlier one
@@ -266,7 +270,7 @@ class TestPlayer:
 
     @pytest.fixture
     def player(self, made):
-        run = FollowedRun(made / "one" / "run.mcap")
+        run = RunFollower(made / "one" / "run.mcap")
         yield Player(run, live=False, speed=2.0, begin=1.0, span=20.0)
         run.close()
 
@@ -535,7 +539,7 @@ class TestLive:
     """A run that goes on."""
 
     def test_is_found_followed_and_told_when_killed(self, long_run, on_screen, there, tmp_path):
-        if FollowedRun(tmp_path / "long" / "run.mcap").state == "unfinished":
+        if RunFollower(tmp_path / "long" / "run.mcap").state == "unfinished":
             pytest.skip("this system does not tell who writes a file")
         os.utime(tmp_path / "one" / "run.mcap")  # a later one, but not running
         found = latest_run(tmp_path)
@@ -588,7 +592,7 @@ class TestSweep:
 
     def test_progress(self, folder):
         now = time.time()
-        sweep = FollowedSweep(folder)
+        sweep = SweepFollower(folder)
         for job in range(2):
             self.say(folder, job, now - 20 + 10 * job, state="done", objective=0.5 - 0.1 * job)
         self.say(folder, 2, now, state="failed", error={"problem": "no way\nat all"})
@@ -610,7 +614,7 @@ class TestSweep:
         ended = subprocess.Popen(["true"])
         ended.wait()
         self.say(folder, 0, state="running", pid=ended.pid)
-        seen = FollowedSweep(folder).now()
+        seen = SweepFollower(folder).now()
         assert seen.count("gone") == 1 and seen.ended
         assert "died" in text_of(sweep_frame(seen, 80, 24))
 
@@ -620,8 +624,8 @@ class TestSweep:
         self.say(folder, 0, 100.0, state="done", objective=1.0)
         self.say(folder, 1, 110.0, state="interrupted")
         self.say(folder, 2, 120.0, state="interrupted")
-        sweep = FollowedSweep(folder)
-        with driven(folder):
+        sweep = SweepFollower(folder)
+        with driving(folder):
             assert sweep.now().state == "running" and not sweep.now().ended
             (folder / "sweep.json").write_text(json.dumps(record | {"total": 200}))
         seen = sweep.now()
@@ -641,10 +645,10 @@ class TestSweep:
         record = {"schema": "trms.sweep/1", "overrides": [], "state": state, "total": 1}
         (folder / "sweep.json").write_text(json.dumps(record))
         self.say(folder, 0, 100.0, state="done", objective=1.0)
-        assert words in text_of(sweep_frame(FollowedSweep(folder).now(), 80, 24))
+        assert words in text_of(sweep_frame(SweepFollower(folder).now(), 80, 24))
 
     def test_what_has_changed_is_seen(self, folder):
-        sweep = FollowedSweep(folder)
+        sweep = SweepFollower(folder)
         self.say(folder, 0, 100.0, state="running", pid=os.getpid())
         assert sweep.now().count("running") == 1
         self.say(folder, 0, 110.0, state="done", objective=1.0)
@@ -665,7 +669,7 @@ class TestSweep:
     def test_of_a_stranger(self, folder):
         for job, text in enumerate(['{"schema": 3}', "[", "null", '{"schema": "trms.status/1"}']):
             (folder / str(job) / "status.json").write_text(text)
-        seen = FollowedSweep(folder).now()
+        seen = SweepFollower(folder).now()
         assert len(seen.jobs) == 1
         assert sweep_frame(seen, 80, 24)
 
@@ -689,10 +693,10 @@ class TestSweep:
 
 
 def _seen(jobs):
-    from trms_cli.runs.sweep_progress import Job, Sweep
+    from trms_cli.runs.sweep_progress import Job, SweepState
 
     made = tuple(
         Job(str(i), job["state"], ("a=1", f"b={i}"), job["objective"], "a problem " * 9, 100.0 + i)
         for i, job in enumerate(jobs)
     )
-    return Sweep(Path("a/folder"), ("a=1",), 30, made, 0.3, 200.0)
+    return SweepState(Path("a/folder"), ("a=1",), 30, made, 0.3, 200.0)

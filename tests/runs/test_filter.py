@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trms_cli.runs.columns import COLUMNS, Sql
-from trms_cli.runs.entry import Entry
+from trms_cli.runs.entry import IndexEntry
 from trms_cli.runs.filter import FilterError, names_in, translated
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 
@@ -133,7 +133,7 @@ def by_index(condition: Sql, rows: list[dict[str, Any]]) -> list[int]:
     looked = []
     for k, row in enumerate(rows):
         values = dict.fromkeys(COLUMNS) | row | {"log": f"/{k:03}"}
-        looked.append(LogReading(values["log"], FileStamp(1, 1), Entry(values["log"], values)))
+        looked.append(LogReading(values["log"], FileStamp(1, 1), IndexEntry(values["log"], values)))
     with RunIndex(None) as index:
         index.put(looked)
         columns = {"log": (COLUMNS["log"], Sql("log"))}

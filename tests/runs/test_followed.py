@@ -15,7 +15,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import Table, read_log
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, standard_topics
-from trms_cli.runs.followed import FollowedRun
+from trms_cli.runs.follower import RunFollower
 from trms_cli.runs.moment import Growing, RunningSum
 from trms_cli.scoring.score import limits_of, score_tables
 
@@ -72,8 +72,8 @@ def finished(request, tmp_path_factory) -> Path:
     return path
 
 
-def followed(path: Path) -> FollowedRun:
-    run = FollowedRun(path)
+def followed(path: Path) -> RunFollower:
+    run = RunFollower(path)
     while run.look():
         pass
     return run
@@ -145,7 +145,7 @@ def test_words(finished: Path) -> None:
 
 def test_it_follows_a_run_that_goes_on(tmp_path: Path) -> None:
     log = new_log(tmp_path / "run.mcap")
-    run = FollowedRun(log.path)
+    run = RunFollower(log.path)
     if run.state == "unfinished":
         pytest.skip("this system does not tell who writes a file")
     assert not run.at(0.0, 2.0).axes
@@ -187,7 +187,7 @@ def test_without_a_reference_the_measured_angles_are_shown(tmp_path: Path) -> No
 def test_replay_reads_no_further_than_it_has_to(tmp_path: Path) -> None:
     with new_log(tmp_path / "run.mcap") as log:
         write_seconds(log, 0, 6)
-    run = FollowedRun(log.path)
+    run = RunFollower(log.path)
     assert run.state == "completed" and not run.ended
     run.look_until(0.5)
     assert run.latest >= 0.5

@@ -18,7 +18,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.runs import find_runs
 from trms_cli.runs.columns import COLUMNS, figures_of
-from trms_cli.runs.entry import Entry
+from trms_cli.runs.entry import IndexEntry
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 from trms_cli.runs.place import index_file, new_runs, note_run
 from trms_cli.runs.query import Query, find
@@ -430,7 +430,9 @@ class TestDatabase:
                 "rmse_alpha_h": k / 2000,
                 "time": f"2025-01-01 00:{k // 60:02}:{k % 60:02}",
             }
-            looked.append(LogReading(values["log"], FileStamp(1, 1), Entry(values["log"], values)))
+            looked.append(
+                LogReading(values["log"], FileStamp(1, 1), IndexEntry(values["log"], values))
+            )
         from trms_cli.runs.columns import column_sql
         from trms_cli.runs.filter import translated
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from trms_cli.core.errors import TrmsError
 from trms_cli.sweeps.driver import DISK_FULL, Driver
 from trms_cli.sweeps.launcher import Attempt, Ended
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.record import Record
 from trms_cli.sweeps.samplers.planned import Planned
 from trms_cli.sweeps.status import RunFolder
@@ -32,7 +32,7 @@ class Listed:
     def more(self, results, wanted):
         self.told += results
         first, self._next = self._next, min(self.total, self._next + max(wanted, 0))
-        return [Point(n, (f"seed={n}",)) for n in range(first, self._next)]
+        return [SweepPoint(n, (f"seed={n}",)) for n in range(first, self._next)]
 
     def summary(self, results):
         return {}
@@ -84,7 +84,7 @@ class Unreliable:
             return None
         run.write(status | {"state": "done", "objective": 1.0})
         self.finished[run.number] = self.finished.get(run.number, 0) + 1
-        return Result(run.number, "done", objective=1.0)
+        return RunResult(run.number, "done", objective=1.0)
 
 
 FATES = ["before", "amid", "after", "twice", "told twice"]
@@ -169,7 +169,7 @@ def _driver(folder, count, **more) -> Driver:
 
 
 def test_a_full_disk_ends_the_sweep_with_what_to_do(tmp_path):
-    script = lambda crew, a: Result(a.point.number, "interrupted", problem=f"{DISK_FULL}: x")  # noqa: E731
+    script = lambda crew, a: RunResult(a.point.number, "interrupted", problem=f"{DISK_FULL}: x")  # noqa: E731
     with pytest.raises(TrmsError, match="disk is full") as told:
         _driver(tmp_path, 2).drive(Scripted(tmp_path, script))
     assert "sweep resume" in told.value.remedy
@@ -184,7 +184,7 @@ def test_a_worker_that_is_told_to_go_has_not_failed_at_its_run(tmp_path):
         if times[number] <= 3:
             RunFolder(tmp_path, number).claim(attempt.number)
             RunFolder(tmp_path, number).write({"schema": "trms.status/1", "state": "interrupted"})
-            return Result(number, "interrupted")
+            return RunResult(number, "interrupted")
         return crew.work(attempt, dies=False)
 
     driver = _driver(tmp_path, 2, retries=0)
@@ -197,7 +197,7 @@ def test_failed_runs_are_made_again_only_when_asked(tmp_path):
         RunFolder(tmp_path, attempt.point.number).claim(attempt.number)
         status = {"schema": "trms.status/1", "state": "failed", "error": {"problem": "bad"}}
         RunFolder(tmp_path, attempt.point.number).write(status)
-        return Result(attempt.point.number, "failed", problem="bad")
+        return RunResult(attempt.point.number, "failed", problem="bad")
 
     _driver(tmp_path, 3).drive(Scripted(tmp_path, fails))
     known = Record(tmp_path).points()

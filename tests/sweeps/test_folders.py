@@ -11,10 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.runs.driving import is_driven
-from trms_cli.sweeps.point import Point
-from trms_cli.sweeps.record import POINTS_NAME, Plan, Record, driven
-from trms_cli.sweeps.space import Choice, Prior, Range, Space
+from trms_cli.runs.driving import has_driver
+from trms_cli.sweeps.point import SweepPoint
+from trms_cli.sweeps.record import POINTS_NAME, Record, SweepPlan, driving
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 from trms_cli.sweeps.status import Claim, RunFolder, is_alive, lost
 
 
@@ -63,19 +63,19 @@ def test_who_lives():
 
 def test_a_lost_run_tells_what_is_known(tmp_path):
     before = {"begin": "then", "pid": 3, "host": "a", "state": "running"}
-    status = lost(Point(4, ("seed=1",)), 2, "killed", before)
+    status = lost(SweepPoint(4, ("seed=1",)), 2, "killed", before)
     assert status["state"] == "lost" and status["begin"] == "then"
     assert "died 2 times: killed" in status["error"]["problem"]
 
 
 @pytest.fixture
-def plan() -> Plan:
+def plan() -> SweepPlan:
     space = Space(
         ("controller=pid",),
         (Choice("seed", ("1", "2")),),
-        (Range("a.b", 0.1, 1.0, True), Prior("plant.parameters.k_g", 0.2, 0.01, 0.1, 0.3)),
+        (Range("a.b", 0.1, 1.0, True), PriorOfKey("plant.parameters.k_g", 0.2, 0.01, 0.1, 0.3)),
     )
-    return Plan(
+    return SweepPlan(
         "run", "trms_cli.commands.run:perform", ("controller=pid",), (), space, {"a": 1}, {"b": 2}
     )
 
@@ -90,7 +90,9 @@ def test_the_plan_comes_back_as_it_was(tmp_path, plan):
 
 def test_a_half_written_line_is_cut_off(tmp_path, plan):
     record = Record(tmp_path)
-    record.append([Point(0, ("seed=1",), {"seed": "1"}), Point(1, ("seed=2",), {}, trial=3)])
+    record.append(
+        [SweepPoint(0, ("seed=1",), {"seed": "1"}), SweepPoint(1, ("seed=2",), {}, trial=3)]
+    )
     whole = (tmp_path / POINTS_NAME).read_bytes()
     with (tmp_path / POINTS_NAME).open("ab") as stream:
         stream.write(b'{"number": 2, "overr')
@@ -116,8 +118,8 @@ def test_a_record_of_a_stranger(tmp_path, text):
 
 def test_one_process_drives_a_sweep_and_a_dead_one_holds_nothing(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from trms_cli.sweeps.record import driven\n"
-        "with driven(Path(sys.argv[1])): print('in', flush=True); input()"
+        "import sys; from pathlib import Path; from trms_cli.sweeps.record import driving\n"
+        "with driving(Path(sys.argv[1])): print('in', flush=True); input()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path)],
@@ -125,14 +127,14 @@ def test_one_process_drives_a_sweep_and_a_dead_one_holds_nothing(tmp_path):
         stdout=subprocess.PIPE,
     )
     assert process.stdout.readline() == b"in\n"
-    assert is_driven(tmp_path)
+    assert has_driver(tmp_path)
     with (
         pytest.raises(ConfigurationError, match=f"process {process.pid}"),
-        driven(tmp_path),
+        driving(tmp_path),
     ):
         pass
     process.kill()
     process.wait()
-    with driven(tmp_path):
-        assert is_driven(tmp_path)
-    assert not is_driven(tmp_path)
+    with driving(tmp_path):
+        assert has_driver(tmp_path)
+    assert not has_driver(tmp_path)

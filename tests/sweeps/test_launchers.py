@@ -16,7 +16,7 @@ from trms_cli.sweeps.driver import Driver
 from trms_cli.sweeps.launchers.dask import DaskLauncher
 from trms_cli.sweeps.launchers.local import LocalLauncher
 from trms_cli.sweeps.launchers.slurm import SlurmLauncher, _said_by_slurm
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.record import Record
 from trms_cli.sweeps.status import RunFolder
 
@@ -36,7 +36,7 @@ def make_run(folder: str, deadly: tuple[int, ...], always: tuple[int, ...], atte
     if run.number in always or (run.number in deadly and attempt.number == 1):
         os.kill(os.getpid(), signal.SIGKILL)
     run.write(status | {"state": "done"})
-    return Result(run.number, "done")
+    return RunResult(run.number, "done")
 
 
 class Listed:
@@ -49,7 +49,7 @@ class Listed:
 
     def more(self, results, wanted):
         first, self._next = self._next, min(self.total, self._next + wanted)
-        return [Point(n, (f"seed={n}",)) for n in range(first, self._next)]
+        return [SweepPoint(n, (f"seed={n}",)) for n in range(first, self._next)]
 
 
 def drive(folder: Path, launcher, deadly=(), always=(), retries=1):

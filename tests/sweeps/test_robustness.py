@@ -7,14 +7,14 @@ import pytest
 from scipy import stats
 
 from trms_cli.sweeps.figures import canonical, figure_of
-from trms_cli.sweeps.point import Result
+from trms_cli.sweeps.point import RunResult
 from trms_cli.sweeps.robustness import Robustness
 from trms_cli.sweeps.samplers.random import Random
 from trms_cli.sweeps.short_keys import short_keys
-from trms_cli.sweeps.space import Choice, Prior, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Space
 
 PARAMETERS = tuple(
-    Prior(f"plant.parameters.{name}", 1.0, 0.1, 0.75, 1.25) for name in ("k", "unimportant")
+    PriorOfKey(f"plant.parameters.{name}", 1.0, 0.1, 0.75, 1.25) for name in ("k", "unimportant")
 )
 CONTROLLERS = Choice("controller", ("pid", "lqr"))
 
@@ -24,14 +24,14 @@ def run(point, noise=0.0):
     k = point.values["plant.parameters.k"]
     pid = point.values["controller"] == "pid"
     if pid and k > 1.2:
-        return Result(point.number, "failed", problem="diverged")
+        return RunResult(point.number, "failed", problem="diverged")
     figure = k + 0.05 * pid + noise * hash_of(point)
-    return Result(point.number, "done", {"rmse_alpha_h": figure})
+    return RunResult(point.number, "done", {"rmse_alpha_h": figure})
 
 
 def lqr(point):
     figure = point.values["plant.parameters.k"] + 0.03 * hash_of(point)
-    return Result(point.number, "done", {"rmse_alpha_h": figure})
+    return RunResult(point.number, "done", {"rmse_alpha_h": figure})
 
 
 def hash_of(point):
@@ -115,7 +115,7 @@ def test_runs_of_one_draw_count_once():
 def test_lost_and_interrupted_runs_say_nothing_of_a_controller():
     def work(point):
         state = {0: "lost", 1: "interrupted"}.get(point.number % 20 // 2, "done")
-        return Result(point.number, state, {"rmse_alpha_h": 1.0} if state == "done" else {})
+        return RunResult(point.number, state, {"rmse_alpha_h": 1.0} if state == "done" else {})
 
     summary, _, _ = told(samples=100, work=work)
     for group in summary["groups"]:
@@ -125,7 +125,7 @@ def test_lost_and_interrupted_runs_say_nothing_of_a_controller():
 
 def test_a_command_without_scores_is_told_by_its_figure_of_merit():
     def work(point):
-        return Result(point.number, "done", {}, objective=point.values["plant.parameters.k"])
+        return RunResult(point.number, "done", {}, objective=point.values["plant.parameters.k"])
 
     summary, _, _ = told(work=work)
     assert list(summary["figures"]) == ["merit"]

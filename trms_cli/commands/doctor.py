@@ -34,7 +34,7 @@ LOW_DISK = 1e9  #: bytes; a run's log takes some 10 MB
 OK, SLOWER, BROKEN = "ok", "note", "broken"
 
 
-class Finding(NamedTuple):
+class Check(NamedTuple):
     """One line of the report."""
 
     what: str
@@ -51,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
         raise ConfigurationError(
             f"cannot use {unknown[0]!r}", where="trms doctor", remedy="usage: trms doctor [--json]"
         )
-    checks: list[Callable[[], list[Finding]]] = [
+    checks: list[Callable[[], list[Check]]] = [
         _python,
         _packages,
         _compiler,
@@ -77,7 +77,7 @@ def main(argv: Sequence[str]) -> int:
     return EXIT_OK if usable else EXIT_NOT_READY
 
 
-def _report(findings: Sequence[Finding], usable: bool) -> str:
+def _report(findings: Sequence[Check], usable: bool) -> str:
     lines = [f"trms {__version__}", ""]
     for finding in findings:
         lines.append(f"  {finding.state:7}{finding.what:16}{finding.found}")
@@ -87,14 +87,14 @@ def _report(findings: Sequence[Finding], usable: bool) -> str:
     return "\n".join([*lines, "", ending]) + "\n"
 
 
-def _python() -> list[Finding]:
+def _python() -> list[Check]:
     found = f"{sys.version.split()[0]} at {sys.executable}"
     if sys.version_info < OLDEST_PYTHON:
-        return [Finding("Python", BROKEN, found, "install Python 3.11 or newer")]
-    return [Finding("Python", OK, found)]
+        return [Check("Python", BROKEN, found, "install Python 3.11 or newer")]
+    return [Check("Python", OK, found)]
 
 
-def _packages() -> list[Finding]:
+def _packages() -> list[Check]:
     """Every package that trms requires, as its own metadata lists them, imported or not."""
     from importlib import metadata
 
@@ -103,8 +103,8 @@ def _packages() -> list[Finding]:
     try:
         required = metadata.requires("trms-cli") or []
     except metadata.PackageNotFoundError:
-        return [Finding("packages", BROKEN, "trms is not installed", "pip install trms-cli")]
-    findings: list[Finding] = []
+        return [Check("packages", BROKEN, "trms is not installed", "pip install trms-cli")]
+    findings: list[Check] = []
     versions: list[str] = []
     for requirement in map(Requirement, required):
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
@@ -113,16 +113,16 @@ def _packages() -> list[Finding]:
             versions.append(f"{requirement.name} {metadata.version(requirement.name)}")
         except metadata.PackageNotFoundError:
             remedy = f"pip install '{requirement.name}{requirement.specifier}'"
-            findings.append(Finding(requirement.name, BROKEN, "not installed", remedy))
+            findings.append(Check(requirement.name, BROKEN, "not installed", remedy))
     rows = [", ".join(versions[i : i + 4]) for i in range(0, len(versions), 4)]
     return [
-        *(Finding("packages" if i == 0 else "", OK, row) for i, row in enumerate(rows)),
+        *(Check("packages" if i == 0 else "", OK, row) for i, row in enumerate(rows)),
         *findings,
         *_working_casadi(),
     ]
 
 
-def _working_casadi() -> list[Finding]:
+def _working_casadi() -> list[Check]:
     """The one package without which nothing computes: it must load, not only be there."""
     try:
         import casadi
@@ -130,11 +130,11 @@ def _working_casadi() -> list[Finding]:
         x = casadi.SX.sym("x")
         assert float(casadi.Function("f", [x], [x * x])(3.0)) == 9.0
     except Exception as error:
-        return [Finding("casadi", BROKEN, f"does not load: {error}", "pip install casadi")]
+        return [Check("casadi", BROKEN, f"does not load: {error}", "pip install casadi")]
     return []
 
 
-def _compiler() -> list[Finding]:
+def _compiler() -> list[Check]:
     """Build and load a generated function in the way trms does."""
     from trms_cli.core import compilation
 
@@ -144,16 +144,16 @@ def _compiler() -> list[Finding]:
     )
     program = compilation.compiler()
     if program is None:
-        return [Finding("C compiler", SLOWER, "none: functions are interpreted", remedy)]
+        return [Check("C compiler", SLOWER, "none: functions are interpreted", remedy)]
     try:
         banner = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=20)
         version = (banner.stdout.splitlines() or [program])[0]
     except (OSError, subprocess.TimeoutExpired) as error:
-        return [Finding("C compiler", SLOWER, f"{program} does not start: {error}", remedy)]
+        return [Check("C compiler", SLOWER, f"{program} does not start: {error}", remedy)]
     if not _builds():
         found = f"{version}: does not build a generated function"
-        return [Finding("C compiler", SLOWER, found, remedy)]
-    return [Finding("C compiler", OK, f"{version}; a generated function builds and loads")]
+        return [Check("C compiler", SLOWER, found, remedy)]
+    return [Check("C compiler", OK, f"{version}; a generated function builds and loads")]
 
 
 def _builds() -> bool:
@@ -177,7 +177,7 @@ def _builds() -> bool:
                 os.environ["TRMS_CACHE"] = before
 
 
-def _cache() -> list[Finding]:
+def _cache() -> list[Check]:
     from trms_cli.core import compilation
 
     folder = compilation.cache_folder()
@@ -188,31 +188,31 @@ def _cache() -> list[Finding]:
     except OSError as error:
         found = f"{folder} cannot be written ({error.strerror}): functions are interpreted"
         remedy = "make it writable, or set TRMS_CACHE to a folder that is"
-        return [Finding("cache", SLOWER, found, remedy)]
-    return [Finding("cache", OK, str(folder))]
+        return [Check("cache", SLOWER, found, remedy)]
+    return [Check("cache", OK, str(folder))]
 
 
-def _disk() -> list[Finding]:
+def _disk() -> list[Check]:
     here = Path.cwd()
     free = shutil.disk_usage(here).free
     found = f"{free / 1e9:.1f} GB free in {here}"
     if not os.access(here, os.W_OK):
         remedy = "change to a folder that you can write to, or give runs an out=FOLDER"
-        return [Finding("disk", SLOWER, f"{here} cannot be written", remedy)]
+        return [Check("disk", SLOWER, f"{here} cannot be written", remedy)]
     if free < LOW_DISK:
-        return [Finding("disk", SLOWER, found, "free some space: a log takes about 10 MB")]
-    return [Finding("disk", OK, found)]
+        return [Check("disk", SLOWER, found, "free some space: a log takes about 10 MB")]
+    return [Check("disk", OK, found)]
 
 
-def _cores() -> list[Finding]:
+def _cores() -> list[Check]:
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return [Finding("cores", OK, f"{available} (a sweep uses one a job, with a launcher)")]
+    return [Check("cores", OK, f"{available} (a sweep uses one a job, with a launcher)")]
 
 
-def _terminal() -> list[Finding]:
+def _terminal() -> list[Check]:
     encoding = sys.stdout.encoding or "unknown"
     kind = "a terminal" if sys.stdout.isatty() else "not a terminal: no colour, no progress bar"
     found = f"{encoding}, {kind}, {shutil.get_terminal_size().columns} columns"
     if encoding.lower().replace("-", "") != "utf8":
-        return [Finding("terminal", SLOWER, found, "export PYTHONUTF8=1 to see α, ω and arrows")]
-    return [Finding("terminal", OK, found)]
+        return [Check("terminal", SLOWER, found, "export PYTHONUTF8=1 to see α, ω and arrows")]
+    return [Check("terminal", OK, found)]

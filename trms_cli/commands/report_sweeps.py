@@ -58,10 +58,10 @@ _NUMBERS = "number", "whole"
 
 def rows_of(folders: Sequence[Path]) -> QueryResult:
     """The runs in folders, as ``trms runs`` has them; logs that are new are read."""
-    from trms_cli.commands.runs_screen import Progress
+    from trms_cli.commands.runs_screen import ReadingProgress
     from trms_cli.runs.query import Query, find
 
-    with Progress() as progress:
+    with ReadingProgress() as progress:
         found = find(Query(folders=tuple(folders), sort="path", descending=False), progress)
     return replace(found, runs=_completed(found.runs))
 

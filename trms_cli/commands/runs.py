@@ -167,6 +167,6 @@ def _asked(text: str) -> tuple[bool, list[str]]:
 
 
 def _progress() -> Any:
-    from trms_cli.commands.runs_screen import Progress
+    from trms_cli.commands.runs_screen import ReadingProgress
 
-    return Progress()
+    return ReadingProgress()

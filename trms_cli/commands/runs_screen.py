@@ -13,7 +13,7 @@ from typing import Any, Self, TextIO
 
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Judged, Table, Value
-from trms_cli.runs.columns import ALIASES, Column
+from trms_cli.runs.columns import ALIASES, IndexColumn
 from trms_cli.runs.query import QueryResult
 
 #: Read with the usual columns, for the settings in which runs differ; not shown itself.
@@ -107,7 +107,7 @@ def say_remarks(found: QueryResult, *, unreadable: bool) -> None:
         sys.stderr.write(f"note   {logs} could not be read: {first}{more}\n")
 
 
-class Progress:
+class ReadingProgress:
     """Tells how many logs are left to be read, on a terminal and when it takes a while."""
 
     _PATIENCE = 0.5  # s
@@ -168,7 +168,7 @@ def _settings(found: QueryResult, names: Sequence[str]) -> list[str]:
             and len(values) > 1
         ):
             settings.append(key)
-            found.columns[key] = Column(key, "any")
+            found.columns[key] = IndexColumn(key, "any")
             for run, keys in zip(found.runs, given, strict=True):
                 run[key] = keys.get(key)
     return [key for key in settings if key not in names][:_MOST_SETTINGS]
@@ -203,17 +203,17 @@ def _print_table(found: QueryResult, names: Sequence[str]) -> None:
     show_table(console(), Table(heads, rows), len(rows))
 
 
-def _cell(value: Any, column: Column) -> Value:
+def _cell(value: Any, column: IndexColumn) -> Value:
     """Numbers as they are, which stand right; what is not there as text where others are text."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return value if number or (value is None and column.is_number) else _text(value, column)
 
 
-def _heading(name: str, column: Column) -> str:
+def _heading(name: str, column: IndexColumn) -> str:
     return wording.titled(_HEADINGS.get(name, name), column.unit)
 
 
-def _text(value: Any, column: Column, *, whole: bool = False) -> str:
+def _text(value: Any, column: IndexColumn, *, whole: bool = False) -> str:
     """A cell; a path is short where the working folder is above it."""
     if value is None or value == "":
         return _NOTHING

@@ -18,9 +18,9 @@ from trms_cli.composition.overrides import Request
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, TrmsError
 
 if TYPE_CHECKING:
-    from trms_cli.sweeps.driver import Progress
-    from trms_cli.sweeps.point import Point, Result
-    from trms_cli.sweeps.record import Plan
+    from trms_cli.sweeps.driver import SweepProgress
+    from trms_cli.sweeps.point import RunResult, SweepPoint
+    from trms_cli.sweeps.record import SweepPlan
 
 SUMMARY = "go on with a sweep that was interrupted, or tell how one stands"
 COMPOSES = "sweep"
@@ -54,12 +54,12 @@ options
 
 
 @dataclass(frozen=True)
-class Swept:
-    """A sweep that has been driven to its end."""
+class SweepOutcome:
+    """A sweep that has been driving to its end."""
 
     folder: Path
-    points: tuple[Point, ...]  #: That were proposed
-    results: dict[int, Result]  #: By the number of the point
+    points: tuple[SweepPoint, ...]  #: That were proposed
+    results: dict[int, RunResult]  #: By the number of the point
     counts: dict[str, int]  #: Runs ``done``, ``failed``, ``lost``, ``interrupted``
     summary: dict[str, Any] = field(default_factory=dict)  #: What the sampler has to say
 
@@ -70,10 +70,10 @@ class Swept:
 
 
 #: Called with the progress and, after each run, with its result.
-Tell = Callable[["Progress", "Result | None"], None]
+Tell = Callable[["SweepProgress", "RunResult | None"], None]
 
 
-def _silent(progress: Progress, result: Result | None) -> None:
+def _silent(progress: SweepProgress, result: RunResult | None) -> None:
     """Tells nobody."""
 
 
@@ -125,7 +125,7 @@ def make_sweep(
     config_dirs: Sequence[Path] = (),
     tell: Tell = _silent,
     begun: Callable[[Path], None] = lambda folder: None,
-) -> Swept:
+) -> SweepOutcome:
     """Begin a sweep and drive it to its end.
 
     Parameters
@@ -156,7 +156,7 @@ def make_sweep(
     from trms_cli.commands.sweep_check import check_choices
     from trms_cli.composition.sweep_settings import built, divided, settings_of
     from trms_cli.runs.run_folder import new_folder
-    from trms_cli.sweeps.record import Record, driven
+    from trms_cli.sweeps.record import Record, driving
 
     mine = divided(overrides, primary, config_dirs)
     settings = settings_of(mine.settings, config_dirs)
@@ -166,7 +166,7 @@ def make_sweep(
     check_choices(space, primary, tuple(config_dirs))
     folder = new_folder(mine.out, f"{primary}-sweep").resolve()
     record = Record(folder)
-    with driven(folder):
+    with driving(folder):
         try:
             plan = _plan(mine, settings, space, primary, task, config_dirs)
             record.begin(plan)
@@ -185,7 +185,7 @@ def go_on(
     retry_failed: bool = False,
     tell: Tell = _silent,
     begun: Callable[[Path], None] = lambda folder: None,
-) -> Swept:
+) -> SweepOutcome:
     """Go on with a sweep where it stopped.
 
     Parameters
@@ -207,12 +207,12 @@ def go_on(
     """
     from trms_cli.commands.sweep_resume import place_of, resumed_settings, task_of
     from trms_cli.composition.sweep_settings import built
-    from trms_cli.sweeps.record import Record, driven
+    from trms_cli.sweeps.record import Record, driving
 
     folder = folder.resolve()
     record = Record(folder)
     record.document()
-    with driven(folder):
+    with driving(folder):
         plan = record.plan()
         known = record.points(mend=True)
         with place_of(plan):
@@ -256,16 +256,16 @@ def _checked(
 
 def _plan(
     mine: Any, settings: Any, space: Any, primary: str, task: Task, config_dirs: Sequence[Path]
-) -> Plan:
+) -> SweepPlan:
     import os
 
     from trms_cli.commands.git_revision import GitRevision
     from trms_cli.commands.run_assembly import versions
     from trms_cli.core.invocation import command_line
-    from trms_cli.sweeps.record import Plan
+    from trms_cli.sweeps.record import SweepPlan
 
     revision = GitRevision.ask()
-    return Plan(
+    return SweepPlan(
         primary=primary,
         task=f"{task.__module__}:{getattr(task, '__qualname__', '')}",
         overrides=mine.runs,
@@ -284,16 +284,16 @@ def _plan(
 
 def _driven(
     record: Any,
-    plan: Plan,
+    plan: SweepPlan,
     proposals: Any,
     launcher: Any,
     task: Task,
     tell: Tell,
-    known: Sequence[Point],
+    known: Sequence[SweepPoint],
     *,
     retry_failed: bool,
     retries: int | None = None,
-) -> Swept:
+) -> SweepOutcome:
     """Drive the sweep, and write down at the end, whatever it is, how it stands."""
     from trms_cli.commands.sweep_work import MakeRun
     from trms_cli.core.allowed import allowed_for_now
@@ -336,6 +336,6 @@ def _driven(
             sys.stderr.write(f"note   {error.problem}\n")
             if state == "done":
                 raise
-    return Swept(
+    return SweepOutcome(
         record.folder, tuple(record.points()), dict(results), counts, words.get("summary", {})
     )

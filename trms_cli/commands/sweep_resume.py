@@ -16,7 +16,7 @@ from trms_cli.composition.composer import Task
 from trms_cli.composition.sweep_settings import Settings, names_of, settings_of
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, RecordingError
 from trms_cli.core.plugins import nearest
-from trms_cli.sweeps.record import Plan
+from trms_cli.sweeps.record import SweepPlan
 
 _OPTIONS = ("--retry-failed", "--json")
 #: Tasks of a record are looked for here only: a record is data, and names no other code.
@@ -97,7 +97,7 @@ def _read(
     return folder, [text for text in rest if text not in folders], options
 
 
-def resumed_settings(plan: Plan, changed: Sequence[str]) -> Settings:
+def resumed_settings(plan: SweepPlan, changed: Sequence[str]) -> Settings:
     """The settings of a record, some of them changed.
 
     Raises ConfigurationError for what cannot change: a sweep goes on with the points that its
@@ -127,7 +127,7 @@ def resumed_settings(plan: Plan, changed: Sequence[str]) -> Settings:
 
 
 @contextmanager
-def place_of(plan: Plan) -> Iterator[None]:
+def place_of(plan: SweepPlan) -> Iterator[None]:
     """In the folder that the sweep was begun in, its options importable; told what differs.
 
     Raises RecordingError if the folder, or one of options, is gone.
@@ -163,7 +163,7 @@ def place_of(plan: Plan) -> Iterator[None]:
         os.chdir(before)
 
 
-def task_of(plan: Plan) -> Task:
+def task_of(plan: SweepPlan) -> Task:
     """What a run of the sweep does.
 
     Raises RecordingError if the record names no command of this program.

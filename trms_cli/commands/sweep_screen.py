@@ -21,8 +21,8 @@ from trms_cli.sweeps.findings import PICTURES, rate, sweep_findings
 from trms_cli.sweeps.outcome import outcome_of
 
 if TYPE_CHECKING:
-    from trms_cli.sweeps.driver import Progress
-    from trms_cli.sweeps.point import Result
+    from trms_cli.sweeps.driver import SweepProgress
+    from trms_cli.sweeps.point import RunResult
 
 _MOST_NOTES = 10
 #: Lines that runs of a small sweep say of themselves.
@@ -31,7 +31,7 @@ _EVERY = 0.2  # s between two lines
 
 
 class SweepScreen:
-    """Progress on standard error if that is a terminal; the outcome on standard output.
+    """SweepProgress on standard error if that is a terminal; the outcome on standard output.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class SweepScreen:
         """The record stands; from here on the sweep can be resumed."""
         self._folder = folder
 
-    def tell(self, progress: Progress, result: Result | None) -> None:
+    def tell(self, progress: SweepProgress, result: RunResult | None) -> None:
         """How far it is; what runs would have told, each line once."""
         for note in result.notes if result is not None else ():
             if note not in self._notes and len(self._notes) < _MOST_NOTES:
@@ -99,7 +99,7 @@ class SweepScreen:
             say_outcome(document)
 
 
-def line_of(progress: Progress) -> str:
+def line_of(progress: SweepProgress) -> str:
     """``37 of 1000 done · 2 failed · 6.3 runs/s · 2 min 33 s left``."""
     counts = progress.counts
     of = "" if progress.total is None else f" of {progress.total}"

@@ -29,10 +29,9 @@ from trms_cli.runs.columns import figures_of
 from trms_cli.runs.run_folder import SCORE_NAME
 from trms_cli.sweeps.driver import DISK_FULL
 from trms_cli.sweeps.launcher import Attempt
-from trms_cli.sweeps.leaving import leaving
-from trms_cli.sweeps.point import Result, State
+from trms_cli.sweeps.point import RunResult, State
 from trms_cli.sweeps.record import STOP_NAME
-from trms_cli.sweeps.status import SCHEMA, SIGN_EVERY, RunFolder, now, result_of
+from trms_cli.sweeps.status import SCHEMA, SIGN_EVERY, RunFolder, leaving, now, result_of
 
 #: Lines of a run's standard error that are kept.
 _MOST_NOTES = 20
@@ -55,16 +54,16 @@ class MakeRun:
     #: Packages whose classes may be built, for workers that do not inherit it
     allowed: tuple[str, ...] = ()
 
-    def __call__(self, attempt: Attempt) -> Result | None:
+    def __call__(self, attempt: Attempt) -> RunResult | None:
         """Make the run; every failure is told in the result, and in the run's ``status.json``."""
         with _ONE_AT_A_TIME, _collected_after():
             return self._called(attempt)
 
-    def _called(self, attempt: Attempt) -> Result | None:
+    def _called(self, attempt: Attempt) -> RunResult | None:
         point = attempt.point
         sweep = Path(self.folder)
         if leaving.is_set() or (sweep / STOP_NAME).exists():
-            return Result(point.number, "interrupted")
+            return RunResult(point.number, "interrupted")
         run = RunFolder(sweep, point.number)
         try:
             if not run.claim(attempt.number):
@@ -93,10 +92,10 @@ class MakeRun:
             # The status cannot be written: it stays as it is, and the run is made again.
             kind = "failed" if not _is_full(error) else "interrupted"
             problem = f"{DISK_FULL}: {error}" if _is_full(error) else f"{error}"
-            return Result(point.number, kind, problem=problem)  # type: ignore[arg-type]
+            return RunResult(point.number, kind, problem=problem)  # type: ignore[arg-type]
         result = result_of(status, point.number)
         assert result is not None
-        return Result(
+        return RunResult(
             result.number, result.state, result.figures, result.objective, result.problem, notes
         )
 

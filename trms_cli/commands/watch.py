@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from trms_cli.commands.watch_player import Player
-    from trms_cli.runs.followed import FollowedRun
-    from trms_cli.runs.sweep_progress import FollowedSweep, Sweep
+    from trms_cli.runs.follower import RunFollower
+    from trms_cli.runs.sweep_progress import SweepFollower, SweepState
 
 SUMMARY = "a run or a sweep as it goes on, or a finished run replayed"
 
@@ -54,7 +54,7 @@ examples
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     given = _given(argv)
-    from trms_cli.runs.sweep_progress import FollowedSweep
+    from trms_cli.runs.sweep_progress import SweepFollower
 
     what = _target(given.what)
     if what.is_dir():
@@ -65,7 +65,7 @@ def main(argv: list[str]) -> int:
                     where=option,
                     remedy=f"name one of its runs: {what}/0",
                 )
-        return _watch_sweep(FollowedSweep(what), given)
+        return _watch_sweep(SweepFollower(what), given)
     return _watch_run(what, given)
 
 
@@ -116,9 +116,9 @@ def _target(what: Path | None) -> Path:
 def _watch_run(log: Path, given: Any) -> int:
     from trms_cli.commands.watch_player import Player
     from trms_cli.commands.watch_screen import show, show_once
-    from trms_cli.runs.followed import FollowedRun
+    from trms_cli.runs.follower import RunFollower
 
-    run = FollowedRun(log)
+    run = RunFollower(log)
     try:
         _begin(run, log, given.begin)
         replay = given.begin is not None or given.speed is not None
@@ -141,7 +141,7 @@ def _watch_run(log: Path, given: Any) -> int:
     )
 
 
-def _begin(run: FollowedRun, log: Path, begin: float | None) -> None:
+def _begin(run: RunFollower, log: Path, begin: float | None) -> None:
     """Read the first samples; tell what cannot be shown at all."""
     while run.look() and run.latest <= 0.0:
         pass
@@ -157,7 +157,7 @@ def _begin(run: FollowedRun, log: Path, begin: float | None) -> None:
             )
 
 
-def _watch_sweep(sweep: FollowedSweep, given: Any) -> int:
+def _watch_sweep(sweep: SweepFollower, given: Any) -> int:
     from trms_cli.commands.watch_screen import show, show_once
 
     shown = _WatchedSweep(sweep, plain=_plain(given))
@@ -176,7 +176,7 @@ def _plain(given: Any) -> bool:
 
 
 class _WatchedRun:
-    """A run on the screen; see :class:`trms_cli.commands.watch_screen.Shown`."""
+    """A run on the screen; see :class:`trms_cli.commands.watch_screen.Screen`."""
 
     def __init__(self, player: Player, *, plain: bool) -> None:
         self._player, self._plain = player, plain
@@ -207,9 +207,9 @@ class _WatchedSweep:
 
     _LOOK = 0.5  # s between two looks at its folder
 
-    def __init__(self, sweep: FollowedSweep, *, plain: bool) -> None:
+    def __init__(self, sweep: SweepFollower, *, plain: bool) -> None:
         self._sweep, self._plain = sweep, plain
-        self.now: Sweep = sweep.now()
+        self.now: SweepState = sweep.now()
         self._waited = 0.0
 
     def advance(self, seconds: float) -> None:

@@ -17,7 +17,7 @@ _LEAST_RANGE = 0.1  # of the scale, in the curve's unit: the noise of a rig at r
 
 
 @dataclass(frozen=True)
-class Curve:
+class TerminalCurve:
     """A line of a chart."""
 
     values: FloatArray  #: (n,) array; NaN where there is none
@@ -26,7 +26,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TerminalCell:
     """A character of a chart."""
 
     sign: str  #: The character
@@ -48,20 +48,20 @@ def scale(*values: FloatArray) -> tuple[float, float]:
 
 def chart(
     time: FloatArray,
-    curves: tuple[Curve, ...],
+    curves: tuple[TerminalCurve, ...],
     within: tuple[float, float],
     limits: tuple[float, float],
     size: tuple[int, int],
     *,
     plain: bool = False,
-) -> list[list[Cell]]:
+) -> list[list[TerminalCell]]:
     """Draw curves; the later ones lie over the earlier ones.
 
     Parameters
     ----------
     time : (n,) array
         s, rising.
-    curves : tuple of Curve
+    curves : tuple of TerminalCurve
     within : (float, float)
         Time at the left and at the right edge, s.
     limits : (float, float)
@@ -73,7 +73,7 @@ def chart(
 
     Returns
     -------
-    list of list of Cell
+    list of list of TerminalCell
         The rows from the top.
     """
     columns, rows = size
@@ -96,10 +96,10 @@ def chart(
     ]
 
 
-def _cell(bits: int, owner: int, curves: tuple[Curve, ...], plain: bool) -> Cell:
+def _cell(bits: int, owner: int, curves: tuple[TerminalCurve, ...], plain: bool) -> TerminalCell:
     if owner < 0:
-        return Cell(" ", "")
-    return Cell(curves[owner].sign if plain else chr(_BLANK + bits), curves[owner].style)
+        return TerminalCell(" ", "")
+    return TerminalCell(curves[owner].sign if plain else chr(_BLANK + bits), curves[owner].style)
 
 
 def _heights(

@@ -11,8 +11,8 @@ import numpy as np
 from rich.cells import set_cell_size
 from rich.text import Text
 
-from trms_cli.commands.watch_chart import Cell, Curve, chart, scale
-from trms_cli.runs.moment import Axis, Input, Moment, Solver
+from trms_cli.commands.watch_chart import TerminalCell, TerminalCurve, chart, scale
+from trms_cli.runs.moment import AxisMoment, Input, Moment, Solver
 
 #: What the signals of the twin rotor are called; others go by their own name.
 NAMES = {
@@ -184,7 +184,7 @@ def _header(view: View, width: int, plain: bool) -> list[Text]:
     return [*lines, progress]
 
 
-def _table(axes: tuple[Axis, ...]) -> list[Text]:
+def _table(axes: tuple[AxisMoment, ...]) -> list[Text]:
     if not axes:
         return [Text("no sample yet", "dim")]
     columns = ("reference", "measured", "state", "estimate", "error", "RMSE")
@@ -213,12 +213,12 @@ def _window(view: View, columns: int) -> tuple[float, float]:
     return end - view.span, end
 
 
-def _strip(axis: Axis, view: View, width: int, rows: int, plain: bool) -> list[Text]:
+def _strip(axis: AxisMoment, view: View, width: int, rows: int, plain: bool) -> list[Text]:
     columns = width - _MARGIN
     if columns < 8:
         return []
     limits = scale(axis.wanted, axis.shown)
-    curves = (Curve(axis.wanted, _REFERENCE, "-"), Curve(axis.shown, _ANGLE, "*"))
+    curves = (TerminalCurve(axis.wanted, _REFERENCE, "-"), TerminalCurve(axis.shown, _ANGLE, "*"))
     cells = chart(axis.time, curves, _window(view, columns), limits, (columns, rows), plain=plain)
     middle = rows // 2
     labels = {0: _tick(limits[1]), middle: NAMES.get(axis.name, axis.name)[: _MARGIN - 2]}
@@ -233,7 +233,7 @@ def _strip(axis: Axis, view: View, width: int, rows: int, plain: bool) -> list[T
     return lines
 
 
-def _joined_cells(row: list[Cell]) -> list[tuple[str, str]]:
+def _joined_cells(row: list[TerminalCell]) -> list[tuple[str, str]]:
     """Neighbours that look the same, as one."""
     found: list[tuple[str, str]] = []
     for cell in row:

@@ -6,7 +6,7 @@ import math
 from time import monotonic
 
 from trms_cli.commands.watch_frame import View, about
-from trms_cli.runs.followed import FollowedRun
+from trms_cli.runs.follower import RunFollower
 
 _STEP = 5.0  # s of an arrow key
 _FASTEST, _SLOWEST = 1024.0, 1 / 64
@@ -31,7 +31,7 @@ class Player:
 
     Parameters
     ----------
-    run : FollowedRun
+    run : RunFollower
     live : bool
     speed : float
     begin : float
@@ -41,7 +41,7 @@ class Player:
     """
 
     def __init__(
-        self, run: FollowedRun, *, live: bool, speed: float, begin: float, span: float
+        self, run: RunFollower, *, live: bool, speed: float, begin: float, span: float
     ) -> None:
         self.run = run
         self.live, self.speed, self.paused = live, speed, False

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from trms_cli.commands.watch_frame import between, fitted, tail_of
 from trms_cli.core.invocation import program
-from trms_cli.runs.sweep_progress import Job, Sweep
+from trms_cli.runs.sweep_progress import Job, SweepState
 
 #: Of a sweep whose process has gone; ``trms sweep status`` says the same.
 STOPPED = "stopped before its end"
@@ -24,7 +24,7 @@ _COLUMNS = {
 }
 
 
-def sweep_frame(sweep: Sweep, width: int, height: int, *, plain: bool = False) -> list[Text]:
+def sweep_frame(sweep: SweepState, width: int, height: int, *, plain: bool = False) -> list[Text]:
     """The lines of the picture: at most `height` of at most `width` columns each."""
     lines = [_title(sweep, width), _progress(sweep, width, plain), _speed(sweep), Text("")]
     if sweep.stopped:
@@ -37,7 +37,7 @@ def sweep_frame(sweep: Sweep, width: int, height: int, *, plain: bool = False) -
     return [fitted(line, width, plain) for line in lines[:height]]
 
 
-def sweep_line(sweep: Sweep) -> str:
+def sweep_line(sweep: SweepState) -> str:
     """The picture in one line, for a file or a pipe."""
     of = "" if sweep.total is None else f" of {sweep.total}"
     parts = [f"{sweep.count('done')}{of} done", *_troubles(sweep)]
@@ -51,7 +51,7 @@ def sweep_line(sweep: Sweep) -> str:
     return " | ".join(parts)
 
 
-def _title(sweep: Sweep, width: int) -> Text:
+def _title(sweep: SweepState, width: int) -> Text:
     words, style = "running", "bold green"
     if sweep.stopped:
         words, style = STOPPED, "bold red"
@@ -63,7 +63,7 @@ def _title(sweep: Sweep, width: int) -> Text:
     return between(Text(f"sweep {folder}", "bold"), Text(words, style), width)
 
 
-def _progress(sweep: Sweep, width: int, plain: bool) -> Text:
+def _progress(sweep: SweepState, width: int, plain: bool) -> Text:
     of = "" if sweep.total is None else f" / {sweep.total}"
     begin = f"{sweep.count('done')}{of} done "
     line = Text(begin)
@@ -89,12 +89,12 @@ def _progress(sweep: Sweep, width: int, plain: bool) -> Text:
     return line
 
 
-def _troubles(sweep: Sweep) -> list[str]:
+def _troubles(sweep: SweepState) -> list[str]:
     counts = [(sweep.count(state), state) for state in ("failed", "lost", "interrupted", "gone")]
     return [f"{count} {state}" for count, state in counts if count]
 
 
-def _speed(sweep: Sweep) -> Text:
+def _speed(sweep: SweepState) -> Text:
     parts = [] if math.isnan(sweep.rate) else [_per_time(sweep.rate)]
     if not sweep.ended and not math.isnan(sweep.left_s):
         parts.append(f"{_duration(sweep.left_s)} left")
@@ -107,7 +107,7 @@ def _speed(sweep: Sweep) -> Text:
     return line
 
 
-def _running(sweep: Sweep, room: int) -> list[Text]:
+def _running(sweep: SweepState, room: int) -> list[Text]:
     running = [job for job in sweep.jobs if job.state == "running"]
     if not running:
         return []
@@ -118,7 +118,7 @@ def _running(sweep: Sweep, room: int) -> list[Text]:
     return lines
 
 
-def _best(sweep: Sweep, room: int) -> list[Text]:
+def _best(sweep: SweepState, room: int) -> list[Text]:
     best = sweep.best[:room]
     if not best:
         return []
@@ -129,7 +129,7 @@ def _best(sweep: Sweep, room: int) -> list[Text]:
     ]
 
 
-def _failures(sweep: Sweep, room: int) -> list[Text]:
+def _failures(sweep: SweepState, room: int) -> list[Text]:
     failed = sweep.failures[:room]
     if not failed:
         return []
@@ -144,7 +144,7 @@ def _failures(sweep: Sweep, room: int) -> list[Text]:
 _REASONS = {"gone": "its process is not on this machine any more"}
 
 
-def _what(sweep: Sweep, job: Job) -> str:
+def _what(sweep: SweepState, job: Job) -> str:
     """What was typed for a job, without what all jobs share."""
     shared = {word.lower() for word in sweep.overrides}  # a sweep turns `false` into `False`
     own = [word for word in job.overrides if word.lower() not in shared]

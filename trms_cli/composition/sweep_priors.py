@@ -22,7 +22,7 @@ from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build, nearest
 from trms_cli.models.parameters import DRAW_LIMIT_SD, Parameter
-from trms_cli.sweeps.space import Choice, Prior, Range
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range
 
 PRIOR = "prior"
 _TABLES = ("plant", "model")
@@ -65,7 +65,7 @@ class PriorTables:
         if not self._configs:
             self._configs = [("", self._composed({}).config)]
 
-    def of(self, key: str, named: Iterable[str]) -> list[Range | Prior]:
+    def of(self, key: str, named: Iterable[str]) -> list[Range | PriorOfKey]:
         """What a key varies over.
 
         Parameters
@@ -86,7 +86,7 @@ class PriorTables:
             others = [(each.key, value) for each in self._deciding for value in each.values[1:]]
             self._configs += [(f"{k}={v}", self._composed({k: v}).config) for k, v in others]
         typed = set(named) - {key}
-        found: list[Range | Prior] = []
+        found: list[Range | PriorOfKey] = []
         for place, config in self._configs:
             here = [each for each in _priors(config, key) if each.key not in typed]
             if not place:
@@ -118,7 +118,7 @@ def _decides(key: str, groups: Groups) -> bool:
     return is_option and first in _DECIDING
 
 
-def _priors(config: Mapping[str, Any], key: str) -> list[Range | Prior]:
+def _priors(config: Mapping[str, Any], key: str) -> list[Range | PriorOfKey]:
     parts = key.split(".")
     if parts[0] in _TABLES and parts[1:2] == ["parameters"]:
         return _of_table(config, key, parts[0], ".".join(parts[2:]))
@@ -132,7 +132,9 @@ def _priors(config: Mapping[str, Any], key: str) -> list[Range | Prior]:
     )
 
 
-def _of_table(config: Mapping[str, Any], key: str, owner: str, name: str) -> list[Range | Prior]:
+def _of_table(
+    config: Mapping[str, Any], key: str, owner: str, name: str
+) -> list[Range | PriorOfKey]:
     """Priors of a parameter table: of one parameter, or of all that have one."""
     table = _parameters(config, key, owner)
     scale = float(config["plant"].get("prior_scale", 1.0)) if owner == "plant" else 1.0
@@ -173,7 +175,9 @@ def _with_prior(table: Mapping[str, Parameter]) -> list[str]:
     return [n for n, each in table.items() if (each.prior_sd and each.value) or each.typical]
 
 
-def _prior(key: str, parameter: Parameter, scale: float, known: Sequence[str]) -> Range | Prior:
+def _prior(
+    key: str, parameter: Parameter, scale: float, known: Sequence[str]
+) -> Range | PriorOfKey:
     sd = abs(parameter.value) * (parameter.prior_sd or 0.0) * scale
     if not sd and parameter.typical:
         return _span(key, parameter)
@@ -184,7 +188,7 @@ def _prior(key: str, parameter: Parameter, scale: float, known: Sequence[str]) -
             remedy=f"write {key}=interval(LOW,HIGH) in {parameter.unit or '1'}; with a prior: "
             f"{', '.join(known) or 'none'}",
         )
-    return Prior(
+    return PriorOfKey(
         key,
         parameter.value,
         sd,
@@ -204,7 +208,9 @@ def _span(key: str, parameter: Parameter) -> Range:
     return Range(key, low, high, logarithmic=low > 0)
 
 
-def _of_effect(config: Mapping[str, Any], key: str, name: str, size: str) -> list[Range | Prior]:
+def _of_effect(
+    config: Mapping[str, Any], key: str, name: str, size: str
+) -> list[Range | PriorOfKey]:
     chosen = config.get(_EFFECTS) or {}
     if name not in chosen:
         raise ConfigurationError(

@@ -29,7 +29,7 @@ from trms_cli.composition.errors import explained
 from trms_cli.composition.overrides import PATH_KEYS, Override, Request, parse
 from trms_cli.composition.sweep_priors import PRIOR, PriorTables
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.space import Choice, Prior, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 
 _WHOLE = re.compile(r"interval\(\s*[+-]?\d+\s*,\s*[+-]?\d+\s*\)")
 _PLAIN_NAMES = re.compile(r"[^\"'(){}$]*")
@@ -98,7 +98,7 @@ def space_of(request: Request, primary: str) -> Space:
     ranges = {each.key: _suited(each.interval, keys) for each in typed if each.interval}
     composer = _Composer(request, primary, typed)
     tables = PriorTables(composer, fixed, choices, groups)
-    continuous: list[Range | Prior] = []
+    continuous: list[Range | PriorOfKey] = []
     named = {each.key for each in typed}
     for each in typed:
         if each.interval:
@@ -121,7 +121,7 @@ def _without_ranges(composer: _Composer) -> Mapping[str, Any]:
         return {}
 
 
-def _with_present(varied: Range | Prior, config: Mapping[str, Any]) -> Range | Prior:
+def _with_present(varied: Range | PriorOfKey, config: Mapping[str, Any]) -> Range | PriorOfKey:
     """A range that knows the value its key has without it."""
     node: Any = config
     for name in varied.key.split("."):
@@ -139,9 +139,9 @@ def first_of(space: Space) -> tuple[str, ...]:
     return (*space.fixed, *firsts, *middles)
 
 
-def middle_of(varied: Range | Prior) -> str:
+def middle_of(varied: Range | PriorOfKey) -> str:
     """A value that a range or prior allows, as it would be typed: today's where there is one."""
-    if isinstance(varied, Prior):
+    if isinstance(varied, PriorOfKey):
         return repr(varied.mean)
     value = varied.low if varied.now is None else min(max(varied.now, varied.low), varied.high)
     return str(int(value)) if varied.whole else repr(value)

@@ -19,7 +19,7 @@ Kind = Literal["text", "number", "whole", "truth", "any"]
 
 
 @dataclass(frozen=True)
-class Column:
+class IndexColumn:
     """A column."""
 
     name: str
@@ -45,30 +45,30 @@ def figure_stems() -> list[str]:
 
 
 _OF_RUN = (
-    Column("path", "text", "", "folder of the run, or its log if that has another name"),
-    Column("log", "text", "", "the log's file, or the status of a job that left no log"),
-    Column("time", "text", "UTC", "when it began, as 2025-01-31 12:00:00"),
-    Column("command", "text", "", "what was typed"),
-    Column(
+    IndexColumn("path", "text", "", "folder of the run, or its log if that has another name"),
+    IndexColumn("log", "text", "", "the log's file, or the status of a job that left no log"),
+    IndexColumn("time", "text", "UTC", "when it began, as 2025-01-31 12:00:00"),
+    IndexColumn("command", "text", "", "what was typed"),
+    IndexColumn(
         "outcome", "text", "", "completed, interrupted, failed, or unfinished: killed or running"
     ),
-    Column("complete", "truth", "", "it ran to its end"),
-    Column("problem", "text", "", "why a job of a sweep left no log"),
-    Column("controller", "text", "", "option chosen"),
-    Column("observer", "text", "", "option chosen"),
-    Column("ref", "text", "", "option chosen"),
-    Column("model", "text", "", "what controller and observer believe"),
-    Column("plant", "text", "", "option chosen"),
-    Column("supervisor", "text", "", "option chosen"),
-    Column("experiment", "text", "", "option chosen"),
-    Column("effects", "text", "", "joined by +; empty without any"),
-    Column("faults", "text", "", "joined by +; empty without any"),
-    Column("recording", "text", "", "file that was replayed"),
-    Column("loop", "text", "", "closed or open"),
-    Column("seed", "whole", "", "of the random numbers"),
-    Column("duration", "number", "s", "time simulated or replayed"),
-    Column("sample_time", "number", "s", "of the loop (sim.sample_time)"),
-    Column("took", "number", "s", "from the log's beginning to its end by the clock"),
+    IndexColumn("complete", "truth", "", "it ran to its end"),
+    IndexColumn("problem", "text", "", "why a job of a sweep left no log"),
+    IndexColumn("controller", "text", "", "option chosen"),
+    IndexColumn("observer", "text", "", "option chosen"),
+    IndexColumn("ref", "text", "", "option chosen"),
+    IndexColumn("model", "text", "", "what controller and observer believe"),
+    IndexColumn("plant", "text", "", "option chosen"),
+    IndexColumn("supervisor", "text", "", "option chosen"),
+    IndexColumn("experiment", "text", "", "option chosen"),
+    IndexColumn("effects", "text", "", "joined by +; empty without any"),
+    IndexColumn("faults", "text", "", "joined by +; empty without any"),
+    IndexColumn("recording", "text", "", "file that was replayed"),
+    IndexColumn("loop", "text", "", "closed or open"),
+    IndexColumn("seed", "whole", "", "of the random numbers"),
+    IndexColumn("duration", "number", "s", "time simulated or replayed"),
+    IndexColumn("sample_time", "number", "s", "of the loop (sim.sample_time)"),
+    IndexColumn("took", "number", "s", "from the log's beginning to its end by the clock"),
 )
 _TOTALS = {
     ("channels", "sum"): "sum over the channels, as `trms compare` ranks",
@@ -78,12 +78,12 @@ _TOTALS = {
 _UNITS = {"channels": "rad", "inputs": "V"}
 
 
-def _of_figure(figure: figures.Figure, name: str, about: str = "") -> Column:
+def _of_figure(figure: figures.Figure, name: str, about: str = "") -> IndexColumn:
     kind: Kind = "whole" if figure.whole else "number"
     unit = figure.unit_of(_UNITS.get(figure.group, ""))
     if not unit and figure.group in _UNITS and not figure.whole:
         unit = "1"
-    return Column(name, kind, unit, about or figure.about or figure.label)
+    return IndexColumn(name, kind, unit, about or figure.about or figure.label)
 
 
 _OF_SCORE = (
@@ -98,12 +98,12 @@ _OF_SCORE = (
     ),
 )
 _OF_ORIGIN = (
-    Column("git", "text", "", "revision of the working folder"),
-    Column("version", "text", "", "of trms"),
-    Column("platform", "text", "", "where it ran"),
-    Column("versions", "text", "", "of what computes, as JSON"),
-    Column("overrides", "text", "", "what was typed as KEY=VALUE, as JSON"),
-    Column("choices", "text", "", "option of each group, as JSON"),
+    IndexColumn("git", "text", "", "revision of the working folder"),
+    IndexColumn("version", "text", "", "of trms"),
+    IndexColumn("platform", "text", "", "where it ran"),
+    IndexColumn("versions", "text", "", "of what computes, as JSON"),
+    IndexColumn("overrides", "text", "", "what was typed as KEY=VALUE, as JSON"),
+    IndexColumn("choices", "text", "", "option of each group, as JSON"),
 )
 _OF_CHANNELS = tuple(
     _of_figure(figure, f"{figure.column_name}_{name}")
@@ -114,7 +114,7 @@ _OF_CHANNELS = tuple(
 )
 
 #: Every column, in the order in which a frame has them.
-COLUMNS: dict[str, Column] = {
+COLUMNS: dict[str, IndexColumn] = {
     column.name: column for column in (*_OF_RUN, *_OF_SCORE, *_OF_CHANNELS, *_OF_ORIGIN)
 }
 
@@ -172,7 +172,7 @@ class Sql:
     values: tuple[Any, ...] = ()  #: To be bound, in their order
 
 
-def column_sql(name: str, extra: Collection[str] | None = ()) -> tuple[Column, Sql] | None:
+def column_sql(name: str, extra: Collection[str] | None = ()) -> tuple[IndexColumn, Sql] | None:
     """A column by any of its names, and the SQL that reads it; None if there is none.
 
     A name with a dot is a key that was typed: ``plant.prior_seed``.
@@ -184,9 +184,9 @@ def column_sql(name: str, extra: Collection[str] | None = ()) -> tuple[Column, S
     for said, ending in (("_yaw", "_alpha_h"), ("_pitch", "_alpha_v")):
         renamed = renamed.removesuffix(said) + ending if name.endswith(said) else renamed
     if _may_be_figure(renamed) if extra is None else renamed in extra:
-        return Column(renamed, "number"), Sql("json_extract(more, ?)", (_json_path(renamed),))
+        return IndexColumn(renamed, "number"), Sql("json_extract(more, ?)", (_json_path(renamed),))
     if "." in name:
-        return Column(name, "any"), Sql("json_extract(typed, ?)", (_json_path(name),))
+        return IndexColumn(name, "any"), Sql("json_extract(typed, ?)", (_json_path(name),))
     return None
 
 

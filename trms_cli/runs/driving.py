@@ -10,7 +10,7 @@ from pathlib import Path
 LOCK_NAME = ".lock"
 
 
-def is_driven(folder: Path) -> bool:
+def has_driver(folder: Path) -> bool:
     """Whether a process drives the sweep in a folder at present."""
     try:
         descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CLOEXEC)

@@ -25,7 +25,7 @@ _LONGEST_TEXT = 20_000  # of a cell
 
 
 @dataclass(frozen=True)
-class Entry:
+class IndexEntry:
     """What the index keeps of a log."""
 
     log: str  #: Its absolute path
@@ -37,7 +37,7 @@ class Entry:
     more: dict[str, float] = field(default_factory=dict)
 
 
-def read_entry(path: Path) -> Entry | None:
+def read_entry(path: Path) -> IndexEntry | None:
     """Read a log's row; None for a log that is no run of the loop: an imported recording.
 
     A run that was killed has no score in its log; it is scored here as far as it goes.
@@ -58,7 +58,7 @@ def read_entry(path: Path) -> Entry | None:
         ) from error
 
 
-def _entry(head: LogHead) -> Entry:
+def _entry(head: LogHead) -> IndexEntry:
     run, path = head.run, head.path
     outcome = run.get("outcome", "")
     outcome = outcome if outcome in _ENDINGS else "unfinished"
@@ -78,7 +78,7 @@ def _entry(head: LogHead) -> Entry:
         "command": run.get("command"),
         "outcome": outcome,
         "complete": head.finished and outcome == "completed",
-        **chosen(choices),
+        **choices_of_run(choices),
         "recording": run.get("recording.file"),
         "loop": run.get("loop"),
         "seed": _parsed(run.get("seed", "")),
@@ -92,11 +92,11 @@ def _entry(head: LogHead) -> Entry:
         "choices": json.dumps(choices, ensure_ascii=False),
     }
     more = {k: float(v) for k, v in figures.items() if k not in COLUMNS and v is not None}
-    return Entry(str(path), cells(values), typed(overrides), more)
+    return IndexEntry(str(path), cells(values), typed(overrides), more)
 
 
-def chosen(choices: Mapping[str, Any]) -> dict[str, str | None]:
-    """The columns of what was chosen, from the option of each group."""
+def choices_of_run(choices: Mapping[str, Any]) -> dict[str, str | None]:
+    """The columns of what was choices_of_run, from the option of each group."""
     found = {group: _text(choices.get(group)) for group in _GROUPS}
     return found | {
         "effects": _joined(choices.get("effect")),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.runs.columns import Column
+from trms_cli.runs.columns import IndexColumn
 from trms_cli.runs.query import Query, QueryResult, find
 
 Path = str | os.PathLike[str]
@@ -101,7 +101,7 @@ def table_of(found: QueryResult) -> Any:
     """An answer of the index as a ``pyarrow.Table``."""
     from trms_cli.recordings.figure_table import arrow_table
 
-    columns: dict[str, Column] = found.columns
+    columns: dict[str, IndexColumn] = found.columns
     kinds = {name: _TYPES[column.kind] for name, column in columns.items()}
     return arrow_table(found.runs, kinds, {name: column.unit for name, column in columns.items()})
 

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.runs.columns import COLUMNS, Column, Sql
-from trms_cli.runs.entry import Entry
+from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql
+from trms_cli.runs.entry import IndexEntry
 
 _TYPES = {"text": "TEXT", "number": "REAL", "whole": "INTEGER", "truth": "INTEGER"}
 _LOGS = (
@@ -57,7 +57,7 @@ class LogReading:
 
     log: str  #: Its absolute path
     seen: FileStamp
-    entry: Entry | None = None  #: None for what is no run
+    entry: IndexEntry | None = None  #: None for what is no run
     problem: str = ""  #: Why it cannot be read; "" if it can
 
     @property
@@ -203,7 +203,7 @@ class RunIndex:
 
     def select(
         self,
-        columns: Mapping[str, tuple[Column, Sql]],
+        columns: Mapping[str, tuple[IndexColumn, Sql]],
         condition: Sql,
         order: Sql,
         *,
@@ -281,6 +281,6 @@ def scope_sql(roots: Sequence[str] | None) -> Sql:
     return Sql(f"({' OR '.join(parts) or '0'})", tuple(values))
 
 
-def _row(entry: Entry) -> list[Any]:
+def _row(entry: IndexEntry) -> list[Any]:
     texts = [json.dumps(part, ensure_ascii=False) for part in (entry.typed, entry.more)]
     return [entry.values.get(name) for name in COLUMNS] + texts

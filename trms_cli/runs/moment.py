@@ -25,7 +25,7 @@ NAN = float("nan")
 
 
 @dataclass(frozen=True)
-class Axis:
+class AxisMoment:
     """A controlled angle, or one that is watched in a run without a reference.
 
     Values are NaN where the run has none.
@@ -97,7 +97,7 @@ class Moment:
     time: float  #: s
     #: How many times as fast as real time the run went, around this moment; NaN if unknown
     speed: float
-    axes: tuple[Axis, ...]
+    axes: tuple[AxisMoment, ...]
     inputs: tuple[Input, ...]
     solver: Solver | None  #: None before the first control step, and in recordings
     events: tuple[Event, ...]  #: The latest ones until now, the last one last
@@ -155,7 +155,7 @@ class RunningSum:
         return total / count if count else float("nan")
 
 
-class Samples:
+class TopicSamples:
     """The samples of a topic: a time and columns of equal length.
 
     Parameters
@@ -218,7 +218,7 @@ class RunSamples:
 
     def __init__(self) -> None:
         self._run: dict[str, str] = {}
-        self._topics: dict[str, Samples] = {}
+        self._topics: dict[str, TopicSamples] = {}
         self._events: deque[Event] = deque(maxlen=_MOST_EVENTS)
         self._forgotten = 0
         self._squares: dict[str, RunningSum] = {}
@@ -264,7 +264,7 @@ class RunSamples:
         self._run = run
         for topic, table in piece.tables.items():
             if topic not in self._topics:
-                self._topics[topic] = Samples(table.units)
+                self._topics[topic] = TopicSamples(table.units)
             self._topics[topic].append(table.time, table.columns)
         self._progress += [pair for pair in piece.written if pair[1] > _WALL]
         if "/reference" in piece.tables:
@@ -314,7 +314,7 @@ class RunSamples:
             }
         return self._limits.get(name, (-math.inf, math.inf))
 
-    def _source(self, name: str) -> Samples | None:
+    def _source(self, name: str) -> TopicSamples | None:
         """The topic that tells a channel best: the true state, else the measurement."""
         for topic in ("/plant/state", "/measurement"):
             samples = self._topics.get(topic)
@@ -332,7 +332,7 @@ class RunSamples:
         angles = [name for name in measured.numbers if measured.units.get(name) == "rad"]
         return (angles or list(measured.numbers))[:2]
 
-    def _axis(self, name: str, time: float, span: float) -> Axis:
+    def _axis(self, name: str, time: float, span: float) -> AxisMoment:
         def now(topic: str) -> float:
             samples = self._topics.get(topic)
             return NAN if samples is None else samples.number(name, samples.count_until(time))
@@ -341,7 +341,7 @@ class RunSamples:
         base = source if reference is None else reference
         if base is None:
             none = np.empty(0)
-            return Axis(name, "", NAN, NAN, NAN, NAN, NAN, NAN, none, none, none)
+            return AxisMoment(name, "", NAN, NAN, NAN, NAN, NAN, NAN, none, none, none)
         last = base.count_until(time)
         first = int(np.searchsorted(base.time.values, time - span - 1e-9))
         times = base.time.values[first:last].copy()
@@ -349,7 +349,7 @@ class RunSamples:
         shown = none if source is None else source.held(name, times)
         wanted = none if reference is None else reference.held(name, times)
         rmse = math.sqrt(self._squares[name].mean_until(last)) if name in self._squares else NAN
-        return Axis(
+        return AxisMoment(
             name=name,
             unit=base.units.get(name, ""),
             reference=now("/reference"),

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.runs.columns import COLUMNS, Column, Sql, column_sql, nearest
+from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql, column_sql, nearest
 from trms_cli.runs.entry import LOG_NAME, read_entry
 from trms_cli.runs.filter import translated
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex, is_damage, remove, scope_sql
@@ -53,7 +53,7 @@ class QueryResult:
     """The answer."""
 
     runs: list[dict[str, Any]]  #: A run each: values by column, None for what it does not have
-    columns: dict[str, Column]  #: As asked for, by the names that they were asked for by
+    columns: dict[str, IndexColumn]  #: As asked for, by the names that they were asked for by
     matching: int  #: Runs for which the filter holds, also those beyond the limit
     of: int  #: Runs in the folders
     folders: tuple[str, ...]  #: That were looked through; empty for everywhere
@@ -248,7 +248,7 @@ def _folder(folder: str | os.PathLike[str]) -> str:
     return path
 
 
-def _column(name: str, more: Sequence[str] | None, where: str) -> tuple[Column, Sql]:
+def _column(name: str, more: Sequence[str] | None, where: str) -> tuple[IndexColumn, Sql]:
     found = column_sql(name, more)
     if found is None:
         raise ConfigurationError(

@@ -13,14 +13,14 @@ from typing import Any
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.runs.columns import COLUMNS
-from trms_cli.runs.entry import Entry, cells, chosen, typed
+from trms_cli.runs.entry import IndexEntry, cells, choices_of_run, typed
 
 STATUS_NAME = "status.json"
 _SCHEMA = "trms.status/1"
 _LONGEST = 2**20  # bytes
 
 
-def read_status(path: Path) -> Entry | None:
+def read_status(path: Path) -> IndexEntry | None:
     """Read the row of a job; None for a file of this name that is somebody else's.
 
     Raises RecordingError if the file cannot be read.
@@ -48,12 +48,12 @@ def read_status(path: Path) -> Entry | None:
         "outcome": "failed" if ended else "unfinished",
         "complete": False,
         "problem": _problem(document.get("error")),
-        **chosen(choices),
+        **choices_of_run(choices),
         "seed": keys.get("seed"),
         "overrides": json.dumps(overrides, ensure_ascii=False),
         "choices": json.dumps(choices, ensure_ascii=False),
     }
-    return Entry(str(path), cells(values), keys)
+    return IndexEntry(str(path), cells(values), keys)
 
 
 def _problem(error: Any) -> str | None:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import RecordingError
-from trms_cli.runs.driving import is_driven
+from trms_cli.runs.driving import has_driver
 from trms_cli.runs.status import STATUS_NAME
 
 _SCHEMA = "trms.status/1"
@@ -43,7 +43,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweepState:
     """A sweep at one moment."""
 
     folder: Path
@@ -104,7 +104,7 @@ class _Plan(NamedTuple):
 
 
 @dataclass
-class FollowedSweep:
+class SweepFollower:
     """A sweep's folder, followed as its jobs begin and end; only what has changed is read again."""
 
     folder: Path
@@ -112,10 +112,10 @@ class FollowedSweep:
     _plan: _Plan | None = None
     _planned: int = 0
 
-    def now(self) -> Sweep:
+    def now(self) -> SweepState:
         """The sweep as it is."""
         # The lock is looked at first: who drives the sweep writes its end before he lets go.
-        driven = is_driven(self.folder)
+        driven = has_driver(self.folder)
         self._look_at_plan()
         assert self._plan is not None
         for file, changed in _status_files(self.folder):
@@ -130,7 +130,7 @@ class FollowedSweep:
             total = None  # not the sweep that the plan is of
         if state:
             state = "running" if driven else "done" if state == "done" else "interrupted"
-        return Sweep(self.folder, overrides, total, jobs, _rate(jobs), time.time(), state)
+        return SweepState(self.folder, overrides, total, jobs, _rate(jobs), time.time(), state)
 
     def _look_at_plan(self) -> None:
         """Read the plan where it is new: what there is to be is written after it has begun."""

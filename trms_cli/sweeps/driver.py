@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.sweeps.launcher import Attempt, Crew, Ended, Launcher, Work
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.launcher import Attempt, Ended, Launcher, Work, Workers
+from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.record import Record
 from trms_cli.sweeps.sampler import Proposals
 from trms_cli.sweeps.status import SILENT_AFTER, Claim, RunFolder, is_alive, lost, now
@@ -35,21 +35,21 @@ _NOBODY = Claim(0, "", 0, "")
 
 
 @dataclass
-class Progress:
+class SweepProgress:
     """How far a sweep is."""
 
     total: int | None = None  #: Points that there will be; None where nobody knows
     workers: int = 0  #: Runs that are made at once
     before: int = 0  #: Runs that had ended before this process began
     #: By the number of the point, of all that have ended
-    results: dict[int, Result] = field(default_factory=dict)
+    results: dict[int, RunResult] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)  #: Of results by state
     retried: int = 0  #: Attempts that were made again
     running: int = 0  #: Points that have been handed out
     #: Of this process's part, s of the monotonic clock
     begin: float = field(default_factory=time.monotonic)
 
-    def take(self, result: Result) -> None:
+    def take(self, result: RunResult) -> None:
         """Count a result; one that is known already is not counted twice."""
         if result.number not in self.results:
             self.counts[result.state] = self.counts.get(result.state, 0) + 1
@@ -67,7 +67,7 @@ class Progress:
         return (self.ended - self.before) / spent if spent > 0 else 0.0
 
 
-Tell = Callable[[Progress, Result | None], None]
+Tell = Callable[[SweepProgress, RunResult | None], None]
 
 
 class Driver:
@@ -98,18 +98,18 @@ class Driver:
         tell: Tell = lambda progress, result: None,
         retry_failed: bool = False,
     ) -> None:
-        self.progress = Progress(total=proposals.total)
+        self.progress = SweepProgress(total=proposals.total)
         self._record, self._proposals, self._work = record, proposals, work
         self._retries, self._tell = retries, tell
         self._waiting: deque[Attempt] = deque()
         self._handed: dict[int, Attempt] = {}
         self._watched: dict[int, _Watched] = {}
         self._tries: dict[int, int] = {}
-        self._new: list[Result] = []
+        self._new: list[RunResult] = []
         self._again = ("failed", "lost", "interrupted") if retry_failed else ("interrupted",)
         self._stopping = False
 
-    def take_stock(self, known: Iterable[Point]) -> None:
+    def take_stock(self, known: Iterable[SweepPoint]) -> None:
         """Look at what earlier processes left of the points that they proposed."""
         for point in known:
             folder = RunFolder(self._record.folder, point.number)
@@ -148,7 +148,7 @@ class Driver:
                 self._stop(crew)
                 raise
 
-    def _go_on(self, crew: Crew) -> bool:
+    def _go_on(self, crew: Workers) -> bool:
         """Hand out what there is, and take what has come; False when all is done."""
         room = crew.workers - len(self._handed)
         self._fill(room - len(self._waiting))
@@ -222,9 +222,9 @@ class Driver:
         status = lost(point, tries, reason, folder.status())
         folder.path.mkdir(exist_ok=True)
         folder.write(status)
-        self._take(Result(point.number, "lost", problem=status["error"]["problem"]))
+        self._take(RunResult(point.number, "lost", problem=status["error"]["problem"]))
 
-    def _take(self, result: Result) -> None:
+    def _take(self, result: RunResult) -> None:
         self.progress.take(result)
         self._new.append(result)
         self._tell(self.progress, result)
@@ -247,7 +247,7 @@ class Driver:
                 del self._watched[number]
                 self._try_again(watched.attempt, "it gave no sign of life any more", self._retries)
 
-    def _stop(self, crew: Crew) -> None:
+    def _stop(self, crew: Workers) -> None:
         """Have the running ones end, and wait for them."""
         self._stopping = True
         self._waiting.clear()
@@ -286,7 +286,7 @@ class _Watched:
         return here - self.since < SILENT_AFTER
 
 
-def counts_of(results: Mapping[int, Result]) -> dict[str, int]:
+def counts_of(results: Mapping[int, RunResult]) -> dict[str, int]:
     """Results by state, each state named."""
     found = dict.fromkeys(("done", "failed", "lost", "interrupted"), 0)
     for result in results.values():

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.runs.columns import ALIASES, COLUMNS, figure_stems
-from trms_cli.sweeps.point import Result
+from trms_cli.sweeps.point import RunResult
 
 #: What a command itself calls its figure of merit: the cost of ``trms identify``, …
 MERIT = "merit"
@@ -49,7 +49,7 @@ def near_figures(name: str, known: Iterable[str]) -> str:
     return f"{hint}all figures: trms runs --help"
 
 
-def said_as(name: str, typed: Iterable[str]) -> str:
+def objective_name(name: str, typed: Iterable[str]) -> str:
     """A figure as it was typed, ``rmse_yaw``, given the name that scores have for it."""
     return next((each for each in typed if ALIASES.get(each, each) == name), name)
 
@@ -70,7 +70,7 @@ def canonical_limits(limits: Mapping[str, float], where: str) -> dict[str, float
     return {canonical(name, f"{where}.{name}"): float(bound) for name, bound in limits.items()}
 
 
-def figure_of(result: Result, name: str) -> float | None:
+def figure_of(result: RunResult, name: str) -> float | None:
     """A figure of a run that is done, None where it has none or is not done.
 
     Parameters

@@ -12,14 +12,14 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.point import RunResult, SweepPoint
 
 
 @dataclass(frozen=True)
 class Attempt:
     """A point as it is handed to a worker."""
 
-    point: Point
+    point: SweepPoint
     #: 1 for the first time that it is tried. Whoever is handed the same attempt after another
     #: worker has begun it, does not run it.
     number: int = 1
@@ -27,7 +27,7 @@ class Attempt:
 
 #: A picklable function that makes one run and never raises for a run that fails; None where
 #: another worker has begun this attempt.
-Work = Callable[[Attempt], Result | None]
+Work = Callable[[Attempt], RunResult | None]
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class Ended:
     attempt: Attempt
     #: None: the worker died with it, or its result was lost; whether the run was made stands in its
     #: folder
-    result: Result | None
+    result: RunResult | None
     reason: str = ""  #: Why there is no result, as the engine tells it
 
 
-class Crew(Protocol):
+class Workers(Protocol):
     """Workers that are up."""
 
     @property
@@ -65,7 +65,7 @@ class Crew(Protocol):
 class Launcher(Protocol):
     """Configuration of where runs are made."""
 
-    def crew(self, work: Work) -> AbstractContextManager[Crew]:
+    def crew(self, work: Work) -> AbstractContextManager[Workers]:
         """Start workers; leaving the context ends them, and what is not done stays undone.
 
         Raises ConfigurationError if the engine is not installed or cannot be reached.

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.runs.driving import is_driven
+from trms_cli.runs.driving import has_driver
 from trms_cli.sweeps.record import Record
 from trms_cli.sweeps.status import RunFolder, is_alive, result_of
 
@@ -78,7 +78,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     if isinstance(total, int):
         counts["left"] += max(0, total - len(points))
     state = document["state"]
-    driven = is_driven(folder)
+    driven = has_driver(folder)
     return {
         "schema": SCHEMA,
         "folder": str(folder),

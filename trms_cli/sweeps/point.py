@@ -11,7 +11,7 @@ State = Literal["done", "failed", "interrupted", "lost"]
 
 
 @dataclass(frozen=True)
-class Point:
+class SweepPoint:
     """One run of a sweep, before it is made."""
 
     number: int  #: From 0 on, without gaps; the name of its folder
@@ -26,7 +26,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Result:
+class RunResult:
     """What came of a point."""
 
     number: int  #: Of the point

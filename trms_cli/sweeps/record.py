@@ -20,8 +20,8 @@ from typing import Any
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.runs.driving import LOCK_NAME
-from trms_cli.sweeps.point import Point
-from trms_cli.sweeps.space import Choice, Prior, Range, Space
+from trms_cli.sweeps.point import SweepPoint
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 from trms_cli.sweeps.status import now
 
 SCHEMA = "trms.sweep/1"
@@ -31,7 +31,7 @@ _LONGEST = 2**28  # bytes of a file of the record
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """What a sweep is to do."""
 
     primary: str  #: Primary configuration of the runs: ``run``, ``identify``, …
@@ -66,7 +66,7 @@ class Record:
         """While it is there, workers end their run."""
         return self.folder / STOP_NAME
 
-    def begin(self, plan: Plan) -> None:
+    def begin(self, plan: SweepPlan) -> None:
         """Write down what is to be done.
 
         Raises RecordingError if the disk does not take it.
@@ -104,18 +104,18 @@ class Record:
             raise RecordingError(f"it is not {SCHEMA}", where=str(file), remedy=remedy)
         return document
 
-    def plan(self) -> Plan:
+    def plan(self) -> SweepPlan:
         """What is to be done, read back.
 
         Raises RecordingError if the record cannot be used.
         """
         document = self.document()
         try:
-            words = {each.name: document[each.name] for each in fields(Plan)}
+            words = {each.name: document[each.name] for each in fields(SweepPlan)}
             words["space"] = _space(words["space"])
             for key in ("overrides", "settings", "config_dirs"):
                 words[key] = tuple(map(str, words[key]))
-            return Plan(**words)
+            return SweepPlan(**words)
         except (KeyError, TypeError, ValueError) as error:
             raise RecordingError(
                 f"it lacks what is needed to go on ({type(error).__name__}: {error})",
@@ -123,7 +123,7 @@ class Record:
                 remedy="make the sweep anew",
             ) from error
 
-    def append(self, points: Sequence[Point]) -> None:
+    def append(self, points: Sequence[SweepPoint]) -> None:
         """Write points down before anybody gets them.
 
         Raises RecordingError if the disk does not take it.
@@ -141,7 +141,7 @@ class Record:
         except OSError as error:
             raise explained(error, file) from error
 
-    def points(self, *, mend: bool = False) -> list[Point]:
+    def points(self, *, mend: bool = False) -> list[SweepPoint]:
         """The points that were proposed, in their order.
 
         Parameters
@@ -167,7 +167,7 @@ class Record:
         for number, line in enumerate(whole.splitlines()):
             try:
                 told = json.loads(line)
-                point = Point(
+                point = SweepPoint(
                     int(told["number"]),
                     tuple(map(str, told["overrides"])),
                     dict(told["values"]),
@@ -194,7 +194,7 @@ class Record:
 
 
 @contextlib.contextmanager
-def driven(folder: Path) -> Iterator[None]:
+def driving(folder: Path) -> Iterator[None]:
     """Be the one process that drives a sweep; the system frees it when the process dies.
 
     Raises ConfigurationError if another process drives it.
@@ -234,7 +234,7 @@ def explained(error: OSError, file: Path) -> RecordingError:
 
 def _space(told: Mapping[str, Any]) -> Space:
     continuous = tuple(
-        Prior(**each) if "mean" in each else Range(**each) for each in told["continuous"]
+        PriorOfKey(**each) if "mean" in each else Range(**each) for each in told["continuous"]
     )
     choices = tuple(Choice(each["key"], tuple(each["values"])) for each in told["choices"])
     return Space(tuple(told["fixed"]), choices, continuous)

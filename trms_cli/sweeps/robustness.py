@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.sweeps.figures import MERIT, canonical_all, canonical_limits, figure_of, unit_of
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.space import Space
 
 #: Of the intervals of shares and of what is called a correlation.
@@ -46,13 +46,13 @@ class Robustness:
         )
 
     def told(
-        self, space: Space, points: Sequence[Point], results: Mapping[int, Result]
+        self, space: Space, points: Sequence[SweepPoint], results: Mapping[int, RunResult]
     ) -> dict[str, Any]:
         """Statistics of each group, JSON data.
 
         Parameters
         ----------
-        points : sequence of Point
+        points : sequence of SweepPoint
             Those that have results; interrupted ones are left out.
         """
         ended = [p for p in points if results[p.number].state != "interrupted"]
@@ -60,7 +60,7 @@ class Robustness:
         if not names and any(_has(results[p.number], MERIT) for p in ended):
             names = [MERIT]
         shown = [c.key for c in space.choices if c.key != _REPEATS and len(c.values) > 1]
-        groups: dict[tuple[str, ...], list[Point]] = {}
+        groups: dict[tuple[str, ...], list[SweepPoint]] = {}
         for point in ended:
             groups.setdefault(tuple(str(point.values[key]) for key in shown), []).append(point)
         told = [
@@ -86,12 +86,12 @@ class Robustness:
     def _of_group(
         self,
         space: Space,
-        points: Sequence[Point],
-        results: Mapping[int, Result],
+        points: Sequence[SweepPoint],
+        results: Mapping[int, RunResult],
         names: Sequence[str],
     ) -> dict[str, Any]:
         lost = sum(results[p.number].state == "lost" for p in points)
-        draws: dict[tuple[Any, ...], list[Result]] = {}
+        draws: dict[tuple[Any, ...], list[RunResult]] = {}
         for point in points:
             if results[point.number].state != "lost":
                 drawn = tuple(point.values[varied.key] for varied in space.continuous)
@@ -128,7 +128,7 @@ class Robustness:
 
 
 def _of_draws(
-    draws: Mapping[tuple[Any, ...], Sequence[Result]], name: str
+    draws: Mapping[tuple[Any, ...], Sequence[RunResult]], name: str
 ) -> dict[tuple[Any, ...], float]:
     """A figure of each draw, the mean over its runs; without those of which none has it."""
     found = {}
@@ -139,7 +139,7 @@ def _of_draws(
     return found
 
 
-def _has(result: Result, name: str) -> bool:
+def _has(result: RunResult, name: str) -> bool:
     return figure_of(result, name) is not None
 
 
@@ -197,7 +197,10 @@ def _sensitivity(
 
 
 def _best_shares(
-    space: Space, groups: Sequence[Sequence[Point]], results: Mapping[int, Result], name: str
+    space: Space,
+    groups: Sequence[Sequence[SweepPoint]],
+    results: Mapping[int, RunResult],
+    name: str,
 ) -> list[float | None]:
     """Share of the samples on which each group has the smallest figure; failures lose."""
     keys = [varied.key for varied in space.continuous] + [_REPEATS]

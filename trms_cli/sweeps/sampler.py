@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.space import Space
 
 
@@ -23,25 +23,25 @@ class Proposals(Protocol):
         """Points there will be in all; None where nobody knows."""
         ...
 
-    def more(self, results: Sequence[Result], wanted: int) -> list[Point]:
+    def more(self, results: Sequence[RunResult], wanted: int) -> list[SweepPoint]:
         """The next points.
 
         Parameters
         ----------
-        results : sequence of Result
+        results : sequence of RunResult
             Those that came since the last call.
         wanted : int
             Points for which there are workers; more or fewer may be given.
 
         Returns
         -------
-        list of Point
+        list of SweepPoint
             Numbered on from the last. Empty while some are still at work: nothing until further
             results come. Empty when none is at work: the sweep is complete.
         """
         ...
 
-    def summary(self, results: Mapping[int, Result]) -> dict[str, Any]:
+    def summary(self, results: Mapping[int, RunResult]) -> dict[str, Any]:
         """What the sampler has to say at the end, JSON data for ``sweep.json`` (may be empty).
 
         Keys of an optimiser: ``objectives`` (names), ``pareto`` (numbers of points, or of trials
@@ -53,13 +53,13 @@ class Proposals(Protocol):
 class Sampler(Protocol):
     """Configuration of how values are chosen."""
 
-    def start(self, space: Space, known: Sequence[Point] = ()) -> Proposals:
+    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Proposals:
         """Begin, or go on.
 
         Parameters
         ----------
         space : Space
-        known : sequence of Point
+        known : sequence of SweepPoint
             Those that were proposed before the sweep was interrupted, in their order. Their
             results are told by the first call of `Proposals.more`; equal configuration and results
             give equal points.

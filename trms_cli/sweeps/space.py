@@ -28,7 +28,7 @@ class Range:
 
 
 @dataclass(frozen=True)
-class Prior:
+class PriorOfKey:
     """A parameter with the distribution that its table states: ``plant.parameters.k_g=prior``."""
 
     key: str
@@ -44,4 +44,4 @@ class Space:
 
     fixed: tuple[str, ...]  #: Overrides of every run
     choices: tuple[Choice, ...]  #: In the order typed; the last varies fastest, as in nested loops
-    continuous: tuple[Range | Prior, ...] = ()  #: Empty for a grid
+    continuous: tuple[Range | PriorOfKey, ...] = ()  #: Empty for a grid

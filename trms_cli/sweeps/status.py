@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import re
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from typing import Any
 
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.runs.status import STATUS_NAME
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.point import RunResult, SweepPoint
 
 SCHEMA = "trms.status/1"
 #: States after which nothing more comes of a run by itself.
@@ -122,7 +123,7 @@ class RunFolder:
             return {}
         return document
 
-    def result(self) -> Result | None:
+    def result(self) -> RunResult | None:
         """What came of the run, if its status tells; None while it has not ended."""
         return result_of(self.status(), self.number)
 
@@ -151,12 +152,12 @@ class RunFolder:
             _rename(self.path / name, aside)
 
 
-def lost(point: Point, attempt: int, reason: str, before: Mapping[str, Any]) -> dict[str, Any]:
+def lost(point: SweepPoint, attempt: int, reason: str, before: Mapping[str, Any]) -> dict[str, Any]:
     """The status of a run whose worker died each time.
 
     Parameters
     ----------
-    point : Point
+    point : SweepPoint
     attempt : int
         The last one.
     reason : str
@@ -183,7 +184,7 @@ def lost(point: Point, attempt: int, reason: str, before: Mapping[str, Any]) -> 
     }
 
 
-def result_of(status: Mapping[str, Any], number: int) -> Result | None:
+def result_of(status: Mapping[str, Any], number: int) -> RunResult | None:
     """A status as a result; None where the run has not ended."""
     state = status.get("state")
     if state not in ENDED:
@@ -192,7 +193,7 @@ def result_of(status: Mapping[str, Any], number: int) -> Result | None:
     problem = error.get("problem", "") if isinstance(error, Mapping) else error
     figures = status.get("figures")
     objective = status.get("objective")
-    return Result(
+    return RunResult(
         number,
         state,
         figures=figures if isinstance(figures, Mapping) else {},
@@ -255,3 +256,7 @@ def _rename(file: Path, aside: Path) -> None:
     if target.exists():
         target = aside / f"{file.name}.{time.time_ns()}.dead"
     file.rename(target)
+
+
+#: Set once; the run that is being made ends as interrupted, and none is begun.
+leaving = threading.Event()

@@ -19,13 +19,13 @@ def seeds(folder: Path) -> Iterator[bytes]:
 def read(data: bytes, folder: Path) -> None:
     """How many runs of an index with one in it the filter holds for."""
     from trms_cli.runs.columns import COLUMNS
-    from trms_cli.runs.entry import Entry
+    from trms_cli.runs.entry import IndexEntry
     from trms_cli.runs.filter import translated
     from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 
     condition = translated(data.decode("utf-8", "replace"), ())
     values = dict.fromkeys(COLUMNS) | {"path": "a", "log": "a/run.mcap", "controller": "pid"}
     with RunIndex(None) as index:
-        entry = Entry("a/run.mcap", values, {"seed": 1})
+        entry = IndexEntry("a/run.mcap", values, {"seed": 1})
         index.put([LogReading("a/run.mcap", FileStamp(0, 1), entry)])
         assert index.count(condition) in (0, 1)

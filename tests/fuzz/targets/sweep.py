@@ -32,7 +32,7 @@ def read(data: bytes, folder: Path) -> None:
     """The row of the index and the state of the sweep."""
     from trms_cli.runs.index import FileStamp, LogReading, RunIndex
     from trms_cli.runs.status import read_status
-    from trms_cli.runs.sweep_progress import FollowedSweep
+    from trms_cli.runs.sweep_progress import SweepFollower
 
     job = folder / "sweep" / "0"
     job.mkdir(parents=True, exist_ok=True)
@@ -44,5 +44,5 @@ def read(data: bytes, folder: Path) -> None:
     if entry is not None:
         with RunIndex(None) as index:
             index.put([LogReading(str(status), FileStamp(0, len(data)), entry)])
-    sweep = FollowedSweep(job.parent).now()
+    sweep = SweepFollower(job.parent).now()
     sweep.ended, sweep.best, sweep.failures, sweep.left_s  # noqa: B018

@@ -15,9 +15,11 @@ from trms_cli.sweeps.samplers.grid import Grid
 from trms_cli.sweeps.samplers.latin_hypercube import LatinHypercube, hypercube
 from trms_cli.sweeps.samplers.random import Random
 from trms_cli.sweeps.samplers.sobol import Sobol
-from trms_cli.sweeps.space import Choice, Prior, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 
-PRIOR = Prior("plant.parameters.k", 2.0, 0.2, 2.0 - DRAW_LIMIT_SD * 0.2, 2.0 + DRAW_LIMIT_SD * 0.2)
+PRIOR = PriorOfKey(
+    "plant.parameters.k", 2.0, 0.2, 2.0 - DRAW_LIMIT_SD * 0.2, 2.0 + DRAW_LIMIT_SD * 0.2
+)
 LINEAR = Range("a", -1.0, 3.0)
 LOGARITHMIC = Range("b", 1e-3, 1e2, logarithmic=True)
 WHOLE = Range("n", 1, 6, whole=True)
@@ -98,7 +100,7 @@ class TestMarginals:
         "varied",
         [
             PRIOR,
-            Prior("m", 0.0740000123456, 0.00444, 0.06290000000000001, 0.0851000123456),
+            PriorOfKey("m", 0.0740000123456, 0.00444, 0.06290000000000001, 0.0851000123456),
             Range("w", 1.23456789, 9.87654321),
             Range("l", 1.23456789e-5, 9.87654321, logarithmic=True),
             Range("negative", -9.87654321, -1.23456789),

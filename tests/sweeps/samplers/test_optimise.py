@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.point import Result
-from trms_cli.sweeps.samplers.optimisation.aims import Aims, Tried, front, hypervolumes
+from trms_cli.sweeps.point import RunResult
+from trms_cli.sweeps.samplers.objectives import Aims, Tried, front, hypervolumes
 from trms_cli.sweeps.samplers.optimise import Optimise
-from trms_cli.sweeps.space import Choice, Prior, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 
 WEIGHTS = tuple(Range(f"w.{i}", 1e-2, 1e2, logarithmic=True, now=50.0) for i in range(3))
-RIG = Prior("plant.parameters.k", 1.0, 0.1, 0.75, 1.25)
+RIG = PriorOfKey("plant.parameters.k", 1.0, 0.1, 0.75, 1.25)
 REFERENCES = Choice("ref", ("sine", "square"))
 SPACE = Space(("controller=lqr",), (REFERENCES,), WEIGHTS)
 TWO = ("rmse_yaw", "effort")
@@ -28,12 +28,12 @@ def bowls(point):
     rig = point.values.get(RIG.key, 1.0)
     merit = float(((logs - 0.5) ** 2).sum()) * rig + (point.values["ref"] == "sine")
     figures = {"rmse_alpha_h": merit, "effort": float(((logs + 0.5) ** 2).sum())}
-    return Result(point.number, "done", figures, merit)
+    return RunResult(point.number, "done", figures, merit)
 
 
 def with_failures(point):
     if point.values["w.0"] > 10 and "w.0=" in " ".join(point.overrides):
-        return Result(point.number, "failed", problem="diverged")
+        return RunResult(point.number, "failed", problem="diverged")
     return bowls(point)
 
 
@@ -105,13 +105,13 @@ class TestConditions:
     @pytest.mark.parametrize(("how", "expected"), [("mean", 1.5), ("worst", 2.0)])
     def test_an_objective_is_the_mean_or_the_worst(self, how, expected):
         aims = Aims(("effort",), worst=how == "worst")
-        results = [Result(i, "done", {"effort": value}) for i, value in enumerate((1.0, 2.0))]
+        results = [RunResult(i, "done", {"effort": value}) for i, value in enumerate((1.0, 2.0))]
         assert aims.tried(results).figures["effort"] == expected
 
     def test_limits_hold_in_every_condition(self):
         aims = Aims(("rmse_alpha_h",), limits={"solve_p99": 20.0})
         slow = [
-            Result(i, "done", {"rmse_alpha_h": 0.1, "solve_p99": value})
+            RunResult(i, "done", {"rmse_alpha_h": 0.1, "solve_p99": value})
             for i, value in enumerate((5.0, 25.0))
         ]
         assert aims.excess(aims.tried(slow)) == [pytest.approx(0.25)]
@@ -151,7 +151,7 @@ class TestFailures:
 
     def test_nothing_that_works(self):
         def broken(point):
-            return Result(point.number, "failed", problem="no")
+            return RunResult(point.number, "failed", problem="no")
 
         proposals, _, results = searched(Optimise(trials=20, confirm=2), work=broken)
         summary = proposals.summary(results)
@@ -304,7 +304,7 @@ class TestBadInput:
             found = bowls(point)
             settles = point.values["w.0"] < 1 or not any("w.0=" in t for t in point.overrides)
             figures = {**found.figures, **({"settling_time_alpha_h": 1.0} if settles else {})}
-            return Result(point.number, "done", figures, found.objective)
+            return RunResult(point.number, "done", figures, found.objective)
 
         config = Optimise(trials=40, objectives=("effort", "settling_time_yaw"))
         proposals, _, results = searched(config, work=work)
@@ -324,6 +324,6 @@ class TestBadInput:
 
 def test_a_failed_trial_has_no_figures():
     aims = Aims(("effort",))
-    results = [Result(0, "done", {"effort": 1.0}), Result(1, "lost", problem="gone")]
+    results = [RunResult(0, "done", {"effort": 1.0}), RunResult(1, "lost", problem="gone")]
     assert aims.tried(results) == Tried(problem="gone")
     assert aims.tried(results).failed

@@ -21,7 +21,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.sweeps.launcher import Attempt, Crew, Ended, Work
+from trms_cli.sweeps.launcher import Attempt, Ended, Work, Workers
 from trms_cli.sweeps.launchers.local import ONE_THREAD
 
 INSTALL = "pip install 'trms-cli[cluster]'"
@@ -43,7 +43,7 @@ class DaskLauncher:
     patience: Annotated[float, Meta(gt=0)] = 30.0
 
     @contextmanager
-    def crew(self, work: Work) -> Iterator[Crew]:
+    def crew(self, work: Work) -> Iterator[Workers]:
         """Connect to the scheduler, or start a cluster."""
         dask = require_distributed("dask")
         if self.address is not None and self.workers is not None:
@@ -62,7 +62,7 @@ class DaskLauncher:
             if self.address is None:
                 client.register_plugin(worker_plugin())
             wait_for_workers(client, self.patience, str(self.address or "this machine"))
-            crew = DaskCrew(client, work, str(self.address or "this machine"))
+            crew = DaskWorkers(client, work, str(self.address or "this machine"))
             stack.callback(crew.end)
             yield crew
 
@@ -156,7 +156,7 @@ def wait_for_workers(client: Any, patience: float, where: str) -> None:
         ) from error
 
 
-class DaskCrew:
+class DaskWorkers:
     """What is submitted to a scheduler, and comes back from it.
 
     Parameters

@@ -22,7 +22,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.sweeps.launcher import Attempt, Crew, Ended, Work
+from trms_cli.sweeps.launcher import Attempt, Ended, Work, Workers
 
 #: Matrices are small here: threads of linear algebra only wait for one another.
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
@@ -41,7 +41,7 @@ class LocalLauncher:
     workers: Annotated[int, Meta(ge=0, le=4096)] | None = None
 
     @contextmanager
-    def crew(self, work: Work) -> Iterator[Crew]:
+    def crew(self, work: Work) -> Iterator[Workers]:
         """Start the workers; they are up when the first run needs them."""
         if self.workers == 0:
             yield InProcess(work)

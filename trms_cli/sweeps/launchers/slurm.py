@@ -26,10 +26,10 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.sweeps.launcher import Crew, Ended, Work
+from trms_cli.sweeps.launcher import Ended, Work, Workers
 from trms_cli.sweeps.launchers.dask import (
     INSTALL,
-    DaskCrew,
+    DaskWorkers,
     cluster,
     connected,
     require_distributed,
@@ -70,7 +70,7 @@ class SlurmLauncher:
     patience: Annotated[float, Meta(gt=0)] = 86400.0
 
     @contextmanager
-    def crew(self, work: Work) -> Iterator[Crew]:
+    def crew(self, work: Work) -> Iterator[Workers]:
         """Submit the jobs, and wait for the first of them."""
         if self.cluster == "debug":
             yield InProcess(work)
@@ -249,7 +249,7 @@ class _Jobs:
         )
 
 
-class _SlurmCrew(DaskCrew):
+class _SlurmCrew(DaskWorkers):
     """Dask's crew, whose workers are jobs."""
 
     def __init__(self, client: Any, work: Work, jobs: _Jobs) -> None:
@@ -293,7 +293,7 @@ def serve(address: str) -> None:
 async def _served(address: str) -> None:
     from distributed import Worker
 
-    from trms_cli.sweeps.leaving import leaving
+    from trms_cli.sweeps.status import leaving
 
     worker = Worker(
         address, nthreads=1, memory_limit=0, dashboard=False, death_timeout=60, heartbeat_interval=2

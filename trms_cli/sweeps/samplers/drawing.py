@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.space import Choice, Prior, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -19,12 +19,12 @@ FloatArray = npt.NDArray[np.float64]
 DIGITS = 6
 
 
-def quantiles(varied: Range | Prior, shares: FloatArray) -> FloatArray:
+def quantiles(varied: Range | PriorOfKey, shares: FloatArray) -> FloatArray:
     """Values of a range or prior at these shares of its distribution.
 
     Parameters
     ----------
-    varied : Range or Prior
+    varied : Range or PriorOfKey
         A range is uniform, in its logarithm if it is logarithmic. A prior is normal with its tails
         moved to the bounds, as a parameter table is drawn by ``plant.prior_seed``.
     shares : (n,) array
@@ -37,7 +37,7 @@ def quantiles(varied: Range | Prior, shares: FloatArray) -> FloatArray:
     """
     from scipy import stats
 
-    if isinstance(varied, Prior):
+    if isinstance(varied, PriorOfKey):
         # Shares of 0 and 1 are infinitely far out; the bounds bring them back.
         values = stats.norm.ppf(shares, varied.mean, varied.sd)
     elif varied.whole:
@@ -56,7 +56,7 @@ def _uniform(varied: Range, low: float, high: float, shares: FloatArray) -> Floa
     return np.asarray(stats.uniform.ppf(shares, low, high - low))
 
 
-def rounded(varied: Range | Prior, value: float) -> float:
+def rounded(varied: Range | PriorOfKey, value: float) -> float:
     """A value with few digits, within the bounds: at a bound of more digits, just inside of it."""
     if isinstance(varied, Range) and varied.whole:
         return min(max(value, varied.low), varied.high)
@@ -73,7 +73,7 @@ def _short(bound: float, towards: str) -> float:
     return float(Context(DIGITS, towards).create_decimal(repr(bound)))
 
 
-def as_data(varied: Range | Prior, value: float) -> float | int:
+def as_data(varied: Range | PriorOfKey, value: float) -> float | int:
     """A value as it stands in a point: a whole number as such."""
     return int(value) if isinstance(varied, Range) and varied.whole else float(value)
 
@@ -90,7 +90,7 @@ class Part:
         return Part(self.overrides + other.overrides, values)
 
 
-def drawn_part(continuous: Sequence[Range | Prior], row: Sequence[float]) -> Part:
+def drawn_part(continuous: Sequence[Range | PriorOfKey], row: Sequence[float]) -> Part:
     """The part of a point that gives each range and prior one value."""
     values = {
         varied.key: as_data(varied, value) for varied, value in zip(continuous, row, strict=True)

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.point import Point
+from trms_cli.sweeps.point import SweepPoint
 from trms_cli.sweeps.samplers.planned import Planned, planned
-from trms_cli.sweeps.space import Prior, Space
+from trms_cli.sweeps.space import PriorOfKey, Space
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
     """Nested loops over the choices, the last typed running fastest."""
 
-    def start(self, space: Space, known: Sequence[Point] = ()) -> Planned:
+    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Planned:
         """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
         if space.continuous:
             first = space.continuous[0]
-            what = "a prior" if isinstance(first, Prior) else "a range of numbers"
+            what = "a prior" if isinstance(first, PriorOfKey) else "a range of numbers"
             listed = f"{first.key}=A,B,…"
             raise ConfigurationError(
                 f"{what} has no list of values to try one by one",

@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.sweeps.point import Point
+from trms_cli.sweeps.point import SweepPoint
 from trms_cli.sweeps.robustness import Robustness
 from trms_cli.sweeps.samplers.drawing import FloatArray, require_drawn
 from trms_cli.sweeps.samplers.planned import Planned, planned
@@ -38,7 +38,7 @@ class LatinHypercube:
     #: Largest allowed value of some figures: a run beyond one counts as a failure
     limits: Mapping[str, float] = field(default_factory=dict)
 
-    def start(self, space: Space, known: Sequence[Point] = ()) -> Planned:
+    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Planned:
         """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
         require_drawn(space, "latin_hypercube")
         told = Robustness(self.figures, self.limits).checked()

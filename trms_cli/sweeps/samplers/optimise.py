@@ -15,9 +15,9 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.figures import MERIT, canonical_all, canonical_limits
-from trms_cli.sweeps.point import Point
-from trms_cli.sweeps.samplers.optimisation.aims import Aims
-from trms_cli.sweeps.samplers.optimisation.trials import Trials
+from trms_cli.sweeps.point import SweepPoint
+from trms_cli.sweeps.samplers.objectives import Aims
+from trms_cli.sweeps.samplers.trials import Trials
 from trms_cli.sweeps.space import Range, Space
 
 #: Trials that are proposed together where that is not given.
@@ -54,7 +54,7 @@ class Optimise:
     #: best of many is better than it will be again
     confirm: Annotated[int, Meta(ge=0)] = 0
 
-    def start(self, space: Space, known: Sequence[Point] = ()) -> Trials:
+    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Trials:
         """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
         if not any(isinstance(varied, Range) for varied in space.continuous):
             raise ConfigurationError(

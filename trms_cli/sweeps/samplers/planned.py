@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.robustness import Robustness
 from trms_cli.sweeps.samplers.drawing import (
     FloatArray,
@@ -39,7 +39,7 @@ class Planned:
         """Points in all."""
         return len(self.samples) * combinations(self.space.choices)
 
-    def point(self, number: int) -> Point:
+    def point(self, number: int) -> SweepPoint:
         """The point of a number."""
         sample, choice = divmod(number, combinations(self.space.choices))
         part = (
@@ -47,16 +47,16 @@ class Planned:
             + chosen_part(self.space.choices, choice)
             + drawn_part(self.space.continuous, self.samples[sample].tolist())
         )
-        return Point(number, part.overrides, part.values or {})
+        return SweepPoint(number, part.overrides, part.values or {})
 
-    def more(self, results: Sequence[Result], wanted: int) -> list[Point]:
+    def more(self, results: Sequence[RunResult], wanted: int) -> list[SweepPoint]:
         """The next points; results change nothing."""
         upto = min(self.given + max(wanted, 0), self.total)
         points = [self.point(number) for number in range(self.given, upto)]
         self.given = upto
         return points
 
-    def summary(self, results: Mapping[int, Result]) -> dict[str, Any]:
+    def summary(self, results: Mapping[int, RunResult]) -> dict[str, Any]:
         """Statistics over the samples; nothing of a grid."""
         if self.robustness is None:
             return {}
@@ -67,7 +67,7 @@ class Planned:
 def planned(
     space: Space,
     shares: FloatArray,
-    known: Sequence[Point],
+    known: Sequence[SweepPoint],
     robustness: Robustness | None = None,
 ) -> Planned:
     """Points of samples at given shares of the distributions, those that are known left out.

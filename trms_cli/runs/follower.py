@@ -22,7 +22,7 @@ _DERIVED = ("sd_", "predicted_", "innovation_")
 _WRITER_EVERY = 0.2  # s between two questions whether the run is still there
 
 
-class FollowedRun:
+class RunFollower:
     """A run's log, followed as it grows.
 
     Attributes

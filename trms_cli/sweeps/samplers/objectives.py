@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.runs.columns import ALIASES
-from trms_cli.sweeps.figures import figure_of, near_figures, said_as
-from trms_cli.sweeps.point import Result
+from trms_cli.sweeps.figures import figure_of, near_figures, objective_name
+from trms_cli.sweeps.point import RunResult
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Aims:
     worst: bool = False  #: An objective is that of the worst condition, not the mean
     typed: tuple[str, ...] = ()  #: Objectives and limited figures as they were typed, for messages
 
-    def tried(self, results: Sequence[Result]) -> Tried:
+    def tried(self, results: Sequence[RunResult]) -> Tried:
         """A trial by the results of its conditions.
 
         One that failed makes the trial fail, and so does one without a figure to judge it by (the
@@ -59,7 +59,7 @@ class Aims:
             values = [figure_of(result, name) for result in results]
             present = [value for value in values if value is not None]
             if len(present) < len(values):
-                return Tried(problem=f"a run has no {said_as(name, self.typed)}")
+                return Tried(problem=f"a run has no {objective_name(name, self.typed)}")
             if name in self.objectives:
                 figures[name] = self._over_conditions(name, present)
             if name in self.limits:
@@ -87,12 +87,12 @@ class Aims:
         """Whether a trial did not fail and holds all limits."""
         return not tried.failed and all(excess <= 0 for excess in self.excess(tried))
 
-    def check_figures(self, results: Iterable[Result], of: str, remedy: str = "") -> None:
+    def check_figures(self, results: Iterable[RunResult], of: str, remedy: str = "") -> None:
         """Refuse objectives and limited figures that none of these runs has.
 
         Parameters
         ----------
-        results : iterable of Result
+        results : iterable of RunResult
             Nothing is said of figures where none of them is done.
         of : str
             Whose runs these are, for the message.
@@ -107,7 +107,7 @@ class Aims:
         done = [result for result in results if result.state == "done"]
         for name in (*self.objectives, *self.limits):
             if done and all(figure_of(result, name) is None for result in done):
-                said = said_as(name, self.typed)
+                said = objective_name(name, self.typed)
                 known = {n for result in done for n in result.figures}
                 reason = _UNSETTLED if name.startswith("settling_time") else ""
                 raise ConfigurationError(

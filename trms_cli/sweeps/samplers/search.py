@@ -17,7 +17,7 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 
 from trms_cli.sweeps.samplers.drawing import as_data, rounded
-from trms_cli.sweeps.samplers.optimisation.aims import Aims, Tried
+from trms_cli.sweeps.samplers.objectives import Aims, Tried
 from trms_cli.sweeps.space import Range
 
 Method = Literal["tpe", "nsga2", "random"]
@@ -28,7 +28,7 @@ _FAILED_EXCESS = 1.0
 _WORSE = 0.1
 
 
-class Search:
+class OptimisationSearch:
     """A study.
 
     Parameters

@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.point import Point, Result
+from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.samplers.drawing import Part, as_data, drawn_part, quantiles
 from trms_cli.sweeps.samplers.latin_hypercube import hypercube
-from trms_cli.sweeps.samplers.optimisation.aims import Aims, Tried
-from trms_cli.sweeps.samplers.optimisation.conditions import conditions_of, fresh_conditions
-from trms_cli.sweeps.samplers.optimisation.outcome import best_trials, outcome
+from trms_cli.sweeps.samplers.objectives import Aims, Tried
+from trms_cli.sweeps.samplers.search_summary import (
+    best_trials,
+    conditions_of,
+    fresh_conditions,
+    outcome,
+)
 from trms_cli.sweeps.space import Range, Space
 
 if TYPE_CHECKING:
@@ -39,14 +43,14 @@ class Trials:
     config : Optimise
     space : Space
     aims : Aims
-    known : sequence of Point
+    known : sequence of SweepPoint
         What was proposed before an interruption.
     """
 
     def __init__(
-        self, config: Optimise, space: Space, aims: Aims, known: Sequence[Point] = ()
+        self, config: Optimise, space: Space, aims: Aims, known: Sequence[SweepPoint] = ()
     ) -> None:
-        from trms_cli.sweeps.samplers.optimisation.search import Search
+        from trms_cli.sweeps.samplers.search import OptimisationSearch
 
         self._config, self._space, self.aims = config, space, aims
         self._ranges = [each for each in space.continuous if isinstance(each, Range)]
@@ -54,14 +58,14 @@ class Trials:
         self._known = list(known)
         self._given = len(self._known)
         self._sizes = config.batches()
-        self._search = Search(
+        self._search = OptimisationSearch(
             self._ranges, aims, config.method, config.seed, config.startup_trials, config.population
         )
         self._startup = self._latin_hypercube()
         self.parts: list[Part] = []  #: what each trial sets, of those that are proposed
         self._asked: list[optuna.Trial | None] = []
-        self._points: list[Point] = []
-        self._results: dict[int, Result] = {}
+        self._points: list[SweepPoint] = []
+        self._results: dict[int, RunResult] = {}
         self._told = 0  # batches
         self._confirming = False
         self._checked = False  # that the runs have the figures
@@ -75,7 +79,7 @@ class Trials:
             return len(self._points)
         return self._config.trials * len(self.conditions)
 
-    def more(self, results: Sequence[Result], wanted: int) -> list[Point]:
+    def more(self, results: Sequence[RunResult], wanted: int) -> list[SweepPoint]:
         """The next points: the rest of a batch at once, nothing while one is at work."""
         self._results |= {r.number: r for r in results if r.state != "interrupted"}
         self._check_figures()
@@ -90,7 +94,7 @@ class Trials:
         self._given = max(self._given, len(self._points))
         return fresh
 
-    def summary(self, results: Mapping[int, Result]) -> dict[str, Any]:
+    def summary(self, results: Mapping[int, RunResult]) -> dict[str, Any]:
         """What the search found, JSON data; see :func:`outcome`."""
         tried = self._tried(results)
         told = outcome(self.aims, self.parts, tried, len(self.conditions), self._space.fixed)
@@ -152,7 +156,7 @@ class Trials:
 
     def _add(self, part: Part, trial: int) -> None:
         number = len(self._points)
-        point = Point(number, part.overrides, part.values or {}, trial)
+        point = SweepPoint(number, part.overrides, part.values or {}, trial)
         if number < len(self._known) and self._known[number].overrides != point.overrides:
             raise ConfigurationError(
                 f"point {number} was another when the sweep began: "
@@ -191,19 +195,19 @@ class Trials:
         self._search.tell([(asked, each) for asked, each in pairs if asked is not None and each])
         self._told += 1
 
-    def _tried(self, results: Mapping[int, Result]) -> list[Tried | None]:
+    def _tried(self, results: Mapping[int, RunResult]) -> list[Tried | None]:
         """What came of each trial, None of those whose runs have not all ended."""
         ended = [self._ended(results, number) for number in range(len(self.parts))]
         return [self.aims.tried(own) if own else None for own in ended]
 
-    def _ended(self, results: Mapping[int, Result], trial: int) -> list[Result]:
+    def _ended(self, results: Mapping[int, RunResult], trial: int) -> list[RunResult]:
         """Results of a trial's runs; none as long as they have not all ended."""
         width = len(self.conditions)
         own = [results.get(trial * width + i) for i in range(width)]
         ended = [r for r in own if r is not None and r.state != "interrupted"]
         return ended if len(ended) == width else []
 
-    def _candidates(self, results: Mapping[int, Result]) -> list[int]:
+    def _candidates(self, results: Mapping[int, RunResult]) -> list[int]:
         """Trials that are run again: the best, and the first to compare with."""
         tried = self._tried(results)
         best = best_trials(self.aims, tried)
@@ -221,10 +225,10 @@ class Trials:
                 fixed = tuple(t for t in self._space.fixed if not t.startswith(replaced))
                 self._add(Part(fixed) + condition + self.parts[number], number)
 
-    def _add_confirmed(self, told: dict[str, Any], results: Mapping[int, Result]) -> None:
+    def _add_confirmed(self, told: dict[str, Any], results: Mapping[int, RunResult]) -> None:
         """Figures under fresh conditions, beside those that the trials were chosen by."""
         begin = self._config.trials * len(self.conditions)
-        runs: dict[int, list[Result]] = {}
+        runs: dict[int, list[RunResult]] = {}
         for point in self._points[begin:]:
             assert point.trial is not None
             if point.number in results:
