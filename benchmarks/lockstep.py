@@ -23,7 +23,7 @@ from trms_cli.controllers.controller import (
     Status,
 )
 from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.controllers.reference_rates import smooth_rates
+from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import SteadyState

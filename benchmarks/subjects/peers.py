@@ -17,7 +17,7 @@ from benchmarks.setups import FULL_STATE, experiment, newton_horizon, newton_of
 from trms_cli.controllers.controller import Controller
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
-from trms_cli.controllers.nmpc_solver import Method
+from trms_cli.controllers.ocp import Method
 
 TITLE = "newton_mpc and its peers on the same problem"
 #: Time of newton_mpc as a share of nmpc's, and how much more the closed loop may cost, %.

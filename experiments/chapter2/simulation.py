@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.model import Model, names
-from trms_cli.plants.mechanical_stops import with_stops
+from trms_cli.plants.simulated import with_stops
 from trms_cli.simulation.rollout import Rollout
 
 FloatArray = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.chapter8.laws import Bench
 from experiments.chapter8.study import FloatArray, Study
-from trms_cli.controllers.robust.certificate import certify
+from trms_cli.controllers.robust.lmi import certify
 from trms_cli.controllers.robust.polytope import box, independent_cube
 
 

@@ -10,7 +10,7 @@ from experiments.chapter8.laws import Bench
 from experiments.chapter8.study import FloatArray, Study, controller, setup_of, start_state
 from trms_cli.controllers.controller import ControlSample, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.controllers.robust.certificate import certify
+from trms_cli.controllers.robust.lmi import certify
 from trms_cli.controllers.robust.polytope import box
 from trms_cli.models.estimate import Estimate
 

@@ -7,8 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.chapter8.study import FloatArray, Study, online, setup_of, start_state
-from trms_cli.controllers.robust.certificate import Certificate, certify, decrease_on
-from trms_cli.controllers.robust.lmi import Inequalities, Lyapunov, Solution, Task
+from trms_cli.controllers.robust.lmi import (
+    Certificate,
+    Inequalities,
+    Lyapunov,
+    Solution,
+    Task,
+    certify,
+    decrease_on,
+)
 from trms_cli.controllers.robust.polytope import box, independent_cube
 from trms_cli.controllers.robust.regulation import Aim, Regulation
 from trms_cli.models.newtonian import Newtonian

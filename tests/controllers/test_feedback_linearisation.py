@@ -9,8 +9,11 @@ import pytest
 from closed_loop_case import SAMPLE_TIME, run, squares
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
-from trms_cli.controllers.feedback_linearisation import FeedbackLinearisation, gains_of
-from trms_cli.controllers.virtual_moments import virtual_moments
+from trms_cli.controllers.feedback_linearisation import (
+    FeedbackLinearisation,
+    gains_of,
+    virtual_moments,
+)
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discretisation import discretise

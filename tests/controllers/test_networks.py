@@ -17,7 +17,7 @@ from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.narx import Narx
+from trms_cli.models.narx_file import Narx
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.steady_state import SteadyState
 

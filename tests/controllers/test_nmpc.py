@@ -13,7 +13,7 @@ from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
-from trms_cli.controllers.nmpc_solver import Solution
+from trms_cli.controllers.ocp import Solution
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import build
 from trms_cli.models.estimate import Estimate

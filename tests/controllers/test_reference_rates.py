@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.controllers.reference_rates import smooth_rates
+from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.models.newtonian import Newtonian
 
 T, N = 0.1, 12

@@ -11,8 +11,14 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from trms_cli.controllers.robust.certificate import certify, decrease_on
-from trms_cli.controllers.robust.lmi import Inequalities, Lyapunov, Solution, Task
+from trms_cli.controllers.robust.lmi import (
+    Inequalities,
+    Lyapunov,
+    Solution,
+    Task,
+    certify,
+    decrease_on,
+)
 
 N, M = 2, 1
 FREE = np.full(N, np.inf)

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
-from trms_cli.controllers.robust.family import Family
 from trms_cli.controllers.robust_mpc import RobustMpc
-from trms_cli.controllers.robust_mpc_offline import RobustMpcOffline, RobustMpcOfflineState
+from trms_cli.controllers.robust_mpc_offline import Family, RobustMpcOffline, RobustMpcOfflineState
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.feedback_manual import FeedbackManual

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trms_cli.models.narx import Narx
+from trms_cli.models.narx_file import Narx
 from trms_cli.models.network import NarxStructure, Network
 
 SAMPLE_TIME = 0.02

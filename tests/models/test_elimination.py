@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.models.elimination import factorised
+from trms_cli.models.discretisation import factorised
 
 
 @pytest.mark.parametrize("density", [0.2, 0.5, 1.0])

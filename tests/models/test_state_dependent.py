@@ -13,7 +13,7 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.models.state_dependent import state_dependent
+from trms_cli.observers.state_dependent_ekf import state_dependent
 
 MODELS: dict[str, Model] = {
     "newtonian": Newtonian(),

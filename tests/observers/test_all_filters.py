@@ -18,11 +18,10 @@ from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model, names
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.augmentation import FilterOptions
+from trms_cli.observers.augmentation import FilterOptions, InitialSd, ProcessNoise
 from trms_cli.observers.ekf import Ekf
 from trms_cli.observers.kalman import Kalman
 from trms_cli.observers.mhe import Mhe
-from trms_cli.observers.noise_tables import InitialSd, ProcessNoise
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState
 from trms_cli.observers.state_dependent_ekf import StateDependentEkf

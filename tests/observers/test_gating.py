@@ -12,8 +12,8 @@ from test_all_filters import ALL, NONLINEAR, made
 from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.augmentation import FilterOptions
-from trms_cli.observers.gating import Gate
 from trms_cli.observers.kalman import Kalman
+from trms_cli.observers.recursive_filter import Gate
 from trms_cli.observers.ukf import Ukf
 
 MODEL = Newtonian()

@@ -12,10 +12,10 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.steady_state import SteadyState
+from trms_cli.observers.augmentation import InitialSd, ProcessNoise
 from trms_cli.observers.ekf import Ekf
 from trms_cli.observers.kalman import Kalman
 from trms_cli.observers.mhe import Mhe
-from trms_cli.observers.noise_tables import InitialSd, ProcessNoise
 from trms_cli.observers.observer import Observer, ObserverSetup
 from trms_cli.observers.state_dependent_ekf import StateDependentEkf
 from trms_cli.observers.ukf import Ukf

@@ -11,8 +11,7 @@ from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers import mhe
 from trms_cli.observers.ekf import Ekf
-from trms_cli.observers.mhe import Mhe
-from trms_cli.observers.mhe_window import bounded
+from trms_cli.observers.mhe import Mhe, bounded
 from trms_cli.observers.observer import ObserverSetup
 
 

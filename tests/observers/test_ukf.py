@@ -14,11 +14,10 @@ from trms_cli.core.plugins import build
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.noise_tables import ProcessNoise
+from trms_cli.observers.augmentation import ProcessNoise
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState
-from trms_cli.observers.sigma_points import SigmaPoints
-from trms_cli.observers.ukf import Ukf
+from trms_cli.observers.ukf import SigmaPoints, Ukf
 
 
 def mean_and_covariance(state: FilterState) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import pytest
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
-from trms_cli.observers.noise_tables import InitialSd, ProcessNoise
+from trms_cli.observers.augmentation import InitialSd, ProcessNoise
 from trms_cli.observers.ukf import Ukf
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.replay import RecordedRig

@@ -10,7 +10,7 @@ from loop_cases import AT, COARSE, MODEL, PERIOD, POINT, Changed, loop_of, lqr
 
 from trms_cli.controllers.controller import Command, ControlSetup
 from trms_cli.controllers.pid import Pid
-from trms_cli.controllers.pid_design import Design
+from trms_cli.controllers.pid_tuning import Design
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise

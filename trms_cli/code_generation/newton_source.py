@@ -16,7 +16,7 @@ from trms_cli.code_generation.literals import number
 from trms_cli.code_generation.observer_source import ObserverSource
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.controllers.reference_rates import smooth_rates
+from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.qp import Daqp
 

@@ -30,9 +30,9 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.named_weights import in_order
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import names
@@ -207,3 +207,25 @@ def _memory_function(discrete: DiscreteModel) -> BufferedFunction:
     p = ca.DM(model.parameters.values)
     after = discrete.step(ca.vertcat(ca.SX.zeros(model.n_x), memory), u, p, ca.DM.zeros(model.n_w))
     return BufferedFunction(ca.Function("memory_step", [memory, u], [after[model.n_x :]]))
+
+
+def in_order(
+    given: Mapping[str, float], known: tuple[str, ...], default: float, key: str
+) -> FloatArray:
+    """Weights in the order of ``known``, shape (len(known),).
+
+    Names of an axis that this model lacks are passed over, so that one configuration also serves
+    the models of one axis.
+
+    Raises ConfigurationError for any other name; ``key`` is where it stands in the controller's
+    configuration.
+    """
+    everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *known}
+    for name in given:
+        if name not in everywhere:
+            raise ConfigurationError(
+                f"{name!r} is not a name that a weight can have here",
+                where=f"controller.{key}",
+                remedy=nearest(name, known),
+            )
+    return np.array([given.get(name, default) for name in known])

@@ -24,10 +24,8 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.fallback import Policy, fall_back
-from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.controllers.newton_state import NewtonMpcState
-from trms_cli.controllers.nmpc_solver import InteriorPoint, Method, Solution
-from trms_cli.controllers.ocp import build
+from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
+from trms_cli.controllers.ocp import InteriorPoint, Method, Solution, build
 from trms_cli.core.errors import ConfigurationError
 
 FloatArray = npt.NDArray[np.float64]

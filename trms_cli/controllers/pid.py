@@ -40,9 +40,8 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.pid_design import ROTOR_OF_AXIS, AxisDesign, Design
 from trms_cli.controllers.pid_feed_forward import Table
-from trms_cli.controllers.pid_tuning import Gains, Margins
+from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, Design, Gains, Margins
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model

@@ -6,7 +6,7 @@ in which the state is, they lie in a polytope (:mod:`trms_cli.controllers.robust
 sample the law v = v_s + K (z − z_s) is found whose worst cost over all models in it is least, with
 the inputs within their limits and the angles within their stops for all time
 (:mod:`trms_cli.controllers.robust.lmi`). A law acts only if its certificate holds
-(:mod:`trms_cli.controllers.robust.certificate`).
+(:mod:`trms_cli.controllers.robust.lmi`).
 
 With ``polytope: sub`` the region shrinks with the state: the sub-polytope. The coordinates, in
 which the yaw has a gain where the tail rotor stands still, are those of
@@ -25,8 +25,7 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.robust.certificate import Certificate, certify
-from trms_cli.controllers.robust.lmi import Inequalities, Solution, Task
+from trms_cli.controllers.robust.lmi import Certificate, Inequalities, Solution, Task, certify
 from trms_cli.controllers.robust.polytope import Region, box
 from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation, no_law
 

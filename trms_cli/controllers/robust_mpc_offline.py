@@ -1,28 +1,240 @@
-"""Robust model predictive control by a family of ellipsoids made before the run.
+"""Robust model predictive control by a family of nested ellipsoids made before the run.
 
-After Wan & Kothare 2003 (Automatica 39); see :mod:`trms_cli.controllers.robust.family`. The same
-inequalities as :mod:`trms_cli.controllers.robust_mpc`, solved once; a step looks its law up.
+After Wan & Kothare 2003 (Automatica 39): the same inequalities as
+:mod:`trms_cli.controllers.robust_mpc`, solved once; a step looks its law up. For states ever nearer
+to the target, one on each axis of the rig, the inequalities of
+:mod:`trms_cli.controllers.robust.lmi` are solved one after the other, each ellipsoid within the
+last. In a run the smallest ellipsoid that holds the state is looked up, and its gain interpolated
+with that of the next,
+
+    K = a K_i + (1 − a) K_{i+1}      with  z'(a Q_i⁻¹ + (1 − a) Q_{i+1}⁻¹) z = 1
+
+wherever Q_i⁻¹ also falls under K_{i+1} (else K_i acts up to the border).
+
+Here the polytope shrinks with the ellipsoids: each law is made for the coefficients over a box that
+holds its ellipsoid, which the state does not leave. They are taken around several targets, so that
+one family serves all of them: with less room for the inputs at a target, the ellipsoids shrink by
+that share, since laws and inequalities are homogeneous in the state.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.robust.family import Family, make_family
-from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation
+from trms_cli.controllers.robust import certificate, lmi, polytope
+from trms_cli.controllers.robust import regulation as regulation_
+from trms_cli.controllers.robust.lmi import Certificate, Inequalities, Solution, Task, certify
+from trms_cli.controllers.robust.polytope import box
+from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation, no_law
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.result_cache import cached_result
 
 FloatArray = npt.NDArray[np.float64]
+#: Share to which the farthest states are brought nearer where no law is found for them.
+_SHORTER = 0.8
+_SHORTENINGS = 12
+#: The box that a law is first tried for, in deviations and in the largest of them.
+_REACH, _LEAST_REACH = 1.2, 0.8
+_WIDER = 1.1
+_WIDENINGS = 8
+
+
+class Rings(msgspec.Struct):
+    """What is kept of a family between runs."""
+
+    inverses: list[list[list[float]]]  #: Q_i⁻¹ from the outermost, each n × n
+    gains: list[list[list[float]]]  #: K_i, each m × n
+    blends: list[bool]  #: Whether K_i may be mixed with the next
+    gammas: list[float]  #: Certified
+    contractions: list[float]  #: Certified
+    positions: list[float]  #: The states that each was made for, as a share of the farthest
+
+
+@dataclass(frozen=True)
+class Family:
+    """The lookup."""
+
+    inverses: FloatArray  #: (N, n, n) array; Q_i⁻¹, from the outermost
+    gains: FloatArray  #: (N, m, n) array
+    blends: npt.NDArray[np.bool_]  #: (N,) array of bool
+    rings: Rings
+    #: (m,) array; room of the inputs that the family was made for, in units of the scales
+    input_bounds: FloatArray
+
+    def share(self, bounds: FloatArray) -> float:
+        """How much smaller the ellipsoids are with less room (m,) for the inputs."""
+        return float(min(1.0, (bounds / self.input_bounds).min()))
+
+    def gain(self, z: FloatArray) -> tuple[FloatArray, int, float]:
+        """The law at a deviation.
+
+        Parameters
+        ----------
+        z : (n,) array
+            In units of the scales, over :meth:`share`.
+
+        Returns
+        -------
+        K : (m, n) array
+        ring : int
+            The smallest ellipsoid that holds z; −1 outside of all, where the outermost gain acts.
+        level : float
+            z'Q⁻¹z there.
+        """
+        levels = (self.inverses @ z) @ z
+        ring = int(np.searchsorted(levels, 1.0, side="right")) - 1
+        if ring < 0:
+            return self.gains[0], -1, float(levels[0])
+        level = float(levels[ring])
+        if ring + 1 == len(levels) or not self.blends[ring]:
+            return self.gains[ring], ring, level
+        beyond = float(levels[ring + 1])
+        a = (beyond - 1.0) / (beyond - level)
+        return a * self.gains[ring] + (1.0 - a) * self.gains[ring + 1], ring, level
+
+
+def make_family(
+    design: Design,
+    regulation: Regulation,
+    aims: Sequence[Aim],
+    farthest: FloatArray,
+    positions: Sequence[float],
+) -> Family:
+    """The family for all of some targets, from the cache if it was made before.
+
+    Parameters
+    ----------
+    aims : sequence of Aim
+        The first is the one whose room for the inputs counts.
+    farthest : (k, n) array
+        The farthest states, in units of the scales.
+    positions : sequence of float
+        Shares of them, from 1 down.
+
+    Raises
+    ------
+    ConfigurationError
+        If no law is found even near the target.
+    """
+    inputs = [
+        regulation.coordinates.step.serialize(),
+        repr(design),
+        farthest,
+        tuple(positions),
+        *(np.concatenate([aim.target.z, aim.target.v]) for aim in aims),
+        *(
+            Path(str(module.__file__)).read_bytes()
+            for module in (lmi, certificate, polytope, regulation_)
+        ),
+    ]
+    rings = cached_result(
+        __file__, inputs, Rings, lambda: _make(design, regulation, aims, farthest, positions)
+    )
+    return Family(
+        np.array(rings.inverses),
+        np.array(rings.gains),
+        np.array(rings.blends),
+        rings,
+        regulation.input_bounds(aims[0]),
+    )
+
+
+def _make(
+    design: Design,
+    regulation: Regulation,
+    aims: Sequence[Aim],
+    farthest: FloatArray,
+    positions: Sequence[float],
+) -> Rings:
+    n = regulation.n
+    inequalities = Inequalities(
+        n,
+        regulation.m,
+        2 * len(regulation.model.controlled),
+        2**design.principal_components,
+        bounded=regulation.bounded,
+        states=len(farthest),
+        soft=False,
+        nested=True,
+    )
+    rings = Rings([], [], [], [], [], [])
+    inside: FloatArray | None = None
+    previous: FloatArray | None = None
+    far = 1.0
+    for position in positions:
+        found = None
+        for _ in range(_SHORTENINGS if inside is None else 1):
+            found = _ring(design, regulation, aims, inequalities, far * position * farthest, inside)
+            if found is not None or inside is not None:
+                break
+            far *= _SHORTER
+        if found is None:
+            continue
+        task, solution, held = found
+        if previous is not None:
+            rings.blends[-1] = _falls(task.A, task.B, solution.K, previous)
+        inside = solution.Q[0]
+        previous = np.linalg.inv(inside)
+        rings.inverses.append(previous.tolist())
+        rings.gains.append(solution.K.tolist())
+        rings.blends.append(False)
+        rings.gammas.append(held.gamma)
+        rings.contractions.append(held.contraction)
+        rings.positions.append(far * position)
+    if not rings.gains:
+        raise no_law(regulation.model)
+    return rings
+
+
+def _ring(
+    design: Design,
+    regulation: Regulation,
+    aims: Sequence[Aim],
+    inequalities: Inequalities,
+    z: FloatArray,
+    inside: FloatArray | None,
+) -> tuple[Task, Solution, Certificate] | None:
+    """The law for states z (k, n), its ellipsoid within the box of its own polytope."""
+    extents = _REACH * np.abs(z).max(axis=0) + _LEAST_REACH * float(np.abs(z).max())
+    for _ in range(_WIDENINGS):
+        coefficients = np.concatenate(
+            [
+                regulation.coefficients.over(aim.target, regulation.region_of(aim.target, extents))
+                for aim in aims
+            ]
+        )
+        vertices = box(coefficients, design.principal_components, design.margin)
+        task = regulation.task(vertices, aims[0], z)
+        solution = inequalities.solve(task, inside)
+        if solution is None:
+            return None
+        held = certify(task, solution)
+        if not (held.stable and held.constrained):
+            return None
+        reached = np.sqrt(np.diag(solution.Q[0]))
+        if regulation.covers(aims[0].target, extents, reached):
+            return task, solution, held
+        extents = np.maximum(extents, _WIDER * reached)
+    return None
+
+
+def _falls(A: FloatArray, B: FloatArray, K: FloatArray, inverse: FloatArray) -> bool:
+    """Whether z'Q⁻¹z falls under a law at every vertex."""
+    closed = A + B @ K
+    rest = inverse - np.einsum("kba,bc,kcd->kad", closed, inverse, closed)
+    return bool(np.linalg.eigvalsh(rest).min() > 0.0)
 
 
 @dataclass

@@ -15,8 +15,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.models.measured_table import FloatArray, read_table
-from trms_cli.models.static_curve import RisingSpline, rising_spline
+from trms_cli.models.static_curve import FloatArray, RisingSpline, read_table, rising_spline
 
 _HEADER = "u[V],v[V]"
 _UNITS = {"V": 1.0, "mV": 1e-3}

@@ -2,11 +2,11 @@
 
     Δx⁺ = Φ(x̂) Δx̂ + Γ_u(x̂, u) Δu + Γ_w(x̂, u) w + c        P⁻ = Φ(x̂) P Φ(x̂)ᵀ + Q
 
-The model is written as a linear one whose matrices depend on the state, exactly
-(:mod:`trms_cli.models.state_dependent`), and both mean and covariance are propagated with these
-matrices, frozen over a sample: no Jacobian is taken. After A. Rahideh, "Model identification and
-robust nonlinear model predictive control of a twin rotor MIMO system", 2009, chapter 7; the form
-itself: Mracek, Cloutier & D'Souza 1996, "A new technique for nonlinear estimation", CCA.
+The model is written as a linear one whose matrices depend on the state, exactly, and both mean and
+covariance are propagated with these matrices, frozen over a sample: no Jacobian is taken. After A.
+Rahideh, "Model identification and robust nonlinear model predictive control of a twin rotor MIMO
+system", 2009, chapter 7; the form itself: Mracek, Cloutier & D'Souza 1996, "A new technique for
+nonlinear estimation", CCA.
 
 Φ is no derivative: where the coefficients change with the state (the thrust k|ω|·ω has half the
 slope that it should), the covariance believes in another spread than the model's. That is what
@@ -14,6 +14,31 @@ sets this filter apart from the extended one, for better or worse.
 
 The memory of an input path, sensors that remember and impulses (set-valued friction, stops) are no
 part of the form; they act before and after it, and enter the covariance by their own slopes.
+
+The state-dependent coefficients: around an origin (x₀, u₀), with Δx = x − x₀ and Δu = u − u₀,
+
+    f(x, u, p, w) = f(x₀, u₀, p, 0) + A(x) Δx + B(x, u) Δu + G(x, u) w
+    A(x)    = ∫₀¹ ∂f/∂x (x₀ + λ Δx, u₀, p, 0) dλ
+    B(x, u) = ∫₀¹ ∂f/∂u (x, u₀ + λ Δu, p, 0) dλ
+    G(x, u) = ∫₀¹ ∂f/∂w (x, u, p, λ w) dλ      (at w = 0: models are linear in their torques)
+
+the mean-value form of Hadamard's lemma. With several states such a form is not unique (Çimen 2008,
+"State-dependent Riccati equation control: a survey", IFAC World Congress); this one needs no hand
+and holds for every model, is the Jacobian where x = x₀, and keeps the structure of the equations:
+a thrust k ω|ω| becomes k|ω| times ω for an origin at ω₀ = 0, gravity G sin Δα becomes
+G (sin Δα/Δα) Δα without a division by zero.
+
+The integrals are Gauss–Legendre sums: exact for polynomials up to degree 2·nodes, so for thrusts
+and drags, and to rounding for sines over the rig's travel. A ray that crosses ω = 0, where ω|ω| has
+a kink, leaves a small residual, which :meth:`StateDependentForm.residual` measures.
+
+In time steps of length T the coefficients are frozen,
+
+    Δx⁺ = Φ Δx + T φ₁ (B Δu + G w + f₀)      Φ = I + A T φ₁(A T)
+
+with φ₁ the series of (eᶻ − 1)/z to fourth order, or, for a stiff model, the L-stable Padé
+approximation (I − z + z²/2)⁻¹(I − z/2). The coefficients move during a step: this is of first order
+in T, where the integrators of :mod:`trms_cli.models.discretisation` are of third and fourth.
 """
 
 from __future__ import annotations
@@ -25,17 +50,173 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.process_cache import kept
-from trms_cli.models.model import Signal, names
-from trms_cli.models.state_dependent import state_dependent
+from trms_cli.models.discretisation import factorised
+from trms_cli.models.model import Model, Signal, names
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.kalman_step import exact_measurement, kalman_step
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import RecursiveFilter
 
 FloatArray = npt.NDArray[np.float64]
+_NODES = 6
+
+
+@dataclass(frozen=True)
+class StateDependentForm:
+    """A model around an origin, as expressions."""
+
+    model: Model
+    origin_x: FloatArray  #: (n_x,) array
+    origin_u: FloatArray  #: (n_u,) array
+    #: ``(x, u, p) → A (n_x, n_x), B (n_x, n_u), G (n_x, n_w), f0 (n_x,)``: of the derivative, or,
+    #: for a model that only steps, of its step (f0 then is F(x₀, u₀, p, 0) − x₀)
+    coefficients: ca.Function
+    stepped: bool  #: Whether the coefficients are those of a step of ``model.sample_time``
+
+    def discrete(self, step_length: float) -> ca.Function:
+        """``(x, u, p) → Φ (n_x, n_x), Γ_u (n_x, n_u), Γ_w (n_x, n_w), c (n_x,)`` of one step.
+
+        ``Δx⁺ = Φ Δx + Γ_u Δu + Γ_w w + c``, the coefficients frozen at x and u.
+
+        Parameters
+        ----------
+        step_length : float
+            s; for a model that only steps, its own sample time.
+
+        Raises
+        ------
+        ModelError
+            For another step of a model that only steps, or one that is not positive.
+        """
+        model = self.model
+        _check_step(model, step_length)
+        x, u, p, _ = model.symbols()
+        A, B, G, f0 = self.coefficients(x, u, p)
+        if self.stepped:
+            results = [A, B, G, f0]
+        else:
+            phi_1 = step_length * _phi_1(A * step_length, model.stiff)
+            Phi = ca.SX.eye(model.n_x) + A @ phi_1
+            results = [Phi, phi_1 @ B, phi_1 @ G, phi_1 @ f0]
+        return ca.Function(
+            "state_dependent_step",
+            [x, u, p],
+            ca.cse([ca.densify(result) for result in results]),
+            ["x", "u", "p"],
+            ["Phi", "Gamma_u", "Gamma_w", "c"],
+        )
+
+    def residual(self, x: FloatArray, u: FloatArray, p: FloatArray) -> FloatArray:
+        """What the form leaves of the model at a point without torques, shape (n_x,).
+
+        In the states' units per s (per step for a model that only steps). Zero to rounding but
+        where the ray from the origin crosses a kink.
+        """
+        at = self.model.symbols()
+        follow = _equations(self.model)(*at)
+        whole = ca.Function("whole", list(at), [follow])(x, u, p, np.zeros(self.model.n_w))
+        A, B, _, f0 = (np.asarray(part) for part in self.coefficients(x, u, p))
+        form = f0[:, 0] + A @ (x - self.origin_x) + B @ (u - self.origin_u)
+        if self.stepped:
+            form = form + self.origin_x
+        return np.asarray(whole)[:, 0] - form
+
+
+def state_dependent(
+    model: Model,
+    origin_x: FloatArray | None = None,
+    origin_u: FloatArray | None = None,
+    *,
+    nodes: int = _NODES,
+) -> StateDependentForm:
+    """The state-dependent form of a model around an origin.
+
+    Parameters
+    ----------
+    model : Model
+        Its derivative is used, or its step if it only steps; input paths with memory, sensors and
+        impulses are not part of it.
+    origin_x : (n_x,) array, optional
+        Rest by default.
+    origin_u : (n_u,) array, optional
+        Zero by default.
+    nodes : int
+        Of the Gauss–Legendre sums.
+
+    Raises
+    ------
+    ModelError
+        For an origin of another size, or without nodes.
+    """
+    x_0 = np.asarray(model.rest() if origin_x is None else origin_x, dtype=float)
+    u_0 = np.zeros(model.n_u) if origin_u is None else np.asarray(origin_u, dtype=float)
+    if x_0.shape != (model.n_x,) or u_0.shape != (model.n_u,) or nodes < 1:
+        raise ModelError(
+            f"an origin of {x_0.size} states and {u_0.size} inputs with {nodes} nodes given",
+            remedy=f"model {model.name!r} has {model.n_x} states and {model.n_u} inputs",
+        )
+    x, u, p, w = model.symbols()
+    follow = _equations(model)(x, u, p, w)
+    slope_x, slope_u, slope_w = (
+        ca.Function(f"slope_{name}", [x, u, p, w], [ca.jacobian(follow, v)])
+        for name, v in (("x", x), ("u", u), ("w", w))
+    )
+    no_w = ca.SX.zeros(model.n_w)
+    A, B = ca.SX(model.n_x, model.n_x), ca.SX(model.n_x, model.n_u)
+    for place, weight in zip(*_unit_interval(nodes), strict=True):
+        A += weight * slope_x(x_0 + place * (x - x_0), u_0, p, no_w)
+        B += weight * slope_u(x, u_0 + place * (u - u_0), p, no_w)
+    at_origin = ca.Function("at_origin", [x, u, p, w], [follow])(x_0, u_0, p, no_w)
+    f0 = at_origin - x_0 if model.sample_time is not None else at_origin
+    coefficients = ca.Function(
+        "state_dependent",
+        [x, u, p],
+        ca.cse([ca.densify(part) for part in (A, B, slope_w(x, u, p, no_w), f0)]),
+        ["x", "u", "p"],
+        ["A", "B", "G", "f0"],
+    )
+    return StateDependentForm(model, x_0, u_0, coefficients, model.sample_time is not None)
+
+
+def _equations(model: Model) -> ca.Function:
+    """``(x, u, p, w)`` → the derivative, or the step of a model that only steps."""
+    at = model.symbols()
+    follow = model.dynamics if model.sample_time is None else model.transition
+    return ca.Function("equations", list(at), [follow(*at)])
+
+
+def _unit_interval(nodes: int) -> tuple[list[float], list[float]]:
+    """Places and weights of a Gauss–Legendre sum over [0, 1]."""
+    places, weights = np.polynomial.legendre.leggauss(nodes)
+    return ((places + 1.0) / 2.0).tolist(), (weights / 2.0).tolist()
+
+
+def _phi_1(z: ca.SX, stiff: bool) -> ca.SX:
+    """φ₁(z) = (eᶻ − 1)/z of a matrix, without a division by it."""
+    unit = ca.SX.eye(z.shape[0])
+    if stiff:
+        denominator = unit - z + z @ z / 2.0
+        right = ca.densify(unit - z / 2.0)
+        solve = factorised(denominator)
+        return ca.horzcat(*(solve(right[:, i]) for i in range(z.shape[0])))
+    # Horner: 1 + z/2 (1 + z/3 (1 + z/4))
+    return unit + z / 2.0 @ (unit + z / 3.0 @ (unit + z / 4.0))
+
+
+def _check_step(model: Model, step_length: float) -> None:
+    if not step_length > 0:
+        raise ModelError(f"a step of {step_length!r} s given", remedy="a time above 0 s")
+    own = model.sample_time
+    if own is not None and abs(own - step_length) > 1e-9 * own:
+        raise ModelError(
+            f"model {model.name!r} steps by {own:g} s, and its state-dependent form with it; "
+            f"{step_length:g} s asked for",
+            where="model",
+            remedy=f"set the sample time to {own:g} s, or choose a model with equations",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

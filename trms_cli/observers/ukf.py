@@ -10,6 +10,15 @@ The covariance is updated in Joseph's form over the sigma points,
 
 a sum of squares for non-negative weights (which the defaults have), with a floor far below every
 physical scale. A missing channel's row of ỹ is zero: the update conditions exactly on the others.
+
+Sigma points and weights are those of the scaled unscented transform: R. van der Merwe, "Sigma-point
+Kalman filters for probabilistic inference in dynamic state-space models", 2004, as in filterpy's
+``MerweScaledSigmaPoints`` (importing filterpy takes longer than a whole short run, so the formulas
+stand here and a test holds them equal).
+
+Prediction and update are one compiled function. It is built in stages, so that the generated code
+stays short: what differs from point to point is one function mapped over the sigma points, sums
+over the points are matrix products, and only the Cholesky factors are written out.
 """
 
 from __future__ import annotations
@@ -22,20 +31,191 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import kept
-from trms_cli.observers.augmentation import Augmentation
-
-# Names that were here before there were other filters, and that others import from here.
-from trms_cli.observers.noise_tables import InitialSd, ProcessNoise
+from trms_cli.observers.augmentation import Augmentation, AugmentedModel, InitialSd, ProcessNoise
+from trms_cli.observers.kalman_step import diagonal, disturbances, gain_stage, gated
 from trms_cli.observers.observer import ObserverSetup
+from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS, RecursiveFilter
 from trms_cli.observers.recursive_filter import FilterState as UkfState
-from trms_cli.observers.recursive_filter import RecursiveFilter
-from trms_cli.observers.sigma_points import SigmaPoints
-from trms_cli.observers.ukf_step import filter_step
 
 __all__ = ["InitialSd", "ProcessNoise", "Ukf", "UkfState"]
 
 FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SigmaPoints:
+    """Sigma points of an n-vector: the mean and, for each direction, one on either side."""
+
+    n: int
+    #: ``alpha``, ``beta``, ``kappa``: Spread, prior knowledge of the distribution (2 for a normal
+    #: one), and a second spread: ``λ = α²(n + κ) − n``
+    alpha: float
+    beta: float
+    kappa: float
+
+    def __post_init__(self) -> None:
+        if not self.spread > 0:
+            raise ConfigurationError(
+                f"alpha={self.alpha!r} and kappa={self.kappa!r} spread no sigma points over "
+                f"{self.n} states",
+                where="observer.kappa",
+                remedy=f"kappa is above {-self.n}, alpha above 0",
+            )
+
+    @property
+    def count(self) -> int:
+        return 2 * self.n + 1
+
+    @property
+    def spread(self) -> float:
+        """``n + λ``: squared distance of the points in standard deviations."""
+        return self.alpha**2 * (self.n + self.kappa)
+
+    @property
+    def mean_weights(self) -> FloatArray:
+        weights = np.full(self.count, 0.5 / self.spread)
+        weights[0] = 1.0 - self.n / self.spread
+        return weights
+
+    @property
+    def covariance_weights(self) -> FloatArray:
+        weights = self.mean_weights
+        weights[0] += 1.0 - self.alpha**2 + self.beta
+        return weights
+
+    def around(self, mean: ca.SX, covariance: ca.SX) -> ca.SX:
+        """The points as columns, shape (n, 2n + 1)."""
+        root = ca.chol(covariance).T * np.sqrt(self.spread)
+        centre = ca.repmat(mean, 1, self.n)
+        return ca.horzcat(mean, centre + root, centre - root)
+
+
+def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
+    """One sample; see :mod:`trms_cli.observers.recursive_filter` for inputs and outputs."""
+    model = augmented.model
+    n, n_y, n_m = points.n, len(augmented.channels), augmented.n_m
+    spread = _spread_stage(points)
+    advance_one = _dynamics_stage(augmented)
+    predict = _prediction_stage(points)
+    measure = _measurement_stage(augmented)
+    update = _update_stage(augmented, points)
+
+    m, P = ca.MX.sym("m", n), ca.MX.sym("P", n, n)
+    memory, u, p = (
+        ca.MX.sym("memory", n_m),
+        ca.MX.sym("u", model.n_u),
+        ca.MX.sym("p", len(model.parameters)),
+    )
+    y, mask, advance = ca.MX.sym("y", n_y), ca.MX.sym("mask", n_y), ca.MX.sym("advance")
+    q, r, floor = ca.MX.sym("q", n), ca.MX.sym("r", n_y), ca.MX.sym("floor", n)
+    known, gate = ca.MX.sym("known", model.n_w), ca.MX.sym("gate", n_y)
+
+    drawn = spread(m, P)
+    count = points.count
+    moved = advance_one.map(count)(
+        drawn,
+        ca.repmat(memory, 1, count),
+        ca.repmat(u, 1, count),
+        ca.repmat(p, 1, count),
+        ca.repmat(known, 1, count),
+    )
+    m_prior, P_prior = predict(drawn, moved[:n, :], advance, q)
+    memory_next = ca.if_else(advance > 0, moved[n:, 0], memory) if n_m else memory
+    redrawn = spread(m_prior, P_prior)
+    seen = measure.map(count)(redrawn, ca.repmat(u, 1, count), ca.repmat(p, 1, count))
+    results = update(m_prior, redrawn, seen, y, mask, r, floor, known, gate)
+    m_next, P_next, health, *rest = results
+    return ca.Function(
+        "ukf_step",
+        [m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate],
+        [m_next, P_next, memory_next, health, *rest],
+        list(INPUTS),
+        list(OUTPUTS),
+    )
+
+
+def _spread_stage(points: SigmaPoints) -> ca.Function:
+    m, P = ca.SX.sym("m", points.n), ca.SX.sym("P", points.n, points.n)
+    return ca.Function("spread", [m, P], [points.around(m, P)])
+
+
+def _dynamics_stage(augmented: AugmentedModel) -> ca.Function:
+    """One sigma point (and the memory) over one sample."""
+    n_s = augmented.n_s
+    z, memory, u, p, known = augmented.symbols()
+    w = augmented.torques(z, known)
+    after = augmented.discrete.step(ca.vertcat(z[:n_s, 0], memory), u, p, w)
+    return ca.Function(
+        "advance_one",
+        [z, memory, u, p, known],
+        [ca.densify(ca.vertcat(after[:n_s, 0], z[n_s:, 0], after[n_s:, 0]))],
+    )
+
+
+def _prediction_stage(points: SigmaPoints) -> ca.Function:
+    n, count = points.n, points.count
+    before, after = ca.MX.sym("before", n, count), ca.MX.sym("after", n, count)
+    advance, q = ca.MX.sym("advance"), ca.MX.sym("q", n)
+    moved = ca.if_else(advance > 0, after, before)
+    m = moved @ ca.DM(points.mean_weights)
+    off = moved - ca.repmat(m, 1, count)
+    P = _weighted(off, points) @ off.T + diagonal(advance * q)
+    return ca.Function("predict", [before, after, advance, q], [m, P])
+
+
+def _weighted(off: ca.MX, points: SigmaPoints) -> ca.MX:
+    """Deviations times their covariance weights."""
+    return off * ca.repmat(ca.DM(points.covariance_weights).T, off.shape[0], 1)
+
+
+def _measurement_stage(augmented: AugmentedModel) -> ca.Function:
+    z, _, u, p, _ = augmented.symbols()
+    return ca.Function("measure_one", [z, u, p], [ca.densify(augmented.measured(z, u, p))])
+
+
+def _update_stage(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
+    n, count, n_y = points.n, points.count, len(augmented.channels)
+    m, drawn = ca.MX.sym("m", n), ca.MX.sym("drawn", n, count)
+    seen = ca.MX.sym("seen", n_y, count)
+    y, mask, r = ca.MX.sym("y", n_y), ca.MX.sym("mask", n_y), ca.MX.sym("r", n_y)
+    floor, known = ca.MX.sym("floor", n), ca.MX.sym("known", augmented.model.n_w)
+    gate = ca.MX.sym("gate", n_y)
+
+    predicted = seen @ ca.DM(points.mean_weights)
+    off_y = seen - ca.repmat(predicted, 1, count)
+    variance = ca.diag(_weighted(off_y, points) @ off_y.T) + r
+    innovation = mask * (y - predicted)
+    believed = gated(mask, innovation, variance, gate)
+    off_y = off_y * ca.repmat(believed, 1, count)
+    off_x = drawn - ca.repmat(m, 1, count)
+    S = _weighted(off_y, points) @ off_y.T + diagonal(believed * r + (1 - believed))
+    gain = gain_stage(n, n_y)(_weighted(off_x, points) @ off_y.T, S)
+    m_next = m + gain @ innovation
+    left = off_x - gain @ off_y
+    P = (
+        _weighted(left, points) @ left.T
+        + (gain * ca.repmat((believed * r).T, n, 1)) @ gain.T
+        + diagonal(floor)
+    )
+    P = (P + P.T) / 2
+    sd = ca.sqrt(ca.diag(P))
+    return ca.Function(
+        "update",
+        [m, drawn, seen, y, mask, r, floor, known, gate],
+        [
+            m_next,
+            P,
+            ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P)),
+            sd,
+            *disturbances(augmented, m_next, sd, known),
+            predicted,
+            innovation,
+            ca.sqrt(variance),
+            mask - believed,
+        ],
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

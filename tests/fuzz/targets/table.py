@@ -16,7 +16,7 @@ def seeds(folder: Path) -> Iterator[bytes]:
 
 def read(data: bytes, folder: Path) -> None:
     """The table."""
-    from trms_cli.models.measured_table import read_table
+    from trms_cli.models.static_curve import read_table
 
     path = folder / "curve.csv"
     path.write_bytes(data)

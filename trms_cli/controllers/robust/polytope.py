@@ -11,7 +11,7 @@ box, a little widened, is the polytope:
     [A B] ∈ conv{ M₀ + Σ θ_k M_k :  θ_k ∈ {θ_k⁻, θ_k⁺} }        2^K vertices
 
 What the other components do is left out; :meth:`Polytope.remainder` says how much that is, and
-:func:`trms_cli.controllers.robust.certificate.decrease_on` whether a law minds.
+:func:`trms_cli.controllers.robust.lmi.decrease_on` whether a law minds.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.controllers.robust.coordinates import Coordinates
-from trms_cli.controllers.robust.demand import ThrustDemand
+from trms_cli.controllers.robust.coordinates import Coordinates, ThrustDemand
 from trms_cli.core.compilation import BufferedFunction
 
 FloatArray = npt.NDArray[np.float64]

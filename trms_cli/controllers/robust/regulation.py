@@ -12,9 +12,8 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup
-from trms_cli.controllers.named_weights import in_order
-from trms_cli.controllers.robust.coordinates import Coordinates
-from trms_cli.controllers.robust.demand import thrust_demand
+from trms_cli.controllers.lqr import in_order
+from trms_cli.controllers.robust.coordinates import Coordinates, thrust_demand
 from trms_cli.controllers.robust.lmi import Task
 from trms_cli.controllers.robust.polytope import Coefficients, Polytope, Region, Target
 from trms_cli.core.errors import ConfigurationError

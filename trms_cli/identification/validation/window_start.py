@@ -16,7 +16,7 @@ import numpy as np
 from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
 from trms_cli.models.model import Model, index_of
 from trms_cli.models.state_kinds import kinds_of_states
-from trms_cli.observers.noise_tables import InitialSd
+from trms_cli.observers.augmentation import InitialSd
 from trms_cli.simulation.rollout import Rollout
 
 _ITERATIONS = 12
