@@ -32,7 +32,7 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.robust import certificate, lmi, polytope
+from trms_cli.controllers.robust import lmi, polytope
 from trms_cli.controllers.robust import regulation as regulation_
 from trms_cli.controllers.robust.lmi import Certificate, Inequalities, Solution, Task, certify
 from trms_cli.controllers.robust.polytope import box
@@ -134,10 +134,7 @@ def make_family(
         farthest,
         tuple(positions),
         *(np.concatenate([aim.target.z, aim.target.v]) for aim in aims),
-        *(
-            Path(str(module.__file__)).read_bytes()
-            for module in (lmi, certificate, polytope, regulation_)
-        ),
+        *(Path(str(module.__file__)).read_bytes() for module in (lmi, polytope, regulation_)),
     ]
     rings = cached_result(
         __file__, inputs, Rings, lambda: _make(design, regulation, aims, farthest, positions)
