@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.identification.greybox.rigs import QUANTUM, TACHO_NOISE, recording
+from tests.identification.greybox.rigs import recording
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.flexible_mode import FlexibleMode
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.sensor_delay import SensorDelay
-from trms_cli.gap.free_runs import expected_errors, free_run_errors, history, noise_floor
+from trms_cli.gap.free_runs import expected_errors, free_run_errors, history
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -106,9 +106,3 @@ def test_a_model_that_runs_away_counts_as_infinitely_wrong(plain: tuple[Model, D
     model.parameters = model.parameters.replaced({"J_mr": 1e-9})
     found = free_run_errors(model, [dataset], [SPAN])
     assert not np.isfinite(found["omega_v"][2.0].rms)
-
-
-def test_the_floor_of_noise(plain: tuple[Model, Dataset]) -> None:
-    floor = noise_floor([plain[1]])
-    assert floor["alpha_v"] == pytest.approx(QUANTUM / 12**0.5)
-    assert floor["omega_h"] == pytest.approx(TACHO_NOISE)

@@ -45,21 +45,10 @@ def divide(
 ) -> Parts:
     """Seal the end of each recording, or the last recordings where there are several.
 
-    Parameters
-    ----------
-    datasets : sequence of Dataset
-    block : float
-        s; shortened for short recordings.
-    share : float
-        Of the time, to be sealed.
-    stops : dict of str to float
-        Mechanical range of angles, rad: from a contact with a stop to the end of its block nothing
-        is compared, for no model of free motion follows there.
-
-    Raises
-    ------
-    ConfigurationError
-        If hardly anything would be left.
+    ``block``: s; shortened for short recordings. ``share``: of the time, to be sealed. ``stops``:
+    mechanical range of angles, rad: from a contact with a stop to the end of its block nothing is
+    compared, for no model of free motion follows there. Raises ConfigurationError if hardly
+    anything would be left.
     """
     whole = tuple(thinned(with_noise(dataset)) for dataset in datasets)
     total = sum(dataset.duration for dataset in whole)

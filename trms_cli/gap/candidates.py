@@ -49,11 +49,7 @@ def applicable_candidates(
 ) -> tuple[dict[str, CandidateEffect], dict[str, str]]:
     """Those effects that a model can carry and does not have already.
 
-    Returns
-    -------
-    applicable : dict of str to CandidateEffect
-    left_out : dict of str to str
-        Why the others cannot be the cause here.
+    Returns ``left_out``: why the others cannot be the cause here.
     """
     applicable, left_out = {}, {}
     for name, effect in effects.items():

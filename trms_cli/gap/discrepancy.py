@@ -42,10 +42,7 @@ class Trajectory:
 class TrajectoryLinearisation:
     """Simulates and linearises the model of some windows.
 
-    Parameters
-    ----------
-    windows : Windows
-        Of the model and the recordings.
+    ``windows``: of the model and the recordings.
     """
 
     def __init__(self, windows: Windows) -> None:
@@ -69,11 +66,8 @@ class TrajectoryLinearisation:
     def along(self, p: FloatArray, starts: FloatArray) -> Trajectory:
         """Along the model's own simulation from some starts.
 
-        Parameters
-        ----------
-        p : (n_p,) array
-        starts : (m, n_x) array
-            Of the model's states; its memory is that of the commands before.
+        ``p``, (n_p,) array. ``starts``, (m, n_x) array: of the model's states; its memory is that
+        of the commands before.
         """
         full = self.windows.with_memory(p, starts)
         m, c = self.windows.measured.shape[:2]
@@ -269,10 +263,7 @@ class Discrepancy:
     def filter(self, shares: FloatArray, *, covariances: bool = False) -> FilterGains:
         """The filter for forces of some size.
 
-        Parameters
-        ----------
-        shares : (n_d,) array
-            Standard deviation of each force as a share of its scale.
+        ``shares``, (n_d,) array: standard deviation of each force as a share of its scale.
         """
         n = self.trajectory.x.shape[-1]
         variance = np.zeros(n + len(self.channels))
@@ -325,17 +316,9 @@ def likely_shares(
     Each iteration multiplies the variances by the ratio of the two parts of the likelihood's
     slope, which are equal where it is greatest.
 
-    Parameters
-    ----------
-    discrepancy : Discrepancy
-    r : (m, c, n_y) array
-        Shrinkage less predicted.
-    shares : (n_d,) array
-        Where to begin.
-    moving : (n_d,) array of bool or None
-        Those that are to be found; None: all.
-    least : (n_d,) array or float
-        No size is smaller.
+    ``r``, (m, c, n_y) array: measured less predicted. ``shares``, (n_d,) array: where to begin.
+    ``moving``, (n_d,) array of bool: those that are to be found; None: all. ``least``, (n_d,)
+    array: no size is smaller.
     """
     shares = np.maximum(np.asarray(shares, dtype=float), least)
     n = discrepancy.trajectory.x.shape[-1]

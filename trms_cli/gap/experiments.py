@@ -116,18 +116,9 @@ def experiments(
 ) -> Iterator[OpenLoopExperiment]:
     """Those of the experiments that the simulated rig survives.
 
-    Parameters
-    ----------
-    rollout : Rollout
-        Of the nominal model.
-    parameters : sequence of (n_p,) arrays
-        With each of which the angles have to stay within their bounds.
-    sample_time : float
-        s.
-    model_name : str
-        As a command takes it.
-    load : bool
-        Whether a long load is among them.
+    ``rollout``: of the nominal model. ``parameters``, (n_p,) arrays: with each of which the angles
+    have to stay within their bounds. ``sample_time``: s. ``model_name``: as a command takes it.
+    ``load``: whether a long load is among them.
     """
     trial = _Trial(rollout, parameters)
     yield from _designed(trial, sample_time, model_name)

@@ -79,7 +79,6 @@ class InnovationObjective:
     windows: Windows
     metric: Metric
     centres: FloatArray  #: (m, n_x) array; of the starts' priors
-    evaluations: int = field(default=0)  #: Simulations of all windows so far
 
     def __post_init__(self) -> None:
         problem = self.windows.problem
@@ -169,7 +168,6 @@ class InnovationObjective:
         return parts
 
     def _simulated(self, theta: FloatArray, starts: FloatArray, slopes: bool) -> Residuals:
-        self.evaluations += 1
         p = self.windows.problem.all_values(theta)
         return self.windows.residuals(p, starts, slopes=slopes)
 
@@ -183,7 +181,6 @@ class Evidence:
     """A fit's predictive densities and its parameters' spread."""
 
     predictive: FloatArray  #: (m,) array; log density of each block given the others, nats
-    likelihood: FloatArray  #: (m,) array; the same at the optimum itself
     covariance: FloatArray  #: (n_f, n_f) array; of the free parameters, in their units
 
 
@@ -195,19 +192,14 @@ def evidence(
 ) -> Evidence:
     """Evidence at a fit's optimum.
 
-    Parameters
-    ----------
-    objective : InnovationObjective
-    theta : (n_f,) array
-    starts : (m, n_x) array
-    bounds : (lower, upper)
-        A parameter that lies on one is taken as known.
+    ``theta``, (n_f,) array. ``starts``, (m, n_x) array. ``bounds``: A parameter that lies on one is
+    taken as known.
     """
     _, quadratic, residuals = objective.parabola(theta, starts)
     n, m = quadratic.n, len(starts)
+    nothing = Evidence(np.full(m, -np.inf), np.full((len(theta), len(theta)), np.nan))
     if not residuals.finite:
-        nothing = np.full(m, -np.inf)
-        return Evidence(nothing, nothing, np.full((len(theta), len(theta)), np.nan))
+        return nothing
     own = np.zeros((m, n, quadratic.triangles.shape[-1]))
     own[:, :, :n] = np.eye(n)
     own[:, :, -1] = quadratic.start_gap
@@ -216,8 +208,7 @@ def evidence(
     of_starts = np.log(np.abs(np.einsum("mii->mi", whole[:, :n, :n]))).sum(axis=1)
     r, c = whole[:, n:, n:-1], whole[:, n:, -1]
     if not (np.isfinite(r).all() and np.abs(r).max() < _STEEP):
-        nothing = np.full(m, -np.inf)
-        return Evidence(nothing, nothing, np.full((len(theta), len(theta)), np.nan))
+        return nothing
     near = 1e-6 * objective.scales
     free = (theta > bounds[0] + near) & (theta < bounds[1] - near)
     r = r[..., free]
@@ -239,7 +230,7 @@ def evidence(
     inverse = np.linalg.pinv(total, rcond=1e-13, hermitian=True)
     covariance[np.ix_(free, free)] = inverse
     covariance *= np.outer(objective.scales, objective.scales)
-    return Evidence(predictive, likelihood, covariance)
+    return Evidence(predictive, covariance)
 
 
 #: Compiled models by nominal model: many recordings of one model are diagnosed in one process.
@@ -254,7 +245,6 @@ class Fit:
     starts: FloatArray  #: (m, n_x) array
     cost: float  #: Nats
     outcome: Outcome
-    agreed: bool = True  #: Whether searches from several starts ended at one cost
     evidence: Evidence | None = None  #: Where it was asked for
 
     @property
@@ -262,24 +252,23 @@ class Fit:
         """Summed log predictive density of the blocks, nats; −∞ without evidence."""
         return -np.inf if self.evidence is None else float(self.evidence.predictive.sum())
 
+    @property
+    def predictive(self) -> FloatArray:
+        """Log predictive density of each block given the others, nats, (m,)."""
+        assert self.evidence is not None
+        return self.evidence.predictive
+
+    @property
+    def sd(self) -> FloatArray:
+        """Standard deviation of each free parameter, in its unit, (n_f,)."""
+        assert self.evidence is not None
+        return np.sqrt(np.maximum(np.diag(self.evidence.covariance), 0.0))
+
 
 class ModelStructure:
     """The nominal model with effects, ready to be fitted.
 
-    Parameters
-    ----------
-    nominal : Model
-    free : sequence of FreeParameter
-        Of the nominal model.
-    effects : sequence of CandidateEffect
-    datasets : sequence of Dataset
-    block : float
-        s.
-
-    Attributes
-    ----------
-    windows : Windows
-    problem : FitProblem
+    ``free``: of the nominal model. ``block``: s.
     """
 
     def __init__(
@@ -339,11 +328,8 @@ class ModelStructure:
     ) -> Fit:
         """Search from some points and keep the best.
 
-        Parameters
-        ----------
-        points : sequence of (theta, starts)
-        centres : (m, n_nominal states) array
-            Of the starts' priors, the same for all who compete.
+        ``points``, sequence of (theta, starts). ``centres``, (m, n_nominal states) array: of the
+        starts' priors, the same for all who compete.
         """
         bounds = self.problem.bounds
         searches = []
@@ -365,8 +351,6 @@ class ModelStructure:
             found.starts,
             found.cost,
             best.outcome,
-            sum(search.point.cost < found.cost + 3.0 for search in searches) > 1
-            or len(searches) == 1,
         )
         if with_evidence and np.isfinite(found.cost):
             objective = InnovationObjective(self.windows, metric, self.starts(found.theta, centres))
@@ -375,6 +359,6 @@ class ModelStructure:
         return fit
 
     def residuals(self, fit: Fit) -> FloatArray:
-        """Shrinkage less predicted at a fit, (m, c, n_y)."""
+        """Measured less predicted at a fit, (m, c, n_y)."""
         p = self.problem.all_values(fit.theta)
         return -self.windows.residuals(p, fit.starts).r

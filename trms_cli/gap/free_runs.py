@@ -127,14 +127,8 @@ def free_run_errors(
 def start_states(model: Model, rollout: Rollout, dataset: Dataset, first: IntArray) -> FloatArray:
     """States, memory included, at samples of a recording, from what was measured before them.
 
-    Parameters
-    ----------
-    first : (m,) array of int
-        Ascending, each at least :func:`history` samples into the recording.
-
-    Returns
-    -------
-    (m, rollout.n_x) array
+    ``first``, (m,) array of int: ascending, each at least :func:`history` samples into the
+    recording. Returns (m, rollout.n_x) array.
     """
     samples = history(dataset.sample_time)
     begin, n = first - samples, model.n_x
@@ -193,21 +187,6 @@ def history(sample_time: float) -> int:
     return max(_FEWEST, round(HISTORY / sample_time))
 
 
-def noise_floor(datasets: Sequence[Dataset]) -> dict[str, float]:
-    """What no model can follow: the declared noise of each channel, quanta included.
-
-    Returns
-    -------
-    dict of str to float
-        Root mean square over the recordings, in the channel's unit.
-    """
-    found: dict[str, list[float]] = {}
-    for dataset in datasets:
-        for signal, sd in zip(dataset.outputs, dataset.noise_sd, strict=True):
-            found.setdefault(signal.name, []).append(float(sd))
-    return {name: float(np.sqrt(np.mean(np.square(sds)))) for name, sds in found.items()}
-
-
 def expected_errors(
     model: Model,
     datasets: Sequence[Dataset],
@@ -226,10 +205,7 @@ def expected_errors(
     grown through the model: the recordings' measurements are replaced by a simulation of the
     model on their commands with the declared white noise. Arguments as there.
 
-    Parameters
-    ----------
-    seed : int
-        Of the noise.
+    ``seed``: of the noise.
     """
     rollout = rollout or Rollout(model, datasets[0].sample_time, jobs=jobs)
     random = np.random.default_rng(np.random.SeedSequence([seed, 0xF100]))

@@ -41,18 +41,8 @@ def innovation_tests(
 ) -> tuple[GapTest, ...]:
     """Test every measured channel.
 
-    Parameters
-    ----------
-    structure : ModelStructure
-    fit : Fit
-        Of it.
-    metric : Metric
-        With the discrepancies that rigs without a gap have.
-    centres : (m, n_x) array
-        Of the windows' starts.
-    draws : int
-        Of the bootstrap.
-    seed : int
+    ``metric``: with the discrepancies that rigs without a gap have. ``centres``,
+    (m, n_x) array: of the windows' starts. ``draws``: of the bootstrap.
     """
     objective = InnovationObjective(structure.windows, metric, structure.starts(fit.theta, centres))
     _, _, residuals = objective.parabola(fit.theta, fit.starts)

@@ -53,17 +53,8 @@ class FilterGains(NamedTuple):
 def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> FilterGains:
     """Riccati's recursion.
 
-    Parameters
-    ----------
-    system : LinearSystem
-    q : (n, n) array
-    covariances : bool
-        Whether those of the predictions are wanted.
-
-    Raises
-    ------
-    FloatingPointError
-        If a covariance is no longer positive.
+    ``q``, (n, n) array. ``covariances``: whether those of the predictions are wanted. Raises
+    FloatingPointError if a covariance is no longer positive.
     """
     m, c, n_y, n = system.h.shape
     k, root, logdet = np.empty((m, c, n, n_y)), np.empty((m, c, n_y, n_y)), np.empty(m)
@@ -87,14 +78,8 @@ def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> 
 def whiten(system: LinearSystem, filter_: FilterGains, columns: FloatArray) -> FloatArray:
     """Innovations of columns, over their standard deviation.
 
-    Parameters
-    ----------
-    columns : (m, c, n_y, k) array
-
-    Returns
-    -------
-    (m, c, n_y, k) array
-        Zero where nothing was measured.
+    ``columns``, (m, c, n_y, k) array. Returns (m, c, n_y, k) array: zero where nothing was
+    measured.
     """
     m, c, n_y, count = columns.shape
     n = system.f.shape[-1]
@@ -122,14 +107,7 @@ def scores(
     ``∂ log p/∂ log q_i = ½ q_i (squares_i − variances_i)`` (Koopman & Shephard 1992): at the most
     likely sizes the two are equal.
 
-    Parameters
-    ----------
-    z : (m, c, n_y) array
-        Whitened innovations.
-
-    Returns
-    -------
-    squares, variances : (n,) arrays
+    ``z``, (m, c, n_y) array: whitened innovations. Returns ``squares, variances``, (n,) arrays.
     """
     m, c, n_y, n = system.h.shape
     e = np.asarray(np.linalg.solve(filter_.root, z[..., None])[..., 0], dtype=np.float64)
@@ -169,18 +147,9 @@ def smooth(
 
     (Time Series Analysis by State Space Methods, 2nd ed., section 4.4.)
 
-    Parameters
-    ----------
-    filter_ : FilterGains
-        With covariances.
-    r : (m, c, n_y) array
-        What is observed of the linear system.
-
-    Returns
-    -------
-    x : (m, c, n) array
-    variance : (m, c, n) array
-        Diagonal of the smoothed covariance.
+    ``filter_``: with covariances. ``r``, (m, c, n_y) array: what is observed of the linear system.
+    Returns ``x``, (m, c, n) array; ``variance``, (m, c, n) array: diagonal of the smoothed
+    covariance.
     """
     assert filter_.p is not None
     m, c, _, n = system.h.shape

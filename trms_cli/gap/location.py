@@ -57,16 +57,8 @@ def locate(
 ) -> Location:
     """Try every equation and every measured sensor.
 
-    Parameters
-    ----------
-    structure : ModelStructure
-        The nominal model.
-    fit : Fit
-        Its refit.
-    discrepancy : Discrepancy
-        Along the recording.
-    usual : dict of str to float
-        Share by which each equation errs on rigs without a gap.
+    ``structure``: the nominal model. ``discrepancy``: along the recording.
+    ``usual``: share by which each equation errs on rigs without a gap.
     """
     model = structure.problem.model
     channels: tuple[DiscrepancyChannel, ...] = (
@@ -103,10 +95,7 @@ def smoothed_forces(
 ) -> dict[str, ForceRecord]:
     """The force that each equation lacks, read by a smoother from what a fit left over.
 
-    Parameters
-    ----------
-    shares : (n_d,) array
-        Sizes of the forces of ``discrepancy``.
+    ``shares``, (n_d,) array: sizes of the forces of ``discrepancy``.
     """
     model, windows = structure.problem.model, structure.windows
     r = structure.residuals(fit)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.wording import listing
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
@@ -180,10 +181,10 @@ def _repeated(
 ) -> NextExperiment:
     noise = [name for name in apart if candidates[name].stochastic]
     rest = [name for name in apart if name not in noise]
-    against = f" from {_and(rest)}" if rest else ""
+    against = f" from {listing(rest)}" if rest else ""
     return NextExperiment(
-        why=f"a signal that repeats itself four times tells {_and(noise)}{against}: what returns "
-        "with every period belongs to the rig, what does not comes from outside; how clearly was "
+        why=f"a signal that repeats itself four times tells {listing(noise)}{against}: what "
+        "returns with every period belongs to the rig, what does not comes from outside; how clearly was "
         "not predicted",
         command=periodic(model_name, step),
     )
@@ -201,7 +202,7 @@ def _why(
     names = [candidate.name for candidate in question.candidates]
     seconds = len(experiment.commands) * step
     if question.apart:
-        pair = _and(names) if len(names) > 2 else " from ".join(names)
+        pair = listing(names) if len(names) > 2 else " from ".join(names)
         told = f"{_nats(best.nats[0])} in {seconds:.0f} s, against {_nats(now.nats[0])} in the "
         told += f"{lasted:.0f} s recorded"
         if best.nats[0] < DECIDES:
@@ -224,11 +225,11 @@ def _why(
     )
     if not shown:
         return (
-            f"none of {tried} open-loop experiments makes {_and(names)} visible at typical sizes "
-            f"({VISIBLE:g} nats): the best, {experiment.words}, promises {by} in what is recorded"
+            f"none of {tried} open-loop experiments makes {listing(names)} visible at typical "
+            f"sizes ({VISIBLE:g} nats): the best, {experiment.words}, promises {by} in what is recorded"
         )
     left = [name for name in names if name not in shown]
-    rest = f"; {_and(left)} would still not show" if left else ""
+    rest = f"; {listing(left)} would still not show" if left else ""
     return (
         f"{experiment.words}: makes visible at typical sizes, in {seconds:.0f} s: {by} in what is "
         f"recorded{rest}"
@@ -241,24 +242,13 @@ def _nats(value: float) -> str:
     return f"{value:.2g} nats" if value < 10 else f"{value:.0f} nats"
 
 
-def _and(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
-
-
 def predicted_recordings(
     refit: Refit, shares: FloatArray, model_name: str, *, load: bool = False
 ) -> Iterator[tuple[OpenLoopExperiment, ProjectedRecording]]:
     """Experiments, and what each records; angles stay in bounds before and after the refit.
 
-    Parameters
-    ----------
-    refit : Refit
-    shares : (n_d,) array
-        Discrepancy to be reckoned with.
-    model_name : str
-        As a command takes it.
-    load : bool
-        Whether a long load is among them, for effects that need one.
+    ``shares``, (n_d,) array: discrepancy to be reckoned with. ``model_name``: as a command takes
+    it. ``load``: whether a long load is among them, for effects that need one.
     """
     structure = refit.structure
     problem, rollout = structure.problem, structure.windows.rollout
@@ -362,11 +352,7 @@ class ProjectedRecording:
 def with_rows(candidate: CandidateEffect, values: Mapping[str, float]) -> CandidateEffect:
     """The candidate at its fitted sizes first, then about them; or at typical ones where unknown.
 
-    Parameters
-    ----------
-    candidate : CandidateEffect
-    values : dict of str to float
-        Fitted values by name, ``<effect>.<size>``.
+    ``values``: fitted values by name, ``<effect>.<size>``.
     """
     if not is_fitted(candidate, values):
         rows = candidate.variants

@@ -161,9 +161,9 @@ def features_of(
     """Scores of all, from some blocks; None: from all. ``behinds`` as of :func:`excesses`."""
     refit = race.refit
     chosen: slice | IntArray = slice(None) if blocks is None else blocks
-    own = _scores(refit.fit)[chosen].sum()
-    raw = _scores(refit.raw)[chosen].sum()
-    scores = np.array([_scores(e.fit)[chosen].sum() for e in race.entries])
+    own = refit.fit.predictive[chosen].sum()
+    raw = refit.raw.predictive[chosen].sum()
+    scores = np.array([e.fit.predictive[chosen].sum() for e in race.entries])
     return Features(
         gained=float(own - raw),
         behind=float(behinds[0][chosen].sum()),
@@ -203,27 +203,21 @@ def excesses(race: Race, constants: Calibration) -> list[FloatArray]:
 def posterior_of(
     problem: GapProblem,
     race: Race,
-    found: Mapping[str, CandidateEffect],
+    candidates: Mapping[str, CandidateEffect],
     forces: Mapping[str, ForceRecord],
     place: Location,
     constants: Calibration,
 ) -> Posterior:
     """Weigh all that race.
 
-    Parameters
-    ----------
-    race : Race
-    found : dict of str to CandidateEffect
-        All candidates, those that noise drives among them.
-    forces : dict of str to ForceRecord
-        Smoothed missing force of each equation.
-    place : Location
+    ``candidates``: all of them, those that noise drives among them. ``forces``: smoothed missing
+    force of each equation.
     """
     behinds = excesses(race, constants)
     features = features_of(race, behinds)
     probabilities = probabilities_of(features, constants)
-    probabilities, outside = _from_outside(probabilities, found, forces, place, problem.seed)
-    probabilities = _with_coarse_sensor(probabilities, problem, found)
+    probabilities, outside = _from_outside(probabilities, candidates, forces, place, problem.seed)
+    probabilities = _with_coarse_sensor(probabilities, problem, candidates)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
     m = len(race.refit.structure.windows)
     resampled = tuple(
@@ -257,21 +251,14 @@ def _verdict(
     return "effect" if max(together, wider) >= _DECIDED else "undecided"
 
 
-def _scores(fit: object) -> FloatArray:
-    worth = fit.evidence  # type: ignore[attr-defined]
-    assert worth is not None
-    predictive: FloatArray = worth.predictive
-    return predictive
-
-
 def _confusable(race: Race, best: RacedCandidate) -> tuple[tuple[str, ...], ...]:
     """Groups with the best that the scores, or the traces themselves, do not part."""
-    own = _scores(best.fit)
+    own = best.fit.predictive
     group: list[str] = []
     for entry in race.entries:
         if entry.names == best.names or len(entry.names) != len(best.names):
             continue
-        apart = own - _scores(entry.fit)
+        apart = own - entry.fit.predictive
         error = float(np.std(apart, ddof=1) * np.sqrt(len(apart))) if len(apart) > 1 else 0.0
         if apart.sum() < max(_NATS, _ERRORS * error) and np.isfinite(apart).all():
             group += [n for n in entry.names if n not in best.names]
@@ -292,7 +279,7 @@ def _confusable(race: Race, best: RacedCandidate) -> tuple[tuple[str, ...], ...]
 
 def _from_outside(
     probabilities: Mapping[tuple[str, ...], float],
-    found: Mapping[str, CandidateEffect],
+    candidates: Mapping[str, CandidateEffect],
     forces: Mapping[str, ForceRecord],
     place: Location,
     seed: int,
@@ -307,7 +294,7 @@ def _from_outside(
         return divided, ""
     location = max(known, key=lambda m: known[m])
     axis = moments[location]
-    candidate = found.get(f"{axis}_disturbance")
+    candidate = candidates.get(f"{axis}_disturbance")
     if candidate is None or known[location] < 0.5:
         return divided, ""
     judged = exogenous(forces[location], seed)
@@ -322,7 +309,7 @@ def _from_outside(
 def _with_coarse_sensor(
     probabilities: Mapping[tuple[str, ...], float],
     problem: GapProblem,
-    found: Mapping[str, CandidateEffect],
+    candidates: Mapping[str, CandidateEffect],
 ) -> dict[tuple[str, ...], float]:
     """A sensor that rounds coarser than the other shows in its steps, and in nothing else."""
     quanta = {}
@@ -334,7 +321,7 @@ def _with_coarse_sensor(
     coarse = [
         axis
         for axis, quantum in quanta.items()
-        if f"{axis}_quantisation" in found
+        if f"{axis}_quantisation" in candidates
         and quantum > 1.5 * max(_USUAL_QUANTUM, min(quanta.values()))
     ]
     divided = dict(probabilities)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -68,19 +68,13 @@ class Race:
     entries: tuple[RacedCandidate, ...]  #: With one effect or several
     signatures: Signatures  #: In the refit's metric
     tight: Signatures  #: In the tighter one
-    #: Those with several effects, as they were tried.
-    joint: tuple[RacedCandidate, ...] = field(default=())
 
 
 class Checkpoint:
     """Where searches ended, so that an interrupted diagnosis goes on instead of beginning again.
 
-    Parameters
-    ----------
-    kept : mapping or None
-        What an interrupted diagnosis had kept.
-    keep : callable
-        Told everything whenever something is added, as JSON has it.
+    ``kept``: what an interrupted diagnosis had kept. ``keep``: told everything whenever something
+    is added, as JSON has it.
     """
 
     def __init__(
@@ -113,11 +107,7 @@ class Checkpoint:
 class StructureCache:
     """Makes each structure once.
 
-    Parameters
-    ----------
-    refit : Refit
-    block : float
-        s.
+    ``block``: s.
     """
 
     def __init__(self, refit: Refit, block: float) -> None:
@@ -152,34 +142,20 @@ def run_race(
 ) -> Race:
     """Run the race.
 
-    Parameters
-    ----------
-    refit : Refit
-    candidates : dict of str to CandidateEffect
-        None that noise drives.
-    traces : EffectTraces
-        Of all candidates about the refit.
-    structures : StructureCache
-    effort : Effort
-    checkpoint : Checkpoint or None
-        Of fits that an interrupted race had finished.
-    jobs : int
-        Threads.
-    watch : callable
-        Told the share that is done and what is being done; False stops with what there is.
+    ``candidates``: none that noise drives. ``traces``: of all candidates about the refit.
+    ``checkpoint``: of fits that an interrupted race had finished. ``jobs``: threads. ``watch``:
+    told the share that is done and what is being done; False stops with what there is.
     """
-    nominal = refit.structure
     checkpoint = checkpoint or Checkpoint()
+    nominal, discrepancy, robust = refit.structure, refit.metric.discrepancy, refit.metric.robust
     shares = np.maximum(FLOOR, refit.metric.shares / _TIGHTER)
-    tight = Metric(refit.metric.discrepancy, shares, refit.metric.robust)
+    tight = Metric(discrepancy, shares, robust)
     wide_signs = projected(nominal, refit.fit, refit.metric, refit.centres, traces)
     tight_signs = projected(nominal, refit.fit, tight, refit.centres, traces)
     listed = short_list((tight_signs, wide_signs), candidates, effort.listed)
     worth = [n for n in listed if max(s.best(n)[0] for s in (tight_signs, wide_signs)) > _HOPELESS]
     listed = worth or listed[:1]
-    middle = Metric(
-        refit.metric.discrepancy, np.sqrt(shares * refit.metric.shares), refit.metric.robust
-    )
+    middle = Metric(discrepancy, np.sqrt(shares * refit.metric.shares), robust)
 
     def once(
         key: str, structure: ModelStructure, search: Callable[[], RacedCandidate]
@@ -191,7 +167,7 @@ def run_race(
             checkpoint.add(key, made.fit, made.metric)
             return made
         theta, starts, shares = known
-        metric = Metric(refit.metric.discrepancy, shares, refit.metric.robust)
+        metric = Metric(discrepancy, shares, robust)
         fit = structure.fit(metric, [(theta, starts)], centres=refit.centres, iterations=0)
         return RacedCandidate(structure, fit, metric)
 
@@ -255,7 +231,7 @@ def run_race(
         best = made[0]
     everyone = finals + joint
     everyone.sort(key=lambda e: -e.fit.score)
-    return Race(refit, tuple(everyone), wide_signs, tight_signs, tuple(joint))
+    return Race(refit, tuple(everyone), wide_signs, tight_signs)
 
 
 def short_list(

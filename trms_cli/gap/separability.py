@@ -106,18 +106,9 @@ def effect_traces(
 ) -> EffectTraces:
     """Simulate every effect at a few sizes, all else as fitted without it.
 
-    Parameters
-    ----------
-    nominal : ModelStructure
-        Without any of the candidates.
-    fit : Fit
-        Of it.
-    candidates : sequence of CandidateEffect
-        None that noise drives.
-    structure_of : callable
-        Makes the structure of one candidate.
-    watch : callable
-        Told how many candidates are done; False stops.
+    ``nominal``: without any of the candidates. ``candidates``: none that noise
+    drives. ``structure_of``: makes the structure of one candidate. ``watch``: told how many
+    candidates are done; False stops.
     """
     base = nominal.windows.residuals(nominal.problem.all_values(fit.theta), fit.starts).r
     theta = nominal.values(fit.theta)
@@ -146,16 +137,9 @@ def projected(
 ) -> Signatures:
     """Traces, freed of what the starts and parameters of a fitted model could do as well.
 
-    Parameters
-    ----------
-    structure : ModelStructure
-        The nominal model, or one with an effect: then its sizes are among the parameters.
-    fit : Fit
-        Of it.
-    metric : Metric
-    centres : (m, n_x) array
-        Centres of the priors of the windows' starts.
-    traces : EffectTraces
+    ``structure``: the nominal model, or one with an effect: then its sizes are among the
+    parameters. ``centres``, (m, n_x) array: centres of the priors of the windows'
+    starts.
     """
     windows, problem = structure.windows, structure.problem
     residuals = windows.residuals(problem.all_values(fit.theta), fit.starts, slopes=True)

@@ -49,10 +49,7 @@ def measure_shrinkage(
     The floor is what the corrected model would leave of its own simulation, seen through the
     declared noise.
 
-    Parameters
-    ----------
-    rollouts : (Rollout, Rollout)
-        Of the refitted and of the corrected model's structure, where they are at hand.
+    ``rollouts``: of the refitted and of the corrected model's structure, where they are at hand.
     """
     options = {"block": parts.block, "jobs": problem.jobs}
     plain, richer = rollouts

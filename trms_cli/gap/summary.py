@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.wording import listing, readable
 from trms_cli.gap.blocks import Parts
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import (
@@ -35,6 +36,7 @@ from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race import Race, RacedCandidate
+from trms_cli.gap.refit import Refit
 from trms_cli.gap.shrinkage import SealedComparison, Shrinkage
 from trms_cli.models.model import Model, names
 
@@ -54,12 +56,12 @@ def summary_fields(
     sealed: SealedComparison,
     place: Location,
     forces: Mapping[str, ForceRecord],
-    found: Mapping[str, CandidateEffect],
+    candidates: Mapping[str, CandidateEffect],
     left_out: Mapping[str, str],
 ) -> dict[str, Any]:
     """Fields by name."""
     nothing = posterior.verdict in ("no_gap", "parameters_only")
-    where = () if nothing else _where(posterior, place, found, race)
+    where = () if nothing else _where(posterior, place, candidates, race)
     main = [w.location for w in where[:2] if w.location in forces] or _strongest(place, forces)
     region: list[RegionShare] = []
     words: list[str] = []
@@ -67,11 +69,11 @@ def summary_fields(
         for location in main:
             region += regions(forces[location])
         words = [w for location in main[:1] for w in description(forces[location])]
-    unseen = _not_testable(race, found, left_out)
+    unseen = _not_testable(race, candidates, left_out)
     refit = race.refit
     parameters = _parameters(problem, race, posterior)
     causes = _causes(posterior, race)
-    experiment = _advice(problem, race, posterior, found, unseen)
+    experiment = _advice(problem, race, posterior, candidates, unseen)
     return {
         "recordings": tuple(
             Recorded(
@@ -92,7 +94,7 @@ def summary_fields(
         "causes": causes,
         "confusable": posterior.confusable,
         "not_testable": unseen,
-        "detectable": _detectable(race, found),
+        "detectable": _detectable(race, candidates),
         "parameters": parameters,
         "gap": sealed.measured.gap,
         "shrink": sealed.measured.shrink,
@@ -121,14 +123,15 @@ def summary_fields(
 
 
 def _where(
-    posterior: Posterior, place: Location, found: Mapping[str, CandidateEffect], race: Race
+    posterior: Posterior, place: Location, candidates: Mapping[str, CandidateEffect], race: Race
 ) -> tuple[LocationShare, ...]:
     """Each place's share of the gap: by the causes where they are named, else by disturbances."""
     random = np.random.default_rng(np.random.SeedSequence([race.refit.structure.problem.seed, 1]))
     m = place.together.size
-    whole = _shares(posterior.probabilities, place.share(), found)
+    whole = _shares(posterior.probabilities, place.share(), candidates)
     drawn = [
-        _shares(p, place.share(random.integers(0, m, m)), found) for p in posterior.resampled[:100]
+        _shares(p, place.share(random.integers(0, m, m)), candidates)
+        for p in posterior.resampled[:100]
     ]
     listed = []
     for location, share in sorted(whole.items(), key=lambda item: -item[1]):
@@ -149,7 +152,7 @@ def _where(
 def _shares(
     probabilities: Mapping[tuple[str, ...], float],
     by_disturbance: Mapping[str, float],
-    found: Mapping[str, CandidateEffect],
+    candidates: Mapping[str, CandidateEffect],
 ) -> dict[str, float]:
     total = sum(by_disturbance.values())
     shares: dict[str, float] = {}
@@ -160,7 +163,7 @@ def _shares(
                     shares[location] = shares.get(location, 0.0) + probability * share / total
             continue
         for name in effects:
-            places = found[name].locations
+            places = candidates[name].locations
             weights = np.array([by_disturbance.get(p, 0.0) + 1e-3 for p in places])
             for location, weight in zip(places, weights / weights.sum(), strict=True):
                 part = probability * weight / len(effects)
@@ -192,11 +195,9 @@ def _causes(posterior: Posterior, race: Race) -> tuple[Cause, ...]:
 
 
 def _sizes(entry: RacedCandidate) -> dict[str, SizeEstimate]:
-    worth = entry.fit.evidence
-    assert worth is not None
-    sd = np.sqrt(np.maximum(np.diag(worth.covariance), 0.0))
+    fit, sd = entry.fit, entry.fit.sd
     return {
-        free.name: SizeEstimate(value=float(entry.fit.theta[i]), sd=float(sd[i]), unit=free.unit)
+        free.name: SizeEstimate(value=float(fit.theta[i]), sd=float(sd[i]), unit=free.unit)
         for i, free in enumerate(entry.structure.problem.free)
         if "." in free.name and any(free.name.startswith(f"{n}.") for n in entry.names)
     }
@@ -205,12 +206,8 @@ def _sizes(entry: RacedCandidate) -> dict[str, SizeEstimate]:
 def _parameters(
     problem: GapProblem, race: Race, posterior: Posterior
 ) -> dict[str, FittedParameter]:
-    entry = posterior.corrected
-    structure = race.refit.structure if entry is None else entry.structure
-    fit = race.refit.fit if entry is None else entry.fit
-    worth = fit.evidence
-    assert worth is not None
-    sd = np.sqrt(np.maximum(np.diag(worth.covariance), 0.0))
+    entry = posterior.corrected or race.refit
+    structure, fit, sd = entry.structure, entry.fit, entry.fit.sd
     own = set(race.refit.structure.problem.names)
     return {
         free.name: FittedParameter(
@@ -230,71 +227,69 @@ def _parameters(
 def _race(posterior: Posterior, race: Race) -> tuple[RaceEntry, ...]:
     """Everyone, and those without an effect to compare with."""
     refit = race.refit
-    own = refit.fit.evidence
-    raw = refit.raw.evidence
-    assert own is not None
+    own = refit.fit.predictive
     finite = posterior.features.scores[np.isfinite(posterior.features.scores)]
     most = max(posterior.features.behind, float(np.max(finite, initial=0.0)), 1e-9)
-    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=_moved(refit, refit.fit))]
-    if raw is not None:
-        apart = raw.predictive - own.predictive
-        rows.append(
-            RaceEntry(
-                effects=("no_gap",),
-                score=float(apart.sum()),
-                se=_se(apart),
-                explained=0.0,
-                moved=0.0,
-            )
+
+    def row(
+        effects: tuple[str, ...], predictive: FloatArray, moved: float, **more: Any
+    ) -> RaceEntry:
+        apart = predictive - own
+        error = np.std(apart, ddof=1) * np.sqrt(len(apart)) if len(apart) > 1 else 0.0
+        given = {"explained": 0.0, **more}
+        return RaceEntry(
+            effects=effects, score=float(apart.sum()), se=float(error), moved=moved, **given
         )
+
+    moved = _moved(race, refit)
+    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=moved)]
+    if refit.raw.evidence is not None:
+        rows.append(row(("no_gap",), refit.raw.predictive, 0.0))
     for entry in race.entries:
-        worth = entry.fit.evidence
-        if worth is None or not np.isfinite(worth.predictive).all():
+        if entry.fit.evidence is None or not np.isfinite(entry.fit.predictive).all():
             continue
-        apart = worth.predictive - own.predictive
+        gained = float(np.clip((entry.fit.predictive - own).sum() / most, 0.0, 1.0))
         rows.append(
-            RaceEntry(
-                effects=entry.names,
-                score=float(apart.sum()),
-                se=_se(apart),
-                explained=float(np.clip(apart.sum() / most, 0.0, 1.0)),
-                moved=_moved(refit, entry.fit, entry),
+            row(
+                entry.names,
+                entry.fit.predictive,
+                _moved(race, entry),
+                explained=gained,
                 parameters=_sizes(entry),
             )
         )
     return tuple(sorted(rows, key=lambda row: -row.score))
 
 
-def _se(apart: FloatArray) -> float:
-    return float(np.std(apart, ddof=1) * np.sqrt(len(apart))) if len(apart) > 1 else 0.0
-
-
-def _moved(refit: Any, fit: Any, entry: RacedCandidate | None = None) -> float:
-    structure = refit.structure if entry is None else entry.structure
-    own = set(refit.structure.problem.names)
-    moves = [
-        abs(fit.theta[i] - free.prior_mean) / free.prior_sd
-        for i, free in enumerate(structure.problem.free)
+def _moves(race: Race, entry: RacedCandidate | Refit) -> dict[str, float]:
+    """Size of the move of each nominal parameter that has a prior, in its standard deviations."""
+    own = set(race.refit.structure.problem.names)
+    return {
+        free.name: float(abs(entry.fit.theta[i] - free.prior_mean) / free.prior_sd)
+        for i, free in enumerate(entry.structure.problem.free)
         if free.name in own and free.prior_sd
-    ]
-    return float(max(moves, default=0.0))
+    }
 
 
-def _detectable(race: Race, found: Mapping[str, CandidateEffect]) -> dict[str, Detectable]:
+def _moved(race: Race, entry: RacedCandidate | Refit) -> float:
+    return max(_moves(race, entry).values(), default=0.0)
+
+
+def _detectable(race: Race, candidates: Mapping[str, CandidateEffect]) -> dict[str, Detectable]:
     sizes = {}
     for name in dict.fromkeys(race.signatures.names):
         least = race.signatures.least_size(name)
         if least is not None:
-            sizes[name] = Detectable(minimum_size=least, unit=found[name].free[0].unit)
+            sizes[name] = Detectable(minimum_size=least, unit=candidates[name].free[0].unit)
     return sizes
 
 
 def _not_testable(
-    race: Race, found: Mapping[str, CandidateEffect], left_out: Mapping[str, str]
+    race: Race, candidates: Mapping[str, CandidateEffect], left_out: Mapping[str, str]
 ) -> tuple[NotTestable, ...]:
     rows = [NotTestable(effect=name, reason=reason) for name, reason in left_out.items()]
     known = set(race.signatures.names)
-    for name, candidate in found.items():
+    for name, candidate in candidates.items():
         if not candidate.simulated:
             continue
         if name not in known:
@@ -306,15 +301,10 @@ def _not_testable(
 
 def _remarks(parts: Parts, race: Race) -> tuple[str, ...]:
     remarks = list(dict.fromkeys(r for d in (*parts.whole, *parts.fitted) for r in d.remarks))
-    refit = race.refit
     proxies = [
-        f"{free.name} had to move {move:.1f} standard deviations of its prior in the refit: "
+        f"{name} had to move {move:.1f} standard deviations of its prior in the refit: "
         "rather a proxy of what is missing than an explanation"
-        for free, move in (
-            (f, abs(refit.fit.theta[i] - f.prior_mean) / f.prior_sd)
-            for i, f in enumerate(refit.structure.problem.free)
-            if f.prior_sd
-        )
+        for name, move in _moves(race, race.refit).items()
         if move > 3.0
     ]
     return (*remarks, *proxies)
@@ -324,7 +314,7 @@ def _advice(
     problem: GapProblem,
     race: Race,
     posterior: Posterior,
-    found: Mapping[str, CandidateEffect],
+    candidates: Mapping[str, CandidateEffect],
     unseen: tuple[NotTestable, ...],
 ) -> NextExperiment | None:
     """What to record next: what parts those that are not told apart, else what shows the unseen."""
@@ -340,10 +330,10 @@ def _advice(
     try:
         return advise(
             refit=race.refit,
-            candidates=found,
+            candidates=candidates,
             model_name=problem.model_name,
             apart=apart,
-            untested=[row.effect for row in unseen if row.effect in found],
+            untested=[row.effect for row in unseen if row.effect in candidates],
             values=values,
             shares=shares,
         )
@@ -366,7 +356,7 @@ def sentence(
 ) -> str:
     """What a colleague would say."""
     top = causes[0]
-    place = f"the {_readable(where[0].location)}" if where else "no single place"
+    place = f"the {readable(where[0].location)}" if where else "no single place"
     if posterior.verdict == "no_gap":
         return (
             "The model as it is explains these recordings down to their noise: no gap was found, "
@@ -389,7 +379,7 @@ def sentence(
         )
     if posterior.verdict == "undecided":
         listed = ", ".join(
-            f"{_joined(c.effects)} ({c.probability:.2f})"
+            f"{_effects(c.effects)} ({c.probability:.2f})"
             for c in causes[:3]
             if c.probability > 0.05
         )
@@ -399,7 +389,7 @@ def sentence(
         for key, size in list(top.parameters.items())[:3]
     )
     text = (
-        f"The gap lies in {place}, and {_joined(top.effects)} causes it, with probability "
+        f"The gap lies in {place}, and {_effects(top.effects)} causes it, with probability "
         f"{top.probability:.2f}" + (f" ({sizes})" if sizes else "")
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
@@ -411,7 +401,7 @@ def sentence(
             text += f" ({100 * shrink.ci95[0]:.0f} to {100 * shrink.ci95[1]:.0f} %)"
     others = sorted({n for g in posterior.confusable for n in g} - set(top.effects))
     if others:
-        text += f". These recordings do not tell it from {_joined(others, 'or')}"
+        text += f". These recordings do not tell it from {_effects(others, 'or')}"
     return text + "."
 
 
@@ -453,16 +443,8 @@ def why_not_testable(race: Race, candidate: CandidateEffect) -> str:
     )
 
 
-def _readable(name: str) -> str:
-    words = name.replace("_", " ")
-    return words.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
-
-
-def _joined(names: Sequence[str], word: str = "and") -> str:
-    readable = [_readable(name) for name in names]
-    if len(readable) < 2:
-        return "".join(readable)
-    return f"{', '.join(readable[:-1])} {word} {readable[-1]}"
+def _effects(names: Iterable[str], word: str = "and") -> str:
+    return listing([readable(name) for name in names], word)
 
 
 #: Points of a picture's line at most.

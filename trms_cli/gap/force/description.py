@@ -45,16 +45,8 @@ _RATE = 25.0
 def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
     """What the force looks like.
 
-    Parameters
-    ----------
-    record : ForceRecord
-    seed : int
-        Of the test against a force from outside.
-
-    Returns
-    -------
-    tuple of str
-        Sentences; a single one where the force does not stand out of its noise.
+    ``seed``: of the test against a force from outside. Returns tuple of str: sentences; a single
+    one where the force does not stand out of its noise.
     """
     rms = float(np.sqrt(np.mean(record.force**2)))
     noise = float(np.sqrt(np.mean(record.sd**2)))

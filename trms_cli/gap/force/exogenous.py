@@ -56,20 +56,9 @@ def held_out_errors(
 ) -> FloatArray:
     """Squared errors by block of the ridge regression that does best over all blocks.
 
-    Parameters
-    ----------
-    features : (k, p) array
-    targets : (k, t) array
-        Each with the penalty that suits it best.
-    block : (k,) array of int
-        Rising numbers; each block is left out once.
-    penalties : tuple of float
-        To choose from.
-
-    Returns
-    -------
-    (n_blocks, t) array
-        About the mean of the target over everything.
+    ``features``, (k, p) array. ``targets``, (k, t) array: each with the penalty that suits it best.
+    ``block``, (k,) array of int: rising numbers; each block is left out once. ``penalties``: to
+    choose from. Returns (n_blocks, t) array: about the mean of the target over everything.
     """
     spread = features.std(axis=0)
     kept = spread > 1e-9
@@ -225,15 +214,9 @@ class Exogenous:
 def exogenous(record: ForceRecord, seed: int = 0) -> Exogenous:
     """Judge whether a force depends on what the rig does.
 
-    Parameters
-    ----------
-    record : ForceRecord
-        At least a minute of it; with less little can be predicted from little.
-    seed : int
-        Of random features, surrogates and bootstrap.
+    ``record``: at least a minute of it; with less little can be predicted from little. ``seed``: of
+    random features, surrogates and bootstrap.
 
-    Notes
-    -----
     In closed loop the controller's answer to a draught is removed only as far as it is linear in
     angles and rates; the share is then an upper bound. A law that changes with time counts as from
     outside in part: time is no variable of the regression.

@@ -59,15 +59,8 @@ class Condition:
 def regions(record: ForceRecord) -> tuple[RegionShare, ...]:
     """The most telling regions of a missing force.
 
-    Parameters
-    ----------
-    record : ForceRecord
-
-    Returns
-    -------
-    tuple of RegionShare
-        At most :data:`MOST`, the most telling first: by what is learnt of the energy's
-        whereabouts (Kullback–Leibler divergence of its share from that of time).
+    Returns tuple of RegionShare: at most :data:`MOST`, the most telling first: by what is learnt of
+    the energy's whereabouts (Kullback–Leibler divergence of its share from that of time).
     """
     record = thinned(record, _RATE)
     energy = record.force**2 - record.sd**2
