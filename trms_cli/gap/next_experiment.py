@@ -184,8 +184,8 @@ def _repeated(
     against = f" from {listing(rest)}" if rest else ""
     return NextExperiment(
         why=f"a signal that repeats itself four times tells {listing(noise)}{against}: what "
-        "returns with every period belongs to the rig, what does not comes from outside; how clearly was "
-        "not predicted",
+        "returns with every period belongs to the rig, what does not comes from outside; how "
+        "clearly was not predicted",
         command=periodic(model_name, step),
     )
 
@@ -226,7 +226,8 @@ def _why(
     if not shown:
         return (
             f"none of {tried} open-loop experiments makes {listing(names)} visible at typical "
-            f"sizes ({VISIBLE:g} nats): the best, {experiment.words}, promises {by} in what is recorded"
+            f"sizes ({VISIBLE:g} nats): the best, {experiment.words}, promises {by} in what is "
+            "recorded"
         )
     left = [name for name in names if name not in shown]
     rest = f"; {listing(left)} would still not show" if left else ""

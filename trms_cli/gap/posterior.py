@@ -208,7 +208,7 @@ def posterior_of(
     place: Location,
     constants: Calibration,
 ) -> Posterior:
-    """Weigh all that race.
+    """Weigh all that raced.
 
     ``candidates``: all of them, those that noise drives among them. ``forces``: smoothed missing
     force of each equation.
