@@ -15,10 +15,14 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.stability.cycles.absence import absence
-from trms_cli.stability.cycles.branch import born_at, followed
-from trms_cli.stability.cycles.continuum import continuum
-from trms_cli.stability.cycles.hopf import equilibria_over, hopf_points
-from trms_cli.stability.cycles.search import half_widths, has_impulses, searched, starts_in
+from trms_cli.stability.cycles.branch import born_at, equilibria_over, followed, hopf_points
+from trms_cli.stability.cycles.search import (
+    continuum,
+    half_widths,
+    has_impulses,
+    searched,
+    starts_in,
+)
 from trms_cli.stability.cycles.shooting import Shooting
 
 

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.stability.cycles.describing import HarmonicBalance, sliding_cycle
-from trms_cli.stability.cycles.friction_law import FrictionLaw
-from trms_cli.stability.cycles.pid_loop import FrictionLoop
+from trms_cli.stability.cycles.friction_loop import FrictionLaw, FrictionLoop
+from trms_cli.stability.cycles.hunting_prediction import HarmonicBalance, sliding_cycle
 
 SIZES = st.floats(1e-3, 0.1)
 

@@ -189,8 +189,8 @@ def test_yaw_at_hover() -> None:
     row = NEWTONIAN.state_index("alpha_h")
     for proof, yaw in zip(prover.at(given_), (0.10, 0.50, 1.56, -0.85), strict=True):
         assert proof.count == 1
-        assert abs(proof.found[0].x.middle[row] - yaw) < 6e-3
-        assert abs(proof.found[0].u.middle[0] - 1.413) < 5e-4
+        assert abs(proof.enclosed[0].x.middle[row] - yaw) < 6e-3
+        assert abs(proof.enclosed[0].u.middle[0] - 1.413) < 5e-4
 
 
 def test_main_reaction_on_yaw_asks_for_the_tail_rotor() -> None:

@@ -18,8 +18,8 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.tras import Tras
-from trms_cli.stability.equilibria.named_points import Band
-from trms_cli.stability.equilibria.telling import band_words
+from trms_cli.stability.equilibria.findings import band_words
+from trms_cli.stability.equilibria.named_points import FrictionBand
 from trms_cli.stability.studies.equilibria import Equilibria
 from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import LoopParts, Subject
@@ -67,7 +67,7 @@ def test_a_dead_zone_leaves_no_rounding_in_hover() -> None:
 
 def test_a_band_of_commands_has_its_unit() -> None:
     model = FeedbackManual()
-    band = Band("yaw", "alpha_h", 0.01, None, None, ("u_h", -0.1356, 0.1356))
+    band = FrictionBand("yaw", "alpha_h", 0.01, None, None, ("u_h", -0.1356, 0.1356))
     assert band_words(model, band).endswith("for u_h from -0.1356 to 0.1356 V")
 
 

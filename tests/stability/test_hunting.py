@@ -24,10 +24,15 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.full_state import FullState
-from trms_cli.stability.cycles.friction_law import FrictionLaw, frictions_of
+from trms_cli.stability.cycles.friction_loop import (
+    FrictionLaw,
+    FrictionLoop,
+    friction_loop,
+    frictions_of,
+    law_matrices,
+)
 from trms_cli.stability.cycles.hunting_prediction import predicted
 from trms_cli.stability.cycles.hunting_runs import slips, watched, with_sizes
-from trms_cli.stability.cycles.pid_loop import FrictionLoop, friction_loop, law_matrices
 from trms_cli.stability.cycles.stick_slip import StickSlip
 from trms_cli.stability.studies.hunting import Hunting
 from trms_cli.stability.study import Study, silent

@@ -19,11 +19,10 @@ from trms_cli.models.vector_field import VectorField
 from trms_cli.observers.full_state import FullState
 from trms_cli.stability.cycles.search import searched
 from trms_cli.stability.cycles.shooting import Shooting
-from trms_cli.stability.cycles.usual_point import not_level
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.studies.limit_cycles import LimitCycles
 from trms_cli.stability.study import Study, silent
-from trms_cli.stability.subject import LoopParts, Subject
+from trms_cli.stability.subject import LoopParts, Subject, not_level
 
 SHORT = {"starts": 6, "duration": 40.0, "orbits": 45}
 

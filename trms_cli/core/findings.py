@@ -6,10 +6,13 @@ Screen, page, pictures, notebook and JSON document are views of the same finding
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+
+import msgspec
 
 from trms_cli.core import chart
 from trms_cli.core.chart import Chart
@@ -165,3 +168,28 @@ def as_data(findings: Findings) -> dict[str, Any]:
 def plain(cell: Cell) -> Value:
     """The value of a cell without its judgement."""
     return cell.value if isinstance(cell, Judged) else cell
+
+
+def json_data(value: Any) -> Any:
+    """A result as JSON data, such as :attr:`Findings.results`.
+
+    Dataclasses become mappings, arrays lists, complex numbers pairs; what is no number (NaN,
+    infinity) becomes None.
+    """
+    return _finite(msgspec.to_builtins(value, enc_hook=_encoded))
+
+
+def _encoded(value: Any) -> Any:
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    return value.tolist()
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value

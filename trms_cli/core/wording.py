@@ -24,6 +24,7 @@ SIGNALS = MappingProxyType(
         "u_h": "tail rotor",
     }
 )
+_LETTERS = MappingProxyType({"alpha": "α", "omega": "ω", "tau": "τ", "psi": "ψ", "phi": "φ"})
 _SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _PROPER = (("coulomb", "Coulomb"), ("stribeck", "Stribeck"))
 
@@ -132,6 +133,13 @@ def count(amount: int, noun: str, plural: str = "") -> str:
 def signal(name: str) -> str:
     """What a channel is called in words: ``alpha_v`` is pitch; others keep their name."""
     return SIGNALS.get(name, name)
+
+
+def symbol(name: str) -> str:
+    """A channel with its Greek letter: ``alpha_v`` as ``α_v``."""
+    first, _, rest = name.partition("_")
+    letter = _LETTERS.get(first, first)
+    return f"{letter}_{rest}" if rest else letter
 
 
 def readable(name: str) -> str:

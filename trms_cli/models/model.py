@@ -217,6 +217,11 @@ def names(signals: Sequence[Signal]) -> tuple[str, ...]:
     return tuple(signal.name for signal in signals)
 
 
+def by_name(signals: Sequence[Signal], values: FloatArray) -> dict[str, float]:
+    """The value of each signal, (n,), by its name."""
+    return dict(zip(names(signals), values.tolist(), strict=True))
+
+
 def index_of(signals: Sequence[Signal], name: str, what: str) -> int:
     """Position of a signal by name.
 

@@ -48,6 +48,12 @@ class OperatingPoint:
     x: FloatArray  #: (n_x,) array
     u: FloatArray  #: (n_u,) array
 
+    def value(self, model: Model, name: str) -> float:
+        """A state or a command by its name."""
+        if name in model.state_names:
+            return float(self.x[model.state_index(name)])
+        return float(self.u[names(model.inputs).index(name)])
+
     def words(self, model: Model) -> str:
         """``u_v = 1.41 V, u_h = 0.2 V: alpha_v = 0, alpha_h = 0.1 rad``."""
         commands = ", ".join(

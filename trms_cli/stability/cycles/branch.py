@@ -1,9 +1,12 @@
-"""Branches of periodic orbits over a command, from a Hopf bifurcation or from a known orbit.
+"""Equilibria over one command, the Hopf points among them, and the branches of cycles born there.
 
 At a Hopf bifurcation a pair of eigenvalues ±jω crosses the imaginary axis, and a cycle of period
 2π/ω is born. It is unstable and exists on the side where the equilibrium is stable (subcritical),
 or the other way round (supercritical). The branch is followed by its arc length (Keller 1977), so
 that it goes around folds, where a stable and an unstable cycle meet and vanish.
+
+On a switch, where the slopes of the two sides differ, the eigenvalues are those of their mean
+(:mod:`trms_cli.stability.local.linear`), as in the other studies.
 
 After Kuznetsov (2004), ch. 3.4 and 10.2.
 """
@@ -11,18 +14,142 @@ After Kuznetsov (2004), ch. 3.4 and 10.2.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.models.continuation import follow
 from trms_cli.models.model import Model
-from trms_cli.stability.cycles.hopf import Hopf
+from trms_cli.models.operating_point import OperatingPoint, refined
+from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.cycles.shooting import MARGIN, Orbit, Row, Shooting, packed
+from trms_cli.stability.local.linear import Linear
 
 FloatArray = npt.NDArray[np.float64]
+
+#: Growth below this is rounding, 1/s.
+_NO_GROWTH = 1e-9
+
+
+@dataclass(frozen=True)
+class EquilibriumBranch:
+    """Equilibria over one command, the others held."""
+
+    commands: FloatArray  #: (n,) array; V, rising
+    x: FloatArray  #: (n, n_x) array
+    #: (n,) array; largest real part of the eigenvalues, 1/s; directions that nothing pulls back
+    #: left out
+    growth: FloatArray
+
+
+@dataclass(frozen=True)
+class Hopf:
+    """Where a pair of eigenvalues crosses the imaginary axis."""
+
+    x: FloatArray  #: The equilibrium
+    u: FloatArray  #: The equilibrium
+    omega: float  #: rad/s
+    #: (n_x,) complex array; the eigenvector, its largest entry of size 1
+    mode: npt.NDArray[np.complex128]
+
+
+def equilibria_over(
+    model: Model, x: FloatArray, u: FloatArray, channel: int, step: float = 0.02
+) -> EquilibriumBranch:
+    """The equilibria that one is part of, over a command, as far as they go within its limits."""
+    field = VectorField(model)
+    commands, states = [float(u[channel])], [x]
+    for direction in (1.0, -1.0):
+        for at, here in _one_way(field, x, u, channel, direction, step):
+            commands.append(at)
+            states.append(here)
+    linear = Linear(model)
+    order = np.argsort(commands)
+    along = np.array(commands)[order]
+    found = np.array(states)[order]
+    growth = np.array(
+        [_growth(linear, row, _with(u, channel, v)) for row, v in zip(found, along, strict=True)]
+    )
+    return EquilibriumBranch(along, found, growth)
+
+
+def _one_way(
+    field: VectorField, x: FloatArray, u: FloatArray, channel: int, direction: float, step: float
+) -> Iterator[tuple[float, FloatArray]]:
+    """Commands and equilibria from one on, up to the command's limit."""
+    low, high = (float(bound[channel]) for bound in field.model.input_bounds())
+
+    def attempt(
+        place: tuple[float, FloatArray, FloatArray], ahead: float
+    ) -> tuple[tuple[float, FloatArray, FloatArray] | None, float]:
+        at, here, slope = place
+        goal = float(np.clip(at + direction * ahead, low, high))
+        moved = abs(goal - at)
+        following = refined(field, here + slope * moved, _with(u, channel, goal))
+        bound = 0.2 + 20.0 * moved * (1.0 + float(np.abs(here).max()))
+        if following is None or np.abs(following - here).max() > bound:
+            return None, ahead / 2.0
+        slope = (following - here) / moved if moved else slope
+        return (goal, following, slope), min(2.0 * ahead, step)
+
+    for at, here, _ in follow((float(u[channel]), x, np.zeros_like(x)), attempt, step, 1e-4):
+        yield at, here
+        if at == (high if direction > 0 else low):
+            return
+
+
+def hopf_points(model: Model, curve: EquilibriumBranch, u: FloatArray, channel: int) -> list[Hopf]:
+    """Where a complex pair crosses along a curve of equilibria, by bisection."""
+    field, linear = VectorField(model), Linear(model)
+    found = []
+    # Growth that is rounding has no sign: a pair that stays on the axis crosses it nowhere.
+    clear = np.flatnonzero(np.abs(curve.growth) > _NO_GROWTH)
+    for i, j in pairwise(clear):
+        if (curve.growth[i] < 0) == (curve.growth[j] < 0):
+            continue
+        low, high = curve.commands[i], curve.commands[j]
+        x, sign = curve.x[i], curve.growth[i] < 0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            trial = refined(field, x, _with(u, channel, middle))
+            if trial is None:
+                break
+            if (_growth(linear, trial, _with(u, channel, middle)) < 0) == sign:
+                low, x = middle, trial
+            else:
+                high = middle
+        at = _with(u, channel, low)
+        values, vectors = (part.astype(complex) for part in np.linalg.eig(linear.a(x, at)))
+        k = int(np.argmax(np.where(_pulled(values), values.real, -np.inf)))
+        if abs(values[k].imag) < 1e-6:
+            continue  # a real eigenvalue: a fold of equilibria
+        mode = vectors[:, k] if values[k].imag > 0 else vectors[:, k].conj()
+        mode = mode / mode[int(np.argmax(np.abs(mode)))]
+        found.append(Hopf(x, at, float(abs(values[k].imag)), mode))
+    return found
+
+
+def _with(u: FloatArray, channel: int, value: float) -> FloatArray:
+    changed = u.copy()
+    changed[channel] = value
+    return changed
+
+
+def _pulled(values: npt.NDArray[np.complex128]) -> npt.NDArray[np.bool_]:
+    """Eigenvalues but those of a direction in which nothing changes."""
+    return np.asarray(np.abs(values) > 1e-9)
+
+
+def _growth(linear: Linear, x: FloatArray, u: FloatArray) -> float:
+    values = np.linalg.eigvals(linear.a(x, u)).astype(complex)
+    kept = values[_pulled(values)]
+    return float(kept.real.max()) if kept.size else 0.0
+
+
 Kind = Literal["fold", "period doubling", "torus"]
 
 #: Swing of the first cycle beside a Hopf point, rad (or the unit of the largest state); doubled
@@ -200,40 +327,37 @@ def followed(
             return Branch(orbits, "the next orbit was not found")
         orbits.append(second)
         before, z = z, packed(second.nodes, second.period, second.u, row)
-    step, ended = _FIRST_STEP, f"{limits} orbits"
-    while len(orbits) < limits:
+
+    def attempt(
+        place: tuple[Orbit, FloatArray, FloatArray], step: float
+    ) -> tuple[tuple[Orbit, FloatArray, FloatArray] | None, float]:
+        last, z, before = place
         secant = (z - before) / scale
         tangent = secant / float(np.linalg.norm(secant))
         guess = z + step * tangent * scale
-        m, n = shooting.pieces, model.n_x
-        command = orbits[-1].u.copy()
-        command[channel] = guess[m * n + 1]
+        command = last.u.copy()
+        command[channel] = guess[-1]
         trial = shooting.closed(
-            guess[: m * n].reshape(m, n),
-            float(guess[m * n]),
+            guess[:-2].reshape(last.nodes.shape),
+            float(guess[-2]),
             command,
             row=Row(channel, tangent / scale, z, step),
         )
-        turned = (
-            trial is not None
-            and float((trial.u - orbits[-1].u)[channel] * (z - before)[m * n + 1]) < 0.0
-        )
+        turned = trial is not None and float((trial.u - last.u)[channel] * (z - before)[-1]) < 0.0
         if turned and step > _TURNING_STEP:
             # A fold lies here: come up to it in small steps.
-            step = max(step / 3.0, _TURNING_STEP)
-            continue
-        if trial is None or _jumped(orbits[-1], trial, step):
-            step /= 2.0
-            if step < _LEAST_STEP:
-                ended = "Newton's method found no next orbit"
-                break
-            continue
+            return None, max(step / 3.0, _TURNING_STEP)
+        if trial is None or _jumped(last, trial, step):
+            return None, step / 2.0
+        at = packed(trial.nodes, trial.period, trial.u, row)
+        return (trial, at, z), min(1.4 * step, _MOST_STEP)
+
+    ended = "Newton's method found no next orbit"
+    for trial, _, _ in follow((orbits[-1], z, before), attempt, _FIRST_STEP, _LEAST_STEP):
         if trial.swing.max() < 0.25 * _BORN:
             ended = "the cycle shrinks to a point: a Hopf bifurcation"
             break
-        before, z = z, packed(trial.nodes, trial.period, trial.u, row)
         orbits.append(trial)
-        step = min(1.4 * step, _MOST_STEP)
         if not low <= trial.u[channel] <= high:
             ended = "the command's limit"
             break
@@ -249,6 +373,9 @@ def followed(
             break
         if _beyond(model, trial):
             ended = "far beyond the mechanical stops"
+            break
+        if len(orbits) >= limits:
+            ended = f"{limits} orbits"
             break
     return Branch(orbits, ended)
 
@@ -273,3 +400,104 @@ def _beyond(model: Model, orbit: Orbit) -> bool:
         for name, stop in model.stops.items()
         if name in model.state_names
     )
+
+
+#: Part of the period and of the swings by which an orbit may be off between its neighbours.
+_NEAR = 0.02
+
+
+@dataclass(frozen=True)
+class OverCommand:
+    """What there is over a command."""
+
+    curve: EquilibriumBranch  #: Equilibria, as far as the stops
+    hopfs: Sequence[Hopf]  #: Within the stops
+    #: One for each Hopf point, then those of orbits that are on none of these
+    branches: Sequence[Branch]
+
+
+def followed_over(
+    model: Model,
+    point: OperatingPoint,
+    channel: int,
+    orbits: Sequence[Orbit],
+    shooting: Shooting | None,
+    limit: int,
+) -> OverCommand:
+    """Equilibria over a command, the Hopf points on them, and all branches of cycles.
+
+    Parameters
+    ----------
+    orbits : sequence of Orbit
+        Found otherwise, at the point's command.
+    shooting : Shooting or None
+        None: no cycle can be.
+    limit : int
+        Most orbits of a branch.
+    """
+    curve = _within_stops(model, equilibria_over(model, point.x, point.u, channel), point)
+    hopfs = hopf_points(model, curve, point.u, channel)
+    found: list[Branch] = []
+    if shooting is not None:
+        found = [born_at(shooting, hopf, channel, limit) for hopf in hopfs]
+        for orbit in orbits:
+            if not any(_on(branch, orbit, channel) for branch in found):
+                one, other = (
+                    followed(shooting, orbit, channel, limit, towards=sign) for sign in (-1.0, 1.0)
+                )
+                found.append(
+                    Branch(
+                        [*reversed(one.orbits), *other.orbits[1:]], f"{one.ended}; {other.ended}"
+                    )
+                )
+    return OverCommand(curve, hopfs, found)
+
+
+def at_the_point(
+    shooting: Shooting, branches: Sequence[Branch], channel: int, u: FloatArray
+) -> list[Orbit]:
+    """The orbits of branches at one command, closed between their neighbours."""
+    found = []
+    for branch in branches:
+        for one, other in zip(branch.orbits[:-1], branch.orbits[1:], strict=True):
+            before, after = float(one.u[channel] - u[channel]), float(other.u[channel] - u[channel])
+            if before * after > 0.0 or before == after:
+                continue
+            share = before / (before - after)
+            orbit = shooting.closed(
+                one.nodes + share * (other.nodes - one.nodes),
+                one.period + share * (other.period - one.period),
+                u,
+            )
+            if orbit is not None:
+                found.append(orbit)
+    return found
+
+
+def _within_stops(
+    model: Model, curve: EquilibriumBranch, point: OperatingPoint
+) -> EquilibriumBranch:
+    kept = np.ones(len(curve.commands), dtype=bool)
+    for name, stop in model.stops.items():
+        if name in model.state_names:
+            kept &= np.abs(curve.x[:, model.state_index(name)]) <= stop
+    if not kept.any():
+        return curve
+    return EquilibriumBranch(curve.commands[kept], curve.x[kept], curve.growth[kept])
+
+
+def _on(branch: Branch, orbit: Orbit, channel: int) -> bool:
+    """Whether an orbit is one of a branch: between two neighbours in command, period and swing."""
+    for one, other in zip(branch.orbits[:-1], branch.orbits[1:], strict=True):
+        low, high = sorted((one.u[channel], other.u[channel]))
+        if not low - 1e-9 <= orbit.u[channel] <= high + 1e-9:
+            continue
+        share = (orbit.u[channel] - one.u[channel]) / max(high - low, 1e-12)
+        share = abs(float(share))
+        period = one.period + share * (other.period - one.period)
+        swing = one.swing + share * (other.swing - one.swing)
+        if abs(period - orbit.period) < _NEAR * orbit.period and np.allclose(
+            swing, orbit.swing, rtol=_NEAR, atol=0.02 * float(orbit.swing.max())
+        ):
+            return True
+    return False

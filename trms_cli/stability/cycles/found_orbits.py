@@ -11,7 +11,7 @@ import numpy.typing as npt
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.cycles.absence import Absence
-from trms_cli.stability.cycles.over_command import OverCommand
+from trms_cli.stability.cycles.branch import OverCommand
 from trms_cli.stability.cycles.search import FATES, Search
 from trms_cli.stability.cycles.shooting import Orbit
 

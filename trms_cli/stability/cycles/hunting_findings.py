@@ -12,7 +12,7 @@ import numpy.typing as npt
 from trms_cli.core.chart import Chart
 from trms_cli.core.findings import Findings, Judged, Section, Table, Value
 from trms_cli.models.model import Model
-from trms_cli.stability.cycles.friction_law import Friction
+from trms_cli.stability.cycles.friction_loop import Friction
 from trms_cli.stability.cycles.hunting_charts import (
     Level,
     event_map,

@@ -20,9 +20,7 @@ from trms_cli.core.chart import (
     Style,
 )
 from trms_cli.models.model import Model
-from trms_cli.stability.cycles.branch import Branch
-from trms_cli.stability.cycles.hopf import Curve as Equilibria
-from trms_cli.stability.cycles.hopf import Hopf
+from trms_cli.stability.cycles.branch import Branch, EquilibriumBranch, Hopf
 from trms_cli.stability.cycles.search import Search
 from trms_cli.stability.cycles.shooting import Orbit
 
@@ -125,7 +123,7 @@ def multipliers(orbits: Sequence[Orbit]) -> Chart:
 
 def diagram(
     model: Model,
-    curve: Equilibria,
+    curve: EquilibriumBranch,
     hopfs: Sequence[Hopf],
     followed: Sequence[Branch],
     channel: int,

@@ -6,11 +6,9 @@ import numpy as np
 
 from trms_cli.core.chart import Chart
 from trms_cli.core.findings import Findings, Judged, Section, Table, Value
-from trms_cli.stability.cycles.branch import Branch
+from trms_cli.stability.cycles.branch import Branch, Hopf, OverCommand
 from trms_cli.stability.cycles.found_orbits import Found, results_of
-from trms_cli.stability.cycles.hopf import Hopf
 from trms_cli.stability.cycles.orbit_charts import diagram, multipliers, plane, symbol
-from trms_cli.stability.cycles.over_command import OverCommand
 from trms_cli.stability.cycles.search import Fate, Search
 from trms_cli.stability.cycles.shooting import Orbit
 from trms_cli.stability.local.linear import Linear

@@ -21,16 +21,15 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.model import Model
+from trms_cli.models.model import FloatArray, Model
+from trms_cli.models.parameters import Parameter
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.cycles.in_periods import InPeriods
-
-FloatArray = npt.NDArray[np.float64]
 
 _ITERATIONS = 25
 #: Largest misfit of a closed orbit, in the states' units.
@@ -285,3 +284,38 @@ def _sorted(multipliers: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex12
     others = np.delete(multipliers, trivial)
     order = np.argsort(-np.abs(others), kind="stable")
     return np.concatenate([multipliers[trivial : trivial + 1], others[order]]).astype(complex)
+
+
+#: Name of the period among the parameters.
+PERIOD = "the_period"
+
+
+class InPeriods(Model):
+    """A model whose time is counted in periods; the period is its last parameter, s.
+
+    Parameters
+    ----------
+    base : Model
+        With equations. What impulses, delays and sensors add to it is left out: f must be
+        differentiable for the variational equations.
+    """
+
+    def __init__(self, base: Model) -> None:
+        self.base = base
+        self.name = base.name
+        self.states, self.inputs, self.outputs = base.states, base.inputs, base.outputs
+        self.disturbances = base.disturbances
+        self.parameters = base.parameters.joined([Parameter(PERIOD, 1.0, "s", lower=0.0)])
+        self.controlled, self.input_limits = base.controlled, base.input_limits
+        self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
+        self.stiff = base.stiff
+
+    def rest(self) -> FloatArray:
+        return self.base.rest()
+
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        n = len(self.base.parameters)
+        return p[n] * self.base.dynamics(x, u, p[:n, 0], w)
+
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        return self.base.measurement(x, u, p[: len(self.base.parameters), 0])

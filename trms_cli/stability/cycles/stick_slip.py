@@ -29,8 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.stability.cycles.friction_law import FrictionLaw
-from trms_cli.stability.cycles.pid_loop import FrictionLoop
+from trms_cli.stability.cycles.friction_loop import FrictionLaw, FrictionLoop
 
 FloatArray = npt.NDArray[np.float64]
 

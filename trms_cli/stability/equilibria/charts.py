@@ -9,15 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core import chart as draw
-from trms_cli.models.model import Model, Signal, names
+from trms_cli.core.wording import symbol
+from trms_cli.core.wording import unit as written_unit
+from trms_cli.models.model import Model, Signal
 from trms_cli.stability.equilibria.landmarks import Kind
 from trms_cli.stability.equilibria.named_points import NamedPoint
 from trms_cli.stability.equilibria.survey import EquilibriumMap, JudgedCurve, Survey
 
 FloatArray = npt.NDArray[np.float64]
 
-SYMBOLS = {"alpha": "α", "omega": "ω", "tau": "τ"}
-_MARKS: dict[Kind, tuple[str, draw.Marker, draw.Colour]] = {
+#: Name, marker and colour of what is special on a curve.
+MARKS: dict[Kind, tuple[str, draw.Marker, draw.Colour]] = {
     "fold": ("fold", "star", "ink"),
     "kink": ("fold at a kink", "star", "grey"),
     "oscillation": ("oscillation begins", "triangle", "purple"),
@@ -27,12 +29,6 @@ _MARKS: dict[Kind, tuple[str, draw.Marker, draw.Colour]] = {
 _VARIES = 1e-6
 #: Where a name stands beside its point, as shares of the panel: to the right, beneath, above.
 _ASIDE, _BELOW, _ABOVE = 0.025, 0.065, 0.03
-
-
-def symbol(name: str) -> str:
-    """``α_v`` for ``alpha_v``."""
-    head, _, tail = name.partition("_")
-    return SYMBOLS.get(head, head) + (f"_{tail}" if tail else "")
 
 
 def shown_signals(model: Model, survey: Survey) -> list[Signal]:
@@ -53,11 +49,7 @@ def shown_signals(model: Model, survey: Survey) -> list[Signal]:
 
 def values_of(model: Model, curve: JudgedCurve, name: str) -> FloatArray:
     """A state or command along a curve."""
-    if name in model.state_names:
-        row = model.state_index(name)
-        return np.array([point.x[row] for point in curve.points])
-    row = names(model.inputs).index(name)
-    return np.array([point.u[row] for point in curve.points])
+    return np.array([point.value(model, name) for point in curve.points])
 
 
 def curves_chart(model: Model, survey: Survey, named: Sequence[NamedPoint]) -> draw.Chart:
@@ -66,9 +58,9 @@ def curves_chart(model: Model, survey: Survey, named: Sequence[NamedPoint]) -> d
     unit = next(s.unit for s in model.inputs if s.name == over)
     panels = [
         draw.Panel(
-            draw.Axis(symbol(over), _unit(unit), survey.setting.bounds),
-            draw.Axis(symbol(signal.name), _unit(signal.unit)),
-            _marks(model, survey, signal, _unit(unit), named, legend=k == 0),
+            draw.Axis(symbol(over), written_unit(unit), survey.setting.bounds),
+            draw.Axis(symbol(signal.name), written_unit(signal.unit)),
+            _marks(model, survey, signal, written_unit(unit), named, legend=k == 0),
         )
         for k, signal in enumerate(shown_signals(model, survey))
     ]
@@ -89,10 +81,6 @@ def _condition(survey: Survey) -> str:
     if survey.system.released:
         given.append(f"{', '.join(symbol(n) for n in survey.system.released)} as rest asks for")
     return f" ({', '.join(given)})" if given else ""
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else unit
 
 
 def _marks(
@@ -139,7 +127,7 @@ def _marks(
                     )
                 )
     proved = [
-        (check.input, _of(model, point.x, point.u, name))
+        (check.input, point.value(model, name))
         for check in survey.checks
         if check.agree and check.proof.complete
         for point in check.points
@@ -147,17 +135,17 @@ def _marks(
     if proved:
         at, where = [u for u, _ in proved], [y for _, y in proved]
         marks.append(draw.Points(at, where, "proved" if legend else "", "dot", "ink", size=2.5))
-    for kind, (label, marker, colour) in _MARKS.items():
+    for kind, (label, marker, colour) in MARKS.items():
         special = [one for one in survey.landmarks if one.kind == kind]
         if special:
             at = [float(one.y[-1]) for one in special]
-            where = [_of(model, one.at.x, one.at.u, name) for one in special]
+            where = [one.at.value(model, name) for one in special]
             told = [f"{value:.4g} {unit}" for value in at] if legend and marker == "star" else ()
             marks.append(draw.Points(at, where, label if legend else "", marker, colour, told, 7.0))
     here = [point for point in named if _belongs(model, survey, point)]
     if here:
-        at = [_of(model, point.x, point.u, over) for point in here]
-        where = [_of(model, point.x, point.u, name) for point in here]
+        at = [point.value(model, over) for point in here]
+        where = [point.value(model, name) for point in here]
         marks.append(draw.Points(at, where, "", "square", "green", size=6.0))
         low, high = survey.setting.bounds
         aside, tall = _ASIDE * (high - low), float(np.ptp(reached)) or 1.0
@@ -186,18 +174,10 @@ def _rises(model: Model, survey: Survey, name: str, u: float, y: float, tall: fl
     return rising
 
 
-def _of(model: Model, x: FloatArray, u: FloatArray, name: str) -> float:
-    if name in model.state_names:
-        return float(x[model.state_index(name)])
-    return float(u[names(model.inputs).index(name)])
-
-
 def _belongs(model: Model, survey: Survey, point: NamedPoint) -> bool:
     """Whether a named point lies under the conditions of a survey."""
     given = {**survey.setting.inputs, **survey.setting.held}
-    return all(
-        abs(_of(model, point.x, point.u, name) - value) < 1e-6 for name, value in given.items()
-    )
+    return all(abs(point.value(model, name) - value) < 1e-6 for name, value in given.items())
 
 
 def map_chart(model: Model, found: EquilibriumMap, first: str, second: str) -> draw.Chart:
@@ -211,8 +191,8 @@ def map_chart(model: Model, found: EquilibriumMap, first: str, second: str) -> d
         levels = _levels(float(finite.min()), float(finite.max()))
         panels.append(
             draw.Panel(
-                draw.Axis(symbol(first), _unit(units[first])),
-                draw.Axis(symbol(second), _unit(units[second])),
+                draw.Axis(symbol(first), written_unit(units[first])),
+                draw.Axis(symbol(second), written_unit(units[second])),
                 [
                     draw.Region(found.first, found.second, np.isfinite(values), "stable rest"),
                     draw.Contour(found.first, found.second, values, levels, numbers=True),

@@ -16,6 +16,7 @@ from scipy.stats import qmc
 
 from trms_cli.models.continuation import ImplicitCurve
 from trms_cli.models.model import Model
+from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.equilibria.rest_system import RestSystem
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
@@ -30,11 +31,9 @@ _SEED = 20260
 
 
 @dataclass(frozen=True)
-class EquilibriumPoint:
-    """A point of a curve, complete."""
+class EquilibriumPoint(OperatingPoint):
+    """An equilibrium with its stability."""
 
-    x: FloatArray  #: (n_x,), (n_u,)
-    u: FloatArray  #: (n_x,), (n_u,)
     eigenvalues: ComplexArray  #: (n_x,) complex array; of ∂f/∂x there, rightmost first
     unstable: int  #: How many of them grow
     verdict: Verdict  #: ``marginal`` where none grows and one neither grows nor dies out
@@ -89,9 +88,7 @@ class CurveEquations(ImplicitCurve):
 
     def stability(self, linear: Linear, y: FloatArray) -> EquilibriumPoint:
         """A point of a curve with its eigenvalues; y is (n + 1,)."""
-        x, u, reached = self.point(y)
-        values, verdict = eigenvalues_at(linear, x, reached)
-        return EquilibriumPoint(x, u, values, int(np.sum(values.real > GROWTH)), verdict)
+        return equilibrium_point(linear, *self.point(y))
 
     def starts(self, inputs: FloatArray, count: int) -> list[FloatArray]:
         """Equilibria from many starts, at each of some inputs (m,)."""
@@ -110,24 +107,18 @@ class CurveEquations(ImplicitCurve):
         return points
 
 
-def eigenvalues_at(
-    linear: Linear, x: FloatArray, reached: FloatArray
-) -> tuple[ComplexArray, Verdict]:
-    """Eigenvalues, (n_x,), rightmost first, and what they say.
-
-    Parameters
-    ----------
-    x : (n_x,) array
-    reached : (n_u,) array
-        What reaches the motors.
-    """
+def equilibrium_point(
+    linear: Linear, x: FloatArray, u: FloatArray, reached: FloatArray
+) -> EquilibriumPoint:
+    """An equilibrium with its eigenvalues; ``reached``, (n_u,), is what of u reaches the motors."""
     with np.errstate(invalid="ignore"):
         slopes = linear.a(x, reached)
     if not np.all(np.isfinite(slopes)):
-        return np.full(len(x), np.nan, dtype=complex), "marginal"
+        return EquilibriumPoint(x, u, np.full(len(x), np.nan, dtype=complex), 0, "marginal")
     values = np.linalg.eigvals(slopes).astype(complex)
     values = values[np.argsort(-values.real, kind="stable")]
-    return values, _verdict(linear.model, slopes, values)
+    verdict = _verdict(linear.model, slopes, values)
+    return EquilibriumPoint(x, u, values, int(np.sum(values.real > GROWTH)), verdict)
 
 
 def _verdict(model: Model, slopes: FloatArray, values: ComplexArray) -> Verdict:

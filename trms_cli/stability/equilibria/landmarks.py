@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.models.continuation import SolutionCurve
-from trms_cli.models.model import names
 from trms_cli.stability.equilibria.curves import CurveEquations, EquilibriumPoint
 from trms_cli.stability.local.linear import Linear
 
@@ -198,11 +197,3 @@ def _change(
     turning = abs(crossing.imag) > 1e-6
     frequency = abs(float(crossing.imag)) / (2.0 * math.pi) if turning else None
     return Landmark("oscillation" if turning else "exchange", "", y, at, frequency)
-
-
-def state_of(equations: CurveEquations, landmark: Landmark, name: str) -> float:
-    """A state or a command of a landmark by name."""
-    model = equations.system.model
-    if name in model.state_names:
-        return float(landmark.at.x[model.state_index(name)])
-    return float(landmark.at.u[names(model.inputs).index(name)])

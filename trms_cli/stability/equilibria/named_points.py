@@ -25,11 +25,10 @@ from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint, operating_point, refined
 from trms_cli.models.rest import arriving
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.equilibria.curves import GROWTH, CurveEquations, eigenvalues_at
+from trms_cli.stability.equilibria.curves import CurveEquations, EquilibriumPoint, equilibrium_point
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import bounds_of
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.local.modes import Verdict
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -38,22 +37,13 @@ _SAME_ANGLE = 1e-6  # rad
 
 
 @dataclass(frozen=True)
-class NamedPoint:
+class NamedPoint(EquilibriumPoint):
     """An equilibrium with a name."""
 
     name: str
-    x: FloatArray  #: (n_x,), (n_u,) arrays
-    u: FloatArray  #: (n_x,), (n_u,) arrays
-    eigenvalues: npt.NDArray[np.complex128]  #: (n_x,) complex array; rightmost first
-    verdict: Verdict
     #: What the model names: thrusts (N), currents (A), torques (N m), inertias (kg m²)…
     quantities: Mapping[str, float]
-    bands: tuple[Band, ...]  #: Where dry friction holds the axes around it
-
-    @property
-    def unstable(self) -> int:
-        """How many motions grow."""
-        return int(np.sum(self.eigenvalues.real > GROWTH))
+    bands: tuple[FrictionBand, ...]  #: Where dry friction holds the axes around it
 
 
 def named_points(
@@ -92,7 +82,7 @@ def named_points(
 
 def _is_level(model: Model, rest: NamedPoint) -> bool:
     """Whether a rig without command rests with all controlled angles at zero: that is its hover."""
-    return all(abs(rest.x[model.state_index(name)]) < 1e-9 for name in model.controlled)
+    return all(abs(rest.value(model, name)) < 1e-9 for name in model.controlled)
 
 
 def _without_rounding(
@@ -125,19 +115,16 @@ def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
 
     point = _without_rounding(model, point, field, arrives)
     reached = arrives(point.u)
-    values, verdict = eigenvalues_at(Linear(model), point.x, reached)
+    at = equilibrium_point(Linear(model), point.x, point.u, reached)
     x, u, p, _ = model.symbols()
     expressions = model.quantities(x, u, p)
     evaluate = ca.Function("quantities", [x, u, p], [ca.vertcat(*expressions.values())])
     numbers = np.array(evaluate(point.x, reached, field.parameters)).ravel().tolist()
     return NamedPoint(
-        name,
-        point.x,
-        point.u,
-        values,
-        verdict,
-        dict(zip(expressions, numbers, strict=False)),
-        tuple(bands(model, point.x, point.u, reached)),
+        **vars(at),
+        name=name,
+        quantities=dict(zip(expressions, numbers, strict=False)),
+        bands=tuple(friction_bands(model, point.x, point.u, reached)),
     )
 
 
@@ -148,7 +135,7 @@ _LEAST = 1e-9  # N m
 
 
 @dataclass(frozen=True)
-class Band:
+class FrictionBand:
     """Angles at which friction holds an axis."""
 
     axis: str
@@ -177,8 +164,6 @@ def breakaway(model: Model, x: FloatArray, u: FloatArray, axis: str) -> float:
 
 
 def _taken(model: Model, x: FloatArray, u: FloatArray, axis: str, moment: float) -> float:
-    import casadi as ca
-
     symbols = model.symbols()
     impulse = ca.Function("impulse", list(symbols), [model.impulse(*symbols, moment)])
     field = VectorField(model)
@@ -198,7 +183,9 @@ def _taken(model: Model, x: FloatArray, u: FloatArray, axis: str, moment: float)
     return _PUSH * (1.0 - (rate(held) - rest) / (without - rest))
 
 
-def bands(model: Model, x: FloatArray, u: FloatArray, reached: FloatArray) -> list[Band]:
+def friction_bands(
+    model: Model, x: FloatArray, u: FloatArray, reached: FloatArray
+) -> list[FrictionBand]:
     """The bands of all axes around an equilibrium, one axis at a time.
 
     Parameters
@@ -208,7 +195,7 @@ def bands(model: Model, x: FloatArray, u: FloatArray, reached: FloatArray) -> li
     u, reached : (n_u,)
         Its commands, and what of them reaches the motors.
     """
-    found: list[Band] = []
+    found: list[FrictionBand] = []
     for axis, place in model.axes.items():
         torque = breakaway(model, x, reached, axis)
         if torque == 0.0:
@@ -222,9 +209,8 @@ def bands(model: Model, x: FloatArray, u: FloatArray, reached: FloatArray) -> li
         index = system.given_index(place.moment)
         limits = (-torque, torque)
         equations = CurveEquations(system, index, v, box, scale, limits)
-        known = {**dict(zip(model.state_names, x, strict=True))}
-        known |= dict(zip(names(model.inputs), u, strict=True))
-        seed = np.array([*(known[signal.name] for signal in system.unknowns), 0.0])
+        point = OperatingPoint(x, u)
+        seed = np.array([*(point.value(model, s.name) for s in system.unknowns), 0.0])
         start = equations.pinned(seed, equations.n, 0.0)
         if start is None:
             continue
@@ -235,8 +221,10 @@ def bands(model: Model, x: FloatArray, u: FloatArray, reached: FloatArray) -> li
                 values = curve.y[:, names(system.unknowns).index(name)]
                 if np.ptp(values) > 1e-9:
                     command = (name, float(values.min()), float(values.max()))
-            found.append(Band(axis, place.angle, torque, None, None, command))
+            found.append(FrictionBand(axis, place.angle, torque, None, None, command))
         else:
             values = curve.y[:, names(system.unknowns).index(place.angle)]
-            found.append(Band(axis, place.angle, torque, float(values.min()), float(values.max())))
+            found.append(
+                FrictionBand(axis, place.angle, torque, float(values.min()), float(values.max()))
+            )
     return found

@@ -45,26 +45,26 @@ class Proof:
     """All equilibria in a box for one input, or for each input of a small range."""
 
     given: Interval  #: (n_v,)
-    found: tuple[Enclosed, ...]
+    enclosed: tuple[Enclosed, ...]
     open_ended: bool  #: Whether equilibria with a state beyond 1e6 are not excluded
 
     @property
     def complete(self) -> bool:
         """Whether the number of equilibria is proved."""
-        return all(one.unique for one in self.found)
+        return all(one.unique for one in self.enclosed)
 
     @property
     def count(self) -> int | None:
         """How many there are, where that is proved."""
-        return len(self.found) if self.complete else None
+        return len(self.enclosed) if self.complete else None
 
     @property
     def proved(self) -> tuple[Enclosed, ...]:
-        return tuple(one for one in self.found if one.unique)
+        return tuple(one for one in self.enclosed if one.unique)
 
     @property
     def undecided(self) -> tuple[Enclosed, ...]:
-        return tuple(one for one in self.found if not one.unique)
+        return tuple(one for one in self.enclosed if not one.unique)
 
 
 class Prover:

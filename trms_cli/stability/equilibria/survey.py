@@ -182,11 +182,11 @@ def _check(
     known = [y for curve in curves for y in equations.crossings_of(curve, value)]
     ordered: list[FloatArray] = []
     agree = True
-    for one in proof.found:
+    for one in proof.enclosed:
         inside = [y for y in known if _within(equations, y, one.z)]
         agree &= len(inside) == 1 if one.unique else True
         ordered += inside
-    agree &= all(any(_within(equations, y, one.z) for one in proof.found) for y in known)
+    agree &= all(any(_within(equations, y, one.z) for one in proof.enclosed) for y in known)
     points = tuple(equations.stability(linear, y) for y in (ordered if agree else known))
     return Checked(value, proof, points, agree)
 

@@ -16,16 +16,19 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.cycles.friction_law import Friction, FrictionLaw, frictions_of
+from trms_cli.stability.cycles.friction_loop import (
+    Friction,
+    FrictionLaw,
+    friction_loop,
+    frictions_of,
+)
 from trms_cli.stability.cycles.hunting_charts import Level
 from trms_cli.stability.cycles.hunting_findings import Studied, Sweep, findings_of
 from trms_cli.stability.cycles.hunting_prediction import harmonics, predicted, swings
 from trms_cli.stability.cycles.hunting_runs import Watched, watched, with_sizes
-from trms_cli.stability.cycles.pid_loop import friction_loop
 from trms_cli.stability.cycles.stick_slip import StickSlip
-from trms_cli.stability.cycles.usual_point import not_level, usual_point
 from trms_cli.stability.study import Tell
-from trms_cli.stability.subject import LoopParts, Subject
+from trms_cli.stability.subject import LoopParts, Subject, not_level, usual_point
 
 _Factors = tuple[Annotated[float, Meta(gt=0)], ...]
 

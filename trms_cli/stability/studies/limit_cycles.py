@@ -13,8 +13,8 @@ from trms_cli.core.findings import Findings
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import names
 from trms_cli.stability.cycles.absence import absence
+from trms_cli.stability.cycles.branch import at_the_point, followed_over
 from trms_cli.stability.cycles.orbit_findings import Found, findings_of
-from trms_cli.stability.cycles.over_command import at_the_point, followed_over
 from trms_cli.stability.cycles.search import (
     different,
     half_widths,
@@ -23,9 +23,8 @@ from trms_cli.stability.cycles.search import (
     starts_in,
 )
 from trms_cli.stability.cycles.shooting import Shooting
-from trms_cli.stability.cycles.usual_point import not_level, usual_point
 from trms_cli.stability.study import Tell
-from trms_cli.stability.subject import Subject
+from trms_cli.stability.subject import Subject, not_level, usual_point
 
 
 @dataclass(frozen=True, kw_only=True)

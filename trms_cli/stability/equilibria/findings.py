@@ -1,0 +1,526 @@
+"""The study of equilibria in words, tables and JSON data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trms_cli.core.chart import Chart
+from trms_cli.core.findings import (
+    Column,
+    Findings,
+    Judged,
+    Section,
+    Table,
+    Value,
+    json_data,
+    table,
+)
+from trms_cli.core.wording import symbol, titled
+from trms_cli.models.model import Model, Signal, by_name, names
+from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.stability.equilibria.charts import MARKS, curves_chart, map_chart, shown_signals
+from trms_cli.stability.equilibria.curves import EquilibriumPoint
+from trms_cli.stability.equilibria.landmarks import Landmark
+from trms_cli.stability.equilibria.named_points import FrictionBand, NamedPoint
+from trms_cli.stability.equilibria.proof import Enclosed, Piece
+from trms_cli.stability.equilibria.survey import EquilibriumMap, Survey
+from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.local.linear import Linear
+
+#: Landmarks that the answer names.
+_FIRST = ("fold", "kink", "oscillation", "exchange", "crossing")
+_MOST_PIECES = 7
+#: Every so many points of a curve are asked whether they lie on a switch.
+_SWITCH_STRIDE = 5
+_QUANTITIES = {
+    "thrust_main": "thrust of the main rotor [N]",
+    "thrust_tail": "thrust of the tail rotor [N]",
+    "current_main": "current of the main motor [A]",
+    "current_tail": "current of the tail motor [A]",
+    "drag_torque_main": "drag torque of the main rotor [N m]",
+    "drag_torque_tail": "drag torque of the tail rotor [N m]",
+    "gravity_moment": "moment of gravity on pitch [N m]",
+    "inertia_pitch": "inertia of pitch [kg m²]",
+    "inertia_yaw": "inertia of yaw [kg m²]",
+}
+#: Axis or rotor that a quantity belongs to, by a part of its name.
+_PARTS = {"main": "main", "tail": "tail", "gravity": "pitch", "pitch": "pitch", "yaw": "yaw"}
+
+
+@dataclass(frozen=True)
+class EquilibriaResult:
+    """All equilibria of a model."""
+
+    model: Model
+    surveys: Sequence[Survey]
+    named: Sequence[NamedPoint]
+    map: EquilibriumMap | None  #: Over both inputs
+    warnings: Sequence[str]  #: What was left out
+
+
+def findings_of(result: EquilibriaResult, left_out: Sequence[str]) -> Findings:
+    """The findings; ``left_out`` are the effects that the equations do not hold, by name."""
+    return Findings(
+        title="Equilibria",
+        lead=_lead(result),
+        sections=[
+            *(_section(result.model, one, result.named) for one in result.surveys),
+            *_map_sections(result),
+            _special_section(result),
+        ],
+        results=json_data(
+            {
+                "surveys": [_survey_data(one) for one in result.surveys],
+                "named": [_named_data(result.model, point) for point in result.named],
+            }
+        ),
+        warnings=_warnings(result, left_out),
+    )
+
+
+def _survey_data(survey: Survey) -> dict[str, Any]:
+    model = survey.system.model
+    return {
+        "over": survey.setting.over,
+        "range": survey.setting.bounds,
+        "inputs": survey.setting.inputs,
+        "held": survey.setting.held,
+        "released": survey.system.released,
+        "free": survey.system.free,
+        "box": _bounds(survey.system.unknowns, survey.box),
+        "curves": [
+            {
+                "states": _columns(model.states, [p.x for p in one.points]),
+                "inputs": _columns(model.inputs, [p.u for p in one.points]),
+                "growing": [p.unstable for p in one.points],
+                "verdict": [p.verdict for p in one.points],
+                "rightmost": [float(p.eigenvalues[0].real) for p in one.points],
+                "ends": one.curve.ends,
+            }
+            for one in survey.curves
+        ],
+        "landmarks": [
+            {
+                "kind": one.kind,
+                "angle": one.name or None,
+                "input": float(one.y[-1]),
+                "frequency": one.frequency,
+                "growing": one.at.unstable,
+                **_states(model, one.at),
+            }
+            for one in survey.landmarks
+        ],
+        "proofs": [
+            {
+                "input": check.input,
+                "complete": check.proof.complete,
+                "count": check.proof.count,
+                "agrees_with_curves": check.agree,
+                "equilibria": [_enclosed_data(model, one) for one in check.proof.enclosed],
+            }
+            for check in survey.checks
+        ],
+        "range_proof": survey.pieces,
+        "range_proved": _proved_share(survey.pieces),
+    }
+
+
+def _named_data(model: Model, point: NamedPoint) -> dict[str, Any]:
+    return {
+        "name": point.name,
+        **_states(model, point),
+        "eigenvalues": point.eigenvalues,
+        "growing": point.unstable,
+        "verdict": point.verdict,
+        "quantities": point.quantities,
+        "friction": [
+            {name: value for name, value in vars(band).items() if name != "angle"}
+            for band in point.bands
+        ],
+    }
+
+
+def _states(model: Model, at: OperatingPoint) -> dict[str, Any]:
+    return {"states": by_name(model.states, at.x), "inputs": by_name(model.inputs, at.u)}
+
+
+def _columns(signals: Sequence[Signal], rows: Sequence[np.ndarray]) -> dict[str, Any]:
+    return dict(zip(names(signals), np.array(rows).reshape(-1, len(signals)).T, strict=True))
+
+
+def _bounds(signals: Sequence[Signal], box: Interval) -> dict[str, Any]:
+    return dict(zip(names(signals), np.stack([box.lower, box.upper], axis=1), strict=True))
+
+
+def _enclosed_data(model: Model, one: Enclosed) -> dict[str, Any]:
+    return {
+        "unique": one.unique,
+        "exists": one.exists,
+        "states": _bounds(model.states, one.x),
+        "inputs": _bounds(model.inputs, one.u),
+    }
+
+
+def _proved_share(pieces: Sequence[Piece]) -> float | None:
+    """Share of a range in which the number is proved."""
+    if not pieces:
+        return None
+    whole = pieces[-1].upper - pieces[0].lower
+    return sum(piece.upper - piece.lower for piece in pieces if piece.count is not None) / whole
+
+
+def _number(value: float, digits: int = 4) -> str:
+    """A few digits; what is rounding is zero."""
+    return f"{0.0 if abs(value) < 1e-9 else value:.{digits}g}"
+
+
+def _with_unit(value: float, unit: str, digits: int = 4) -> str:
+    return f"{_number(value, digits)} {unit}".removesuffix(" 1").rstrip()
+
+
+def _rounded(value: float) -> float:
+    """Five digits, for a cell; what is rounding is zero."""
+    return 0.0 if abs(value) < 1e-9 else float(f"{value:.5g}")
+
+
+def _signal(model: Model, name: str) -> Signal:
+    return next(s for s in (*model.states, *model.inputs) if s.name == name)
+
+
+def _written(model: Model, name: str, value: float, digits: int = 4) -> str:
+    """``α_v = 0.1 rad``."""
+    return f"{symbol(name)} = {_with_unit(value, _signal(model, name).unit, digits)}"
+
+
+def _value_columns(model: Model, shown: Sequence[str]) -> list[Column]:
+    """Columns of states and commands, of operating points."""
+
+    def cell(name: str) -> Callable[[OperatingPoint], Value]:
+        return lambda point: _rounded(point.value(model, name))
+
+    return [Column(titled(symbol(name), _signal(model, name).unit), cell(name)) for name in shown]
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:] + "."
+
+
+def _lead(result: EquilibriaResult) -> list[str]:
+    model = result.model
+    lead = [_named_words(model, point) + "." for point in result.named]
+    for one in result.surveys:
+        marks = [_landmark_words(one, mark) for mark in one.landmarks if mark.kind in _FIRST]
+        lead += [_sentence(words) for words in dict.fromkeys(marks)]
+        lead.append(_proof_words(one))
+    bands = [(point.name, band) for point in result.named for band in point.bands]
+    return [*lead, *(_sentence(f"{name}: {band_words(model, band)}") for name, band in bands)]
+
+
+def _named_words(model: Model, point: NamedPoint) -> str:
+    """A named point with the figures that matter."""
+    shown = [*model.controlled, *(n for n in model.state_names if n.startswith("omega"))]
+    commands, states = (
+        ", ".join(_written(model, name, point.value(model, name)) for name in group)
+        for group in (names(model.inputs), dict.fromkeys(shown))
+    )
+    return f"{point.name.capitalize()}: {commands}: {states} ({_stability(point).value})"
+
+
+def _landmark_words(survey: Survey, one: Landmark) -> str:
+    """One special point, in words."""
+    model = survey.system.model
+    at = _written(model, survey.setting.over, float(one.y[-1]), 6)
+    angles = [name for name in model.controlled if name not in survey.system.free]
+    place = f"{at}, " + ", ".join(
+        _written(model, name, one.at.value(model, name)) for name in angles
+    )
+    if one.kind == "fold":
+        return f"two equilibria meet and end in a fold at {place}"
+    if one.kind == "kink":
+        return f"two equilibria meet and end at a kink near {place}"
+    if one.kind == "oscillation":
+        frequency = _number(one.frequency or 0.0, 3)
+        return f"an oscillation of {frequency} Hz begins or ends to grow at {place}"
+    if one.kind == "exchange":
+        return f"stability changes at {place}"
+    return f"another curve may cross at {place}"
+
+
+def _proof_words(survey: Survey) -> str:
+    """What is proved, in one or two sentences."""
+    over, checks = survey.setting.over, survey.checks
+    unit = _signal(survey.system.model, over).unit
+    complete = sum(check.proof.complete for check in checks)
+    low, high = survey.setting.bounds
+    words = (
+        f"Proved by intervals at {complete} of {len(checks)} values of {symbol(over)} from "
+        f"{_number(low)} to {_with_unit(high, unit)}: the number of equilibria in the box"
+    )
+    words += ", each of them on a curve." if all(check.agree for check in checks) else "."
+    share = _proved_share(survey.pieces)
+    if share is not None:
+        # Never rounded up to all.
+        part = "all" if share == 1.0 else f"{math.floor(share * 1e4) / 100:g} %"
+        pieces = "; ".join(_piece_words(survey.pieces, unit))
+        words += f" Between them too, for {part} of the range: {pieces}."
+    return words
+
+
+def _piece_words(pieces: Sequence[Piece], unit: str) -> list[str]:
+    """Ranges with one number; a sliver left untold between two of the same number divides none.
+
+    Ends are rounded inwards, so that nothing is said of what is not proved.
+    """
+    joined: list[Piece] = []
+    most = 2e-3 * (pieces[-1].upper - pieces[0].lower)
+    for piece in (p for p in pieces if p.count is not None):
+        near = bool(joined) and piece.lower - joined[-1].upper <= most
+        if near and joined[-1].count == piece.count:
+            joined[-1] = Piece(joined[-1].lower, piece.upper, piece.count)
+        else:
+            joined.append(piece)
+    words = [
+        f"{p.count or 'none'} from {math.ceil(p.lower * 1e4) / 1e4} to "
+        f"{_with_unit(math.floor(p.upper * 1e4) / 1e4, unit, 6)}"
+        for p in joined
+    ]
+    return words if len(words) <= _MOST_PIECES else [*words[:_MOST_PIECES], "…"]
+
+
+def band_words(model: Model, band: FrictionBand) -> str:
+    """What friction holds."""
+    held = f"dry friction of {_number(band.torque)} N m holds {symbol(band.angle)} anywhere"
+    if band.lower is not None and band.upper is not None:
+        return f"{held} from {_number(band.lower)} to {_number(band.upper)} rad"
+    if band.command is not None:
+        name, low, high = band.command
+        top = _with_unit(high, _signal(model, name).unit)
+        return f"{held}, for {symbol(name)} from {_number(low)} to {top}"
+    return held
+
+
+def _section(model: Model, one: Survey, named: Sequence[NamedPoint]) -> Section:
+    bounds = [
+        f"{symbol(signal.name)} "
+        + (
+            f"{low:.4g} to {high:.4g} {signal.unit}"
+            if math.isfinite(low) and math.isfinite(high)
+            else "without bounds"
+        )
+        for signal, low, high in zip(
+            one.system.unknowns, one.box.lower.tolist(), one.box.upper.tolist(), strict=True
+        )
+    ]
+    text = [
+        f"The box: {', '.join(bounds)}; all other states follow from these. An angle beyond its "
+        "stop is reached by no rig.",
+        *(_sentence(words) for words in _structure(one)),
+        *(
+            f"A curve runs from {a} to {b}."
+            for a, b in dict.fromkeys(c.curve.ends for c in one.curves)
+        ),
+    ]
+    shown = shown_signals(model, one)
+    charts = [curves_chart(model, one, named)] if one.curves and shown else []
+    over = symbol(one.setting.over)
+    return Section(f"Over {over}", text, [*charts, _point_table(model, one, shown)])
+
+
+def _structure(one: Survey) -> list[str]:
+    words = []
+    if one.system.free:
+        words.append(
+            f"{', '.join(symbol(name) for name in one.system.free)} is determined by nothing: "
+            "any value rests; zero is taken"
+        )
+    if one.system.released and not one.setting.held:
+        words.append(
+            f"rest asks for one value of {', '.join(symbol(n) for n in one.system.released)} at "
+            f"each {symbol(one.setting.over)}: it is solved for"
+        )
+    return words
+
+
+def _point_table(model: Model, survey: Survey, shown: Sequence[Signal]) -> Table:
+    """Equilibria at the inputs of the proofs."""
+    over = survey.setting.over
+    columns = _value_columns(model, names(shown))
+    rows: list[list[Value | Judged]] = []
+    for check in survey.checks:
+        complete = check.proof.complete
+        proof = Judged("proved", "good") if complete else Judged("undecided", "doubtful")
+        if not check.agree:
+            proof = Judged("curves differ", "bad")
+        at = _rounded(check.input)
+        values = table(check.points, columns).rows
+        if not check.points:
+            rows.append([at, *[None] * len(shown), "none in the box", None, proof])
+        for point, cells in zip(check.points, values, strict=True):
+            rightmost = _rounded(float(point.eigenvalues[0].real))
+            rows.append([at, *cells, _stability(point), rightmost, proof])
+    heads = [titled(symbol(over), _signal(model, over).unit), *(c.head for c in columns)]
+    return Table(
+        [*heads, "stability", "rightmost [1/s]", "number"],
+        rows,
+        "All equilibria in the box at each input. `rightmost` is the largest real part of the "
+        "eigenvalues; `number` tells whether it is proved that there are no others.",
+        on_screen=False,
+    )
+
+
+def _stability(point: EquilibriumPoint) -> Judged:
+    """In a word or two."""
+    if point.unstable:
+        return Judged(f"{point.unstable} growing", "bad")
+    if point.verdict == "unstable":
+        return Judged("grows with t", "bad")
+    return Judged(point.verdict, "good" if point.verdict == "stable" else "doubtful")
+
+
+def _map_sections(result: EquilibriaResult) -> list[Section]:
+    if result.map is None:
+        return []
+    first, second = (one.setting.over for one in result.surveys)
+    chart = map_chart(result.model, result.map, first, second)
+    text = "Each point is the stable equilibrium that a step of the command leads to from its "
+    text += "neighbour; it is searched for, not proved to be the only one."
+    return [Section("Over both inputs", [text], [chart])] if chart.panels else []
+
+
+def _special_section(result: EquilibriaResult) -> Section:
+    model, named = result.model, result.named
+    blocks: list[Table | Chart] = []
+    if named:
+        speeds = (n for n in model.state_names if n.startswith("omega"))
+        shown = list(dict.fromkeys([*names(model.inputs), *model.controlled, *speeds]))
+        columns = [
+            Column("", "name"),
+            *_value_columns(model, shown),
+            Column("stability", _stability),
+        ]
+        blocks.append(table(named, columns, "Equilibria with a name."))
+    blocks += [one for one in (_landmark_table(result), _quantity_table(result)) if one]
+    return Section("Special points", (), blocks)
+
+
+def _landmark_table(result: EquilibriaResult) -> Table | None:
+    """Folds, changes of stability and levels of all curves."""
+    model = result.model
+    rows = [
+        [
+            f"{symbol(one.name)} = 0" if one.kind == "level" else MARKS[one.kind][0],
+            _written(model, survey.setting.over, float(one.y[-1]), 7),
+            *(
+                None if name in survey.system.free else _rounded(one.at.value(model, name))
+                for name in model.controlled
+            ),
+            None if one.frequency is None else _rounded(one.frequency),
+        ]
+        for survey in result.surveys
+        for one in survey.landmarks
+        if one.kind != "zero"
+    ]
+    if not rows:
+        return None
+    heads = [titled(symbol(name), _signal(model, name).unit) for name in model.controlled]
+    return Table(["", "where", *heads, "frequency [Hz]"], rows, "Special points of the curves.")
+
+
+def _quantity_table(result: EquilibriaResult) -> Table | None:
+    """Physical quantities at the named points."""
+    model, points = result.model, result.named
+    locked = [part for part, whole in _PARTS.items() if whole not in (*model.axes, *model.rotors)]
+    known = [
+        name
+        for name in _QUANTITIES
+        if any(name in point.quantities for point in points)
+        and not any(part in name for part in locked)
+    ]
+    if not known:
+        return None
+    rows: list[list[Value]] = [
+        [_QUANTITIES[name], *(_rounded(point.quantities.get(name, math.nan)) for point in points)]
+        for name in known
+    ]
+    return Table(["", *(point.name for point in points)], rows, "Physical quantities there.")
+
+
+def _warnings(result: EquilibriaResult, left_out: Sequence[str]) -> list[str]:
+    words = []
+    for one in result.surveys:
+        over = symbol(one.setting.over)
+        differ = [f"{check.input:.4g}" for check in one.checks if not check.agree]
+        if differ:
+            words.append(
+                f"over {over} the curves and the proof DISAGREE at {', '.join(differ)}: neither is "
+                "to be trusted there"
+            )
+        if one.late:
+            words.append(
+                f"over {over} {one.late} curves were found by the proof and not by the search"
+            )
+        if any(check.proof.open_ended for check in one.checks):
+            words.append(f"over {over} equilibria with a state beyond 1e6 are not excluded")
+        words += [*_switch_words(one), *_undecided_words(one)]
+        ends = [end for curve in one.curves for end in curve.curve.ends if end.startswith("where")]
+        words += [f"a curve over {over} ends {end}" for end in ends]
+    rotor = [name for name in left_out if "friction" in name and "rotor" in name]
+    if rotor:
+        words.append(
+            f"{', '.join(rotor)} acts as impulses and is no part of these equilibria: a turning "
+            "rotor rests at a lower speed with it"
+        )
+    return [*result.warnings, *words]
+
+
+def _switch_words(survey: Survey) -> list[str]:
+    """That a curve lies on a switch, and which slopes then count."""
+    model = survey.system.model
+    linear = Linear(model)
+    for one in survey.curves:
+        on_curve = zip(one.points, one.curve.y, strict=True)
+        for point, y in list(on_curve)[::_SWITCH_STRIDE]:
+            switches = linear.switches(point.x, survey.equations.point(y)[2])
+            if not switches:
+                continue
+            places = ", ".join(
+                f"{symbol(model.state_names[s.state])} = {_number(float(point.x[s.state]))}"
+                for s in switches
+            )
+            return [
+                f"over {symbol(survey.setting.over)} equilibria lie on a switch ({places}), on "
+                "whose sides the slopes differ: stability is told for the mean of both, which "
+                "small swings across it see; either side: study=local"
+            ]
+    return []
+
+
+def _undecided_words(survey: Survey) -> list[str]:
+    """Where a proof could not decide."""
+    words = []
+    for check in survey.checks:
+        proof = check.proof
+        if proof.complete:
+            continue
+        places = "; ".join(
+            ", ".join(
+                f"{symbol(signal.name)} {_number(float(one.z.lower[k]))} to "
+                f"{_with_unit(float(one.z.upper[k]), signal.unit)}"
+                for k, signal in enumerate(survey.system.unknowns)
+            )
+            + (" (at least one is there)" if one.exists else "")
+            for one in proof.undecided[:2]
+        )
+        more = len(proof.undecided) - 2
+        words.append(
+            f"at {_written(survey.system.model, survey.setting.over, check.input)} the number is "
+            f"not proved: {len(proof.proved)} found, undecided: {places}"
+            + (f" and {more} places more" if more > 0 else "")
+            + f"; the curves have {len(check.points) or 'none'} there"
+        )
+    return words
