@@ -32,7 +32,7 @@ from trms_cli.stability.cycles.friction_loop import (
     law_matrices,
 )
 from trms_cli.stability.cycles.hunting_prediction import predicted
-from trms_cli.stability.cycles.hunting_runs import slips, watched, with_sizes
+from trms_cli.stability.cycles.hunting_runs import axis_run, slips, with_sizes
 from trms_cli.stability.cycles.stick_slip import StickSlip
 from trms_cli.stability.studies.hunting import Hunting
 from trms_cli.stability.study import Study, silent
@@ -56,7 +56,7 @@ def prediction():
 
 @pytest.fixture(scope="module")
 def run():
-    return watched(RIG, LOOP, POINT, "pitch", 0.03, 120.0)[0]
+    return axis_run(RIG, LOOP, POINT, "pitch", 0.03, 120.0)
 
 
 def test_the_friction_is_read_with_the_sizes_in_force():
@@ -169,7 +169,7 @@ def test_stiction_hunts_as_predicted(prediction, run):
 def test_below_the_threshold_it_rests_and_above_it_hunts(prediction):
     """The threshold of the map, tried in simulation: a stick at an error is where a run begins."""
     below, above = (
-        watched(RIG, LOOP, POINT, "pitch", share * prediction.threshold, 160.0)[0]
+        axis_run(RIG, LOOP, POINT, "pitch", share * prediction.threshold, 160.0)
         for share in (0.6, 1.5)
     )
     assert not below.hunts and below.swing < 0.1 * prediction.cycle.swing
@@ -179,7 +179,7 @@ def test_below_the_threshold_it_rests_and_above_it_hunts(prediction):
 def test_coulomb_friction_alone_does_not_hunt():
     rig = with_sizes(RIG, {"friction.excess": 0.0})
     for push in (0.02, 0.1):
-        seen, _ = watched(rig, LOOP, POINT, "pitch", push, 60.0)
+        seen = axis_run(rig, LOOP, POINT, "pitch", push, 60.0)
         assert seen.verdict == "rest" and seen.swing < 1e-4
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 from trms_cli.stability.cycles.hunting_prediction import Harmonics, Prediction
-from trms_cli.stability.cycles.hunting_runs import Watched, sticks
+from trms_cli.stability.cycles.hunting_runs import AxisRun, LevelSweep
 from trms_cli.stability.cycles.stick_slip import StickSlip
 
 FloatArray = npt.NDArray[np.float64]
@@ -19,27 +18,18 @@ FloatArray = npt.NDArray[np.float64]
 _PERIODS, _SHOWN = 3.0, 60.0
 
 
-@dataclass(frozen=True)
-class Level:
-    """A level of friction or of integral action: what is predicted and what simulation gives."""
-
-    factor: float  #: on the size of the friction
-    predicted: float | None  #: Swing, rad; None where the loop does not hunt
-    seen: Watched
-
-
-def history(seen: Watched, command: FloatArray, label: str, unit: str, input_label: str) -> Chart:
+def history(run: AxisRun, label: str, input_label: str) -> Chart:
     """The angle's error and the command over time, sticks shaded."""
-    shown = _SHOWN if seen.period is None else _PERIODS * seen.period
-    n = max(2, int(np.searchsorted(seen.time, seen.time[-1] - shown, side="left")))
-    part = slice(n, None) if seen.hunts else slice(0, int(np.searchsorted(seen.time, shown)) + 1)
-    time = seen.time[part] - seen.time[part][0]
+    shown = _SHOWN if run.period is None else _PERIODS * run.period
+    n = max(2, int(np.searchsorted(run.time, run.time[-1] - shown, side="left")))
+    part = slice(n, None) if run.hunts else slice(0, int(np.searchsorted(run.time, shown)) + 1)
+    time = run.time[part] - run.time[part][0]
     panels = []
-    for values, name, unit_of in ((seen.angle, label, unit), (command, input_label, "V")):
+    for values, name, unit_of in ((run.angle, label, "rad"), (run.command, input_label, "V")):
         y = values[part]
         room = 0.08 * max(float(np.ptp(y)), 1e-9)
         low, high = float(y.min()) - room, float(y.max()) + room
-        at_rest = seen.stuck[part]
+        at_rest = run.stuck[part]
         marks: list[Mark] = [
             Band(
                 time,
@@ -52,7 +42,7 @@ def history(seen: Watched, command: FloatArray, label: str, unit: str, input_lab
             Curve(time, y, "", "blue", width=1.6),
         ]
         panels.append(Panel(Axis("time", "s"), Axis(name, unit_of, (low, high)), marks))
-    words = "hunting after the transient" if seen.hunts else "after the push"
+    words = "hunting after the transient" if run.hunts else "after the push"
     return Chart(
         "hunting_history",
         panels,
@@ -64,24 +54,22 @@ def history(seen: Watched, command: FloatArray, label: str, unit: str, input_lab
 
 
 def planes(
-    seen: Watched,
-    command: FloatArray,
+    run: AxisRun,
     prediction: Prediction | None,
     events: StickSlip | None,
     label: str,
-    unit: str,
     input_label: str,
 ) -> Chart:
     """One cycle in the plane of angle and rate, and of angle and command."""
-    period = seen.period or _SHOWN
-    n = int(np.searchsorted(seen.time, seen.time[-1] - 1.02 * period, side="left"))
-    angle, rate, given = seen.angle[n:], seen.rate[n:], command[n:]
+    period = run.period or _SHOWN
+    n = int(np.searchsorted(run.time, run.time[-1] - 1.02 * period, side="left"))
+    angle, rate, given = run.angle[n:], run.rate[n:], run.command[n:]
     marks: list[Mark] = [Curve(angle, rate, "simulated", "blue", width=1.8)]
     if prediction is not None and prediction.cycle is not None and events is not None:
         _, path, speed = events.trace(prediction.cycle.half)
         for sign in (1.0, -1.0):
             marks.append(Curve(sign * path, sign * speed, "predicted", "vermilion", "dashed", 1.6))
-    at_rest = seen.stuck[n:]
+    at_rest = run.stuck[n:]
     marks.append(Points(angle[at_rest], rate[at_rest], "sticks", "square", "orange", size=6.0))
     other: list[Mark] = [
         Curve(angle, given, "simulated", "blue", width=1.6, arrow=True),
@@ -96,17 +84,15 @@ def planes(
     return Chart(
         "hunting_plane",
         [
-            Panel(
-                Axis(label, unit), Axis(f"rate of {label}", f"{unit}/s"), marks, "Angle and rate"
-            ),
-            Panel(Axis(label, unit), Axis(input_label, "V"), other, "Angle and command"),
+            Panel(Axis(label, "rad"), Axis(f"rate of {label}", "rad/s"), marks, "Angle and rate"),
+            Panel(Axis(label, "rad"), Axis(input_label, "V"), other, "Angle and command"),
         ],
         "One hunting cycle. A stick is a point on the left, a vertical line on the right: the "
         "command climbs until the axis breaks away.",
     )
 
 
-def event_map(prediction: Prediction, seen: Watched, unit: str) -> Chart:
+def event_map(prediction: Prediction, run: AxisRun) -> Chart:
     """Error at a stick over error at the one before; the simulation's sticks too."""
     e, f = prediction.errors, prediction.following
     size = np.abs(f)
@@ -117,7 +103,7 @@ def event_map(prediction: Prediction, seen: Watched, unit: str) -> Chart:
     ]
     if np.isfinite(short).any():
         marks.append(Curve(e, short, "slip that falls short of it", "sky", "dashed"))
-    before, after = sticks(seen)
+    before, after = run.sticks
     if before.size:
         marks.append(Points(before, after, "simulated, from stick to stick", "dot", "ink"))
     if np.isfinite(prediction.coulomb):
@@ -133,8 +119,8 @@ def event_map(prediction: Prediction, seen: Watched, unit: str) -> Chart:
         "hunting_map",
         [
             Panel(
-                Axis("error at a stick", unit, log=True),
-                Axis("error at the next stick", unit, log=True),
+                Axis("error at a stick", "rad", log=True),
+                Axis("error at the next stick", "rad", log=True),
                 marks,
             )
         ],
@@ -195,31 +181,22 @@ def nyquist(one: Harmonics) -> Chart:
     )
 
 
-def over_levels(
-    axis_label: str,
-    panels: Sequence[tuple[str, FloatArray, Sequence[tuple[str, FloatArray]], Sequence[Level]]],
-) -> Chart:
-    """Swing over levels of friction and of integral action, predicted and simulated.
-
-    Parameters
-    ----------
-    panels : sequence of (label, x, [(words, swings)], levels)
-        Predicted curves over factors, and the levels that were simulated.
-    """
+def over_levels(axis_label: str, sweeps: Sequence[LevelSweep]) -> Chart:
+    """Swing over levels of friction and of integral action, predicted and simulated."""
     colours = ("blue", "green", "purple")
     shown = []
-    for label, x, curves, levels in panels:
+    for sweep in sweeps:
         marks: list[Mark] = [
-            Curve(x, values, words, colours[i % 3])  # type: ignore[arg-type]
-            for i, (words, values) in enumerate(curves)
+            Curve(sweep.x, values, words, colours[i % 3])  # type: ignore[arg-type]
+            for i, (words, values) in enumerate(sweep.curves)
         ]
-        hunting = [level for level in levels if level.seen.hunts]
-        still = [level for level in levels if not level.seen.hunts]
+        hunting = [level for level in sweep.levels if level.run.hunts]
+        still = [level for level in sweep.levels if not level.run.hunts]
         if hunting:
             marks.append(
                 Points(
                     [level.factor for level in hunting],
-                    [level.seen.swing for level in hunting],
+                    [level.run.swing for level in hunting],
                     "simulated",
                     "star",
                     "vermilion",
@@ -237,7 +214,8 @@ def over_levels(
                     size=8.0,
                 )
             )
-        shown.append(Panel(Axis(label, "", log=True), Axis(f"swing of {axis_label}", "rad"), marks))
+        factor = Axis(f"{sweep.label}, times", "", log=True)
+        shown.append(Panel(factor, Axis(f"swing of {axis_label}", "rad"), marks))
     return Chart(
         "hunting_over_friction",
         shown,

@@ -1,4 +1,4 @@
-"""What was found about a loop with friction, in sentences, tables and figures."""
+"""What is known of a loop with friction, in sentences, tables and JSON data."""
 
 from __future__ import annotations
 
@@ -7,14 +7,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.core.chart import Chart
-from trms_cli.core.findings import Findings, Judged, Section, Table, Value
+from trms_cli.core.findings import (
+    Cell,
+    Column,
+    Findings,
+    Judged,
+    Section,
+    Table,
+    json_data,
+    table,
+)
+from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model
 from trms_cli.stability.cycles.friction_loop import Friction
 from trms_cli.stability.cycles.hunting_charts import (
-    Level,
     event_map,
     history,
     nyquist,
@@ -22,11 +30,8 @@ from trms_cli.stability.cycles.hunting_charts import (
     planes,
 )
 from trms_cli.stability.cycles.hunting_prediction import Harmonics, Prediction
-from trms_cli.stability.cycles.hunting_runs import Watched
-from trms_cli.stability.cycles.orbit_charts import symbol
+from trms_cli.stability.cycles.hunting_runs import AxisRun, HuntingLevel, LevelSweep
 from trms_cli.stability.cycles.stick_slip import StickSlip
-
-FloatArray = npt.NDArray[np.float64]
 
 _VERDICTS = {
     "hunting": "hunts",
@@ -39,19 +44,7 @@ _VERDICTS = {
 
 
 @dataclass(frozen=True)
-class Sweep:
-    """Runs over one quantity."""
-
-    name: str  #: ``torques`` or ``integrals``
-    label: str  #: Of the axis of the figure
-    x: FloatArray  #: (n,) array; factors of the predicted curves
-    #: sequence of (words, (n,) array); predicted swings, rad
-    curves: Sequence[tuple[str, FloatArray]]
-    levels: Sequence[Level]  #: That were simulated
-
-
-@dataclass(frozen=True)
-class Studied:
+class HuntingResult:
     """Everything about one loop."""
 
     model: Model
@@ -59,85 +52,58 @@ class Studied:
     words: str  #: The operating point
     friction: Friction
     push: float  #: rad
-    seen: Watched  #: The loop as asked for
-    #: The run from the push, where it came to rest beside a predicted cycle; ``seen`` then begins
-    #: on that
-    elsewhere: Watched | None
-    command: FloatArray  #: (n,) array; V, of the rotor that holds the axis
-    channel: int  #: That command
-    coulomb: Watched | None  #: The same with Coulomb friction alone; None where there is no excess
+    run: AxisRun  #: The loop as asked for
+    #: The run from the push, where it came to rest beside a predicted cycle; ``run`` then begins on
+    #: that
+    elsewhere: AxisRun | None
+    channel: int  #: Of the command that holds the axis
+    coulomb: AxisRun | None  #: The same with Coulomb friction alone; None where there is no excess
     prediction: Prediction | None  #: Only for a PID
     harmonics: Harmonics | None  #: Only for a PID
     events: StickSlip | None  #: Only for a PID
-    sweeps: Sequence[Sweep]
+    sweeps: Sequence[LevelSweep]
     warnings: Sequence[str]
 
     @property
     def angle(self) -> str:
-        return self.model.axes[self.friction.axis].angle
+        """Symbol of the axis' angle."""
+        return symbol(self.model.axes[self.friction.axis].angle)
 
 
-def findings_of(studied: Studied) -> Findings:
+def findings_of(result: HuntingResult) -> Findings:
     """The findings."""
-    sections = [_run_section(studied)]
-    if studied.prediction is not None:
-        sections.append(_prediction_section(studied, studied.prediction))
-    if studied.harmonics is not None:
-        sections.append(_harmonic_section(studied, studied.harmonics))
-    if studied.sweeps:
-        sections.append(_sweep_section(studied))
-    return Findings("Hunting", _lead(studied), sections, _results(studied), tuple(studied.warnings))
+    sections = [_run_section(result)]
+    if result.prediction is not None:
+        sections.append(_prediction_section(result, result.prediction))
+    if result.harmonics is not None:
+        sections.append(_harmonic_section(result, result.harmonics))
+    if result.sweeps:
+        sections.append(_sweep_section(result))
+    return Findings("Hunting", _lead(result), sections, _results(result), tuple(result.warnings))
 
 
-def _lead(studied: Studied) -> list[str]:
-    seen, name = studied.seen, symbol(studied.angle)
-    law = studied.friction.law
-    friction = (
-        f"{law.torque:g} N m of friction on {studied.friction.axis}"
-        if not law.excess
-        else f"{law.torque:g} N m of friction on {studied.friction.axis} "
-        f"({law.breakaway:g} N m to break away)"
-    )
-    if seen.hunts:
-        lead = [
-            f"The loop hunts: with {friction}, {name} swings by {seen.swing:.4f} rad every "
-            f"{seen.period or float('nan'):.2f} s and sticks {100 * seen.stuck_share:.0f} % of the "
-            "time."
-        ]
-    elif seen.verdict == "oscillating":
-        lead = [
-            f"The loop oscillates without sticking, with {friction}: {name} swings by "
-            f"{seen.swing:.4f} rad. That is no hunting: look at its margins (study=margins)."
-        ]
-    elif seen.verdict == "undecided":
-        lead = [
-            f"Undecided, with {friction}: the axis slipped only once or twice in the second half "
-            f"of {seen.time[-1]:.0f} s; run longer (study.duration={4 * seen.time[-1]:.0f})."
-        ]
-    elif seen.verdict == "unstable":
-        lead = [f"The loop does not hold, with {friction}: look at its margins (study=margins)."]
-    else:
-        lead = [
-            f"No hunting was found with {friction}: from {studied.push:g} rad beside the reference "
-            f"the axis {_VERDICTS[seen.verdict]} within {seen.time[-1]:.0f} s."
-        ]
-    if studied.elsewhere is not None and seen.hunts:
+def _lead(result: HuntingResult) -> list[str]:
+    run, law, prediction = result.run, result.friction.law, result.prediction
+    friction = f"{law.torque:g} N m of friction on {result.friction.axis}"
+    if law.excess:
+        friction += f" ({law.breakaway:g} N m to break away)"
+    lead = [_verdict_words(result, friction)]
+    if result.elsewhere is not None and run.hunts:
         lead.append(
-            f"It does so from a stick {abs(seen.angle[0]):.3g} rad beside the reference; from "
-            f"{studied.push:g} rad the axis {_VERDICTS[studied.elsewhere.verdict]}: rest and cycle "
+            f"It does so from a stick {abs(run.angle[0]):.3g} rad beside the reference; from "
+            f"{result.push:g} rad the axis {_VERDICTS[result.elsewhere.verdict]}: rest and cycle "
             "stand side by side."
         )
-    prediction = studied.prediction
     if prediction is not None and prediction.cycle is not None:
         cycle = prediction.cycle
         words = (
             f"Predicted from the linear loop, event by event: {cycle.swing:.4f} rad every "
             f"{cycle.period:.2f} s"
         )
-        if seen.hunts and seen.period:
+        if run.hunts and run.period:
             words += (
-                f" ({_percent(cycle.swing, seen.swing)} in swing and "
-                f"{_percent(cycle.period, seen.period)} in period off the simulation)"
+                f" ({_off(cycle.swing, run.swing)} in swing and "
+                f"{_off(cycle.period, run.period)} in period off the simulation)"
             )
         lead.append(
             f"{words}; the largest Floquet multiplier is {abs(cycle.multipliers[0]):.2g}, so that "
@@ -153,64 +119,98 @@ def _lead(studied: Studied) -> list[str]:
             f"A stick less than {prediction.threshold:.2g} rad beside the reference ends at rest, "
             "a larger one on the cycle."
         )
-    if studied.coulomb is not None:
+    if result.coulomb is not None:
         lead.append(
             f"With Coulomb friction alone ({law.torque:g} N m, no excess at break-away) the loop "
-            f"{_VERDICTS[studied.coulomb.verdict]}"
-            + ("." if not studied.coulomb.hunts else " too.")
+            f"{_VERDICTS[result.coulomb.verdict]}{' too.' if result.coulomb.hunts else '.'}"
         )
     return lead
 
 
-def _percent(predicted: float, seen: float) -> str:
-    return f"{100 * (predicted / seen - 1):+.1f} %"
+def _verdict_words(result: HuntingResult, friction: str) -> str:
+    run = result.run
+    if run.hunts:
+        return (
+            f"The loop hunts: with {friction}, {result.angle} swings by {run.swing:.4f} rad every "
+            f"{run.period or float('nan'):.2f} s and sticks {100 * run.stuck_share:.0f} % of the "
+            "time."
+        )
+    if run.verdict == "oscillating":
+        return (
+            f"The loop oscillates without sticking, with {friction}: {result.angle} swings by "
+            f"{run.swing:.4f} rad. That is no hunting: look at its margins (study=margins)."
+        )
+    if run.verdict == "undecided":
+        return (
+            f"Undecided, with {friction}: the axis slipped only once or twice in the second half "
+            f"of {run.time[-1]:.0f} s; run longer (study.duration={4 * run.time[-1]:.0f})."
+        )
+    if run.verdict == "unstable":
+        return f"The loop does not hold, with {friction}: look at its margins (study=margins)."
+    return (
+        f"No hunting was found with {friction}: from {result.push:g} rad beside the reference "
+        f"the axis {_VERDICTS[run.verdict]} within {run.time[-1]:.0f} s."
+    )
 
 
-def _run_section(studied: Studied) -> Section:
-    name, input_label = symbol(studied.angle), symbol(studied.model.inputs[studied.channel].name)
+def _off(predicted: float, simulated: float) -> str:
+    return f"{100 * (predicted / simulated - 1):+.1f} %"
+
+
+def _judged(predicted: float | None, simulated: float | None) -> Cell:
+    """How far a prediction is off; nothing where there is nothing to compare."""
+    if not predicted or not simulated:
+        return None
+    close = abs(predicted / simulated - 1) < 0.05
+    return Judged(_off(predicted, simulated), "good" if close else "doubtful")
+
+
+def _run_section(result: HuntingResult) -> Section:
+    run, label = result.run, f"{result.angle} − reference"
+    command = symbol(result.model.inputs[result.channel].name)
     text = [
-        f"{studied.controller} at {studied.words}, started {studied.seen.angle[0]:.3g} rad beside "
-        f"the reference, {studied.seen.time[-1]:.0f} s; the second half is judged. The axis sticks "
+        f"{result.controller} at {result.words}, started {run.angle[0]:.3g} rad beside "
+        f"the reference, {run.time[-1]:.0f} s; the second half is judged. The axis sticks "
         "where its rate is zero to rounding: friction acts as an impulse that stops it exactly.",
     ]
-    label = f"{name} − reference"
-    blocks: list[Table | Chart] = [
-        history(studied.seen, studied.command, label, "rad", input_label)
-    ]
-    if studied.seen.hunts:
-        blocks.append(
-            planes(
-                studied.seen,
-                studied.command,
-                studied.prediction,
-                studied.events,
-                label,
-                "rad",
-                input_label,
-            )
-        )
+    blocks = [history(run, label, command)]
+    if run.hunts:
+        blocks.append(planes(run, result.prediction, result.events, label, command))
     return Section("In simulation", text, blocks)
 
 
-def _prediction_section(studied: Studied, prediction: Prediction) -> Section:
-    seen, cycle = studied.seen, prediction.cycle
-    harmonic = studied.harmonics.balance if studied.harmonics is not None else None
-    rows: list[list[Value | Judged]] = [
-        _row("simulated", seen.swing, seen.period, seen.stuck_share, None, seen)
-        if seen.hunts
-        else ["simulated", _VERDICTS[seen.verdict], None, None, None, None],
-        _row("event map", cycle.swing, cycle.period, cycle.stuck, cycle.stable, seen)
+def _prediction_section(result: HuntingResult, prediction: Prediction) -> Section:
+    run, cycle = result.run, prediction.cycle
+    balance = result.harmonics.balance if result.harmonics is not None else None
+
+    def row(
+        name: str, swing: float, period: float | None, stuck: float, *, compare: bool = True
+    ) -> list[Cell]:
+        compare = compare and run.hunts and bool(period and run.period)
+        return [
+            name,
+            f"{swing:.4f}",
+            None if period is None else f"{period:.2f}",
+            f"{100 * stuck:.0f} %",
+            _judged(swing, run.swing) if compare else None,
+            _judged(period, run.period) if compare else None,
+        ]
+
+    def none(name: str, words: str) -> list[Cell]:
+        return [name, words, None, None, None, None]
+
+    rows = [
+        row("simulated", run.swing, run.period, run.stuck_share, compare=False)
+        if run.hunts
+        else none("simulated", _VERDICTS[run.verdict]),
+        row("event map", cycle.swing, cycle.period, cycle.stuck)
         if cycle is not None
-        else ["event map", "no hunting", None, None, None, None],
-        _row("one harmonic", harmonic.swing, harmonic.period, harmonic.stuck, None, seen)
-        if harmonic is not None
-        else ["one harmonic", "no cycle", None, None, None, None],
+        else none("event map", "no hunting"),
+        row("one harmonic", balance.swing, balance.period, balance.stuck)
+        if balance is not None
+        else none("one harmonic", "no cycle"),
     ]
-    table = Table(
-        ["by", "swing [rad]", "period [s]", "stuck", "swing off by", "period off by"],
-        rows,
-        "Predicted and simulated.",
-    )
+    heads = ["by", "swing [rad]", "period [s]", "stuck", "swing off by", "period off by"]
     text = [
         "While the axis sticks the integral ramps until the break-away moment is reached; then it "
         "slips until its rate is zero. Both parts follow from the linearised loop, the second with "
@@ -223,35 +223,11 @@ def _prediction_section(studied: Studied, prediction: Prediction) -> Section:
             else "For Coulomb friction alone a slip creeps to the reference without a stop."
         ),
     ]
-    return Section("Predicted, event by event", text, (table, event_map(prediction, seen, "rad")))
+    blocks = (Table(heads, rows, "Predicted and simulated."), event_map(prediction, run))
+    return Section("Predicted, event by event", text, blocks)
 
 
-def _row(
-    name: str,
-    swing: float,
-    period: float | None,
-    stuck: float,
-    stable: bool | None,
-    seen: Watched,
-) -> list[Value | Judged]:
-    comparable = name != "simulated" and seen.hunts and period and seen.period
-    return [
-        name,
-        f"{swing:.4f}",
-        None if period is None else f"{period:.2f}",
-        f"{100 * stuck:.0f} %",
-        _judged(swing, seen.swing) if comparable else None,
-        _judged(period, seen.period) if comparable and period and seen.period else None,
-    ]
-
-
-def _judged(predicted: float, seen: float) -> Judged:
-    return Judged(
-        _percent(predicted, seen), "good" if abs(predicted / seen - 1) < 0.05 else "doubtful"
-    )
-
-
-def _harmonic_section(studied: Studied, one: Harmonics) -> Section:
+def _harmonic_section(result: HuntingResult, one: Harmonics) -> Section:
     sliding = (
         "G(jω), the rate by the friction's moment, does not cross the negative real axis: no cycle "
         "without a stop."
@@ -267,7 +243,7 @@ def _harmonic_section(studied: Studied, one: Harmonics) -> Section:
         + (
             ". It tells that there is a cycle; its figures are rough, as the moment on an axis "
             "that sticks is a ramp, no sine."
-            if studied.prediction is not None and studied.prediction.cycle is not None
+            if result.prediction is not None and result.prediction.cycle is not None
             else ", and that is wrong: the moment on an axis that sticks is a ramp, no sine. The "
             "event map and the simulation have no cycle."
         )
@@ -275,84 +251,82 @@ def _harmonic_section(studied: Studied, one: Harmonics) -> Section:
     return Section("Describing functions", (sliding, sticking), (nyquist(one),))
 
 
-def _sweep_section(studied: Studied) -> Section:
-    rows: list[list[Value | Judged]] = []
-    for sweep in studied.sweeps:
-        for level in sweep.levels:
-            hunts = level.seen.hunts
-            rows.append(
-                [
-                    f"{sweep.label} × {level.factor:g}",
-                    "no hunting" if level.predicted is None else f"{level.predicted:.4f}",
-                    f"{level.seen.swing:.4f}" if hunts else _VERDICTS[level.seen.verdict],
-                    f"{level.seen.period:.2f}" if hunts and level.seen.period else None,
-                    _judged(level.predicted, level.seen.swing)
-                    if hunts and level.predicted is not None
-                    else None,
-                ]
-            )
-    blocks: list[Table | Chart] = [
-        Table(
-            ["level", "predicted swing [rad]", "simulated [rad]", "period [s]", "swing off by"],
-            rows,
-            "Other levels.",
-        )
+def _sweep_section(result: HuntingResult) -> Section:
+    levels = [(sweep.label, level) for sweep in result.sweeps for level in sweep.levels]
+
+    def simulated(item: tuple[str, HuntingLevel]) -> Cell:
+        run = item[1].run
+        return f"{run.swing:.4f}" if run.hunts else _VERDICTS[run.verdict]
+
+    def period(item: tuple[str, HuntingLevel]) -> Cell:
+        run = item[1].run
+        return f"{run.period:.2f}" if run.hunts and run.period else None
+
+    def predicted(item: tuple[str, HuntingLevel]) -> Cell:
+        swing = item[1].predicted
+        return "no hunting" if swing is None else f"{swing:.4f}"
+
+    columns = [
+        Column("level", lambda item: f"{item[0]} × {item[1].factor:g}"),
+        Column("predicted swing [rad]", predicted),
+        Column("simulated [rad]", simulated),
+        Column("period [s]", period),
+        Column(
+            "swing off by",
+            lambda item: (
+                _judged(item[1].predicted, item[1].run.swing) if item[1].run.hunts else None
+            ),
+        ),
     ]
-    if any(sweep.curves for sweep in studied.sweeps):
-        panels = [(f"{s.label}, times", s.x, s.curves, s.levels) for s in studied.sweeps]
-        blocks.append(over_levels(symbol(studied.angle), panels))
+    blocks: list[Table | Chart] = [table(levels, columns, "Other levels.")]
+    if any(sweep.curves for sweep in result.sweeps):
+        blocks.append(over_levels(result.angle, result.sweeps))
     return Section("Over friction and integral action", (), blocks)
 
 
-def _results(studied: Studied) -> dict[str, Any]:
-    law, prediction = studied.friction.law, studied.prediction
-    results: dict[str, Any] = {
-        "axis": studied.friction.axis,
-        "friction": {"torque": law.torque, "excess": law.excess, "velocity": law.velocity},
-        "simulated": _seen(studied.seen),
-        "coulomb": None if studied.coulomb is None else _seen(studied.coulomb),
-        "predicted": None,
-        "harmonic": None,
-        "levels": [
-            {
-                "of": sweep.name,
-                "factor": level.factor,
-                "predicted_swing": level.predicted,
-                "simulated": _seen(level.seen),
-            }
-            for sweep in studied.sweeps
-            for level in sweep.levels
-        ],
-    }
-    if prediction is not None:
-        cycle = prediction.cycle
-        results["predicted"] = {
-            "hunts": cycle is not None,
-            "threshold": prediction.threshold,
-            "coulomb_factor": prediction.coulomb if np.isfinite(prediction.coulomb) else None,
-            "swing": None if cycle is None else cycle.swing,
-            "period": None if cycle is None else cycle.period,
-            "stuck": None if cycle is None else cycle.stuck,
-            "multipliers": None
-            if cycle is None
-            else [[m.real, m.imag] for m in cycle.multipliers[:4].tolist()],
+def _results(result: HuntingResult) -> dict[str, Any]:
+    prediction, harmonics = result.prediction, result.harmonics
+    cycle = prediction.cycle if prediction is not None else None
+    balance = harmonics.balance if harmonics is not None else None
+    data: dict[str, Any] = json_data(
+        {
+            "axis": result.friction.axis,
+            "friction": result.friction.law,
+            "simulated": _run_data(result.run),
+            "coulomb": None if result.coulomb is None else _run_data(result.coulomb),
+            "predicted": prediction
+            and {
+                "hunts": cycle is not None,
+                "threshold": prediction.threshold,
+                "coulomb_factor": prediction.coulomb,
+                "swing": cycle and cycle.swing,
+                "period": cycle and cycle.period,
+                "stuck": cycle and cycle.stuck,
+                "multipliers": cycle and cycle.multipliers[:4],
+            },
+            "harmonic": balance
+            and {"swing": balance.swing, "period": balance.period, "stuck": balance.stuck},
+            "levels": [
+                {
+                    "of": sweep.name,
+                    "factor": level.factor,
+                    "predicted_swing": level.predicted,
+                    "simulated": _run_data(level.run),
+                }
+                for sweep in result.sweeps
+                for level in sweep.levels
+            ],
         }
-    if studied.harmonics is not None and studied.harmonics.balance is not None:
-        balance = studied.harmonics.balance
-        results["harmonic"] = {
-            "swing": balance.swing,
-            "period": balance.period,
-            "stuck": balance.stuck,
-        }
-    return results
+    )
+    return data
 
 
-def _seen(seen: Watched) -> dict[str, Any]:
+def _run_data(run: AxisRun) -> dict[str, Any]:
     return {
-        "verdict": seen.verdict,
-        "hunts": seen.hunts,
-        "period": seen.period,
-        "swing": seen.swing if np.isfinite(seen.swing) else None,
-        "stuck": seen.stuck_share,
-        "failures": seen.failures,
+        "verdict": run.verdict,
+        "hunts": run.hunts,
+        "period": run.period,
+        "swing": run.swing,
+        "stuck": run.stuck_share,
+        "failures": run.failures,
     }

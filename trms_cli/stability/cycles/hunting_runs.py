@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,13 +36,14 @@ _CALM = 1e-4
 
 
 @dataclass(frozen=True)
-class Watched:
-    """A run and what was seen in its second half."""
+class AxisRun:
+    """A run of a loop, one axis of it, and what its second half shows."""
 
     #: ``time``, ``angle``, ``rate``: (n,) arrays; s, rad (the deviation from the reference), rad/s
     time: FloatArray
     angle: FloatArray
     rate: FloatArray
+    command: FloatArray  #: (n,) array; V, of the rotor that holds the axis
     stuck: npt.NDArray[np.bool_]  #: (n,) bool array
     #: ``hunting``; ``rest``: no slips any more; ``dying out``: slips, each smaller; ``undecided``:
     #: a slip or two, too few to tell; ``oscillating``: a steady swing that never sticks;
@@ -50,7 +51,7 @@ class Watched:
     verdict: Verdict
     period: float | None  #: s, mean of whole cycles
     swing: float  #: Peak to peak of the angle, rad: over the last cycle where it hunts
-    stuck_share: float  #: of the time, at rest
+    stuck_share: float  #: Of the time, at rest
     at_limit: bool  #: Whether a command reached its bound
     failures: int  #: Control samples whose solve failed
 
@@ -58,8 +59,36 @@ class Watched:
     def hunts(self) -> bool:
         return self.verdict == "hunting"
 
+    @property
+    def sticks(self) -> tuple[FloatArray, FloatArray]:
+        """Sizes of the errors at a stick and at the next one, over the whole run, rad."""
+        edges = np.diff(self.stuck.astype(int))
+        errors = np.abs(self.angle[np.flatnonzero(edges == 1) + 1])
+        return errors[:-1], errors[1:]
 
-def watched(
+
+@dataclass(frozen=True)
+class HuntingLevel:
+    """A level of friction or of integral action: what is predicted and what simulation gives."""
+
+    factor: float  #: On the size of the friction, or on k_i
+    predicted: float | None  #: Swing, rad; None where the loop does not hunt
+    run: AxisRun
+
+
+@dataclass(frozen=True)
+class LevelSweep:
+    """Levels of one quantity."""
+
+    name: str  #: ``torques`` or ``integrals``
+    label: str  #: Of the axis of the figure
+    x: FloatArray  #: (n,) array; factors of the predicted curves
+    #: sequence of (words, (n,) array); predicted swings, rad
+    curves: Sequence[tuple[str, FloatArray]]
+    levels: Sequence[HuntingLevel]  #: That were simulated
+
+
+def axis_run(
     model: Model,
     loop: LoopParts,
     point: OperatingPoint,
@@ -67,30 +96,16 @@ def watched(
     push: float,
     duration: float,
     channel: int = 0,
-) -> tuple[Watched, FloatArray]:
-    """Run the loop from a pushed axis and watch that axis.
-
-    Parameters
-    ----------
-    axis : str
-    push : float
-        rad, by which the axis starts beside its reference.
-    duration : float
-        s; the second half is judged.
-    channel : int
-
-    Returns
-    -------
-    Watched, (n,) array
-        And the command of that channel, V.
-    """
-    name = model.axes[axis].angle
-    run = run_loop(model, loop, point, duration, offset={name: push})
-    return judged(model, run, point, axis), run.applied[:, channel]
+) -> AxisRun:
+    """Run the loop from an axis pushed beside its reference, by rad, for some s."""
+    run = run_loop(model, loop, point, duration, offset={model.axes[axis].angle: push})
+    return axis_of(model, run, point, axis, channel)
 
 
-def judged(model: Model, run: LoopRun, point: OperatingPoint, axis: str) -> Watched:
-    """What a run shows of an axis."""
+def axis_of(
+    model: Model, run: LoopRun, point: OperatingPoint, axis: str, channel: int = 0
+) -> AxisRun:
+    """What a run shows of an axis; ``channel`` is the command that is kept beside it."""
     row = model.state_index(model.axes[axis].angle)
     angle = run.x[:, row] - point.x[row]
     rate = VectorField(model).rates(run.x, run.applied)[:, row]
@@ -103,10 +118,11 @@ def judged(model: Model, run: LoopRun, point: OperatingPoint, axis: str) -> Watc
         since = run.time[-1] - 1.05 * period
         swing = float(np.ptp(angle[max(len(angle) // 2, int(np.searchsorted(run.time, since))) :]))
     _, bound = model.input_bounds()
-    return Watched(
+    return AxisRun(
         run.time,
         angle,
         rate,
+        run.applied[:, channel],
         stuck,
         verdict,
         period,
@@ -127,13 +143,6 @@ def slips(
     pairs = zip(begins, ends, strict=False)  # a run may end within a slip
     found = [(float(time[b]), float(angle[e + 1] - angle[b])) for b, e in pairs]
     return [slip for slip in found if abs(slip[1]) > _SHORTEST]
-
-
-def sticks(seen: Watched) -> tuple[FloatArray, FloatArray]:
-    """Sizes of the errors at a stick and at the next one, over a whole run, rad."""
-    edges = np.diff(seen.stuck.astype(int))
-    errors = np.abs(seen.angle[np.flatnonzero(edges == 1) + 1])
-    return errors[:-1], errors[1:]
 
 
 def _verdict(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -22,10 +22,15 @@ from trms_cli.stability.cycles.friction_loop import (
     friction_loop,
     frictions_of,
 )
-from trms_cli.stability.cycles.hunting_charts import Level
-from trms_cli.stability.cycles.hunting_findings import Studied, Sweep, findings_of
+from trms_cli.stability.cycles.hunting_findings import HuntingResult, findings_of
 from trms_cli.stability.cycles.hunting_prediction import harmonics, predicted, swings
-from trms_cli.stability.cycles.hunting_runs import Watched, watched, with_sizes
+from trms_cli.stability.cycles.hunting_runs import (
+    AxisRun,
+    HuntingLevel,
+    LevelSweep,
+    axis_run,
+    with_sizes,
+)
 from trms_cli.stability.cycles.stick_slip import StickSlip
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject, not_level, usual_point
@@ -79,7 +84,7 @@ class Hunting:
             )
         point = usual_point(model, self.at)
         channel = names(model.inputs).index(model.rotors[ROTOR_OF_AXIS[friction.axis]])
-        case = _Case(model, loop, point, friction, self.push)
+        case = _Case(model, loop, point, friction, self.push, channel)
         prediction = one = events = None
         warnings = list(not_level(model, self.at, point))
         if pid is not None:
@@ -107,55 +112,49 @@ class Hunting:
         )
         tell(f"{duration:.0f} s of the loop")
         expected = prediction.cycle.swing if prediction and prediction.cycle else None
-        seen, command = case.seen(duration, channel=channel)
+        run = case.run(duration)
         elsewhere = None
-        if expected is not None and not seen.hunts:
+        if expected is not None and not run.hunts:
             # The push may have ended within the reach of rest: begin on the cycle.
-            elsewhere = seen
-            seen, command = case.seen(duration, channel=channel, push=expected / 2.0)
-        if seen.verdict == "undecided" and self.duration is None:
+            elsewhere, run = run, case.run(duration, push=expected / 2.0)
+        if run.verdict == "undecided" and self.duration is None:
             duration *= _LONGER
             tell(f"slips are rare: {duration:.0f} s of the loop")
-            seen, command = case.seen(duration, channel=channel)
+            run = case.run(duration)
         coulomb = None
         if friction.law.excess > 0:
             tell("the same with Coulomb friction alone")
             short = min(duration, _SHORTEST)
             alone = replace(friction.law, excess=0.0)
-            coulomb, _ = case.seen(short, law=alone)
+            coulomb = case.run(short, law=alone)
             if coulomb.verdict == "undecided":
-                coulomb, _ = case.seen(_LONGER * short, law=alone)
+                coulomb = case.run(_LONGER * short, law=alone)
         sweeps = [
-            s
-            for s in (
-                self._over_torques(case, events, duration, tell),
-                self._over_integrals(case, pid, events, duration, tell),
-            )
-            if s.levels
+            self._over_torques(case, events, duration, tell),
+            self._over_integrals(case, pid, events, duration, tell),
         ]
-        if seen.at_limit:
+        if run.at_limit:
             warnings.append("a command reaches its limit: the prediction knows none")
-        own = Level(1.0, expected, seen)
-        sweeps = [
-            replace(s, levels=sorted([*s.levels, own], key=lambda level: level.factor))
-            for s in sweeps
-        ]
+        own = HuntingLevel(1.0, expected, run)
         return findings_of(
-            Studied(
+            HuntingResult(
                 model,
                 f"controller={loop.names['controller']}",
                 point.words(model),
                 friction,
                 self.push,
-                seen,
+                run,
                 elsewhere,
-                command,
                 channel,
                 coulomb,
                 prediction,
                 one,
                 events,
-                sweeps,
+                [
+                    replace(s, levels=sorted([*s.levels, own], key=lambda level: level.factor))
+                    for s in sweeps
+                    if s.levels
+                ],
                 tuple(warnings),
             )
         )
@@ -181,7 +180,7 @@ class Hunting:
 
     def _over_torques(
         self, case: _Case, events: StickSlip | None, duration: float, tell: Tell
-    ) -> Sweep:
+    ) -> LevelSweep:
         law = case.friction.law
         factors = self.torques if self.torques is not None else (0.5, 2.0) if events else ()
         curves = []
@@ -191,7 +190,7 @@ class Hunting:
                 words = f"predicted, F_s/F_c = {1 + excess:.3g}"
                 curves.append((words, swings(events, laws)))
 
-        def one(factor: float) -> tuple[float | None, Watched]:
+        def one(factor: float) -> tuple[float | None, AxisRun]:
             scaled = law.scaled(factor)
             expected = _finite(swings(events, [scaled])[0]) if events is not None else None
             return expected, case.reached(duration, expected, law=scaled)
@@ -205,12 +204,10 @@ class Hunting:
         events: StickSlip | None,
         duration: float,
         tell: Tell,
-    ) -> Sweep:
+    ) -> LevelSweep:
         factors = self.integrals if self.integrals is not None else (0.5, 2.0) if events else ()
         if pid is None or events is None or not factors:
-            return _sweep(
-                "integrals", "k_i", [], (), lambda _: (None, case.seen(duration)[0]), tell
-            )
+            return _sweep("integrals", "k_i", [], (), lambda _: (None, case.run(duration)), tell)
 
         def of(factor: float) -> tuple[LoopParts, StickSlip | None]:
             changed = _with_integral(case, pid, factor)
@@ -222,7 +219,7 @@ class Hunting:
             there = of(factor)[1]
             return float("nan") if there is None else float(swings(there, [case.friction.law])[0])
 
-        def one(factor: float) -> tuple[float | None, Watched]:
+        def one(factor: float) -> tuple[float | None, AxisRun]:
             expected = _finite(swing(factor))
             return expected, case.reached(duration, expected, loop=of(factor)[0])
 
@@ -239,46 +236,31 @@ class _Case:
     point: OperatingPoint
     friction: Friction
     push: float
+    channel: int
 
-    def seen(
+    def run(
         self,
         duration: float,
         *,
         law: FrictionLaw | None = None,
         loop: LoopParts | None = None,
-        channel: int = 0,
         push: float | None = None,
-    ) -> tuple[Watched, np.ndarray]:
-        """A run and its command."""
+    ) -> AxisRun:
+        """A run, with other friction, another loop or another push."""
         model = self.model
         if law is not None:
-            own = names(model.parameters)  # type: ignore[arg-type]
-            sizes = {
-                f"{self.friction.effect}.{key}": value
-                for key, value in (
-                    ("torque", law.torque),
-                    ("excess", law.excess),
-                    ("velocity", law.velocity),
-                )
-            }
-            model = with_sizes(model, {k: v for k, v in sizes.items() if k in own})
+            sizes = {f"{self.friction.effect}.{key}": value for key, value in vars(law).items()}
+            model = with_sizes(model, {k: v for k, v in sizes.items() if k in model.parameters})
         start = self.push if push is None else push
         axis = self.friction.axis
-        return watched(model, loop or self.loop, self.point, axis, start, duration, channel)
+        return axis_run(model, loop or self.loop, self.point, axis, start, duration, self.channel)
 
-    def reached(
-        self,
-        duration: float,
-        expected: float | None,
-        *,
-        law: FrictionLaw | None = None,
-        loop: LoopParts | None = None,
-    ) -> Watched:
+    def reached(self, duration: float, expected: float | None, **other: Any) -> AxisRun:
         """A run; where it rests but a cycle of some swing is expected, one from that cycle."""
-        seen, _ = self.seen(duration, law=law, loop=loop)
-        if expected is not None and not seen.hunts:
-            seen, _ = self.seen(duration, law=law, loop=loop, push=expected / 2.0)
-        return seen
+        run = self.run(duration, **other)
+        if expected is not None and not run.hunts:
+            run = self.run(duration, **other, push=expected / 2.0)
+        return run
 
 
 def _with_integral(case: _Case, pid: Pid, factor: float) -> Pid:
@@ -297,14 +279,14 @@ def _sweep(
     label: str,
     curves: Sequence[tuple[str, np.ndarray]],
     factors: Sequence[float],
-    one: Callable[[float], tuple[float | None, Watched]],
+    one: Callable[[float], tuple[float | None, AxisRun]],
     tell: Tell,
-) -> Sweep:
+) -> LevelSweep:
     levels = []
     for factor in factors:
         tell(f"{label} × {factor:g}")
-        levels.append(Level(factor, *one(factor)))
-    return Sweep(name, label, _CURVE, curves, levels)
+        levels.append(HuntingLevel(factor, *one(factor)))
+    return LevelSweep(name, label, _CURVE, curves, levels)
 
 
 def _finite(value: float) -> float | None:
