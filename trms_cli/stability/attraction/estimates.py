@@ -133,19 +133,9 @@ def estimates(
 ) -> list[RegionEstimate]:
     """Estimates by the methods asked for; one that finds nothing is left out.
 
-    Parameters
-    ----------
-    system : Around
-        Around an attractive equilibrium.
-    limits : (n,) array
-        Nothing is sought beyond \\|y_i\\| ≤ limits_i.
-    methods : sequence of Method
-    most : int
-        Boxes for one proof.
-    tell : callable
-    linear_inside : (Around, (k, n) array), optional
-        For the methods by inclusion: simpler equations, the same where \\|row · y\\| < 1 for every
-        row.
+    Nothing is sought beyond \\|y_i\\| ≤ limits_i, (n,), nor by more than ``most`` boxes for one
+    proof. ``linear_inside`` holds, for the methods by inclusion, simpler equations, and rows (k,
+    n): they are the same where \\|row · y\\| < 1 for every row.
     """
     walls, simple = np.diag(1.0 / limits), system
     if linear_inside is not None:

@@ -109,15 +109,9 @@ def quadratic(system: ReducedSystem, P: FloatArray) -> LyapunovCandidate:
 
 
 def basis_of(system: ReducedSystem, degree: int = 2, *, integrals: bool = False) -> Basis:
-    """Monomials of degrees 2 to ``degree``, and the integrals of the rates on request.
+    """Monomials of degrees 2 to ``degree`` (at most 4), and on request the integrals of the rates.
 
-    Parameters
-    ----------
-    system : Around
-    degree : int
-        2, 3 or 4.
-    integrals : bool
-        Of those rates that are curved along an axis, and smooth.
+    Integrals are those of rates that are curved along an axis, and smooth.
     """
     y = ca.SX.sym("y", system.n)
     found: list[ca.SX] = []

@@ -90,12 +90,7 @@ def from_lyapunov_equation(system: ReducedSystem) -> FloatArray:
 def proved(system: ReducedSystem, shape: Ellipsoid, slabs: FloatArray | None = None) -> bool:
     """Whether the ellipsoid is proved to be attracted, by the inclusion over its bounding box.
 
-    Parameters
-    ----------
-    system : Around
-    shape : Ellipsoid
-    slabs : (k, n) array, optional
-        The equations hold where \\|row · y\\| < 1 for every row only.
+    The equations hold where \\|row · y\\| < 1 for every row of ``slabs`` (k, n) only.
     """
     radii = shape.extents * (1.0 + 1e-9)
     d = np.exp2(np.round(np.log2(radii)))
@@ -129,23 +124,10 @@ def optimised(
     first: Ellipsoid | None = None,
     most: int | None = None,
 ) -> Ellipsoid | None:
-    """The largest ellipsoid that the inclusion proves, over P and over the box.
+    """The largest ellipsoid that the inclusion proves, over P and over the box; None if none is.
 
-    Parameters
-    ----------
-    system : Around
-    slabs : (k, n) array, optional
-        As in :func:`proved`.
-    first : Ellipsoid, optional
-        Where the search for the box begins.
-    most : int, optional
-        Boxes that are tried; default 60 for a few states, fewer for many, whose problems are
-        larger.
-
-    Returns
-    -------
-    Ellipsoid or None
-        Proved; None where no box admits a common P.
+    ``slabs`` as in :func:`proved`. The search for the box begins at ``first`` and tries ``most``
+    boxes; default 60 for a few states, fewer for many, whose problems are larger.
     """
     search = _Search(system, slabs)
     most = max(12, min(60, 100 - 11 * system.n)) if most is None else most

@@ -185,23 +185,10 @@ _HEAVIEST = 20.0
 def expanded(
     first: LyapunovCandidate, level: SampledLevel, basis: Basis, rays: Rays, seed: int
 ) -> tuple[LyapunovCandidate, SampledLevel]:
-    """The candidate of a basis with the largest level set that sampling finds.
+    """The candidate of a richer basis with the largest level set that sampling finds.
 
-    Parameters
-    ----------
-    first : Candidate
-        Quadratic.
-    level : SampledLevel
-        Its.
-    basis : Basis
-        Richer; its first functions are those of ``first``.
-    rays : Rays
-    seed : int
-
-    Returns
-    -------
-    (Candidate, SampledLevel)
-        ``first`` in the new basis where nothing better is found.
+    ``first`` is quadratic, ``level`` its own, and its functions are the first ones of the basis. It
+    is returned in the new basis where nothing better is found.
     """
     random = np.random.default_rng(seed)
     weights = np.zeros(len(basis.names))

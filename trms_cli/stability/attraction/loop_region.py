@@ -81,16 +81,7 @@ def linear_law(model: Model, loop: LoopParts, point: OperatingPoint) -> LinearLa
 
 
 class LinearLawLoop(Model):
-    """The closed loop as a model.
-
-    Parameters
-    ----------
-    base : Model
-        The rig.
-    law : LinearLaw
-    saturated : bool
-        Whether commands stay within the limits.
-    """
+    """The closed loop as a model; commands stay within the limits if it is saturated."""
 
     def __init__(self, base: Model, law: LinearLaw, *, saturated: bool = True) -> None:
         self._base, self._law, self._saturated = base, law, saturated

@@ -64,15 +64,7 @@ def proved_level(
 ) -> LevelProof:
     """Prove as much of a sampled level set as a number of boxes allows.
 
-    Parameters
-    ----------
-    candidate : Candidate
-    sampled : SampledLevel
-        Its level set: no more is tried.
-    most : int
-        Boxes.
-    share : float
-        Of the sampled level that is tried: the level itself is where V̇ = 0.
+    A share of the sampled level is tried: on the level itself V̇ = 0.
     """
     search = _Search(candidate, sampled)
     inner = search.inner()

@@ -161,18 +161,9 @@ def attraction_region(
 ) -> AttractionRegion:
     """Estimates of a region of attraction, proofs of them, and the region by simulation.
 
-    Parameters
-    ----------
-    system : Around
-        Around an attractive equilibrium.
-    options : Options
-    tell : callable
-    starts : Starts, optional
-        Default: in all states of the system.
-    linear_inside : (Around, array), optional
-        As in :func:`~trms_cli.stability.attraction.estimates.estimates`.
-    box : (m,) array, optional
-        Half-widths where the options give none; default: the largest estimate's and some room.
+    Starts deviate in all states of the system unless they are given. ``linear_inside`` as in
+    :func:`~trms_cli.stability.attraction.estimates.estimates`. The half-widths ``box`` (m,) are
+    used where the options give none; default: the largest estimate's and some room.
     """
     starts = StartSet.of_all(system) if starts is None else starts
     require_states(options.box, starts.names, "study.box")

@@ -65,24 +65,10 @@ def share_of(hits: int, count: int) -> ConfidenceShare:
 def fates(
     system: ReducedSystem, starts: FloatArray, inside: Inside, duration: float, far: FloatArray
 ) -> IntArray:
-    """What becomes of motions.
+    """What becomes of motions from deviations (m, n) within a duration (s), (m,).
 
-    Parameters
-    ----------
-    system : Around
-    starts : (m, n) array
-        Deviations.
-    inside : callable
-        Which deviations (k, n) have arrived.
-    duration : float
-        s.
-    far : (n,) array
-        Beyond \\|y_i\\| > far_i a motion counts as gone.
-
-    Returns
-    -------
-    (m,) array
-        :data:`SETTLED`, :data:`UNDECIDED` or :data:`LEFT`.
+    :data:`SETTLED` once ``inside`` says of a deviation that it has arrived, :data:`LEFT` beyond
+    \\|y_i\\| > far_i, else :data:`UNDECIDED`.
     """
     return _followed(system, starts, inside, duration, far)[0]
 
@@ -153,17 +139,12 @@ def failures(
     seed: int,
     cut: bool = False,
 ) -> list[tuple[int, int]]:
-    """A test of estimates by simulation: starts in each, and how many do not come to rest.
+    """A test of estimates by simulation: starts in each that are decided, and failures among them.
 
     To rest comes what ends where yᵀPy, of the linearisation's Lyapunov equation, is a hundredth of
     what it is on the smallest set's edge: deep inside all of them. Where the duration is ``cut``,
     shorter than the slowest mode needs for that, a motion that is still in its set, at a lower V
     than it began with, has not failed but is undecided, and not counted.
-
-    Returns
-    -------
-    list of (int, int)
-        Starts that are decided and failures among them, for each set.
     """
     P = from_lyapunov_equation(system)
     starts = [_with_edge(estimate, count, seed) for estimate in sets]

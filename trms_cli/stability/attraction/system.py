@@ -166,22 +166,9 @@ class ReducedSystem:
 def around(
     model: Model, point: OperatingPoint, states: Sequence[str] | None = None
 ) -> ReducedSystem:
-    """The equations in the states that deviate, and in those that they move.
+    """The equations in the states that deviate (default all), and in those that they move.
 
-    Parameters
-    ----------
-    model : Model
-        With equations.
-    point : OperatingPoint
-    states : sequence of str, optional
-        States in which starts deviate; default all.
-
-    Raises
-    ------
-    ConfigurationError
-        For a name that is no state.
-    ModelError
-        If a rate jumps.
+    Raises ConfigurationError for a name that is no state, ModelError if a rate jumps.
     """
     for name in states or ():
         if name not in model.state_names:

@@ -111,18 +111,10 @@ def prove_negative(
     given: Sequence[npt.ArrayLike] = (),
     budget: int = 100_000,
 ) -> NegativityProof:
-    """Prove g(x) < 0, in all rows, over a box.
+    """Prove g(x) < 0, in all rows, over a box from lower to upper, (n,).
 
-    Parameters
-    ----------
-    function : casadi.Function
-        ``(x, *given) → g``, columns of SX; continuous, unless an operation in it jumps.
-    lower, upper : (n,)
-        The box.
-    given : sequence of arrays
-        Values of the other inputs: parameters, a level.
-    budget : int
-        Boxes to bound at most.
+    ``function`` is ``(x, *given) → g``, columns of SX; continuous, unless an operation in it jumps.
+    ``given`` holds the values of its other inputs: parameters, a level.
     """
     enclosure = Enclosure(function)
     operations = {function.instruction_id(k) for k in range(function.n_instructions())}

@@ -23,17 +23,9 @@ MOST_ENTRIES = 12
 
 
 def positive_definite(matrix: Interval) -> BoolArray:
-    """Whether all symmetric matrices within the bounds are proved positive definite.
+    """Whether all symmetric matrices within bounds (m, n, n) are proved positive definite, (m,).
 
-    Parameters
-    ----------
-    matrix : Interval
-        (m, n, n); bounds that are not symmetric stand for the symmetric part.
-
-    Returns
-    -------
-    (m,) bool
-        False where it is not so, and where it cannot be proved.
+    Bounds that are not symmetric stand for the symmetric part.
     """
     half = Interval.point(np.full_like(matrix.lower, 0.5))
     both = (matrix + matrix.transposed) * half
@@ -63,19 +55,10 @@ def positive_definite(matrix: Interval) -> BoolArray:
 
 
 def definite(matrix: Interval) -> tuple[BoolArray, BoolArray]:
-    """Which matrices of intervals are proved positive definite, and which middles seem to be.
+    """Which matrices (m, n, n) are proved positive definite, and which middles seem to be.
 
     Of many matrices at once: TᵀQT with T from the Cholesky factor of the middle is near the unit
     matrix, and positive definite if its rows are diagonally dominant (Gershgorin).
-
-    Parameters
-    ----------
-    matrix : Interval
-        (m, n, n), symmetric.
-
-    Returns
-    -------
-    (m,), (m,) bool
     """
     middle = np.nan_to_num(matrix.middle, nan=0.0, posinf=0.0, neginf=0.0)
     least = np.linalg.eigvalsh(middle)[:, 0]
@@ -94,13 +77,10 @@ def definite(matrix: Interval) -> tuple[BoolArray, BoolArray]:
 
 
 def corners(bounds: Interval, most: int = MOST_ENTRIES) -> Interval:
-    """Matrices that span an interval matrix (n, n): the ends of its uncertain entries.
+    """Matrices (2^k, n, n) that span an interval matrix (n, n): the ends of its uncertain entries.
 
-    Returns
-    -------
-    Interval
-        (2^k, n, n), points but where more than ``most`` entries are uncertain: the narrowest of
-        those stay intervals. The hull of the matrices is the whole interval matrix.
+    They are points but where more than ``most`` entries are uncertain: the narrowest of those stay
+    intervals. The hull of the matrices is the whole interval matrix.
     """
     width = bounds.upper - bounds.lower
     size = np.maximum(np.abs(bounds.lower), np.abs(bounds.upper))

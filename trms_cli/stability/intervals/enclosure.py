@@ -36,15 +36,8 @@ class _Branch:
 class Enclosure:
     """Interval extension of a CasADi function of scalars and vectors.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Made of SX expressions; its inputs are column vectors, its outputs may be matrices.
-
-    Raises
-    ------
-    ModelError
-        If an operation in it is unknown here.
+    It is made of SX expressions; its inputs are column vectors, its outputs may be matrices. Raises
+    ModelError if an operation in it is unknown here.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -72,17 +65,9 @@ class Enclosure:
         self._slope: Enclosure | None = None
 
     def __call__(self, *arguments: Interval) -> list[Interval]:
-        """Bounds of all outputs.
+        """Bounds of all outputs: (n_boxes, rows) of a column, (n_boxes, rows, columns) of a matrix.
 
-        Parameters
-        ----------
-        arguments : Interval
-            One an input, of shape (n_boxes, size); (size,) for one that all boxes share.
-
-        Returns
-        -------
-        list of Interval
-            One an output: (n_boxes, rows) for a column, (n_boxes, rows, columns) for a matrix.
+        Arguments are one an input, (n_boxes, size), or (size,) for one that all boxes share.
         """
         count = max((len(a.lower) for a in arguments if a.lower.ndim == 2), default=1)
         results = [_zeros(count, self.function.size_out(i)) for i in range(self.function.n_out())]
@@ -93,19 +78,10 @@ class Enclosure:
         ]
 
     def mean_value(self, box: Interval, *others: Interval) -> Interval:
-        """Bounds of the first output, by the mean value form in the first input.
+        """Bounds (n_boxes, rows) of the first output, by the mean value form in the first input.
 
-        Parameters
-        ----------
-        box : Interval
-            (n_boxes, n).
-        others : Interval
-            The other inputs, as in a call.
-
-        Returns
-        -------
-        Interval
-            (n_boxes, rows), never wider than the natural extension.
+        Of a box (n_boxes, n); the other inputs as in a call. Never wider than the natural
+        extension.
         """
         if self._slope is None:
             arguments = self.function.sx_in()

@@ -62,16 +62,10 @@ class Scales:
 
 
 def scales_of(model: Model, matrices: Matrices, angle_noise: float, other_noise: float) -> Scales:
-    """The usual sizes of a model.
+    """The usual sizes of a model, by its matrices where inputs act.
 
-    Parameters
-    ----------
-    matrices : Matrices
-        At an operating point where inputs act.
-    angle_noise : float
-        rad, of an angle's reading.
-    other_noise : float
-        Of any other reading, in its unit (rad/s of a tachometer).
+    Noise is that of an angle's reading (rad), and of any other one in its unit (rad/s of a
+    tachometer).
     """
     limit = np.array([model.input_limits[signal.name] for signal in model.inputs])
     limit = np.where(np.isfinite(limit), limit, 1.0)
@@ -94,17 +88,10 @@ _SHORT = 0.5
 def controllability_gramian(
     a: FloatArray, b: FloatArray, duration: float, sample_time: float | None = None
 ) -> FloatArray:
-    """W_c(T), (n, n).
+    """W_c(T), (n, n), of ẋ = A x + B u over a duration (s), or of a step.
 
-    Parameters
-    ----------
-    a, b : (n, n), (n, m) arrays
-        Of ẋ = A x + B u, or of a step.
-    duration : float
-        s.
-    sample_time : float or None
-        s, of a step; the Gramian is then ``Σ Aᵏ B Bᵀ Aᵏᵀ / T_s``, so that ``d²/W`` is a least
-        ``T_s Σ u²`` and energies compare.
+    That of a step is ``Σ Aᵏ B Bᵀ Aᵏᵀ / T_s``, so that ``d²/W`` is a least ``T_s Σ u²`` and energies
+    compare.
     """
     n = len(a)
     if sample_time is not None:

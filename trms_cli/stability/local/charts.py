@@ -71,16 +71,8 @@ def locus_charts(
 ) -> tuple[Chart, Chart]:
     """The complex plane with trajectories, and damping and frequency over the range.
 
-    Parameters
-    ----------
-    value : float
-        Of what is varied at the operating point.
-    where : str
-        What is held, after the range in the captions.
-    digits : int
-        Of the value in the first caption.
-    note : str
-        At the end of the second caption.
+    ``value`` is that of what is varied at the operating point, told with some digits; ``where``
+    says in the captions what is held, ``note`` stands at the end of the second.
     """
     path, values = locus.path, locus.sweep.values
     at = int(np.argmin(np.abs(values - value)))

@@ -106,18 +106,10 @@ def torque_estimates(
     durations: tuple[float, ...],
     reading_time: float,
 ) -> TorqueEstimates:
-    """Which constant torques some sensors tell.
+    """Which constant torques some sensors, by their positions, tell.
 
-    Parameters
-    ----------
-    outputs : list of int
-        Positions of the sensors.
-    names : tuple of str
-        Of the disturbances, columns of ``matrices.e``.
-    durations : tuple of float
-        s, for the errors.
-    reading_time : float
-        s between two readings; a model that steps is read at each step.
+    Torques by their names are columns of ``matrices.e``; errors are after each of the durations (s)
+    of readings ``reading_time`` (s) apart; a model that steps is read at each step.
     """
     step = matrices.sample_time
     a = matrices.a * scales.x[None, :] / scales.x[:, None]

@@ -57,12 +57,9 @@ class Matrices:
 
 
 class Linear:
-    """Slopes of one model as compiled expressions; keeps nothing between two calls.
+    """Slopes of one model, with equations or with a step of its own, as compiled expressions.
 
-    Parameters
-    ----------
-    model : Model
-        With equations, or with a step of its own.
+    It keeps nothing between two calls.
     """
 
     def __init__(self, model: Model) -> None:

@@ -211,15 +211,9 @@ def modes_of(model: Model, matrices: Matrices) -> Modes:
 def modes_of_matrix(
     a: FloatArray, parts: tuple[RigPart, ...], sample_time: float | None = None
 ) -> Modes:
-    """The modes of a matrix.
+    """The modes of a matrix (n, n), of a derivative or of a step of ``sample_time`` (s).
 
-    Parameters
-    ----------
-    a : (n, n) array
-    parts : tuple of Part
-        What each state is of.
-    sample_time : float or None
-        s, of a step; None for a derivative.
+    ``parts`` says what each state is of.
     """
     values, left, right = spectrum(a)
     found, forgotten = [], 0

@@ -133,15 +133,10 @@ def sensitivity(path: OperatingPath, place: SweepPoint, track: int) -> Sensitivi
 
 
 def loops_through(a: FloatArray, row: int, column: int, s: complex) -> tuple[SignalLoop, ...]:
-    """Cycles of the signal flow graph through an entry, the strongest first.
+    """Cycles of the signal flow graph of A (n, n) through an entry, the strongest first.
 
-    Parameters
-    ----------
-    a : (n, n) array
-    row, column : int
-        The entry; on the diagonal it is a loop by itself.
-    s : complex
-        Where the gains are taken. None are returned where one of them is infinite.
+    An entry on the diagonal is a loop by itself. Gains are taken at s; none are returned where one
+    of them is infinite.
     """
     if np.any(np.abs(s - np.diag(a)) < _NO_GAIN):
         return ()  # a state that integrates alone: the graph has no finite gains there

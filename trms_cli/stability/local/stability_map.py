@@ -50,21 +50,10 @@ def stability_map(
     size: tuple[int, int],
     tell: Tell,
 ) -> StabilityMap:
-    """Evaluate the grid, row by row along the operating points.
+    """Evaluate a grid, row by row along the operating points.
 
-    Parameters
-    ----------
-    path : OperatingPath
-        Over the first number.
-    against : str
-        The second: a controlled state, an input or a parameter.
-    size : (int, int)
-        Values of each.
-
-    Raises
-    ------
-    TrmsError
-        Where the grid has no operating point to begin at.
+    ``path`` goes over the first number; the second is a controlled state, an input or a parameter;
+    ``size`` is how many values of each.
     """
     over = np.linspace(*over_range, size[0])
     levels = np.linspace(*against_range, size[1])

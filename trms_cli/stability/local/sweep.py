@@ -90,20 +90,8 @@ def matched(before: EigenSpectrum, after: EigenSpectrum) -> tuple[EigenSpectrum,
 def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str) -> str:
     """What is varied: what is asked for; the first command held, if commands are; the usual.
 
-    Parameters
-    ----------
-    at : dict of str to float
-        Angles (rad) or commands (V) that are held.
-    over : str or None
-        What is asked for.
-    usual : str
-        What is varied when nothing is said.
-
-    Raises
-    ------
-    ConfigurationError
-        For an angle where commands are held, and the reverse; for names in ``at`` that are
-        neither, or of both kinds.
+    Raises ConfigurationError for an angle where commands are held, and the reverse; for names in
+    ``at``, angles (rad) or commands (V), that are neither, or of both kinds.
     """
     if not at:
         return over or usual
@@ -189,20 +177,9 @@ class EigenvalueSweep:
 class OperatingPath:
     """A family of operating points by one number.
 
-    Parameters
-    ----------
-    model : Model
-    at : dict of str to float
-        Angles or commands that are held; that of ``over`` does not count.
-    over : str
-        A controlled state, an input, or a parameter.
-    side : Side
-        Whose slopes are taken on a switch.
-
-    Raises
-    ------
-    ConfigurationError
-        For a name that is none of these, or that does not go with ``at``.
+    ``at`` holds angles or commands (that of ``over`` does not count), ``over`` is a controlled
+    state, an input or a parameter, ``side`` says whose slopes are taken on a switch. Raises
+    ConfigurationError for a name that is none of these, or that does not go with ``at``.
     """
 
     def __init__(

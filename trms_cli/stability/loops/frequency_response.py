@@ -95,8 +95,7 @@ def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> Multis
     step : float
         Control period, s.
     lowest : float
-        Lowest line, rad/s; the period is the whole even number of control periods that comes
-        closest to it.
+        Lowest line, rad/s; the period is the whole even number of control periods closest to it.
     ratio : float
         Of a line to the one below it, where the harmonics are denser than that.
     seed : int

@@ -68,14 +68,9 @@ class ClassicalMargins:
 
 
 def classical_margins(omega: FloatArray, loops: ComplexArray) -> ClassicalMargins:
-    """The limits of a loop, or of several that change together.
+    """The limits of a loop (n,), or of several (n, m) that change together; ω is dense.
 
-    Parameters
-    ----------
-    omega : (n,) array
-        rad/s, dense.
-    loops : (n,) or (n, m) array
-        Nyquist curves; of several (the characteristic loci) the first to reach −1 counts.
+    Of several (the characteristic loci) the first to reach −1 counts.
     """
     curves = np.reshape(loops, (len(omega), -1)).T
     factors = [limit for curve in curves for limit in _factors(omega, curve)]

@@ -39,18 +39,9 @@ _WAIT, _HELD = 0.5, 0.01
 
 
 def held_by_friction(model: Model, point: OperatingPoint) -> tuple[str, ...]:
-    """Angles and rotor speeds that a small step of the commands does not move, for dry friction.
+    """Angles and rotor speeds that a small step of the commands moves without dry friction alone.
 
-    Parameters
-    ----------
-    model : Model
-        With its effects; one that only steps from sample to sample has no friction of this kind.
-    point : OperatingPoint
-
-    Returns
-    -------
-    tuple of str
-        States that move without dry friction, and do not with it.
+    A model that only steps from sample to sample has no friction of this kind.
     """
     if model.sample_time is not None:
         return ()

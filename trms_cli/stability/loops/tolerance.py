@@ -82,16 +82,9 @@ class Bounds:
         return Bounds(self.rest / factor, self.swing / factor, self.chatter / factor)
 
     def verdict(self, errors: FloatArray, commands: FloatArray, ended: bool) -> RunVerdict:
-        """The verdict on a run.
+        """The verdict on a run by its angles' errors (n, n_r), rad, and whether it ended early.
 
-        Parameters
-        ----------
-        errors : (n, n_r) array
-            Of the angles, rad.
-        commands : (n, n_u) array
-            As shares of half their range.
-        ended : bool
-            Whether the run had to end early.
+        Commands (n, n_u) are shares of half their range.
         """
         third = max(1, len(errors) // 3)
         before, last = errors[-2 * third : -third], errors[-third:]
@@ -170,20 +163,10 @@ def searched(
     precision: float,
     fails: Callable[[TrialRun], bool],
 ) -> FailureBracket:
-    """The first failure.
+    """The first failure: of a scan of sizes, the smallest first, and then by bisection.
 
-    Parameters
-    ----------
-    sizes : sequence of float
-        Of the scan, the smallest first.
-    nothing : Tried
-        The run with nothing wrong, which does not fail.
-    attempt : callable
-        Runs the loop at a size.
-    precision : float
-        Factor between the two sizes at which the bisection ends.
-    fails : callable
-        What counts as a failure.
+    ``nothing`` is the run with nothing wrong, which does not fail; the bisection ends at a factor
+    of ``precision`` between two sizes.
     """
     scanned = [attempt(size) for size in sizes]
     tried = [nothing, *scanned]

@@ -35,18 +35,9 @@ _WIDTHS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 
 
 def enclosed_rest(energy: Energy, x: FloatArray) -> Interval:
-    """Bounds of the equilibrium near a state, (3k,), as a state of motion.
+    """Bounds of the equilibrium near a numerical solution x, as a state of motion, (3k,).
 
-    Parameters
-    ----------
-    energy : Energy
-    x : (n_x,)
-        A numerical solution of f(x, u) = 0.
-
-    Raises
-    ------
-    ModelError
-        If no change of sign is found.
+    Raises ModelError if no change of sign is found.
     """
     y = np.array(energy.to_motion(x)).ravel()
     found = {name: Interval.point(0.0) for name in energy.names()}
@@ -125,14 +116,7 @@ _PARTS = 8
 
 
 class Slopes:
-    """θ of an energy function, about an equilibrium known between bounds.
-
-    Parameters
-    ----------
-    energy : Energy
-    rest : Interval
-        (3k,), of :func:`.enclosed_rest.enclosed_rest`.
-    """
+    """θ of an energy function, about an equilibrium (3k,) known between bounds."""
 
     def __init__(self, energy: Energy, rest: Interval) -> None:
         self.energy, self.rest = energy, rest
@@ -200,15 +184,7 @@ def _column(values: Interval) -> Interval:
 
 
 class EnergyCandidate:
-    """V of a model at a command, with bounds that count.
-
-    Parameters
-    ----------
-    energy : Energy
-    x : (n_x,)
-        The equilibrium.
-    weights : Weights
-    """
+    """V of a model at a command about an equilibrium x, with bounds that count."""
 
     def __init__(self, energy: Energy, x: FloatArray, weights: EnergyWeights) -> None:
         self.energy, self.x = energy, np.asarray(x, dtype=float)
@@ -338,13 +314,7 @@ class EnergyCandidate:
         """A box around {V <= level}, (3k,).
 
         Every term of V is at most the level; each well rises on both sides up to the ends given,
-        each store everywhere, so that where one has passed the level nothing beyond counts.
-
-        Parameters
-        ----------
-        level : float
-        ends : Interval, optional
-            (k,), the angles' range that is asked about: where the wells rise.
+        (k,), each store everywhere, so that where one has passed the level nothing beyond counts.
         """
         k, axes, y = self.energy.k, self.energy.axes, self.centre
         lower, upper = np.empty(3 * k), np.empty(3 * k)

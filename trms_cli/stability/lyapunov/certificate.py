@@ -151,15 +151,7 @@ class RisingState:
 
 
 def lowest_rising(candidate: EnergyCandidate, wells: Wells, ceiling: float) -> RisingState | None:
-    """The state of lowest V found at which V̇ > 0; None where none is found below the ceiling.
-
-    Parameters
-    ----------
-    candidate : Candidate
-    wells : Wells
-    ceiling : float
-        J.
-    """
+    """The state of lowest V found at which V̇ > 0; None where none is found below a ceiling (J)."""
     y, k = candidate.centre, candidate.energy.k
     directions = np.concatenate([rays(candidate, _RAYS), _weak(candidate, _FAR)])
     lowest, best = ceiling, None
@@ -503,21 +495,8 @@ def certified(
 ) -> LyapunovCertificate:
     """Choose a function, and check every claim about it.
 
-    Parameters
-    ----------
-    rig : Rig
-    point : OperatingPoint
-        Of the model without effects.
-    function : {"auto", "energy", "strict"}
-    budget : int
-        Boxes for the decay.
-    seed : int
-        Of the random states.
-
-    Raises
-    ------
-    ConfigurationError
-        Where dry friction and cross terms would meet.
+    The point is that of the model without effects. Raises ConfigurationError where dry friction and
+    cross terms would meet.
     """
     energy = Energy(rig.model, point.u)
     strict = function == "strict" or (function == "auto" and wants_cross_terms(energy))

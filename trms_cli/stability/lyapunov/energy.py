@@ -90,17 +90,7 @@ class RotorAtRest:
 
 
 def rotor_at_rest(axis: str, volt: float, c: Mapping[str, float]) -> RotorAtRest:
-    """The rotor of an axis at a motor voltage.
-
-    Parameters
-    ----------
-    axis : str
-        ``h`` or ``v``.
-    volt : float
-        v, V.
-    c : dict of str to float
-        The model's parameters.
-    """
+    """The rotor of an axis (``h`` or ``v``) at a motor voltage v; c are the model's parameters."""
     motor, name = Motor(axis), _ROTOR_OF_AXIS[axis]
     omega = ca.SX.sym(f"omega_{axis}")
     constants = {key: ca.SX(value) for key, value in c.items()}
@@ -160,18 +150,7 @@ class Beam:
 
 
 def beam_of(model: TwinRotor, c: Mapping[str, float], at: BeamMotion, yaw_weight: ca.SX) -> Beam:
-    """The form of a model's beam.
-
-    Parameters
-    ----------
-    model : TwinRotor
-        Newtonian or Lagrangian.
-    c : dict of str to float
-        Its parameters.
-    at : Place
-    yaw_weight : casadi.SX
-        γ; of the Newtonian model only, whose M is diagonal.
-    """
+    """The form of a model's beam; γ is of the Newtonian model only, whose M is diagonal."""
     cosine = ca.cos(at.alpha_v)
     cross = c["k_g"] * at.thrust_v * cosine
     friction = ca.blockcat([[-c["k_oh"], 0], [0, -c["k_ov"]]])
@@ -244,17 +223,10 @@ class EnergyWeights:
 
 
 class Energy:
-    """Expressions of V and Q of one model at one command.
+    """Expressions of V and Q of one model with quasi-static currents at one command u (n_u,), V.
 
     States of motion are ``y = (Ω…, ω…, α…)``, yaw before pitch, of the axes that move: k of each.
     Functions are of ``(y, ȳ, weights)``; nothing of them changes with the weights.
-
-    Parameters
-    ----------
-    model : TwinRotor
-        Newtonian or Lagrangian, with quasi-static currents.
-    u : (n_u,)
-        The command, V.
     """
 
     def __init__(self, model: TwinRotor, u: npt.ArrayLike) -> None:

@@ -115,13 +115,8 @@ def stop_level(candidate: EnergyCandidate, ends: Interval | None = None) -> tupl
     """The lowest level of V at which an angle may reach a mechanical stop, J, and that stop.
 
     Infinite for a model without stops; zero or less where the equilibrium is at a stop or beyond
-    it. The wells must rise up to there.
-
-    Parameters
-    ----------
-    candidate : Candidate
-    ends : Interval, optional
-        (k,), where the wells end: a stop beyond a crest is not in the well, and bounds nothing.
+    it. The wells must rise up to there. A stop beyond their ends (k,) is not in the well, and
+    bounds nothing.
     """
     lowest, name = math.inf, ""
     for i, a in enumerate(candidate.energy.axes):
@@ -168,22 +163,10 @@ def decay_level(
     *,
     patient: bool = True,
 ) -> DecayLevel:
-    """Bounds of the level up to which Q is positive definite.
+    """Bounds of the level up to which Q is positive definite, in a box (n_y,) of states.
 
-    Parameters
-    ----------
-    matrices : callable
-        Q over boxes.
-    values : callable
-        V over boxes.
-    box : Interval
-        (n_y,), all states that are asked about.
-    most : float
-        States with V above it are not asked about.
-    budget : int
-        Boxes at most.
-    patient : bool
-        Whether the search goes on below a state found where Q is not definite.
+    States with V above ``most`` are not asked about. A search that is not ``patient`` ends at the
+    first state found where Q is not definite.
     """
     size = np.where(box.width > 0.0, box.width, 1.0)
     fails, point = np.inf, None
@@ -274,18 +257,7 @@ class LevelSearchResult:
 
 
 def searched(energy: Energy, x: FloatArray, strict: bool, budget: int) -> LevelSearchResult:
-    """The function with the largest proved set.
-
-    Parameters
-    ----------
-    energy : Energy
-    x : (n_x,)
-        The equilibrium.
-    strict : bool
-        Whether the cross terms are wanted.
-    budget : int
-        Boxes for the proof.
-    """
+    """The function with the largest proved set, with cross terms if it is to be strict."""
     first = EnergyCandidate(energy, x, rotor_weights(energy, 1.05))
     wells = wells_of(first)
     ceiling = wells.depth

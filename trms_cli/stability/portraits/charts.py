@@ -83,13 +83,7 @@ def portrait(
     ends: Sequence[TrajectoryEnd],
     labels: Sequence[str],
 ) -> Chart:
-    """The figure, in the plane or in space.
-
-    Parameters
-    ----------
-    ends, labels : sequences
-        Those of the result as they are told apart, and what the legend calls each.
-    """
+    """The figure, in the plane or in space, its ends told apart by labels of the legend."""
     in_space = len(result.section.coordinates) == 3
     items = result.section.coordinates.items
     axes = [

@@ -137,13 +137,7 @@ def lead_of_model(result: PortraitResult) -> list[str]:
 
 
 def lead_of_loop(result: PortraitResult, at_bound: float) -> list[str]:
-    """The answer of a portrait of a closed loop.
-
-    Parameters
-    ----------
-    at_bound : float
-        Share of the samples with a command at its bound.
-    """
+    """The answer of a portrait of a loop; ``at_bound`` is the share of samples at a bound."""
     total = len(result.trajectories)
     reached = [end for end in result.ends if end.what == "rest"]
     count = sum(len(end.members) for end in reached)

@@ -93,20 +93,8 @@ def default_states(model: Model) -> tuple[str, ...]:
 class PortraitCoordinates:
     """The coordinates of a portrait of a model.
 
-    Parameters
-    ----------
-    field : VectorField
-    names : sequence of str
-        Two or three: states, or rates of angles (``rate_v``).
-    point : OperatingPoint
-        Where the dependence of rates on states is judged.
-
-    Raises
-    ------
-    ConfigurationError
-        For unknown, repeated, too few or too many names.
-    ModelError
-        For a model of one state.
+    Names are two or three: states, or rates of angles (``rate_v``); on which states rates depend is
+    judged at the point. Raises as :func:`check_states`.
     """
 
     def __init__(self, field: VectorField, names: Sequence[str], point: OperatingPoint) -> None:
@@ -210,12 +198,8 @@ def _coordinate(model: Model, name: str, place: int) -> Coordinate:
 def check_states(model: Model, names: Sequence[str]) -> None:
     """Refuse what makes no plane and no space.
 
-    Raises
-    ------
-    ConfigurationError
-        For unknown, repeated, too few or too many names.
-    ModelError
-        For a model of one state.
+    Raises ConfigurationError for unknown, repeated, too few or too many names, ModelError for a
+    model of one state.
     """
     if model.n_x < 2:
         raise ModelError(
@@ -263,16 +247,9 @@ class StateSection:
         return tuple(i for i in self.coordinates.others if i not in self.settled)
 
     def place(self, c: npt.ArrayLike) -> FloatArray:
-        """States of points of the section.
+        """States (m, n_x) of points (m, n_c) of the section.
 
-        Parameters
-        ----------
-        c : (m, n_c)
-
-        Returns
-        -------
-        (m, n_x) array
-            NaN where there is none (a settled state without a value to settle at).
+        NaN where there is none (a settled state without a value to settle at).
         """
         c = np.atleast_2d(np.asarray(c, dtype=float))
         x = np.tile(self.point.x, (len(c), 1))
@@ -388,23 +365,11 @@ def section_of(
     at: Mapping[str, float] | None = None,
     others: str | Sequence[str] = "held",
 ) -> StateSection:
-    """The section of a model for what is asked by name.
+    """The section of a model with equations for what is asked by name.
 
-    Parameters
-    ----------
-    model : Model
-        With equations.
-    states : sequence of str or None
-        Two or three coordinates; None: :func:`default_states`.
-    at : dict of str to float or None
-        Operating point; see :func:`trms_cli.models.operating_point.operating_point`.
-    others : str or sequence of str
-        See :func:`settled_states`.
-
-    Raises
-    ------
-    ConfigurationError, ModelError
-        For names that make no portrait, and without an equilibrium there.
+    States default to :func:`default_states`; for ``at`` see
+    :func:`trms_cli.models.operating_point.operating_point`, for ``others`` :func:`settled_states`.
+    Raises TrmsError for names that make no portrait, and without an equilibrium there.
     """
     states = tuple(states or default_states(model))
     check_states(model, states)

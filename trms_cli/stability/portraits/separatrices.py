@@ -52,16 +52,8 @@ def separatrices(
 ) -> tuple[Separatrix, ...]:
     """The manifolds of a saddle that are curves of the portrait, and a surface in a space.
 
-    Parameters
-    ----------
-    invariant : bool
-        Whether no motion leaves the section: then its own slopes decide.
-    window : (n_c, 2)
-        Followed until they leave it.
-    rest : RestPoint
-        The saddle.
-    duration : float
-        s for which each is followed at most.
+    If the section is invariant its own slopes decide. They are followed until they leave the window
+    (n_c, 2), for a duration (s) at most.
     """
     if rest.kind != "saddle":
         return ()

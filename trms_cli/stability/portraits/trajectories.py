@@ -89,15 +89,8 @@ def spaced(
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """A trajectory for drawing: points some distance apart, up to a length, within the window.
 
-    Parameters
-    ----------
-    apart, longest : float
-        In shares of the window's width.
-
-    Returns
-    -------
-    (n, n_c) array, (n,) bool array
-        NaN where it is outside; whether a command is at its bound.
+    Distances are shares of the window's width. Returns points (n, n_c), NaN outside, and whether a
+    command is at its bound, (n,).
     """
     c = trajectory.c
     steps = np.linalg.norm(np.diff(c, axis=0) / np.ptp(window, axis=1), axis=1)
@@ -197,16 +190,8 @@ def ends_of(
 ) -> tuple[TrajectoryEnd, ...]:
     """The motions by their ends, the most frequent end first.
 
-    Parameters
-    ----------
-    window : (n_c, 2)
-    rests : sequence of RestPoint
-        Those of the window.
-    sticking : sequence of StickingSet
-    dry_friction : bool
-        Whether something may stand still where there is no equilibrium of f.
-    search_beyond : bool
-        Whether equilibria outside the window are looked for where motions seem to rest.
+    With dry friction something may stand still where there is no equilibrium of f; equilibria
+    outside the window are looked for on request, where motions seem to rest.
     """
     known = list(rests)
     groups: dict[tuple[What, int], list[tuple[int, float]]] = {}

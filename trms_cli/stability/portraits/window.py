@@ -73,10 +73,7 @@ def default_window(
 ) -> FloatArray:
     """Limits of each coordinate, (n_c, 2); what is given stays.
 
-    Parameters
-    ----------
-    around : bool
-        Only the surroundings of the operating point, as the starts of a closed loop are.
+    ``around``: only the surroundings of the operating point, as the starts of a closed loop are.
     """
     coordinates, point = section.coordinates, section.point
     centre = coordinates.values(point.x, point.u)
