@@ -1,7 +1,7 @@
 """Quadratic regions by a linear differential inclusion.
 
 In a box |y_i| ≤ r_i the equations are ẏ = A(y) y with A(y) in an interval matrix (see
-:meth:`~trms_cli.stability.attraction.system.Around.hull`). V = yᵀPy falls there if
+:meth:`~trms_cli.stability.attraction.system.ReducedSystem.hull`). V = yᵀPy falls there if
 
     AᵀP + PA ≺ 0        at every corner A of the interval matrix,
 

@@ -14,7 +14,7 @@ From which starts a closed loop recovers: its runs, and for an LQR sets that are
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,7 +25,7 @@ import numpy.typing as npt
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.lqr import Lqr, Regulator
 from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
-from trms_cli.core.findings import Block, Findings, Judged, Section, Table
+from trms_cli.core.findings import Column, Findings, Judged, Section, Table, table
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.attraction import report
@@ -40,6 +40,7 @@ from trms_cli.stability.attraction.region import (
 from trms_cli.stability.attraction.simulation import ConfidenceShare, share_of
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.closed_loop import run_loop
+from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
 
@@ -154,11 +155,35 @@ class LoopStarts:
     recovered: npt.NDArray[np.bool_]  #: (n,) bool
 
     @property
+    def count(self) -> int:
+        """Of those that recovered."""
+        return int(self.recovered.sum())
+
+    @property
     def share(self) -> ConfidenceShare:
-        return share_of(int(self.recovered.sum()), len(self.recovered))
+        return share_of(self.count, len(self.recovered))
 
 
-def loop_findings(
+@dataclass(frozen=True)
+class LoopRegion:
+    """From which starts a loop recovers."""
+
+    subject: Subject
+    point: OperatingPoint
+    states: tuple[str, ...]  #: In which starts deviate
+    box: FloatArray  #: (m,) array; half-widths
+    duration: float  #: s, of a run
+    tolerance: float  #: rad
+    runs: LoopStarts  #: From random starts in the box
+    region: AttractionRegion | None  #: Of the law as equations; None for any other than an LQR's
+    inside: LoopStarts | None  #: Runs from starts in the largest proved set
+
+    @property
+    def controller(self) -> str:
+        return self.subject.require_loop("").names.get("controller", "the controller")
+
+
+def loop_region(
     subject: Subject,
     point: OperatingPoint,
     options: RegionOptions,
@@ -166,14 +191,13 @@ def loop_findings(
     count: int,
     tolerance: float,
     tell: Tell,
-    title: str,
-) -> Findings:
-    """The findings for a loop: by simulation, and by proof where the law is an LQR's.
+) -> LoopRegion:
+    """The region of a loop: by simulation, and by proof where the law is an LQR's.
 
     Raises TrmsError if the loop is unstable around the point, or a name is no state.
     """
     model, loop = subject.model, subject.require_loop("study=region_of_attraction")
-    known = chosen or _deviating(subject)
+    known = tuple(chosen or _deviating(subject))
     require_states(
         [n for n in known if n not in model.state_names], model.state_names, "study.states"
     )
@@ -181,23 +205,20 @@ def loop_findings(
     box = np.array([options.box.get(n, _half_width(subject, point, n)) for n in known])
     duration = options.duration or _DURATION
     law = linear_law(model, loop, point)
-    found = None
-    if law is not None:
-        found = _by_law(subject, law, tuple(known), box, options, tell)
+    region = None if law is None else _by_law(subject, law, known, box, options, tell)
     random = np.random.default_rng(3)
-    d = random.uniform(-1.0, 1.0, (count, len(known))) * box
-    runs = _runs(subject, point, known, d, duration, tolerance, tell)
+
+    def runs_from(d: FloatArray) -> LoopStarts:
+        return _runs(subject, point, known, d, duration, tolerance, tell)
+
+    runs = runs_from(random.uniform(-1.0, 1.0, (count, len(known))) * box)
+    best = None if region is None else report.largest(region)
     inside = None
-    if found is not None:
-        best = report.largest(found)
-        if best is not None:
-            drawn = random.uniform(-1.0, 1.0, (200_000, len(known))) * box
-            proved = drawn[best.estimate.contains(found.starts.of(drawn))][:_INSIDE]
-            if len(proved):
-                inside = _runs(subject, point, known, proved, duration, tolerance, tell)
-    return _told(
-        subject, point, known, box, options, runs, inside, found, duration, tolerance, title
-    )
+    if region is not None and best is not None:
+        drawn = random.uniform(-1.0, 1.0, (200_000, len(known))) * box
+        proved = drawn[best.estimate.contains(region.starts.of(drawn))][:_INSIDE]
+        inside = runs_from(proved) if len(proved) else None
+    return LoopRegion(subject, point, known, box, duration, tolerance, runs, region, inside)
 
 
 def _by_law(
@@ -271,159 +292,113 @@ def _runs(
     return LoopStarts(d, recovered)
 
 
-def _told(
-    subject: Subject,
-    point: OperatingPoint,
-    known: Sequence[str],
-    box: FloatArray,
-    options: RegionOptions,
-    runs: LoopStarts,
-    inside: LoopStarts | None,
-    found: AttractionRegion | None,
-    duration: float,
-    tolerance: float,
-    title: str,
-) -> Findings:
-    model, loop = subject.model, subject.require_loop("study=region_of_attraction")
-    name = loop.names.get("controller", "the controller")
-    widths = ", ".join(f"{n} ±{value:.3g}" for n, value in zip(known, box, strict=True))
-    said = [
-        f"{name} recovered from {int(runs.recovered.sum())} of {len(runs.recovered)} random starts "
-        f"within {widths} around {point.words(model)} in {duration:g} s: "
+def loop_findings(result: LoopRegion, plane: Sequence[str], title: str) -> Findings:
+    """The result as a study tells it; ``plane`` names the two states of the figure."""
+    runs, region = result.runs, result.region
+    name, place = result.controller, result.point.words(result.subject.model)
+    widths = ", ".join(f"{n} ±{v:.3g}" for n, v in zip(result.states, result.box, strict=True))
+    lead = [
+        f"{name} recovered from {runs.count} of {len(runs.recovered)} random starts "
+        f"within {widths} around {place} in {result.duration:g} s: "
         f"{report.percent(runs.share)} of the box."
     ]
-    notes = [
+    warnings = [
         "Runs of the loop start with the observer and the controller at rest; mechanical stops do "
         "not act."
     ]
-    blocks: list[Block] = []
-    if found is not None:
-        said += _law_lead(found, inside)
-        blocks = [*report.sections(found)[0].blocks]
-        notes += [
+    sections = [
+        Section(
+            "Runs of the loop",
+            (
+                f"A start is recovered if all controlled angles stay within {result.tolerance:g} "
+                f"rad of where they belong over the last tenth of {result.duration:g} s.",
+            ),
+            [*_run_charts(result, plane), _run_table(result)],
+        )
+    ]
+    if region is not None:
+        lead += report.lead(region)
+        if result.inside is not None:
+            lost = int((~result.inside.recovered).sum())
+            lead.append(
+                f"Of {len(result.inside.recovered)} runs of the loop itself from starts in the "
+                f"proved set {lost or 'none'} failed to recover."
+            )
+        warnings += [
             "Proofs are about the LQR law in continuous time, with its integral and saturation and "
             "a state that is known; the runs are the loop itself, sampled, with its observer.",
-            *report.warnings(found),
+            *report.warnings(region),
         ]
+        blocks = report.sections(region)[0].blocks
+        sections.append(Section("Sets proved for the law", report.METHOD, blocks))
     else:
-        notes.append(
+        warnings.append(
             f"Nothing is proved for {name}: only an LQR's law can be written as equations here "
             "(and only where the rig has the states that the controller believes in). The share "
             "is an estimate from runs."
         )
-    section = Section(
-        "Runs of the loop",
-        (
-            f"A start is recovered if all controlled angles stay within {tolerance:g} rad of where "
-            f"they belong over the last tenth of {duration:g} s.",
-        ),
-        [*_run_blocks(subject, point, known, box, options, runs), _run_table(runs, inside)],
-    )
-    proofs = (
-        [Section("Sets proved for the law", report.METHOD, blocks)] if found is not None else []
-    )
-    return Findings(title, said, [section, *proofs], _data(known, box, runs, inside, found), notes)
+    return Findings(title, lead, sections, as_json(_results(result)), warnings)
 
 
-def _law_lead(found: AttractionRegion, inside: LoopStarts | None) -> list[str]:
-    said = report.lead(found)
-    if inside is not None:
-        lost = int((~inside.recovered).sum())
-        said.append(
-            f"Of {len(inside.recovered)} runs of the loop itself from starts in the proved set "
-            f"{lost or 'none'} failed to recover."
-        )
-    return said
-
-
-def _run_table(runs: LoopStarts, inside: LoopStarts | None) -> Table:
-    rows = [
-        (
-            "random in the box",
-            len(runs.recovered),
-            int(runs.recovered.sum()),
-            report.percent(runs.share),
-        )
-    ]
-    table: list[Sequence[Any]] = [*rows]
-    if inside is not None:
-        good = bool(inside.recovered.all())
-        table.append(
-            (
-                "in the proved set",
-                len(inside.recovered),
-                Judged(int(inside.recovered.sum()), "good" if good else "bad"),
-                report.percent(inside.share),
-            )
-        )
-    return Table(
-        ("starts", "runs", "recovered", "share (95 % confidence)"),
-        table,
+def _run_table(result: LoopRegion) -> Table:
+    rows = [("random in the box", result.runs, "")]
+    if result.inside is not None:
+        good = bool(result.inside.recovered.all())
+        rows.append(("in the proved set", result.inside, "good" if good else "bad"))
+    return table(
+        rows,
+        [
+            Column("starts", lambda row: row[0]),
+            Column("runs", lambda row: len(row[1].recovered)),
+            Column("recovered", lambda row: Judged(row[1].count, row[2])),
+            Column("share (95 % confidence)", lambda row: report.percent(row[1].share)),
+        ],
         "Runs of the loop itself.",
     )
 
 
-def _run_blocks(
-    subject: Subject,
-    point: OperatingPoint,
-    known: Sequence[str],
-    box: FloatArray,
-    options: RegionOptions,
-    runs: LoopStarts,
-) -> list[Chart]:
-    model = subject.model
+def _run_charts(result: LoopRegion, plane: Sequence[str]) -> list[Chart]:
+    model, point, known, box = result.subject.model, result.point, result.states, result.box
     signals = [model.states[model.state_index(name)] for name in known]
-    i, j = plane_axes(list(known), [s.unit for s in signals], options.plane)
-    if not options.plane and len(known) == 2:
+    i, j = plane_axes(known, [s.unit for s in signals], plane)
+    if not plane and len(known) == 2:
         i, j = 0, 1
     if i == j:
         return []
-    origin = [float(point.x[model.state_index(n)]) for n in known]
+    origin = np.array([point.x[model.state_index(n)] for n in known])
     marks: list[Mark] = []
-    good, bad = (_of(origin, runs.d[kind]) for kind in (runs.recovered, ~runs.recovered))
+    good, bad = (
+        origin + result.runs.d[of] for of in (result.runs.recovered, ~result.runs.recovered)
+    )
     if len(good):
         marks.append(Points(good[:, i], good[:, j], "recovers", "dot", "blue"))
     if len(bad):
         marks.append(Points(bad[:, i], bad[:, j], "does not", "cross", "alarm"))
     marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
     x, y = (
-        Axis(known[k], signals[k].unit, (origin[k] - 1.05 * box[k], origin[k] + 1.05 * box[k]))
+        Axis(
+            known[k],
+            signals[k].unit,
+            (float(origin[k] - 1.05 * box[k]), float(origin[k] + 1.05 * box[k])),
+        )
         for k in (i, j)
     )
-    return [
-        Chart(
-            "recovered_starts",
-            [Panel(x, y, marks)],
-            f"Starts from which the loop of {subject.require_loop('').names.get('controller', '')} "
-            f"comes back to {point.words(model)}.",
-            columns=1,
-            width=4.8,
-            height=4.2,
-        )
-    ]
+    caption = (
+        f"Starts from which the loop of {result.controller} comes back to {point.words(model)}."
+    )
+    return [Chart("recovered_starts", [Panel(x, y, marks)], caption, 1, 4.8, 4.2)]
 
 
-def _of(origin: Sequence[float], d: FloatArray) -> FloatArray:
-    return np.asarray(np.array(origin) + d)
-
-
-def _data(
-    known: Sequence[str],
-    box: FloatArray,
-    runs: LoopStarts,
-    inside: LoopStarts | None,
-    found: AttractionRegion | None,
-) -> Mapping[str, Any]:
+def _results(result: LoopRegion) -> dict[str, Any]:
+    runs, inside = result.runs, result.inside
     return {
         "runs": {
-            "states": list(known),
-            "box": dict(zip(known, box.tolist(), strict=True)),
-            "starts": runs.d.tolist(),
-            "recovered": [bool(v) for v in runs.recovered],
-            "share": report.share_data(runs.share),
+            "states": result.states,
+            "box": dict(zip(result.states, result.box, strict=True)),
+            "starts": runs.d,
+            "recovered": runs.recovered,
+            "share": runs.share,
         },
-        "runs_in_proved_set": None
-        if inside is None
-        else {"starts": inside.d.tolist(), "recovered": [bool(v) for v in inside.recovered]},
-        "law": None if found is None else report.results(found),
+        "runs_in_proved_set": inside,
+        "law": None if result.region is None else report.results(result.region),
     }

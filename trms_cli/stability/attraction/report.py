@@ -1,7 +1,4 @@
-"""What was found out about a region of attraction, in sentences, tables and data.
-
-Figures of a region of attraction.
-"""
+"""What was found of a region of attraction, in sentences, tables, figures and data."""
 
 from __future__ import annotations
 
@@ -23,11 +20,13 @@ from trms_cli.core.chart import (
     Points,
     Region,
 )
-from trms_cli.core.findings import Judged, Section, Table
-from trms_cli.stability.attraction.estimates import LABELS, Method, RegionEstimate
+from trms_cli.core.findings import Column, Judged, Section, Table, table
+from trms_cli.models.model import names
+from trms_cli.stability.attraction.estimates import Method, RegionEstimate
 from trms_cli.stability.attraction.region import AttractionRegion, EstimateTest
 from trms_cli.stability.attraction.simulation import SETTLED, ConfidenceShare
 from trms_cli.stability.attraction.system import written
+from trms_cli.stability.results import rounded
 
 METHOD = (
     "With y the deviation from the equilibrium, V falls along the motions in each of the sets and "
@@ -68,17 +67,17 @@ def from_to(estimate: RegionEstimate, k: int) -> str:
     return f"{low} to {high}"
 
 
-def largest(found: AttractionRegion) -> EstimateTest | None:
+def largest(region: AttractionRegion) -> EstimateTest | None:
     """The largest set that is proved."""
-    proved = [v for v in found.verdicts if v.estimate.proved]
+    proved = [v for v in region.verdicts if v.estimate.proved]
     return max(proved, key=lambda v: v.estimate.log_volume) if proved else None
 
 
-def lead(found: AttractionRegion) -> list[str]:
+def lead(region: AttractionRegion) -> list[str]:
     """The answer first."""
-    system = found.system
+    system = region.system
     place = system.point.words(system.model)
-    best = largest(found)
+    best = largest(region)
     said = []
     if best is None:
         said.append(f"No region around {place} could be proved by the methods asked for.")
@@ -94,17 +93,17 @@ def lead(found: AttractionRegion) -> list[str]:
         if best.share is not None:
             said.append(
                 f"It covers {percent(best.share)} of the starts in the box that do so in "
-                f"simulation; these are {percent(found.truth)} of the box."
+                f"simulation; these are {percent(region.truth)} of the box."
             )
-    failed = sum(v.failed for v in found.verdicts if v.estimate.proved)
-    tested = sum(v.tested for v in found.verdicts if v.estimate.proved)
+    failed = sum(v.failed for v in region.verdicts if v.estimate.proved)
+    tested = sum(v.tested for v in region.verdicts if v.estimate.proved)
     if tested:
         said.append(
             f"Of {tested} simulated motions from starts in proved sets {failed or 'none'} failed "
             "to come to rest."
             + (" A proof and the simulation contradict each other." * (failed > 0))
         )
-    saddles = [rest for rest in found.rests if not rest.stable]
+    saddles = [rest for rest in region.rests if not rest.stable]
     if saddles:
         near = saddles[0].y
         away = ", ".join(
@@ -119,123 +118,106 @@ def lead(found: AttractionRegion) -> list[str]:
     return said
 
 
-def sections(found: AttractionRegion) -> list[Section]:
+def sections(region: AttractionRegion) -> list[Section]:
     """Method, figure, table."""
-    blocks: list[Table | Chart] = [estimate_table(found)]
-    if found.plane.axes[0] != found.plane.axes[1]:
-        blocks.insert(0, plane_chart(found))
+    blocks: list[Table | Chart] = [estimate_table(region)]
+    if region.plane.axes[0] != region.plane.axes[1]:
+        blocks.insert(0, plane_chart(region))
     return [Section("Estimates and the region by simulation", METHOD, blocks)]
 
 
-def estimate_table(found: AttractionRegion) -> Table:
+_PROVED = {True: Judged("proved", "good"), False: Judged("sampled only", "doubtful")}
+
+
+def _of_sampled(e: RegionEstimate) -> str | None:
+    return None if e.sampled is None else f"{e.level / e.sampled:.0%}"
+
+
+def estimate_table(region: AttractionRegion) -> Table:
     """A row for each estimate."""
-    names = found.system.names
+    labels = region.system.names
     shown = (
-        len(names) - 1 - [n.startswith("alpha") for n in names][::-1].index(True)
-        if any(n.startswith("alpha") for n in names)
+        len(labels) - 1 - [n.startswith("alpha") for n in labels][::-1].index(True)
+        if any(n.startswith("alpha") for n in labels)
         else 0
     )
-    unit = found.system.model.states[found.system.kept[shown]].unit
-    rows = []
-    for v in found.verdicts:
-        e = v.estimate
-        rows.append(
-            (
-                e.label,
-                Judged("proved", "good") if e.proved else Judged("sampled only", "doubtful"),
-                from_to(e, shown),
-                float(f"{math.exp(e.log_volume):.3g}"),
-                percent(v.share) if v.share else "too small to count",
-                None if e.sampled is None else f"{e.level / e.sampled:.0%}",
-                e.boxes or None,
-                Judged(f"{v.failed} of {v.tested}", "good" if v.failed == 0 else "bad"),
-            )
-        )
-    return Table(
-        (
-            "V",
-            "is",
-            f"{names[shown]} from, to [{unit}]",
-            "volume",
-            "of the true region",
-            "of the sampled level",
-            "boxes",
-            "do not come to rest",
-        ),
-        rows,
-        f"Volume in the units of {', '.join(names)}. The true region is counted in a box by "
-        f"{found.samples} random starts ({found.undecided} undecided after "
-        f"{found.duration:.0f} s); in brackets 95 % confidence. From, to: away from the "
+    unit = region.system.model.states[region.system.kept[shown]].unit
+    return table(
+        region.verdicts,
+        [
+            Column("V", lambda v: v.estimate.label),
+            Column("is", lambda v: _PROVED[v.estimate.proved]),
+            Column(f"{labels[shown]} from, to [{unit}]", lambda v: from_to(v.estimate, shown)),
+            Column("volume", lambda v: rounded(math.exp(v.estimate.log_volume), 3)),
+            Column(
+                "of the true region",
+                lambda v: percent(v.share) if v.share else "too small to count",
+            ),
+            Column("of the sampled level", lambda v: _of_sampled(v.estimate)),
+            Column("boxes", lambda v: v.estimate.boxes or None),
+            Column(
+                "do not come to rest",
+                lambda v: Judged(f"{v.failed} of {v.tested}", "bad" if v.failed else "good"),
+            ),
+        ],
+        f"Volume in the units of {', '.join(labels)}. The true region is counted in a box by "
+        f"{region.samples} random starts ({region.undecided} undecided after "
+        f"{region.duration:.0f} s); in brackets 95 % confidence. From, to: away from the "
         "equilibrium, evaluated on the set, which is no box. The last column simulates "
         "starts in the set.",
     )
 
 
-def results(found: AttractionRegion) -> dict[str, Any]:
+def results(region: AttractionRegion) -> dict[str, Any]:
     """The figures as data."""
-    system = found.system
+    system = region.system
+
+    def named(y: FloatArray) -> dict[str, float]:
+        return dict(zip(system.names, y, strict=True))
+
     return {
-        "point": dict(zip(system.model.state_names, system.point.x.tolist(), strict=True)),
-        "command": {
-            s.name: float(v) for s, v in zip(system.model.inputs, system.point.u, strict=True)
-        },
-        "states": list(system.names),
-        "settled": list(system.settled),
+        "point": dict(zip(system.model.state_names, system.point.x, strict=True)),
+        "command": dict(zip(names(system.model.inputs), system.point.u, strict=True)),
+        "states": system.names,
+        "settled": system.settled,
         "neutral": [system.model.state_names[i] for i in system.neutral],
-        "eigenvalues": [[float(v.real), float(v.imag)] for v in system.eigenvalues],
-        "box": dict(zip(found.starts.names, found.box.tolist(), strict=True)),
-        "true_share_of_box": share_data(found.truth),
-        "samples": found.samples,
-        "undecided": found.undecided,
-        "duration": found.duration,
-        "estimates": [_estimate_data(v) for v in found.verdicts],
-        "other_equilibria": [
+        "eigenvalues": system.eigenvalues,
+        "box": dict(zip(region.starts.names, region.box, strict=True)),
+        "true_share_of_box": region.truth,
+        "samples": region.samples,
+        "undecided": region.undecided,
+        "duration": region.duration,
+        "estimates": [
             {
-                "deviation": dict(zip(system.names, rest.y.tolist(), strict=True)),
-                "stable": rest.stable,
+                "method": e.method,
+                "label": e.label,
+                "proved": e.proved,
+                "means": e.means,
+                "terms": dict(zip(e.candidate.basis.names, e.candidate.weights, strict=True)),
+                "level": e.level,
+                "sampled_level": e.sampled,
+                "samples": e.samples,
+                "boxes": e.boxes,
+                "half_widths": named(e.extents),
+                "extent": named(e.bounds.T),
+                "volume": math.exp(e.log_volume),
+                "share_of_true_region": v.share,
+                "simulated": v.tested,
+                "failed": v.failed,
             }
-            for rest in found.rests
+            for v in region.verdicts
+            for e in (v.estimate,)
+        ],
+        "other_equilibria": [
+            {"deviation": named(rest.y), "stable": rest.stable} for rest in region.rests
         ],
     }
 
 
-def share_data(share: ConfidenceShare | None) -> dict[str, float | None] | None:
-    """A share as JSON data."""
-    if share is None:
-        return None
-    values = {"value": share.value, "lower": share.lower, "upper": share.upper}
-    return {k: float(v) if math.isfinite(v) else None for k, v in values.items()}
-
-
-def _estimate_data(v: EstimateTest) -> dict[str, Any]:
-    e = v.estimate
-    volume = math.exp(e.log_volume)
-    return {
-        "method": e.method,
-        "label": LABELS[e.method],
-        "proved": e.proved,
-        "means": e.means,
-        "terms": dict(zip(e.candidate.basis.names, e.candidate.weights.tolist(), strict=True)),
-        "level": float(e.level),
-        "sampled_level": None if e.sampled is None else float(e.sampled),
-        "samples": e.samples,
-        "boxes": e.boxes,
-        "half_widths": dict(zip(e.candidate.system.names, e.extents.tolist(), strict=True)),
-        "extent": {
-            name: [float(low), float(high)]
-            for name, low, high in zip(e.candidate.system.names, *e.bounds, strict=True)
-        },
-        "volume": volume if math.isfinite(volume) else None,
-        "share_of_true_region": share_data(v.share),
-        "simulated": v.tested,
-        "failed": v.failed,
-    }
-
-
-def warnings(found: AttractionRegion) -> list[str]:
+def warnings(region: AttractionRegion) -> list[str]:
     """What limits the answer."""
     said = []
-    system = found.system
+    system = region.system
     if system.settled:
         said.append(
             f"At rest throughout: {', '.join(system.settled)}. What is proved and simulated "
@@ -245,24 +227,24 @@ def warnings(found: AttractionRegion) -> list[str]:
     if system.neutral:
         names = ", ".join(system.model.state_names[i] for i in system.neutral)
         said.append(f"{names} moves nothing and is left out: there is no attraction in it.")
-    if found.undecided:
+    if region.undecided:
         said.append(
-            f"{found.undecided} of {found.samples} motions were neither here nor gone for good "
-            f"after {found.duration:.0f} s (at rest elsewhere, or still moving), and count as not "
+            f"{region.undecided} of {region.samples} motions were neither here nor gone for good "
+            f"after {region.duration:.0f} s (at rest elsewhere, or still moving), and count as not "
             "attracted."
         )
-    if found.cut:
+    if region.cut:
         said.append(
-            f"The slowest mode would need {found.wanted:.0f} s to die away; motions were followed "
-            f"for {found.duration:.0f} s to bound the work, and what had not arrived is undecided: "
-            "it widens the upper end of the share. study.duration sets another time."
+            f"The slowest mode would need {region.wanted:.0f} s to die away; motions were followed "
+            f"for {region.duration:.0f} s to bound the work, and what had not arrived is "
+            "undecided: it widens the upper end of the share. study.duration sets another time."
         )
-    if found.nothing:
+    if region.nothing:
         said.append(
             f"Nothing, or nothing larger than a quadratic's, was found by: "
-            f"{', '.join(found.nothing)}."
+            f"{', '.join(region.nothing)}."
         )
-    if any(not v.estimate.proved for v in found.verdicts):
+    if any(not v.estimate.proved for v in region.verdicts):
         said.append(
             "Sets marked 'sampled only' are not proved: V fell at every sample, and no bound was "
             "found for all points"
@@ -292,26 +274,26 @@ _COLOURS: dict[Method, Colour] = {
 _FINE = 241
 
 
-def plane_chart(found: AttractionRegion) -> Chart:
+def plane_chart(region: AttractionRegion) -> Chart:
     """The plane: the region by simulation, the estimates, other equilibria, motions."""
-    i, j = found.plane.axes
+    i, j = region.plane.axes
     if i == j:
         raise ValueError("a plane needs two states")
-    panels = [_panel(found, found.box, "")]
-    small = [v.estimate for v in found.verdicts if _size(v.estimate, found) < 0.25]
+    panels = [_panel(region, region.box, "")]
+    small = [v.estimate for v in region.verdicts if _size(v.estimate, region) < 0.25]
     if small:
-        box = found.box.copy()
-        box[[i, j]] = 1.3 * np.max([_reach(e, found) for e in small], axis=0)
-        panels.append(_panel(found, box, "near the equilibrium"))
-    names, model = found.starts.names, found.system.model
+        box = region.box.copy()
+        box[[i, j]] = 1.3 * np.max([_reach(e, region) for e in small], axis=0)
+        panels.append(_panel(region, box, "near the equilibrium"))
+    names, model = region.starts.names, region.system.model
     others = [n for k, n in enumerate(names) if k not in (i, j)]
-    rest = [*others, *found.system.settled]
+    rest = [*others, *region.system.settled]
     section = f" In the plane {', '.join(rest)} start at rest." if rest else ""
-    unproved = any(not v.estimate.proved for v in found.verdicts)
+    unproved = any(not v.estimate.proved for v in region.verdicts)
     return Chart(
         "region_of_attraction",
         panels,
-        f"Region of attraction of {found.system.point.words(model)}: shaded, which starts come to "
+        f"Region of attraction of {region.system.point.words(model)}: shaded, which starts come to "
         "rest there in simulation; lines, what is proved to be attracted"
         + (" (dashed: sampled only)." if unproved else ".")
         + section,
@@ -321,17 +303,17 @@ def plane_chart(found: AttractionRegion) -> Chart:
     )
 
 
-def _size(estimate: RegionEstimate, found: AttractionRegion) -> float:
-    return float(np.max(_reach(estimate, found) / found.box[list(found.plane.axes)]))
+def _size(estimate: RegionEstimate, region: AttractionRegion) -> float:
+    return float(np.max(_reach(estimate, region) / region.box[list(region.plane.axes)]))
 
 
-def _reach(estimate: RegionEstimate, found: AttractionRegion) -> FloatArray:
+def _reach(estimate: RegionEstimate, region: AttractionRegion) -> FloatArray:
     """Half-widths of the section of a set with the plane, (2,); tiny for an empty one."""
-    axes = list(found.plane.axes)
-    half = found.box[axes].copy()
+    axes = list(region.plane.axes)
+    half = region.box[axes].copy()
     for _ in range(16):
-        d, _, _ = _grid(found, half, 61)
-        inside = np.abs(d[estimate.contains(found.starts.of(d))][:, axes])
+        d, _, _ = _grid(region, half, 61)
+        inside = np.abs(d[estimate.contains(region.starts.of(d))][:, axes])
         reach = inside.max(axis=0, initial=0.0) + half / 30.0
         if np.all(reach > 0.4 * half):
             return np.asarray(np.minimum(reach, half))
@@ -340,36 +322,36 @@ def _reach(estimate: RegionEstimate, found: AttractionRegion) -> FloatArray:
 
 
 def _grid(
-    found: AttractionRegion, half: FloatArray, lines: int
+    region: AttractionRegion, half: FloatArray, lines: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Starts of a grid in the plane, (lines², m), and its lines."""
-    i, j = found.plane.axes
+    i, j = region.plane.axes
     x, y = (np.linspace(-half[k], half[k], lines) for k in (0, 1))
     across, up = np.meshgrid(x, y)
-    d = np.zeros((across.size, len(found.box)))
+    d = np.zeros((across.size, len(region.box)))
     d[:, i], d[:, j] = across.ravel(), up.ravel()
     return d, x, y
 
 
-def _panel(found: AttractionRegion, box: FloatArray, title: str) -> Panel:
-    (i, j), whole = found.plane.axes, title == ""
-    origin = _origin(found)
-    inside = found.plane.fate == SETTLED
-    near = np.ix_(np.abs(found.plane.y) <= box[j], np.abs(found.plane.x) <= box[i])
+def _panel(region: AttractionRegion, box: FloatArray, title: str) -> Panel:
+    (i, j), whole = region.plane.axes, title == ""
+    origin = _origin(region)
+    inside = region.plane.fate == SETTLED
+    near = np.ix_(np.abs(region.plane.y) <= box[j], np.abs(region.plane.x) <= box[i])
     marks: list[Mark] = []
     if np.any(inside[near]):
         marks.append(
             Region(
-                origin[i] + found.plane.x,
-                origin[j] + found.plane.y,
+                origin[i] + region.plane.x,
+                origin[j] + region.plane.y,
                 inside,
                 "comes to rest (simulated)",
                 "sky",
                 0.35,
             )
         )
-    if whole and found.starts.direct:
-        for path, settled in found.plane.paths:
+    if whole and region.starts.direct:
+        for path, settled in region.plane.paths:
             out = np.any(np.abs(path[:, [i, j]]) > 1.02 * box[[i, j]], axis=1)
             if np.all(out):
                 continue
@@ -386,10 +368,10 @@ def _panel(found: AttractionRegion, box: FloatArray, title: str) -> Panel:
                     arrow=True,
                 )
             )
-    marks += [mark for v in found.verdicts if (mark := _contour(v.estimate, found, box))]
+    marks += [mark for v in region.verdicts if (mark := _contour(v.estimate, region, box))]
     marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
-    for rest in found.rests:
-        place = rest.y if found.starts.direct else rest.y[: len(box)]
+    for rest in region.rests:
+        place = rest.y if region.starts.direct else rest.y[: len(box)]
         if np.all(np.abs(place[[i, j]]) <= box[[i, j]]):
             label = "another rest" if rest.stable else "saddle"
             marker: Marker = "stable" if rest.stable else "saddle"
@@ -398,7 +380,7 @@ def _panel(found: AttractionRegion, box: FloatArray, title: str) -> Panel:
                     [origin[i] + place[i]], [origin[j] + place[j]], label, marker, "alarm", size=8
                 )
             )
-    names, model = found.starts.names, found.system.model
+    names, model = region.starts.names, region.system.model
     axes = [
         Axis(
             names[k],
@@ -410,17 +392,17 @@ def _panel(found: AttractionRegion, box: FloatArray, title: str) -> Panel:
     return Panel(axes[0], axes[1], marks, title)
 
 
-def _origin(found: AttractionRegion) -> FloatArray:
-    model = found.system.model
-    return np.array([found.system.point.x[model.state_index(n)] for n in found.starts.names])
+def _origin(region: AttractionRegion) -> FloatArray:
+    model = region.system.model
+    return np.array([region.system.point.x[model.state_index(n)] for n in region.starts.names])
 
 
-def _contour(estimate: RegionEstimate, found: AttractionRegion, box: FloatArray) -> Contour | None:
-    i, j = found.plane.axes
-    origin = _origin(found)
+def _contour(estimate: RegionEstimate, region: AttractionRegion, box: FloatArray) -> Contour | None:
+    i, j = region.plane.axes
+    origin = _origin(region)
     # As fine as the set is small.
-    d, x, y = _grid(found, np.minimum(1.1 * _reach(estimate, found), box[[i, j]]), _FINE)
-    states = found.starts.of(d)
+    d, x, y = _grid(region, np.minimum(1.1 * _reach(estimate, region), box[[i, j]]), _FINE)
+    states = region.starts.of(d)
     near = np.all(np.abs(np.linalg.solve(estimate.frame, states.T)) <= 1.2, axis=0)
     values = np.where(near, estimate.candidate.values(states) / estimate.level, np.nan)
     seen = values.reshape(_FINE, _FINE)[np.ix_(np.abs(y) <= box[j], np.abs(x) <= box[i])]

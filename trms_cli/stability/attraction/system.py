@@ -9,9 +9,9 @@ set on which they rest is invariant (rotors that have reached their speed, for e
 that moves nothing, itself included (a yaw that nothing pulls back), is left out too: its value is
 of no consequence, and there is no attraction in its direction.
 
-x* is not a number that a computer has: it lies within :attr:`Around.error` of the point x̄ that is
-computed, which Krawczyk's test proves. All bounds allow for it. The model's constants are taken as
-the double precision numbers that the program computes with.
+x* is not a number that a computer has: it lies within :attr:`ReducedSystem.error` of the point x̄
+that is computed, which Krawczyk's test proves. All bounds allow for it. The model's constants are
+taken as the double precision numbers that the program computes with.
 """
 
 from __future__ import annotations

@@ -175,8 +175,8 @@ class NoResponse:
     words: str  #: What it did: ``alpha_v is 0.31 rad away after 100 s, further and further``
     #: Whether it leaves the point; else it stays near, but does not answer periodically
     leaves: bool
-    reversed: tuple[str, ...]  #: As of :class:`Measured`
-    held: tuple[str, ...] = ()  #: As of :class:`Measured`
+    reversed: tuple[str, ...]  #: As of :class:`FrequencyResponse`
+    held: tuple[str, ...] = ()  #: As of :class:`FrequencyResponse`
 
 
 class NoLoopError(Exception):

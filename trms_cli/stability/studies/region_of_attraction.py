@@ -12,10 +12,11 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, operating_point
-from trms_cli.stability.attraction.loop_region import loop_findings
+from trms_cli.stability.attraction.loop_region import loop_findings, loop_region
 from trms_cli.stability.attraction.region import RegionOptions, attraction_region
 from trms_cli.stability.attraction.report import lead, results, sections, warnings
 from trms_cli.stability.attraction.system import around, require_attractive
+from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -77,9 +78,10 @@ class RegionOfAttraction:
         if subject.loop is not None:
             point = operating_point(model, self.at or _level(model.controlled), "study.at")
             chosen = () if self.states in (None, "all") else tuple(self.states or ())
-            return loop_findings(
-                subject, point, options, chosen, self.loop_starts, self.tolerance, tell, TITLE
+            result = loop_region(
+                subject, point, options, chosen, self.loop_starts, self.tolerance, tell
             )
+            return loop_findings(result, self.plane, TITLE)
         point = self._point(model)
         system = around(
             model,
@@ -87,15 +89,15 @@ class RegionOfAttraction:
             model.state_names if self.states == "all" else self.states or model.controlled,
         )
         require_attractive(system)
-        found = attraction_region(system, options, tell)
+        region = attraction_region(system, options, tell)
         left_out = subject.left_out_of_equations()
-        notes = warnings(found)
+        notes = warnings(region)
         if left_out:
             notes.append(
                 f"{', '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} no part of the "
                 "equations, neither in the proofs nor in these simulations."
             )
-        return Findings(TITLE, lead(found), sections(found), results(found), notes)
+        return Findings(TITLE, lead(region), sections(region), as_json(results(region)), notes)
 
     def _point(self, model: Model) -> OperatingPoint:
         if self.at:
