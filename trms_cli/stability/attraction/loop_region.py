@@ -399,6 +399,8 @@ def _results(result: LoopRegion) -> dict[str, Any]:
             "recovered": runs.recovered,
             "share": runs.share,
         },
-        "runs_in_proved_set": inside,
+        "runs_in_proved_set": None
+        if inside is None
+        else {"starts": inside.d, "recovered": inside.recovered},
         "law": None if result.region is None else report.results(result.region),
     }

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.findings import Judged, Judgement, Table, Value
+from trms_cli.core.findings import Column, Judged, Judgement, Table, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate
 from trms_cli.stability.lyapunov.certificate import EnergyRig, LyapunovCertificate, StabilityClaim
+from trms_cli.stability.results import as_json, rounded
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -87,29 +88,29 @@ def lead(
     kind = "strict function" if found.candidate.weights.strict else "energy"
     if certificate.outer <= 0.0:
         if certificate.rising is None:
-            said = [
+            sentences = [
                 f"At {words} it is not proved that the {kind} is a Lyapunov function on any set."
             ]
         else:
-            said = [
+            sentences = [
                 f"At {words} the {kind} is no Lyapunov function: about the equilibrium V rises."
             ]
-            said.append(
+            sentences.append(
                 f"At a state with V = {certificate.rising.value:.3g} J, V̇ = "
                 f"{certificate.rising.derivative:.3g} W."
             )
         if growth > 0.0:
-            said.append(
+            sentences.append(
                 f"No other function can be one either: the linearisation is unstable (growth "
                 f"{growth:.3g} 1/s)."
             )
         else:
-            said.append(
+            sentences.append(
                 f"The linearisation is stable (decay {-growth:.3g} 1/s), so that other functions "
                 "exist: study=region_of_attraction finds them by computation."
             )
-        return tuple(said)
-    said = []
+        return tuple(sentences)
+    sentences = []
     unshown = [claim for claim in (*certificate.claims, *further) if not claim.holds]
     if unshown:
         which = "; ".join(f"“{claim.statement}” ({claim.how})" for claim in unshown)
@@ -119,34 +120,34 @@ def lead(
             f"The levels that were found, {_level(certificate)}, count only if that is settled.",
         )
     if certificate.everywhere:
-        said.append(
+        sentences.append(
             f"At {words} the equilibrium is globally asymptotically stable: the {kind} falls at "
             "all states of the equations, and N is the whole space."
         )
     else:
-        said.append(
+        sentences.append(
             f"At {words} the {kind} is a Lyapunov function on N, the part of {{V < "
             f"{certificate.outer:.4g} J}} about the equilibrium; what ends N is "
             f"{_end_of_outer(certificate)}."
         )
     if certificate.inner <= 0.0:
-        said.append(
+        sentences.append(
             f"There is no N′: the equilibrium is at {certificate.bounded_by} or beyond it, so that "
             "no set about it keeps clear of the stop."
         )
-        return tuple(said)
+        return tuple(sentences)
     ends = f"below {certificate.bounded_by}" if certificate.bounded_by[:3] == "the" else ""
     goal = "comes to rest where friction holds it" if rig.dry else "goes to the equilibrium"
-    said.append(
+    sentences.append(
         f"N′ = {{V <= {certificate.inner:.4g} J}}, {ends}, is compact, no motion leaves it, and "
         f"every motion in it {goal}."
     )
     if certificate.rising is not None:
-        said.append(
+        sentences.append(
             f"V rises at a state with V = {certificate.rising.value:.3g} J: beyond that level this "
             "function can prove nothing."
         )
-    return tuple(said)
+    return tuple(sentences)
 
 
 def _level(certificate: LyapunovCertificate) -> str:
@@ -167,11 +168,15 @@ def _end_of_outer(certificate: LyapunovCertificate) -> str:
 
 def claims_table(certificate: LyapunovCertificate, further: tuple[StabilityClaim, ...]) -> Table:
     """Every claim and how it was checked."""
-    rows: list[list[Value | Judged]] = [
-        [claim.statement, Judged(claim.how, _JUDGED.get(claim.how, "good")), claim.detail]
-        for claim in (*certificate.claims, *further)
-    ]
-    return Table(("claim", "checked by", "figures"), rows, "Claims")
+    return table(
+        (*certificate.claims, *further),
+        [
+            Column("claim", "statement"),
+            Column("checked by", lambda claim: Judged(claim.how, _JUDGED.get(claim.how, "good"))),
+            Column("figures", "detail"),
+        ],
+        "Claims",
+    )
 
 
 def extent(certificate: LyapunovCertificate) -> dict[str, tuple[float, float]]:
@@ -185,36 +190,34 @@ def extent(certificate: LyapunovCertificate) -> dict[str, tuple[float, float]]:
 def extent_table(certificate: LyapunovCertificate) -> Table:
     """The box around N′."""
     rest = certificate.found.candidate.centre
-    rows: list[list[Value | Judged]] = []
-    for (name, (low, high)), centre in zip(extent(certificate).items(), rest, strict=True):
-        what, axis = name.split("_")
-        label = f"{_SPOKEN[what]}_{axis} [{_UNIT[what]}]"
-        rows.append([label, round(low, 4), round(float(centre), 4) + 0.0, round(high, 4)])
     return Table(
         ("state", "from", "equilibrium", "to"),
-        rows,
+        [
+            [_head(name), round(low, 4), round(float(centre), 4) + 0.0, round(high, 4)]
+            for (name, (low, high)), centre in zip(extent(certificate).items(), rest, strict=True)
+        ],
         "The box around N′, each state with the others at the equilibrium",
     )
 
 
 def rising_table(certificate: LyapunovCertificate) -> Table | None:
     """The counterexample."""
-    if certificate.rising is None:
+    rising = certificate.rising
+    if rising is None:
         return None
-    candidate = certificate.found.candidate
-    rows: list[list[Value | Judged]] = [
-        [f"{_SPOKEN[what]}_{axis} [{_UNIT[what]}]", float(f"{value:.6g}")]
-        for (what, axis), value in zip(
-            (name.split("_") for name in candidate.energy.names()),
-            certificate.rising.y,
-            strict=True,
-        )
-    ]
-    rows += [
-        ["V [J]", float(f"{certificate.rising.value:.4g}")],
-        ["V̇ [W]", float(f"{certificate.rising.derivative:.4g}")],
+    names = certificate.found.candidate.energy.names()
+    rows = [
+        *((_head(name), rounded(value, 6)) for name, value in zip(names, rising.y, strict=True)),
+        ("V [J]", rounded(rising.value)),
+        ("V̇ [W]", rounded(rising.derivative)),
     ]
     return Table(("at the state", ""), rows, "Where V rises, confirmed with outward rounding")
+
+
+def _head(name: str) -> str:
+    """``Ω_h [rad/s]``."""
+    what, axis = name.split("_")
+    return f"{_SPOKEN[what]}_{axis} [{_UNIT[what]}]"
 
 
 def data(
@@ -224,50 +227,39 @@ def data(
     further: tuple[StabilityClaim, ...],
 ) -> dict[str, Any]:
     """The figures as JSON data."""
-    found = certificate.found
-    w, names = found.candidate.weights, found.candidate.energy.names()
-    rising = certificate.rising
-    finite = certificate.outer if math.isfinite(certificate.outer) else None
-    return {
-        "function": "strict" if w.strict else "energy",
-        "holds": certificate.holds and all(claim.holds for claim in further),
-        "operating_point": {"x": point.x.tolist(), "u": point.u.tolist()},
-        "weights": {
-            "rotor_h": w.rotor_h,
-            "rotor_v": w.rotor_v,
-            "yaw": w.yaw,
-            "cross_h": w.cross_h,
-            "cross_v": w.cross_v,
-        },
-        "formula": formula(found.candidate),
-        "N": {"everywhere": certificate.everywhere, "level": finite},
-        "N_prime": {
-            "level": certificate.inner if certificate.inner > 0.0 else None,
-            "bounded_by": certificate.bounded_by if certificate.outer > 0.0 else None,
-            "extent": {k: list(v) for k, v in extent(certificate).items()}
-            if certificate.inner > 0.0
-            else None,
-        },
-        "well": {
-            "depth": found.wells.depth if 0.0 < found.wells.depth < math.inf else None,
-            "saddles": list(found.wells.saddles) if found.wells.saddles else None,
-        },
-        "boxes": found.decay_level.examined,
-        "counterexample": None
-        if rising is None
-        else {
-            "state": dict(zip(names, (float(v) for v in rising.y), strict=True)),
-            "V": rising.value,
-            "V_dot": rising.derivative,
-        },
-        "eigenvalues": [[float(p.real), float(p.imag)] for p in poles],
-        "claims": [
-            {
-                "name": claim.name,
-                "statement": claim.statement,
-                "checked_by": claim.how,
-                "detail": claim.detail,
-            }
-            for claim in (*certificate.claims, *further)
-        ],
-    }
+    found, rising = certificate.found, certificate.rising
+    names, depth = found.candidate.energy.names(), found.wells.depth
+    return as_json(
+        {
+            "function": "strict" if found.candidate.weights.strict else "energy",
+            "holds": certificate.holds and all(claim.holds for claim in further),
+            "operating_point": {"x": point.x, "u": point.u},
+            "weights": found.candidate.weights,
+            "formula": formula(found.candidate),
+            "N": {"everywhere": certificate.everywhere, "level": certificate.outer},
+            "N_prime": {
+                "level": certificate.inner if certificate.inner > 0.0 else None,
+                "bounded_by": certificate.bounded_by if certificate.outer > 0.0 else None,
+                "extent": extent(certificate) if certificate.inner > 0.0 else None,
+            },
+            "well": {"depth": depth if depth > 0.0 else None, "saddles": found.wells.saddles},
+            "boxes": found.decay_level.examined,
+            "counterexample": None
+            if rising is None
+            else {
+                "state": dict(zip(names, rising.y, strict=True)),
+                "V": rising.value,
+                "V_dot": rising.derivative,
+            },
+            "eigenvalues": poles,
+            "claims": [
+                {
+                    "name": claim.name,
+                    "statement": claim.statement,
+                    "checked_by": claim.how,
+                    "detail": claim.detail,
+                }
+                for claim in (*certificate.claims, *further)
+            ],
+        }
+    )
