@@ -16,6 +16,8 @@ from trms_cli.core.resources import config_folder
 
 PACKAGE = Path(trms_cli.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
+SOURCES = {module: module.read_text(encoding="utf-8") for module in MODULES}
+TREES = {module: ast.parse(source) for module, source in SOURCES.items()}
 # A field of such a type has a unit, a shape or a meaning that no name can tell.
 NUMERIC = re.compile(r"\b(float|FloatArray|NDArray|ndarray|Positive|NonNegative)\b")
 
@@ -74,14 +76,13 @@ def _imports(module: Path, *, at_run_time: bool = False) -> Iterator[str]:
 
     At run time those for type checkers alone are left out.
     """
-    tree = ast.parse(module.read_text(encoding="utf-8"))
-    if at_run_time:
-        tree.body = [
-            node
-            for node in tree.body
-            if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-        ]
-    for node in ast.walk(tree):
+    body = [
+        node
+        for node in TREES[module].body
+        if not (at_run_time and isinstance(node, ast.If))
+        or ast.unparse(node.test) != "TYPE_CHECKING"  # type: ignore[attr-defined]
+    ]
+    for node in ast.walk(ast.Module(body, [])):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -100,46 +101,64 @@ def _rooms_imported(module: Path, *, at_run_time: bool = False) -> set[str]:
     return {parts[1] for parts in names} - {"__version__"}
 
 
-@pytest.mark.parametrize("module", MODULES, ids=_name)
-class TestModule:
-    """Rules that each module keeps by itself."""
+def _upward_imports(module: Path) -> set[str]:
+    """Rooms above its own that a module imports."""
+    room = _room(module)
+    if room == "__init__":
+        return _rooms_imported(module, at_run_time=True)
+    imported = _rooms_imported(module)
+    if room == "recordings":
+        return imported - {"recordings", "core"}
+    if room in READERS_OF_RECORDINGS:
+        imported -= {"recordings"}
+    if room == "commands":  # a command may ask the dispatcher which commands there are
+        imported -= {"cli"}
+    above = {other for other in imported - {"recordings"} if _level(other) > _level(room)}
+    return above | (imported & {"recordings"})
 
-    def test_imports_point_down(self, module):
-        room = _room(module)
-        if room == "__init__":
-            assert not _rooms_imported(module, at_run_time=True)
-        elif room == "recordings":
-            assert _rooms_imported(module) <= {"recordings", "core"}
-        else:
-            imported = _rooms_imported(module)
-            if "recordings" in imported:
-                assert room in READERS_OF_RECORDINGS
-            # a command may ask the dispatcher which commands there are
-            if room == "commands":
-                imported -= {"cli"}
-            above = {other for other in imported - {"recordings"} if _level(other) > _level(room)}
-            assert not above, f"{_name(module)} imports upwards: {above}"
 
-    def test_libraries_stay_in_their_rooms(self, module):
-        for name in _imports(module):
-            for library, rooms in RESTRICTED.items():
-                if name == library or name.startswith(f"{library}."):
-                    assert _room(module) in rooms, f"{library} in {_name(module)}"
+def test_imports_point_down():
+    upward = {_name(module): above for module in MODULES if (above := _upward_imports(module))}
+    assert not upward
 
-    def test_says_what_it_is_for(self, module):
-        docstring = ast.get_docstring(ast.parse(module.read_text(encoding="utf-8")))
-        assert docstring, f"{_name(module)} has no docstring"
 
-    def test_fields_of_public_dataclasses_are_explained(self, module):
-        source = module.read_text(encoding="utf-8")
-        missing = [
-            f"{node.name}.{field}"
-            for node in ast.walk(ast.parse(source))
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
-            if any("dataclass" in ast.unparse(mark) for mark in node.decorator_list)
-            for field in _unexplained_fields(node, source.splitlines())
-        ]
-        assert not missing, f"{_name(module)}: unexplained {missing}"
+def test_libraries_stay_in_their_rooms():
+    strays = {
+        (library, _name(module))
+        for module in MODULES
+        for name in _imports(module)
+        for library, rooms in RESTRICTED.items()
+        if (name == library or name.startswith(f"{library}.")) and _room(module) not in rooms
+    }
+    assert not strays
+
+
+def test_each_module_and_public_class_says_what_it_is_for():
+    silent = [_name(module) for module, tree in TREES.items() if not ast.get_docstring(tree)]
+    silent += [
+        f"{_name(module)}: {node.name}"
+        for module, node in _public(ast.ClassDef)
+        if not ast.get_docstring(node)
+    ]
+    assert not silent
+
+
+def test_numbers_of_public_dataclasses_are_explained():
+    missing = [
+        f"{_name(module)}: {node.name}.{field}"
+        for module, node in _public(ast.ClassDef)
+        if any("dataclass" in ast.unparse(mark) for mark in node.decorator_list)
+        for field in _unexplained_fields(node, SOURCES[module].splitlines())
+    ]
+    assert not missing
+
+
+def _public(kind: type) -> Iterator[tuple[Path, ast.ClassDef]]:
+    """Public definitions of a kind at the top of modules."""
+    for module, tree in TREES.items():
+        for node in tree.body:
+            if isinstance(node, kind) and not node.name.startswith("_"):
+                yield module, node
 
 
 def _unexplained_fields(node: ast.ClassDef, lines: list[str]) -> Iterator[str]:
@@ -203,7 +222,7 @@ def _graph() -> dict[str, set[str]]:
     graph = {}
     for name, module in names.items():
         imports = _Imports({*names})
-        imports.visit(ast.parse(module.read_text(encoding="utf-8")))
+        imports.visit(TREES[module])
         graph[name] = imports.names - {name}
     return graph
 
@@ -260,21 +279,17 @@ def _configs() -> list[Path]:
     return sorted(config_folder().rglob("*.yaml"))
 
 
-@pytest.mark.parametrize(
-    "file", _configs(), ids=lambda file: file.relative_to(config_folder()).as_posix()
-)
-class TestConfiguration:
-    """Rules for each YAML that travels with the program."""
+def test_each_configuration_begins_with_its_description():
+    from trms_cli.composition.catalogue import first_comment
 
-    def test_begins_with_its_description(self, file):
-        from trms_cli.composition.catalogue import first_comment
+    assert not [file for file in _configs() if len(first_comment(file)) < 10]
 
-        assert len(first_comment(file)) >= 10
 
-    def test_its_class_is_there(self, file):
-        from trms_cli.composition.catalogue import read_yaml
-        from trms_cli.core.plugins import TARGET, locate
+def test_the_classes_of_configurations_are_there():
+    from trms_cli.composition.catalogue import read_yaml
+    from trms_cli.core.plugins import TARGET, locate
 
+    for file in _configs():
         nodes = [read_yaml(file)]
         while nodes:
             node = nodes.pop()
@@ -285,17 +300,17 @@ class TestConfiguration:
             elif isinstance(node, list):
                 nodes += node
 
-    def test_every_key_is_explained(self, file):
-        """A figure or a switch of a plugin carries a comment: its unit and what it means."""
-        text = file.read_text(encoding="utf-8")
-        if "_target_:" not in text:
-            return
-        bare = [
-            line
-            for line in text.splitlines()
-            if re.match(r"\s*[A-Za-z]\w*:\s*([-.\d]|true|false|null)", line) and "#" not in line
-        ]
-        assert not bare
+
+def test_every_key_of_a_plugin_is_explained():
+    """A figure or a switch of a plugin carries a comment: its unit and what it means."""
+    bare = [
+        (file.name, line)
+        for file in _configs()
+        if "_target_:" in (text := file.read_text(encoding="utf-8"))
+        for line in text.splitlines()
+        if re.match(r"\s*[A-Za-z]\w*:\s*([-.\d]|true|false|null)", line) and "#" not in line
+    ]
+    assert not bare
 
 
 def test_every_option_of_the_groups_has_a_line_for_trms_list():
