@@ -20,6 +20,7 @@ from trms_cli.models.model import Model, names
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.augmentation import FilterOptions, InitialSd, ProcessNoise
 from trms_cli.observers.ekf import Ekf
+from trms_cli.observers.filterpy_ukf import FilterpyUkf
 from trms_cli.observers.kalman import Kalman
 from trms_cli.observers.mhe import Mhe
 from trms_cli.observers.observer import ObserverSetup
@@ -27,8 +28,8 @@ from trms_cli.observers.recursive_filter import FilterState
 from trms_cli.observers.state_dependent_ekf import StateDependentEkf
 from trms_cli.observers.ukf import Ukf
 
-ALL = [Ukf, Ekf, StateDependentEkf, Kalman, Mhe]
-NONLINEAR = [Ukf, Ekf, StateDependentEkf, Mhe]
+ALL = [Ukf, FilterpyUkf, Ekf, StateDependentEkf, Kalman, Mhe]
+NONLINEAR = [Ukf, FilterpyUkf, Ekf, StateDependentEkf, Mhe]
 """Those that are to follow the rig far from any one point."""
 SD_EKF = "state_dependent_ekf.StateDependentEkf"
 

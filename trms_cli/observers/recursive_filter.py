@@ -1,7 +1,6 @@
 """A filter that carries a mean and a covariance from sample to sample: what all of them share.
 
-The members differ in one compiled function, a step of prediction and update. Its inputs are, in
-this order,
+The members differ in one function, a step of prediction and update. Its inputs are, in this order,
 
     m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate
 
@@ -25,6 +24,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -117,11 +117,26 @@ class Gate:
         return widened
 
 
+class FilterStep(Protocol):
+    """A step of prediction and update, bound to its own arrays: write, call, read."""
+
+    @property
+    def inputs(self) -> tuple[FloatArray, ...]:
+        """One array for each of :data:`INPUTS`."""
+
+    @property
+    def outputs(self) -> tuple[FloatArray, ...]:
+        """One array for each of :data:`OUTPUTS`."""
+
+    def __call__(self) -> None:
+        """From the present inputs into the outputs."""
+
+
 @dataclass
 class FilterState:
     """The filter at a sample."""
 
-    function: BufferedFunction  #: One step; its inputs hold the present mean, covariance and memory
+    function: FilterStep  #: One step; its inputs hold the present mean, covariance and memory
     estimate: Estimate  #: Views of its outputs
     prior_mean: FloatArray  #: Before the first measurement
     prior_covariance: FloatArray  #: where the filter recovers to
@@ -134,14 +149,12 @@ class FilterState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecursiveFilter(FilterOptions, ABC):
+class GatedFilter(FilterOptions, ABC):
     """Everything of a Kalman filter but its step; see :class:`FilterOptions` for the fields."""
 
     @abstractmethod
-    def compose(
-        self, setup: ObserverSetup, augmented: Augmentation
-    ) -> tuple[ca.Function, FloatArray]:
-        """The step as a function with :data:`INPUTS` and :data:`OUTPUTS`, and its ``p``."""
+    def bind(self, setup: ObserverSetup, augmented: Augmentation) -> tuple[FilterStep, FloatArray]:
+        """The step with arrays of its own, and its ``p``."""
 
     def init(self, setup: ObserverSetup) -> FilterState:
         """A fresh state; see :class:`trms_cli.observers.observer.Observer`."""
@@ -149,8 +162,7 @@ class RecursiveFilter(FilterOptions, ABC):
 
     def start(self, setup: ObserverSetup, augmented: Augmentation) -> FilterState:
         """A fresh state of a filter whose model is augmented already."""
-        step, parameters = self.compose(setup, augmented)
-        function = BufferedFunction(step)
+        function, parameters = self.bind(setup, augmented)
         arguments = dict(zip(INPUTS, function.inputs, strict=True))
         arguments["m"][:] = augmented.mean
         arguments["P"][...] = np.diag(augmented.sd**2)
@@ -226,6 +238,22 @@ class RecursiveFilter(FilterOptions, ABC):
         if not (complete and healthy):
             estimate.innovation[~state.present] = np.nan
         return estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecursiveFilter(GatedFilter):
+    """A filter whose step is one compiled function."""
+
+    @abstractmethod
+    def compose(
+        self, setup: ObserverSetup, augmented: Augmentation
+    ) -> tuple[ca.Function, FloatArray]:
+        """The step as a function with :data:`INPUTS` and :data:`OUTPUTS`, and its ``p``."""
+
+    def bind(self, setup: ObserverSetup, augmented: Augmentation) -> tuple[FilterStep, FloatArray]:
+        """The step, compiled; see :class:`GatedFilter`."""
+        step, parameters = self.compose(setup, augmented)
+        return BufferedFunction(step), parameters
 
 
 def recover(state: FilterState) -> None:

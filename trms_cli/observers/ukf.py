@@ -97,9 +97,9 @@ def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     model = augmented.model
     n, n_y, n_m = points.n, len(augmented.channels), augmented.n_m
     spread = _spread_stage(points)
-    advance_one = _dynamics_stage(augmented)
+    advance_one = dynamics_stage(augmented)
     predict = _prediction_stage(points)
-    measure = _measurement_stage(augmented)
+    measure = measurement_stage(augmented)
     update = _update_stage(augmented, points)
 
     m, P = ca.MX.sym("m", n), ca.MX.sym("P", n, n)
@@ -141,7 +141,7 @@ def _spread_stage(points: SigmaPoints) -> ca.Function:
     return ca.Function("spread", [m, P], [points.around(m, P)])
 
 
-def _dynamics_stage(augmented: AugmentedModel) -> ca.Function:
+def dynamics_stage(augmented: AugmentedModel) -> ca.Function:
     """One sigma point (and the memory) over one sample."""
     n_s = augmented.n_s
     z, memory, u, p, known = augmented.symbols()
@@ -170,7 +170,8 @@ def _weighted(off: ca.MX, points: SigmaPoints) -> ca.MX:
     return off * ca.repmat(ca.DM(points.covariance_weights).T, off.shape[0], 1)
 
 
-def _measurement_stage(augmented: AugmentedModel) -> ca.Function:
+def measurement_stage(augmented: AugmentedModel) -> ca.Function:
+    """What is measured of one sigma point."""
     z, _, u, p, _ = augmented.symbols()
     return ca.Function("measure_one", [z, u, p], [ca.densify(augmented.measured(z, u, p))])
 

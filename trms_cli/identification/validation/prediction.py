@@ -24,6 +24,7 @@ from trms_cli.identification.validation.options import PredictorOptions
 from trms_cli.models.model import Model, index_of, names
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.observer import ObserverSetup
+from trms_cli.observers.recursive_filter import INPUTS
 from trms_cli.observers.ukf import Ukf
 from trms_cli.simulation.rollout import Rollout
 
@@ -136,7 +137,7 @@ class OneStepFilter:
         function = self._state.function
         self._inputs = function.inputs
         self._initial = [values.copy() for values in function.inputs]
-        self._variances = dict(zip(function.function.name_in(), function.inputs, strict=True))["q"]
+        self._variances = dict(zip(INPUTS, function.inputs, strict=True))["q"]
         self._nominal = self._variances.copy()
         kinds = kinds_of_states(model)
         self._group = np.array(
