@@ -19,6 +19,7 @@ from trms_cli.core.chart import (
     Points,
     Style,
 )
+from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model
 from trms_cli.stability.cycles.branch import Branch, EquilibriumBranch, Hopf
 from trms_cli.stability.cycles.search import Search
@@ -30,11 +31,6 @@ FloatArray = npt.NDArray[np.float64]
 _DRAWN, _SHOWN = 5, 40.0
 #: Orbits drawn of a continuum, spread over their sizes.
 _OF_MANY = 7
-
-
-def symbol(name: str) -> str:
-    """``alpha_v`` as ``α_v``."""
-    return name.replace("alpha", "α").replace("omega", "ω")
 
 
 def plane(

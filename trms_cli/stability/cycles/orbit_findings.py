@@ -1,17 +1,27 @@
-"""What a search for periodic orbits found, in sentences, tables and figures."""
+"""What is known of periodic orbits, in sentences, tables and JSON data."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 from trms_cli.core.chart import Chart
-from trms_cli.core.findings import Findings, Judged, Section, Table, Value
+from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
+from trms_cli.core.wording import symbol, titled
+from trms_cli.models.model import Model, by_name
+from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.stability.cycles.absence import Absence
 from trms_cli.stability.cycles.branch import Branch, Hopf, OverCommand
-from trms_cli.stability.cycles.found_orbits import Found, results_of
-from trms_cli.stability.cycles.orbit_charts import diagram, multipliers, plane, symbol
-from trms_cli.stability.cycles.search import Fate, Search
+from trms_cli.stability.cycles.orbit_charts import diagram, multipliers, plane
+from trms_cli.stability.cycles.search import FATES, Fate, Search
 from trms_cli.stability.cycles.shooting import Orbit
 from trms_cli.stability.local.linear import Linear
+
+FloatArray = npt.NDArray[np.float64]
 
 #: Orbits with a multiplier along themselves that is further from 1 are told with a warning.
 _DOUBTFUL = 1e-3
@@ -19,39 +29,72 @@ _DOUBTFUL = 1e-3
 _SHIFTED = 2e-3
 
 
-def findings_of(found: Found) -> Findings:
+@dataclass(frozen=True)
+class LimitCycleResult:
+    """What a search for periodic orbits gave, and the proofs beside it."""
+
+    model: Model
+    point: OperatingPoint
+    widths: FloatArray  #: (n_x,) array; half-widths of the box of starts
+    duration: float  #: s, of each motion
+    smooth: bool  #: Whether there were slopes for Newton's method
+    proof: Absence
+    search: Search
+    channel: int  #: Of the command that is varied
+    over: OverCommand | None  #: None where there are no slopes
+
+    @property
+    def state(self) -> int:
+        """The controlled state that moves most."""
+        rows = [self.model.state_index(name) for name in self.model.controlled]
+        orbits = [*self.search.orbits, *self.search.continuum] or [
+            orbit
+            for branch in (self.over.branches if self.over else ())
+            for orbit in branch.orbits[-1:]
+        ]
+        if not orbits:
+            return rows[0]
+        return max(rows, key=lambda row: max(float(orbit.swing[row]) for orbit in orbits))
+
+    @property
+    def excluded(self) -> bool:
+        """No cycle can be: proved for all states, and nothing acts that the proof leaves out."""
+        return self.proof.proved and self.proof.everywhere and self.smooth
+
+
+def findings_of(result: LimitCycleResult) -> Findings:
     """The findings."""
-    lead = [*_answer(found), *_hopf_words(found)]
-    sections = [_proof_section(found), _search_section(found)]
-    if found.over is not None:
-        sections.append(_over_section(found, found.over))
-    return Findings("Limit cycles", lead, sections, results_of(found), _warnings(found))
+    lead = [*_answer(result), *_hopf_words(result)]
+    sections = [_proof_section(result), _search_section(result)]
+    if result.over is not None:
+        sections.append(_over_section(result, result.over))
+    return Findings("Limit cycles", lead, sections, _results(result), _warnings(result))
 
 
-def _answer(found: Found) -> list[str]:
-    words = found.point.words(found.model)
-    if found.excluded:
+def _answer(result: LimitCycleResult) -> list[str]:
+    words = result.point.words(result.model)
+    if result.excluded:
         return [
             "There is no limit cycle, whatever the start: proved by Bendixson's criterion "
             f"({words}).",
-            f"In simulation, {len(found.search.motions)} motions of {found.duration:g} s: "
-            f"{_fates(found.search)}.",
+            f"In simulation, {len(result.search.motions)} motions of {result.duration:g} s: "
+            f"{_fates(result.search)}.",
         ]
-    orbits = found.search.orbits
-    if found.search.continuum:
-        return [*_continuum_words(found), *(_orbit_words(found, orbit) for orbit in orbits)]
+    orbits = result.search.orbits
+    if result.search.continuum:
+        return [*_continuum_words(result), *(_orbit_words(result, orbit) for orbit in orbits)]
     if not orbits:
         proved = (
             "In the box of starts none exists: proved by Bendixson's criterion. "
-            if found.proof.proved and found.smooth
+            if result.proof.proved and result.smooth
             else ""
         )
-        means = " and Newton's method on their returns" if found.smooth else ""
+        means = " and Newton's method on their returns" if result.smooth else ""
         return [
-            f"{proved}No limit cycle was found at {words}, by {len(found.search.motions)} motions "
-            f"of {found.duration:g} s from the box of starts{means} ({_fates(found.search)})."
-            + ("" if proved else _how_sure(found)),
-            *_share_words(found),
+            f"{proved}No limit cycle was found at {words}, by {len(result.search.motions)} motions "
+            f"of {result.duration:g} s from the box of starts{means} ({_fates(result.search)})."
+            + ("" if proved else _how_sure(result)),
+            *_share_words(result),
         ]
     count = {True: 0, False: 0}
     for orbit in orbits:
@@ -59,34 +102,34 @@ def _answer(found: Found) -> list[str]:
     return [
         f"{len(orbits)} limit cycle{'s' * (len(orbits) > 1)} at {words}: "
         f"{count[True]} stable, {count[False]} unstable.",
-        *(_orbit_words(found, orbit) for orbit in orbits),
+        *(_orbit_words(result, orbit) for orbit in orbits),
     ]
 
 
-def _how_sure(found: Found) -> str:
+def _how_sure(result: LimitCycleResult) -> str:
     """What a search that found nothing is worth."""
-    if not found.proof.proved:
+    if not result.proof.proved:
         return " That is a search, not a proof."
-    where = "whatever the start" if found.proof.everywhere else "in the box of starts"
+    where = "whatever the start" if result.proof.everywhere else "in the box of starts"
     return (
         f" Without the dry friction none exists, {where}: proved by Bendixson's criterion. With it "
         "that is a search, not a proof."
     )
 
 
-def _continuum_words(found: Found) -> list[str]:
+def _continuum_words(result: LimitCycleResult) -> list[str]:
     """Periodic orbits that are no limit cycles."""
-    signal, orbits = found.model.states[found.state], found.search.continuum
-    swings = sorted(float(orbit.swing[found.state]) for orbit in orbits)
+    signal, orbits = result.model.states[result.state], result.search.continuum
+    swings = sorted(float(orbit.swing[result.state]) for orbit in orbits)
     periods = sorted(orbit.period for orbit in orbits)
-    isolated = found.search.orbits
+    isolated = result.search.orbits
     count = (
         f"{len(isolated)} isolated limit cycle{'s' * (len(isolated) > 1)} beside a continuum"
         if isolated
         else "No limit cycle was found, but a continuum"
     )
     return [
-        f"{count} of periodic orbits at {found.point.words(found.model)}: {len(orbits)} of "
+        f"{count} of periodic orbits at {result.point.words(result.model)}: {len(orbits)} of "
         f"different size were closed, swings of {symbol(signal.name)} from {swings[0]:.3g} to "
         f"{swings[-1]:.3g} {signal.unit}, periods from {periods[0]:.4g} to {periods[-1]:.4g} s.",
         "They are not isolated: besides the multiplier along the orbit a second one is 1 within "
@@ -95,16 +138,16 @@ def _continuum_words(found: Found) -> list[str]:
     ]
 
 
-def _share_words(found: Found) -> list[str]:
+def _share_words(result: LimitCycleResult) -> list[str]:
     """The part of the box in which a proof is had after all."""
-    blocks = [block for block in found.proof.blocks if not block.constant]
-    if not found.smooth or len(blocks) != 1 or not blocks[0].share:
+    blocks = [block for block in result.proof.blocks if not block.constant]
+    if not result.smooth or len(blocks) != 1 or not blocks[0].share:
         return []
-    model, share = found.model, blocks[0].share
+    model, share = result.model, blocks[0].share
     rows = [model.state_index(name) for name in model.controlled if name in blocks[0].states]
     within = ", ".join(
-        f"{symbol(model.state_names[i])} within {found.point.x[i] + 0.0:.3f} ± "
-        f"{share * found.widths[i]:.2g} {model.states[i].unit}"
+        f"{symbol(model.state_names[i])} within {result.point.x[i] + 0.0:.3f} ± "
+        f"{share * result.widths[i]:.2g} {model.states[i].unit}"
         for i in rows
     )
     return [
@@ -113,11 +156,11 @@ def _share_words(found: Found) -> list[str]:
     ]
 
 
-def _orbit_words(found: Found, orbit: Orbit) -> str:
-    signal = found.model.states[found.state]
+def _orbit_words(result: LimitCycleResult, orbit: Orbit) -> str:
+    signal = result.model.states[result.state]
     kind = "A stable" if orbit.stable else "An unstable"
-    path = orbit.path[:, found.state]
-    stop = found.model.stops.get(signal.name)
+    path = orbit.path[:, result.state]
+    stop = result.model.stops.get(signal.name)
     beyond = (
         f"; it passes the mechanical stop at {stop:g} {signal.unit}, so that a rig strikes it"
         if stop is not None and float(np.abs(path).max()) > stop
@@ -130,35 +173,35 @@ def _orbit_words(found: Found, orbit: Orbit) -> str:
     )
 
 
-def _hopf_words(found: Found) -> list[str]:
-    if found.over is None:
+def _hopf_words(result: LimitCycleResult) -> list[str]:
+    if result.over is None:
         return []
-    command = found.model.inputs[found.channel]
-    signal = found.model.states[found.state]
-    low, high = (float(v) for v in found.over.curve.commands[[0, -1]])
+    command = result.model.inputs[result.channel]
+    signal = result.model.states[result.state]
+    low, high = (float(v) for v in result.over.curve.commands[[0, -1]])
     if low == high:
         return [
             f"Over {symbol(command.name)} alone the equilibrium does not go on: the other commands "
             "would have to follow."
         ]
     reach = f"{symbol(command.name)} from {low:.3g} to {high:.3g} {command.unit}"
-    if not found.over.hopfs:
+    if not result.over.hopfs:
         return [f"Over {reach} the equilibrium has no Hopf point: no cycle is born from it."]
     words = []
-    for hopf, branch in zip(found.over.hopfs, found.over.branches, strict=False):
+    for hopf, branch in zip(result.over.hopfs, result.over.branches, strict=False):
         place = (
-            f"at {symbol(command.name)} = {hopf.u[found.channel]:.3f} {command.unit} "
-            f"({symbol(signal.name)} = {hopf.x[found.state]:.3f} {signal.unit})"
+            f"at {symbol(command.name)} = {hopf.u[result.channel]:.3f} {command.unit} "
+            f"({symbol(signal.name)} = {hopf.x[result.state]:.3f} {signal.unit})"
         )
-        switches = Linear(found.model).switches(hopf.x, hopf.u)
+        switches = Linear(result.model).switches(hopf.x, hopf.u)
         if switches:
-            on = ", ".join(symbol(found.model.state_names[switch.state]) for switch in switches)
+            on = ", ".join(symbol(result.model.state_names[switch.state]) for switch in switches)
             place += f" (on a switch of {on}: by the mean of both sides' slopes)"
         if not branch.orbits:
             words.append(f"Hopf point {place}; {branch.ended}.")
             continue
-        kind = _criticality(found, hopf, branch)
-        changes = branch.changes(found.channel, found.state)
+        kind = _criticality(result, hopf, branch)
+        changes = branch.changes(result.channel, result.state)
         first = changes[0] if changes else None
         then = (
             f"; the branch reaches a {first.kind} at {symbol(command.name)} = {first.command:.3f} "
@@ -166,7 +209,7 @@ def _hopf_words(found: Found) -> list[str]:
             if first is not None
             else ""
         )
-        shift = float(branch.orbits[0].u[found.channel] - hopf.u[found.channel])
+        shift = float(branch.orbits[0].u[result.channel] - hopf.u[result.channel])
         jump = (
             f" (the model's slope jumps there, and the smallest cycle closed lies "
             f"{abs(shift):.3f} {command.unit} beside it)"
@@ -177,7 +220,7 @@ def _hopf_words(found: Found) -> list[str]:
     return words
 
 
-def _criticality(found: Found, hopf: Hopf, branch: Branch) -> str:
+def _criticality(result: LimitCycleResult, hopf: Hopf, branch: Branch) -> str:
     early = branch.orbits[min(2, len(branch.orbits) - 1)]
     if early.stable:
         return "supercritical: a stable cycle grows out of the equilibrium that loses its stability"
@@ -199,14 +242,14 @@ def _fates(search: Search) -> str:
     return ", ".join(f"{count} {word}" for count, word in counted if count)
 
 
-def _proof_section(found: Found) -> Section:
-    rows: list[list[Value | Judged]] = [
-        [
-            ", ".join(symbol(name) for name in block.states),
-            Judged("constant" if block.constant else "open", "good" if block.constant else ""),
-            block.reason,
-        ]
-        for block in found.proof.blocks
+def _proof_section(result: LimitCycleResult) -> Section:
+    columns = [
+        Column("states", lambda block: ", ".join(symbol(name) for name in block.states)),
+        Column(
+            "periodic solutions",
+            lambda block: Judged("constant", "good") if block.constant else Judged("open"),
+        ),
+        Column("why", "reason"),
     ]
     return Section(
         "Can there be a cycle?",
@@ -218,23 +261,23 @@ def _proof_section(found: Found) -> Section:
             "of more states, a part of the box may be proved to hold none: where the flow shrinks "
             "every area (Smith 1986), no closed orbit lies.",
         ),
-        (Table(["states", "periodic solutions", "why"], rows),),
+        (table(result.proof.blocks, columns),),
     )
 
 
-def _search_section(found: Found) -> Section:
-    model, search = found.model, found.search
+def _search_section(result: LimitCycleResult) -> Section:
+    model, search = result.model, result.search
     box = ", ".join(
         f"{symbol(name)} {value:.3g} ± {width:.3g}"
-        for name, value, width in zip(model.state_names, found.point.x, found.widths, strict=True)
+        for name, value, width in zip(model.state_names, result.point.x, result.widths, strict=True)
     )
     text = [
-        f"{len(search.motions)} motions of {found.duration:g} s from starts spread evenly over the "
-        f"box {box}, the commands held: {_fates(search)}.",
+        f"{len(search.motions)} motions of {result.duration:g} s from starts spread evenly over "
+        f"the box {box}, the commands held: {_fates(search)}.",
     ]
-    if found.excluded:
+    if result.excluded:
         text.append("No cycle can be, so that none was sought by Newton's method.")
-    elif found.smooth:
+    elif result.smooth:
         text.append(
             "Where a motion returns close to where it was, Newton's method (multiple shooting, "
             "slopes by the variational equations, the period unknown) closes the orbit, stable or "
@@ -248,43 +291,42 @@ def _search_section(found: Found) -> Section:
         )
     blocks: list[Table | Chart] = []
     if search.orbits or search.continuum:
-        blocks.append(_orbit_table(found))
-    words = f"Motions with the commands held ({found.point.words(model)})" + (
-        " and the periodic orbits found."
+        blocks.append(_orbit_table(result))
+    words = f"Motions with the commands held ({result.point.words(model)})" + (
+        " and the periodic orbits result."
         if search.orbits or search.continuum
         else ": none repeats itself."
     )
-    blocks.append(plane(model, search, found.point.x, found.state, words))
+    blocks.append(plane(model, search, result.point.x, result.state, words))
     if search.orbits:
         blocks.append(multipliers(search.orbits))
     return Section("The search", text, blocks)
 
 
-def _orbit_table(found: Found) -> Table:
-    angles = [found.model.state_index(name) for name in found.model.controlled]
+def _orbit_table(result: LimitCycleResult) -> Table:
+    model, isolated = result.model, result.search.orbits
+
+    def kind(orbit: Orbit) -> Cell:
+        if not any(orbit is one for one in isolated):
+            return Judged("of a continuum")
+        return Judged("stable", "good") if orbit.stable else Judged("unstable", "bad")
+
+    def span(i: int) -> Callable[[Orbit], Cell]:
+        return lambda orbit: f"{orbit.path[:, i].min():.3f} … {orbit.path[:, i].max():.3f}"
+
+    angles = [model.state_index(name) for name in model.controlled]
     columns = [
-        "cycle",
-        "period [s]",
-        *(f"{symbol(found.model.states[i].name)} [{found.model.states[i].unit}]" for i in angles),
-        "largest multiplier",
-        "error of the trivial one",
+        Column("cycle", kind),
+        Column("period [s]", lambda orbit: f"{orbit.period:.4f}"),
+        *(
+            Column(titled(symbol(model.states[i].name), model.states[i].unit), span(i))
+            for i in angles
+        ),
+        Column("largest multiplier", lambda orbit: _written(orbit.largest)),
+        Column("error of the trivial one", lambda orbit: f"{orbit.trivial_error:.1e}"),
     ]
-    isolated = [
-        (orbit, Judged("stable", "good") if orbit.stable else Judged("unstable", "bad"))
-        for orbit in found.search.orbits
-    ]
-    others = [(orbit, Judged("of a continuum", "")) for orbit in found.search.continuum]
-    rows: list[list[Value | Judged]] = [
-        [
-            kind,
-            f"{orbit.period:.4f}",
-            *(f"{orbit.path[:, i].min():.3f} … {orbit.path[:, i].max():.3f}" for i in angles),
-            _written(orbit.largest),
-            f"{orbit.trivial_error:.1e}",
-        ]
-        for orbit, kind in [*isolated, *others]
-    ]
-    return Table(columns, rows, "Periodic orbits at the operating point's commands.")
+    orbits = [*isolated, *result.search.continuum]
+    return table(orbits, columns, "Periodic orbits at the operating point's commands.")
 
 
 def _written(value: complex) -> str:
@@ -293,18 +335,18 @@ def _written(value: complex) -> str:
     return f"{abs(value):.4g} ∠ {np.degrees(abs(np.angle(value))):.0f}°"
 
 
-def _over_section(found: Found, over: OverCommand) -> Section:
-    model, command = found.model, found.model.inputs[found.channel]
-    signal = model.states[found.state]
+def _over_section(result: LimitCycleResult, over: OverCommand) -> Section:
+    model, command = result.model, result.model.inputs[result.channel]
+    signal = model.states[result.state]
     rows = []
     for i, hopf in enumerate(over.hopfs):
         rows.append(
-            ["Hopf point", f"{hopf.u[found.channel]:.4f}", f"{2 * np.pi / hopf.omega:.3f}", "0"]
+            ["Hopf point", f"{hopf.u[result.channel]:.4f}", f"{2 * np.pi / hopf.omega:.3f}", "0"]
         )
         if i < len(over.branches):
-            rows += _change_rows(found, over.branches[i])
+            rows += _change_rows(result, over.branches[i])
     for branch in over.branches[len(over.hopfs) :]:
-        rows += _change_rows(found, branch)
+        rows += _change_rows(result, branch)
     text = [
         f"Equilibria within the stops over {symbol(command.name)}, the other commands held; cycles "
         "followed by pseudo-arclength from each Hopf point, and from each cycle found that lies on "
@@ -326,36 +368,101 @@ def _over_section(found: Found, over: OverCommand) -> Section:
             over.curve,
             over.hopfs,
             over.branches,
-            found.channel,
-            found.state,
-            float(found.point.u[found.channel]),
+            result.channel,
+            result.state,
+            float(result.point.u[result.channel]),
         )
     )
     return Section(f"Over {symbol(command.name)}", text, blocks)
 
 
-def _change_rows(found: Found, branch: Branch) -> list[list[str]]:
+def _change_rows(result: LimitCycleResult, branch: Branch) -> list[list[str]]:
     return [
         [change.kind, f"{change.command:.4f}", f"{change.period:.3f}", f"{change.swing:.3f}"]
-        for change in branch.changes(found.channel, found.state)
+        for change in branch.changes(result.channel, result.state)
     ]
 
 
-def _warnings(found: Found) -> list[str]:
+def _warnings(result: LimitCycleResult) -> list[str]:
     words = []
-    worst = max((orbit.trivial_error for orbit in found.search.orbits), default=0.0)
+    worst = max((orbit.trivial_error for orbit in result.search.orbits), default=0.0)
     if worst > _DOUBTFUL:
         words.append(
             f"the multiplier along a cycle is off by {worst:.1e}: the integration meets a kink of "
             "the model (a coefficient that depends on the sign) or the cycle is very unstable"
         )
-    if not found.smooth:
+    if not result.smooth:
         words.append(
             "dry friction has no slopes: no Newton's method, no multipliers, no Hopf points"
         )
-    if found.search.count("leaves"):
+    if result.search.count("leaves"):
         words.append(
-            f"{found.search.count('leaves')} motions go over the top or beyond all bounds: on a "
+            f"{result.search.count('leaves')} motions go over the top or beyond all bounds: on a "
             "rig the stops end them"
         )
     return words
+
+
+def _results(result: LimitCycleResult) -> dict[str, Any]:
+    model, proof, over = result.model, result.proof, result.over
+    results: dict[str, Any] = {
+        "at": {
+            "x": by_name(model.states, result.point.x),
+            "u": by_name(model.inputs, result.point.u),
+        },
+        "box": by_name(model.states, result.widths),
+        "proof": {
+            "no_cycle": proof.proved and result.smooth,
+            "everywhere": proof.everywhere,
+            "blocks": [
+                {
+                    "states": block.states,
+                    "constant": block.constant,
+                    "divergence": block.divergence,
+                    "share": block.share,
+                }
+                for block in proof.blocks
+            ],
+        },
+        "motions": {fate.replace(" ", "_"): result.search.count(fate) for fate in FATES},
+        "cycles": [_orbit_data(model, orbit) for orbit in result.search.orbits],
+        "continuum": [_orbit_data(model, orbit) for orbit in result.search.continuum],
+    }
+    if over is not None:
+        results["over"] = {
+            "command": model.inputs[result.channel].name,
+            "hopf": [
+                {"u": hopf.u[result.channel], "x": hopf.x, "omega": hopf.omega}
+                for hopf in over.hopfs
+            ],
+            "branches": [_branch_data(result, branch) for branch in over.branches],
+            "swing_of": model.states[result.state].name,
+        }
+    data: dict[str, Any] = json_data(results)
+    return data
+
+
+def _branch_data(result: LimitCycleResult, branch: Branch) -> dict[str, Any]:
+    return {
+        "ended": branch.ended,
+        "u": branch.commands(result.channel),
+        "period": [orbit.period for orbit in branch.orbits],
+        "swing": [orbit.swing[result.state] for orbit in branch.orbits],
+        "stable": branch.stable(),
+        "changes": [
+            {"kind": c.kind, "u": c.command, "period": c.period, "swing": c.swing}
+            for c in branch.changes(result.channel, result.state)
+        ],
+    }
+
+
+def _orbit_data(model: Model, orbit: Orbit) -> dict[str, Any]:
+    return {
+        "period": orbit.period,
+        "stable": orbit.stable,
+        "lowest": by_name(model.states, orbit.path.min(axis=0)),
+        "highest": by_name(model.states, orbit.path.max(axis=0)),
+        "multipliers": orbit.multipliers,
+        "trivial_error": orbit.trivial_error,
+        "misfit": orbit.misfit,
+    }

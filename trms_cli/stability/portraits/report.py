@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.findings import Column, Judged, Table, table
-from trms_cli.core.wording import listing
+from trms_cli.core.wording import listing, symbol
 from trms_cli.models.model import names
 from trms_cli.stability.portraits.charts import PortraitResult, has_field, is_hidden
 from trms_cli.stability.portraits.rest_points import RestPoint, halving_time, period
-from trms_cli.stability.portraits.section import StateSection, symbol
+from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.sticking import StickingSet
 from trms_cli.stability.portraits.trajectories import NEAR, TrajectoryEnd
 

@@ -32,6 +32,7 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, operating_point
 from trms_cli.models.vector_field import VectorField
@@ -40,7 +41,6 @@ from trms_cli.stability.local.linear import Linear
 FloatArray = npt.NDArray[np.float64]
 
 _RATE, _ANGLE = "rate_", "alpha_"
-_LETTERS = {"alpha": "α", "omega": "ω", "tau": "τ", "psi": "ψ", "phi": "φ"}
 #: A rate that changes with no state by more than this can be set through none of them.
 _LEAST_SLOPE = 1e-2
 
@@ -67,13 +67,6 @@ class Coordinate:
         if self.is_rate:
             return f"d²{symbol(_ANGLE + self.name.removeprefix(_RATE))}/dt²"
         return f"d{self.label}/dt"
-
-
-def symbol(name: str) -> str:
-    """A state's name with Greek letters: ``α_v``."""
-    first, _, rest = name.partition("_")
-    letter = _LETTERS.get(first, first)
-    return f"{letter}_{rest}" if rest else letter
 
 
 def rate_names(model: Model) -> dict[str, str]:

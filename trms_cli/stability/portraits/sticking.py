@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.wording import symbol
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model
 from trms_cli.stability.portraits.rest_points import RestPoint
@@ -21,7 +22,6 @@ from trms_cli.stability.portraits.section import (
     PortraitCoordinates,
     StateSection,
     rate_names,
-    symbol,
 )
 
 FloatArray = npt.NDArray[np.float64]

@@ -14,7 +14,7 @@ from trms_cli.core.plugins import nearest
 from trms_cli.models.model import names
 from trms_cli.stability.cycles.absence import absence
 from trms_cli.stability.cycles.branch import at_the_point, followed_over
-from trms_cli.stability.cycles.orbit_findings import Found, findings_of
+from trms_cli.stability.cycles.orbit_findings import LimitCycleResult, findings_of
 from trms_cli.stability.cycles.search import (
     different,
     half_widths,
@@ -95,7 +95,9 @@ class LimitCycles:
                 more = at_the_point(shooting, over_command.branches, channel, point.u)
                 search = replace(search, orbits=different([*search.orbits, *more]))
         findings = findings_of(
-            Found(model, point, widths, self.duration, smooth, proof, search, channel, over_command)
+            LimitCycleResult(
+                model, point, widths, self.duration, smooth, proof, search, channel, over_command
+            )
         )
         elsewhere = not_level(model, self.at, point)
         return replace(findings, warnings=[*elsewhere, *findings.warnings])
