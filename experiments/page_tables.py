@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -27,3 +28,16 @@ def write_tables(page: Path, tables: Mapping[str, str]) -> None:
             )
         text = f"{before}{begin}\n{table}\n{end}{after}"
     page.write_text(text, encoding="utf-8")
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Significant digits; a dash for what does not exist."""
+    if math.isnan(value):
+        return "–"
+    if value == int(value) and abs(value) < 1e6:
+        return str(int(value))
+    if abs(value) < 1e-3:
+        return f"{value:.1e}"
+    if abs(value) >= 10**digits:
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}"

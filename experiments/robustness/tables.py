@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from trms_cli.commands.compare_screen import number
+from experiments.page_tables import number
 from trms_cli.sweeps.findings import baseline_of, choices_of, front_of
 from trms_cli.sweeps.short_keys import short_keys
 

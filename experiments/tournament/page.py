@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.page_tables import number
 from experiments.tournament.published import Beside
 from experiments.tournament.schedule import Criteria
 from experiments.tournament.verdict import Results, by_rig
-from trms_cli.commands.compare_screen import number
 from trms_cli.scoring.comparison.compared_run import State
 from trms_cli.scoring.comparison.document import document, rule
 from trms_cli.scoring.comparison.figures import figures_of
@@ -260,10 +260,12 @@ def published_rows(besides: Sequence[Beside]) -> Rows:
 
 def print_results(results: Results) -> None:
     """The ranking as ``trms compare`` prints it, then the aims."""
-    from trms_cli.commands.compare_screen import console, print_ranking
+    from trms_cli.reporting.screen import console, show
+    from trms_cli.scoring.comparison.findings import ranking_findings
 
     out = console()
-    print_ranking(results.main, results.gathered["main"], results.main.standings)
+    main = results.main
+    show(ranking_findings(main, results.gathered["main"], main.standings), "compare", rows=100)
     words = {True: "[bold green]met[/]", False: "[bold red]missed[/]", None: "not told"}
     out.print()
     for aim in results.aims:

@@ -13,6 +13,7 @@ from trms_cli.core.errors import EXIT_OK, RecordingError
 from trms_cli.scoring.figures import metrics
 
 if TYPE_CHECKING:
+    from trms_cli.core.findings import Findings
     from trms_cli.scoring.comparison.gathering import Gathered
     from trms_cli.scoring.comparison.ranking import Ranking, Standing
 
@@ -48,6 +49,8 @@ Examples:
   trms compare outputs/2025-01-31/12-00-00-run outputs/2025-01-31/12-00-05-run
 """
 
+#: Entrants that the screen shows; the document has all.
+_MOST_ROWS = 60
 METRICS = tuple(metrics())
 SORTS = ("rank", "tracking", "worst", "effort", "variation", "time", "failures", "name")
 
@@ -131,18 +134,11 @@ def ordered(ranking: Ranking, sort: str) -> list[Standing]:
 
 
 def _ranking(gathered: Gathered, given: Any) -> int:
-    from trms_cli.scoring.comparison.document import document
+    from trms_cli.scoring.comparison.findings import ranking_findings
 
     by = [key for key in given.by.split(",") if key]
     ranking = ranking_of(gathered, by, given.metric, given.paths)
-    shown = ordered(ranking, given.sort)
-    if given.json:
-        _print_json(document(ranking, gathered, shown))
-        return EXIT_OK
-    from trms_cli.commands.compare_screen import print_ranking
-
-    print_ranking(ranking, gathered, shown)
-    return EXIT_OK
+    return _tell(ranking_findings(ranking, gathered, ordered(ranking, given.sort)), given.json)
 
 
 def _why_nothing(gathered: Gathered) -> str:
@@ -156,16 +152,20 @@ def _why_nothing(gathered: Gathered) -> str:
 
 
 def _pair(gathered: Gathered, *, as_json: bool) -> int:
-    from trms_cli.scoring.comparison.document import pair_document
+    from trms_cli.scoring.comparison.findings import pair_findings
     from trms_cli.scoring.comparison.pair import pair
 
-    found = pair(*gathered.runs)
-    if as_json:
-        _print_json(pair_document(found))
-        return EXIT_OK
-    from trms_cli.commands.compare_screen import print_pair
+    return _tell(pair_findings(pair(*gathered.runs)), as_json)
 
-    print_pair(found)
+
+def _tell(findings: Findings, as_json: bool) -> int:
+    if as_json:
+        json.dump(findings.results, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
+        sys.stdout.write("\n")
+        return EXIT_OK
+    from trms_cli.reporting.screen import show
+
+    show(findings, "compare", rows=_MOST_ROWS)
     return EXIT_OK
 
 
@@ -177,11 +177,6 @@ def _where(given: Sequence[str], options: PlainOptions) -> dict[str, list[str]]:
             options.error(f"--where {word!r} names no KEY=VALUE")
         found.setdefault(key, []).extend(values.split(","))
     return found
-
-
-def _print_json(document: dict[str, Any]) -> None:
-    json.dump(document, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
-    sys.stdout.write("\n")
 
 
 def _last_if_nan(value: Any) -> Any:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.headline import shown_choices
 from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def read_run(path: Path, *, name: str = "") -> ReportedRun:
         outcome=log.outcome,
         duration=log.duration_s,
         problems=log.problems,
-        choices=_choices(texts),
+        choices=_choices(texts, log.config),
         facts=_facts(log, texts, path),
         command=texts.get("command", "")[:_MOST_TEXT],
         repeat=f"trms run --from {shlex.quote(str(path))}" if log.config else "",
@@ -108,17 +109,12 @@ def _events(log: LoggedRun) -> list[RunEvent]:
     ]
 
 
-def _choices(texts: Mapping[str, str]) -> dict[str, str]:
+def _choices(texts: Mapping[str, str], config: str) -> dict[str, str]:
     choices = _json(texts, "choices")
     if not isinstance(choices, Mapping):
         return {}
-    found = {}
-    for group, option in choices.items():
-        if isinstance(option, list):
-            option = " + ".join(map(str, option))
-        if option not in (None, "", "none"):
-            found[str(group)] = str(option)[:_MOST_TEXT]
-    return found
+    shown = shown_choices(choices, config)
+    return {group: told[:_MOST_TEXT] for group, told in shown.items() if told not in ("", "none")}
 
 
 def _facts(log: LoggedRun, texts: Mapping[str, str], path: Path) -> dict[str, str]:

@@ -150,7 +150,7 @@ def perform(composition: Composition) -> Outcome:
         write_document(score, log.path.with_name(SCORE_NAME))
         picture = log.path.with_name(PICTURE_NAME) if composition.config["picture"] else None
         if picture is not None:
-            words = {"title": _title(composition, experiment.controller), "limits": limits_of(loop)}
+            words = {"title": screen.title, "limits": limits_of(loop)}
             try:
                 painter.draw(loop.history, score, picture, **words)
             except OSError as error:  # the run is safe in its log: this much may fail
@@ -222,18 +222,3 @@ def _objective(score: dict[str, Any]) -> float | None:
 def _follows(controller: Any) -> bool:
     """Whether there is a reference to be followed: not in open loop."""
     return bool(getattr(controller, "follows_reference", True))
-
-
-def _title(composition: Composition, controller: Any) -> str:
-    choices = composition.choices
-    words = [f"{choices.get('controller')}"]
-    if _follows(controller):
-        words.append(f"ref {choices.get('ref')}")
-    words += [f"{group} {choices.get(group)}" for group in ("model", "observer", "plant")]
-    effects = choices.get("effect")
-    if effects:
-        words.append(f"effect {', '.join(effects)}")
-    faults = choices.get("fault")
-    if faults:
-        words.append(f"fault {', '.join(faults)}")
-    return " · ".join(words)

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TextIO
+from typing import TYPE_CHECKING, Any, Self
 
+from trms_cli.core import wording
+from trms_cli.core.findings import Command, Findings, Section
+from trms_cli.core.headline import headline
 from trms_cli.core.invocation import program
+from trms_cli.scoring.findings import in_short, short_tables, warnings_of
 
 if TYPE_CHECKING:
     from trms_cli.composition.composer import Composition
     from trms_cli.simulation.closed_loop import Experiment
-
-#: The figures that tell most of a channel: key, label, unit ({} is the channel's).
-_TRACKING = (
-    ("rmse", "RMSE", "{}"),
-    ("overshoot_percent", "overshoot", "%"),
-    ("settling_time_s", "settling time", "s"),
-    ("steady_state_error", "steady-state error", "{}"),
-)
-_WORST_OF_STEPS = ("overshoot_percent", "settling_time_s")
 
 
 class RunScreen:
@@ -89,188 +84,80 @@ class RunScreen:
         if self._composition.job is not None:
             print(self._job_line(score))
             return
-        bold = ("\033[1m", "\033[0m") if _has_colour(sys.stdout) else ("", "")
-        for line in self._lines(score, picture, whole):
-            head = line[:10].rstrip()
-            if head and not head.startswith(" "):
-                line = f"{bold[0]}{head}{bold[1]}{line[len(head) :]}"
-            print(line)
+        from trms_cli.reporting.screen import show
 
-    def _lines(self, score: dict[str, Any], picture: Path | None, whole: float) -> Iterator[str]:
-        yield f"run        {self._what()}"
-        yield from self._unheard()
-        yield ""
-        yield from _channel_lines(score["channels"])
-        yield from _input_lines(score["inputs"])
-        yield from _estimate_lines(score["estimate"])
-        yield from _solver_lines(score["solver"])
-        yield from _violation_lines(score["constraint_violations"])
-        yield from degraded_lines(score["degraded"])
-        yield ""
-        speed = score["duration_s"] / self._spent if self._spent > 0 else float("inf")
-        yield (
-            f"time       {score['duration_s']:g} s simulated in {self._spent:.2f} s "
-            f"({speed:.0f}× real time), {whole:.2f} s in all"
+        show(self.findings(score, picture, whole), "run")
+
+    def findings(self, score: dict[str, Any], picture: Path | None, whole: float) -> Findings:
+        """What the run has to tell; `whole` is the time of the command so far, s."""
+        duration = score["duration_s"]
+        speed = duration / self._spent if self._spent > 0 else float("inf")
+        time = (
+            f"{duration:g} s at {1 / self._experiment.sample_time:g} Hz simulated in "
+            f"{self._spent:.2f} s ({speed:.0f}× real time), {whole:.2f} s in all"
         )
-        yield f"log        {self._log}"
-        if picture is not None:
-            yield f"picture    {picture}"
         log, trms = shlex.quote(str(self._log)), program()
-        yield ""
-        yield f"next       {trms} score {log}"
-        yield f"           {trms} export {log}"
-        yield f"           {trms} run --from {log} {self._another()}"
+        files = {"log": self._log} | ({"picture": picture} if picture is not None else {})
+        typed = (f"score {log}", f"export {log}", f"run --from {log} {self._another()}")
+        return Findings(
+            self.title,
+            [],
+            [Section("Score", blocks=short_tables(score))],
+            score,
+            [*self._unheard(), *_beyond_limits(score), *warnings_of(score)],
+            facts=in_short(score) | {"time": time},
+            files=files,
+            next=[Command(f"{trms} {words}") for words in typed],
+        )
 
-    def _what(self) -> str:
-        e, choices = self._experiment, self._composition.choices
-        parts = [str(choices.get("controller"))]
-        if getattr(e.controller, "follows_reference", True):
-            parts.append(f"ref {choices.get('ref')}")
-        parts += [f"{group} {choices.get(group)}" for group in ("observer", "plant")]
-        rig = getattr(getattr(e.plant, "model", None), "name", None)
-        if rig and (rig != e.model.name or e.model.sample_time is not None):
-            parts.append(f"model {e.model.name}, rig {rig}")
-        effects = choices.get("effect")
-        if effects:
-            parts.append(f"effect {', '.join(effects)}")
-        faults = choices.get("fault")
-        if faults:
-            parts.append(f"fault {', '.join(faults)}")
-        return f"{' · '.join(parts)} · {e.duration:g} s at {1 / e.sample_time:g} Hz"
+    @cached_property
+    def title(self) -> str:
+        """Who runs on what."""
+        e = self._experiment
+        rig = str(getattr(getattr(e.plant, "model", None), "name", ""))
+        return headline(self._composition.shown_choices, follows=self._follows, rig=rig)
+
+    @property
+    def _follows(self) -> bool:
+        return bool(getattr(self._experiment.controller, "follows_reference", True))
 
     def _unheard(self) -> Iterator[str]:
         """What was asked for and has no part in the run."""
-        if getattr(self._experiment.controller, "follows_reference", True):
+        if self._follows:
             return
         heads = (text.lstrip("+~").partition("=")[0] for text in self._composition.overrides)
         asked = [head for head in heads if re.match(r"ref\b|\w+@ref\b", head)]
         if asked:
             name = self._composition.choices.get("controller")
-            yield (
-                f"note       {name} plays commands and follows no reference; of no effect: "
-                f"{', '.join(asked)}"
-            )
+            yield (f"{name} follows no reference; of no effect: {', '.join(asked)}")
 
     def _another(self) -> str:
         """An override that would be interesting next."""
         effects = self._composition.choices.get("effect")
         if self._composition.choices.get("plant") == "simulated" and not effects:
             return "effect=yaw_coulomb_friction"
-        if not getattr(self._experiment.controller, "follows_reference", True):
+        if not self._follows:
             return "controller=pid"
         return "ref=sine" if self._composition.choices.get("ref") != "sine" else "ref=square"
 
     def _job_line(self, score: Mapping[str, Any]) -> str:
         figures = [
-            f"{name} {_number(channel['rmse'])} {channel['unit']}"
+            f"{name} {wording.number(channel['rmse'])} {channel['unit']}"
             for name, channel in score["channels"].items()
         ]
-        what = " ".join(self._composition.overrides) or self._what()
+        what = " ".join(self._composition.overrides) or self.title
         return f"{self._composition.job:>4}  {what}  RMSE {', '.join(figures) or '–'}"
 
 
-def _channel_lines(channels: Mapping[str, Any]) -> Iterator[str]:
-    if not channels:
-        return
-    yield _row("tracking", "", channels)
-    units = {channel["unit"] for channel in channels.values()}
-    unit = units.pop() if len(units) == 1 else ""
-    steps = max(channel["steps"] for channel in channels.values())
-    for key, label, of in _TRACKING:
-        values = [channel[key] for channel in channels.values()]
-        if all(value is None for value in values):
-            continue
-        note = f"worst of {steps} steps" if key in _WORST_OF_STEPS and steps > 1 else ""
-        yield _row(f"  {label}", of.format(unit), map(_number, values), note)
-    unsettled = sum(channel["unsettled_steps"] for channel in channels.values())
-    if unsettled:
-        words = "step had" if unsettled == 1 else "steps had"
-        yield f"  {unsettled} {words} not settled when the next one came"
+def _beyond_limits(score: Mapping[str, Any]) -> Iterator[str]:
+    for name, told in score["constraint_violations"].items():
+        if told["samples"]:
+            samples = wording.count(told["samples"], "sample")
+            worst = wording.quantity(told["worst"], told["unit"])
+            yield f"{name} beyond its limit on {samples}, by {worst}"
 
 
-def _input_lines(inputs: Mapping[str, Any]) -> Iterator[str]:
-    if not inputs:
-        return
-    yield _row("inputs", "", inputs)
-    yield _row("  effort ∫u²dt", "V² s", (_number(u["effort"]) for u in inputs.values()))
-    shares = [u["saturation_share"] for u in inputs.values()]
-    if any(share is not None for share in shares):
-        percent = (None if share is None else 100 * share for share in shares)
-        yield _row("  at a limit", "% of time", map(_number, percent))
-
-
-def _estimate_lines(estimate: Mapping[str, Any]) -> Iterator[str]:
-    parts = []
-    errors = {n: v for n, v in estimate["rmse"].items() if n.startswith("alpha") and v}
-    if errors:
-        parts.append("RMSE " + ", ".join(f"{n} {_number(v)} rad" for n, v in errors.items()))
-    if estimate["nees_mean"] is not None:
-        expected = _number(estimate["nees_expected"])
-        parts.append(f"NEES {_number(estimate['nees_mean'])} ({expected} is consistent)")
-    if not errors and estimate["nees_mean"] is None:
-        steps = estimate["prediction_rmse"].items()
-        figures = ", ".join(f"{n} {_number(v)}" for n, v in steps if v)
-        if figures:
-            parts.append(f"1-step prediction RMSE {figures}")
-    if parts:
-        yield f"estimate   {', '.join(parts)}"
-
-
-def _solver_lines(solver: Mapping[str, Any]) -> Iterator[str]:
-    times = solver["time_ms"]
-    if times["median"] is None:
-        return
-    figures = ", ".join(f"{_number(times[key])} {key}" for key in ("median", "p99", "max"))
-    troubles = [
-        f"{solver[key]} {words if solver[key] != 1 else words.replace('s ', ' ', 1)}"
-        for key, words in (("deadline_misses", "deadlines missed"), ("failures", "solves failed"))
-        if solver[key]
-    ]
-    yield f"solver     {figures} ms a step; {', '.join(troubles) or 'no deadline missed'}"
-
-
-def _violation_lines(violations: Mapping[str, Any]) -> Iterator[str]:
-    for name, found in violations.items():
-        if found["samples"]:
-            worst = f"{_number(found['worst'])} {found['unit']}"
-            yield f"limits     {name} beyond its limit on {found['samples']} samples, by {worst}"
-
-
-def degraded_lines(found: Mapping[str, Any] | None) -> Iterator[str]:
-    """How much of the run the loop was not normal, and why; nothing for a normal run."""
-    if not found or found["first_s"] is None:
-        return
-    shares = [f"{_number(100 * share)} % {mode}" for mode, share in found["share"].items() if share]
-    reasons = ", ".join(f"{name} {_number(s)} s" for name, s in found["reasons_s"].items())
-    yield f"mode       {', '.join(shares)} of the time, first at {found['first_s']:g} s"
-    yield f"           {reasons}"
-
-
-def _row(label: str, unit: str, values: Any, note: str = "") -> str:
-    cells = "".join(f"{value:>11}" for value in values)
-    return f"{label:<21}{unit:<10}{cells}   {note}".rstrip()
-
-
-def _number(value: float | int | None) -> str:
-    """Three digits; a dash for what does not exist, 0 for what rounding made."""
-    if value is None:
-        return "–"
-    if isinstance(value, int):
-        return str(value)
-    if abs(value) < 1e-9:
-        return "0"
-    if not 1e-3 <= abs(value) < 1e5:
-        return f"{value:.1e}"
-    return f"{value:.3g}"
-
-
-def _has_colour(stream: TextIO) -> bool:
-    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return False
-    return stream.isatty()
-
-
-def _bar(duration: float, stream: TextIO) -> tuple[Any, Any]:
+def _bar(duration: float, stream: Any) -> tuple[Any, Any]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from types import MappingProxyType
 
 MISSING = "–"
@@ -160,3 +161,27 @@ def seconds(value: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest:02d} s"
     return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def option(choice: object, node: object = None) -> str:
+    """What the option of a group is called: a model of a file by its file, or the fit's folder.
+
+    Parameters
+    ----------
+    choice : object
+        As a configuration has it: ``newtonian``, ``from_file``; several are joined.
+    node : object
+        The group's part of the configuration, which names the file: ``fit/model.yaml`` is *fit*,
+        ``diagnosis/corrected_model.yaml`` *diagnosis corrected*.
+    """
+    if isinstance(choice, list | tuple):
+        return ", ".join(map(str, choice))
+    path = node.get("path") if isinstance(node, Mapping) else None
+    if choice != "from_file" or not isinstance(path, str):
+        return "none" if choice is None else str(choice)
+    file = PurePath(path)
+    kind = file.stem.removesuffix("model").rstrip("_")
+    folder = file.parent.name
+    if file.stem.endswith("model") and folder not in ("", ".", ".."):
+        return f"{folder} {kind}".rstrip()
+    return file.stem

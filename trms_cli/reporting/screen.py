@@ -6,6 +6,7 @@ columns are parted into tables below one another, each with the names of its row
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Sequence
@@ -51,7 +52,7 @@ def console(stream: IO[str] | None = None) -> Console:
 
     # in a notebook too by way of standard output, where whoever calls from Python hears it
     usual = Console(file=stream, force_jupyter=False)
-    if usual.is_terminal and usual.width <= WIDTH:
+    if (usual.is_terminal or "COLUMNS" in os.environ) and usual.width <= WIDTH:
         return usual
     return Console(file=stream, width=WIDTH, force_jupyter=False)
 

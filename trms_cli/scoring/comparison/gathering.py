@@ -18,6 +18,7 @@ from typing import Any
 
 from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.headline import shown_choices
 from trms_cli.core.printable import printable
 from trms_cli.scoring.comparison.compared_run import ComparedRun, State
 from trms_cli.scoring.comparison.coordinates import (
@@ -144,7 +145,9 @@ def _of_log(path: Path) -> ComparedRun:
 
     config = load_yaml(log.config) or {}
     overrides = json.loads(log.run.get(OVERRIDES_KEY, "[]"))
-    choices = json.loads(log.run.get(CHOICES_KEY, "{}")) or choices_of(config, overrides)
+    chosen = json.loads(log.run.get(CHOICES_KEY, "{}")) or choices_of(config, overrides)
+    named = shown_choices(chosen, config)  # a fitted model is called by its file or fit
+    choices = {g: named[g] if c == "from_file" else c for g, c in chosen.items()}
     state = State.DONE if log.complete else State.INCOMPLETE
     state = _ENDINGS.get(log.outcome, state)
     score: Mapping[str, Any] | None = log.score or None

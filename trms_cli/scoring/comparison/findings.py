@@ -1,0 +1,237 @@
+"""What a comparison has to tell, as data: who won and by how much, what that took, what failed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from trms_cli.core import wording
+from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, table
+from trms_cli.scoring.comparison.compared_run import ComparedRun, State
+from trms_cli.scoring.comparison.document import document, pair_document, rule
+from trms_cli.scoring.comparison.figures import Figures, figures_of, worst_condition
+from trms_cli.scoring.comparison.gathering import Gathered
+from trms_cli.scoring.comparison.grouping import OF_ENTRANTS
+from trms_cli.scoring.comparison.pair import Pair, Row
+from trms_cli.scoring.comparison.ranking import (
+    FEWEST_CLUSTERS,
+    LEVEL,
+    Interval,
+    Ranking,
+    Standing,
+)
+from trms_cli.scoring.figures import metrics
+
+#: As many failed runs or settings are listed; JSON has all.
+_MOST_LISTED = 12
+#: What moved by less is not coloured.
+_LEAST_CHANGE = 0.01
+
+
+def ranking_findings(ranking: Ranking, gathered: Gathered, shown: Sequence[Standing]) -> Findings:
+    """Who won, what that took, and what went wrong; the entrants in the order given."""
+    contest = ranking.contest
+    runs = wording.count(len(gathered.runs), "run")
+    title = (
+        f"{runs}: {wording.count(len(contest.entrants), 'entrant')} by "
+        f"{', '.join(contest.by) or 'nothing'}, "
+        f"{wording.count(len(contest.conditions), 'condition')} by "
+        f"{', '.join(contest.given_by) or 'nothing'}"
+    )
+    tables = ranking_tables(ranking, shown)
+    lead, troubles = [*_answer(ranking)], [*trouble(gathered)]
+    if not any("failed runs" in told.columns for told in tables):
+        lead.append("No run failed: no fall-back, no missed deadline, never degraded.")
+    return Findings(
+        title,
+        lead,
+        [Section("Ranking", blocks=[*tables, *(each for _, each in troubles)])],
+        document(ranking, gathered, shown),
+        [words for words, _ in troubles],
+    )
+
+
+def ranking_tables(ranking: Ranking, shown: Sequence[Standing]) -> list[Table]:
+    """Tracking and robustness, effort and time, and failures where there was one."""
+    told = [(standing, figures_of(standing, ranking.metric)) for standing in shown]
+    unit = metrics()[ranking.metric].replace("{}", "rad")
+    error = {"max_abs_error": "largest error"}.get(ranking.metric, ranking.metric.upper())
+    heads = [
+        Column("rank", lambda each: each[0].rank),
+        Column("who", lambda each: each[0].name),
+    ]
+    tracking = [
+        Column("runs", lambda each: each[1].runs),
+        Column(wording.titled(error, unit), lambda each: each[1].error_mean),
+        Column("over best", _best),
+        Column("95 %", lambda each: _between(each[0].interval)),
+        Column("over first", lambda each: _after_first(each[0], _ratio(each[0].against_first))),
+        Column("95 %", lambda each: _after_first(each[0], _between(each[0].against_interval))),
+        Column("told apart", lambda each: _after_first(each[0], _mark(each[0]))),
+        Column("p95", lambda each: _ratio(each[1].ratio_p95)),
+        Column("worst", lambda each: _ratio(each[1].ratio_worst)),
+    ]
+    cost = [
+        Column("effort ∫u²dt [V² s]", lambda each: each[1].effort),
+        Column("total variation Σ|Δu| [V]", lambda each: each[1].variation),
+        Column("step [ms]", lambda each: each[1].step_ms),
+        Column("p99 [ms]", lambda each: each[1].step_p99_ms),
+        Column("longest [ms]", lambda each: each[1].step_max_ms),
+    ]
+    failures = [
+        Column("failed runs", lambda each: _alarm(each[1].failed)),
+        Column("commands not finite", lambda each: _alarm(each[1].non_finite)),
+        Column("fall-backs [samples]", lambda each: each[1].fallbacks),
+        Column("deadlines missed", lambda each: each[1].missed),
+        Column("degraded [s]", lambda each: each[1].degraded_s),
+        Column("in runs", lambda each: each[1].degraded_runs),
+    ]
+    unwell = [each for each in told if _failed(each[1])]
+    caption = " ".join(notes(ranking, shown))
+    tables = [table(told, [*heads, *tracking], caption, heads=2),
+              table(told, [*heads, *cost], heads=2)]  # fmt: skip
+    return tables + ([table(unwell, [*heads, *failures], heads=2)] if unwell else [])
+
+
+def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
+    """How the tables are to be read."""
+    yield rule(ranking)
+    if ranking.clusters >= FEWEST_CLUSTERS:
+        yield (
+            f"Intervals: {100 * LEVEL:.0f} % of a paired bootstrap over {ranking.clusters} rigs. "
+            "≠ told from the first, = not told from it."
+        )
+    else:
+        yield (
+            f"No intervals: {wording.count(ranking.clusters, 'rig')}, and they take "
+            f"{FEWEST_CLUSTERS} (sweep plant.prior_seed or seed)."
+        )
+    if ranking.first is not None and len(shown) > 1:
+        for standing in ranking.ranked[:2]:
+            where = worst_condition(standing, ranking.contest.condition_name)
+            ratio = float(standing.ratios.max())
+            if ratio > 1.0 + 1e-9:
+                yield f"Worst of {standing.name}: {where} ({ratio:.3f} times the best)."
+    if any(
+        key.partition(".")[0].partition("@")[0] not in OF_ENTRANTS for key in ranking.contest.by
+    ):
+        yield "Rows ran in different conditions: their errors tell as much of those as of who ran."
+    outside = dict.fromkeys(
+        f"{standing.name}: {standing.outside}" for standing in shown if standing.outside
+    )
+    if outside:
+        yield f"Outside of the ranking: {'; '.join(outside)}."
+    partial = [s.name for s in shown if s.rank is None and not s.outside]
+    if partial:
+        yield f"Not ranked, since in too few of the conditions: {', '.join(partial)}."
+    if ranking.left_out:
+        yield f"Left out: {ranking.left_out} conditions in which not all of the ranked ran."
+
+
+def trouble(gathered: Gathered) -> Iterator[tuple[str, Table]]:
+    """How many runs failed or did not end, or files were passed over; and which, and why."""
+    for word, rows in (
+        ("failed", _runs_that_are(State.FAILED, gathered)),
+        ("incomplete, not counted", _runs_that_are(State.INCOMPLETE, gathered)),
+        ("passed over", list(gathered.left_out)),
+    ):
+        if rows:
+            yield f"{len(rows)} {word}", _at_most([word.partition(",")[0], "why"], rows)
+
+
+def _runs_that_are(state: State, gathered: Gathered) -> list[tuple[str, str]]:
+    return [(run.path, _reason(run)) for run in gathered.runs if run.state is state]
+
+
+def pair_findings(pair: Pair) -> Findings:
+    """Two runs side by side: what they were given differently, and every figure of both."""
+    warnings = [
+        f"{letter} {run.state.value}: {run.message}"
+        for letter, run in (("A", pair.one), ("B", pair.other))
+        if run.state is not State.DONE
+    ]
+    given = _at_most(["given differently", "A", "B"], pair.settings)
+    compared = table(
+        pair.rows,
+        [
+            Column("figure", lambda row: wording.titled(row.label, row.unit)),
+            Column("A", "one"),
+            Column("B", "other"),
+            Column("B − A", _difference),
+            Column("change", _change),
+        ],
+    )
+    same = [] if pair.settings else ["Nothing was given differently."]
+    return Findings(
+        "two runs",
+        [f"A  {pair.one.path}", f"B  {pair.other.path}", *same],
+        [Section("Given differently", blocks=[given]), Section("Figures", blocks=[compared])],
+        pair_document(pair),
+        warnings,
+    )
+
+
+def _answer(ranking: Ranking) -> Iterator[str]:
+    first = ranking.first
+    if first is None or len(ranking.ranked) < 2:
+        return
+    second = ranking.ranked[1]
+    behind = 100 * (second.against_first - 1)
+    words = " (not told apart)" if second.different is False else ""
+    yield f"**{first.name}** tracks best, {second.name} {behind:.1f} % behind{words}."
+
+
+def _at_most(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    more = len(rows) - _MOST_LISTED
+    caption = f"and {more} more (--json has all)" if more > 0 else ""
+    return Table(columns, [list(row) for row in rows[:_MOST_LISTED]], caption)
+
+
+def _reason(run: ComparedRun) -> str:
+    return run.message.splitlines()[0] if run.message else ""
+
+
+def _best(each: tuple[Standing, Figures]) -> Cell:
+    ratio = _ratio(each[0].ratio)
+    return Judged(ratio, "best") if each[0].rank == 1 else ratio
+
+
+def _after_first(standing: Standing, cell: Cell) -> Cell:
+    return "" if standing.rank == 1 else cell
+
+
+def _mark(standing: Standing) -> str:
+    return {None: "", True: "≠", False: "="}[standing.different]
+
+
+def _alarm(amount: int | None) -> Cell:
+    return Judged(amount, "bad" if amount else "")
+
+
+def _failed(told: Figures) -> bool:
+    return any((told.failed, told.non_finite, told.fallbacks, told.missed, told.degraded_s))
+
+
+def _between(interval: Interval | None) -> str:
+    return wording.MISSING if interval is None else f"{interval.low:.3f}–{interval.high:.3f}"
+
+
+def _ratio(value: float) -> str:
+    """With three decimals, which tell near ones apart."""
+    if math.isnan(value):
+        return wording.MISSING
+    return f"{value:.3f}" if value < 9.9995 else f"{value:.3g}"
+
+
+def _difference(row: Row) -> float | None:
+    return None if row.one is None or row.other is None else row.other - row.one
+
+
+def _change(row: Row) -> Cell:
+    """Coloured where it moved by a hundredth and more; times belong to the machine."""
+    if row.change is None:
+        return ""
+    text = f"{100 * row.change:+.1f} %".replace("-", "−")
+    if abs(row.change) < _LEAST_CHANGE or "time_ms" in row.key:
+        return text
+    return Judged(text, "good" if row.change < 0 else "doubtful")
