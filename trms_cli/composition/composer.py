@@ -39,12 +39,7 @@ from trms_cli.composition.checks import (
 )
 from trms_cli.composition.overrides import Override, Request, parse, read_request
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
-from trms_cli.composition.interpolations import check_interpolations
-from trms_cli.composition.overrides import Request, prepare, read_request
-from trms_cli.composition.placed_choices import drop_foreign_keys
-from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.headline import shown_choices
-from trms_cli.core.plugins import TARGET, nearest
 from trms_cli.runs.run_folder import new_folder
 
 #: Choices of options that are kept.
