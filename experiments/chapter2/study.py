@@ -15,7 +15,7 @@ from experiments.study_file import read_as
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
-from trms_cli.references.signal import Signal
+from trms_cli.references.signal import ReferenceSignal
 
 FloatArray = npt.NDArray[np.float64]
 HERE = Path(__file__).parent
@@ -99,7 +99,7 @@ def read_study(path: Path = STUDY) -> Study:
     return read_as(Study, path, "experiments/chapter2/study.yaml")
 
 
-def signal(given: Mapping[str, Any], where: str) -> Signal:
+def signal(given: Mapping[str, Any], where: str) -> ReferenceSignal:
     """A signal of the library with other values for some of its keys.
 
     Raises
@@ -116,7 +116,7 @@ def signal(given: Mapping[str, Any], where: str) -> Signal:
         )
     node = yaml.safe_load(file.read_text(encoding="utf-8")) | values
     built = build(node, where)
-    assert isinstance(built, Signal)
+    assert isinstance(built, ReferenceSignal)
     return built
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
-from trms_cli.controllers.newton_step import Outcome
+from trms_cli.controllers.newton_step import NewtonResult
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
@@ -66,7 +66,7 @@ class Loop:
         estimate = Estimate(x.copy(), zeros, no_torque, no_torque)
         self.state.begin_sample(ControlSample(0.0, goal[None, :], estimate, u_before))
 
-    def solve(self) -> Outcome:
+    def solve(self) -> NewtonResult:
         """Newton iterations as the controller makes them."""
         mpc, state = self.mpc, self.state
         return state.newton.solve(mpc.max_iterations, mpc.tolerance, state.other_start)

@@ -10,8 +10,8 @@ from experiments.chapter8.study import FloatArray, Study, online, setup_of, star
 from trms_cli.controllers.robust.lmi import (
     Certificate,
     Inequalities,
+    LmiSolution,
     Lyapunov,
-    Solution,
     Task,
     certify,
     decrease_on,
@@ -70,7 +70,7 @@ class Bench:
                 x[self.model.state_index(name)] = steady[self.model.state_index(name)]
         return self.regulation.deviation(x, self.aim.target)
 
-    def solve(self, task: Task, lyapunov: Lyapunov = "common") -> Solution | None:
+    def solve(self, task: Task, lyapunov: Lyapunov = "common") -> LmiSolution | None:
         """The law of a task."""
         key = (len(task.A), lyapunov)
         if key not in self._problems:
@@ -139,7 +139,7 @@ def _law(
 
 
 def switching(
-    task: Task, solution: Solution, held: Certificate, steps: int, seed: int | None
+    task: Task, solution: LmiSolution, held: Certificate, steps: int, seed: int | None
 ) -> Switching:
     """Vertices chosen at each step to hurt most (no seed) or at random.
 

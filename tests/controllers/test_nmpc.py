@@ -13,7 +13,7 @@ from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
-from trms_cli.controllers.ocp import Solution
+from trms_cli.controllers.ocp import OcpSolution
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import build
 from trms_cli.models.estimate import Estimate
@@ -190,9 +190,9 @@ def test_a_failed_solve_falls_back_as_declared(policy: Any, monkeypatch: Any) ->
     law.step(state, sample, want_prediction=False)
     plan = state.shared.newton.plan.copy()
 
-    def fails(guess: np.ndarray, multipliers: Any = None) -> Solution:
+    def fails(guess: np.ndarray, multipliers: Any = None) -> OcpSolution:
         nothing = np.full_like(guess, np.nan)
-        return Solution(nothing, np.nan, False, False, 7, "forced", (guess, guess), 0.0)
+        return OcpSolution(nothing, np.nan, False, False, 7, "forced", (guess, guess), 0.0)
 
     monkeypatch.setattr(state.solver, "solve", fails)
     sample.previous_command[:] = [1.0, -1.0]

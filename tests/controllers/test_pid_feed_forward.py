@@ -11,7 +11,7 @@ from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.pid import Pid, _guided
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
-    Table,
+    PiecewiseLinear,
     decoupling,
     holding_torques,
     inverse,
@@ -31,7 +31,7 @@ def steady() -> SteadyState:
 
 
 def test_a_table_is_linear_between_its_points_and_ends_with_them() -> None:
-    table = Table([0.0, 1.0, 3.0], [0.0, 2.0, 4.0])
+    table = PiecewiseLinear([0.0, 1.0, 3.0], [0.0, 2.0, 4.0])
     assert [table.at(v) for v in (-1.0, 0.5, 2.0, 9.0)] == [0.0, 1.0, 3.0, 4.0]
     assert table.inverse().at(3.0) == 2.0
     assert table.slope(0.5) == 2.0 and table.slope(7.0) == 1.0

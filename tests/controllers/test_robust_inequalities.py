@@ -13,8 +13,8 @@ from scipy.linalg import solve_discrete_are
 
 from trms_cli.controllers.robust.lmi import (
     Inequalities,
+    LmiSolution,
     Lyapunov,
-    Solution,
     Task,
     certify,
     decrease_on,
@@ -205,7 +205,7 @@ def test_the_answer_does_not_depend_on_the_size_of_the_state() -> None:
 def test_decrease_elsewhere_is_that_of_the_certificate_at_the_vertices() -> None:
     task = task_of(7, 3, 0.05)
     solution = inequalities(3).solve(task)
-    assert isinstance(solution, Solution)
+    assert isinstance(solution, LmiSolution)
     contraction, slack = decrease_on(np.concatenate([task.A, task.B], axis=2), solution, task)
     held = certify(task, solution)
     assert contraction.max() == pytest.approx(held.contraction)

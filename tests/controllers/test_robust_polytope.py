@@ -7,7 +7,7 @@ import pytest
 
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.robust.polytope import box, independent_cube
-from trms_cli.controllers.robust.regulation import Design, Regulation
+from trms_cli.controllers.robust.regulation import Regulation, RegulationDesign
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.extended_model import extended
@@ -20,7 +20,7 @@ BOTH = Newtonian()
 
 
 def regulation_of(model: Model = BOTH, **design: object) -> Regulation:
-    return Regulation(Design(**design), ControlSetup(model, PERIOD, np.zeros(model.n_u)))
+    return Regulation(RegulationDesign(**design), ControlSetup(model, PERIOD, np.zeros(model.n_u)))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from trms_cli.recordings.recording import Recording
 from trms_cli.references.multilevel import Multilevel
 from trms_cli.references.multisine import Multisine
 from trms_cli.references.prbs import Prbs
-from trms_cli.references.signal import Signal
+from trms_cli.references.signal import ReferenceSignal
 
 STEP = 0.02
 QUANTUM = 2 * np.pi / 4096
@@ -25,7 +25,7 @@ BENCH = Sensors(
     quantum={"alpha_v": QUANTUM, "alpha_h": QUANTUM, "omega_v": 0.49, "omega_h": 0.49},
 )
 #: Commands of different kinds, in V: main rotor and tail rotor.
-SIGNALS: Mapping[str, tuple[Signal, Signal]] = {
+SIGNALS: Mapping[str, tuple[ReferenceSignal, ReferenceSignal]] = {
     "prbs": (
         Prbs(amplitude=0.3, hold=0.8, offset=0.9),
         Prbs(amplitude=0.4, hold=0.6, phase=0.5),

@@ -16,13 +16,13 @@ from trms_cli.references.prbs import Prbs
 from trms_cli.references.ramp import Ramp
 from trms_cli.references.sawtooth import Sawtooth
 from trms_cli.references.schedule import Piece, Schedule
-from trms_cli.references.signal import Signal
+from trms_cli.references.signal import ReferenceSignal
 from trms_cli.references.sine import Sine
 from trms_cli.references.square import Square
 from trms_cli.references.step import Step
 from trms_cli.references.sum import Sum
 
-SIGNALS: dict[str, Signal] = {
+SIGNALS: dict[str, ReferenceSignal] = {
     "constant": Constant(offset=0.2),
     "step": Step(amplitude=0.3, offset=0.2, start=2.0),
     "square": Square(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0),
@@ -48,7 +48,7 @@ TIMES = np.arange(0, 20, 0.01)
 
 
 @every_signal
-def test_the_answer_for_a_time_does_not_depend_on_the_other_times(signal: Signal) -> None:
+def test_the_answer_for_a_time_does_not_depend_on_the_other_times(signal: ReferenceSignal) -> None:
     together = signal.sample(TIMES)
     order = np.random.default_rng(0).permutation(TIMES.size)
     assert together.shape == TIMES.shape
@@ -59,7 +59,7 @@ def test_the_answer_for_a_time_does_not_depend_on_the_other_times(signal: Signal
 
 @every_signal
 def test_a_signal_stays_within_its_amplitude_and_rests_at_its_offset_before(
-    signal: Signal,
+    signal: ReferenceSignal,
 ) -> None:
     values = signal.sample(TIMES)
     assert np.all(np.abs(values - 0.2) <= 0.3 * 1.006)
@@ -68,7 +68,7 @@ def test_a_signal_stays_within_its_amplitude_and_rests_at_its_offset_before(
 
 
 @every_signal
-def test_no_times_give_no_values(signal: Signal) -> None:
+def test_no_times_give_no_values(signal: ReferenceSignal) -> None:
     assert signal.sample(np.zeros(0)).shape == (0,)
 
 
@@ -99,7 +99,7 @@ def test_a_square_has_its_edges_on_the_samples_they_were_meant_for(
 
 
 @every_signal
-def test_a_piece_of_a_schedule_starts_on_its_sample(signal: Signal) -> None:
+def test_a_piece_of_a_schedule_starts_on_its_sample(signal: ReferenceSignal) -> None:
     # 3 · 0.1 − 0.3 is a rounding error away from the signal's own start of 2 s
     times = 0.1 * np.arange(60)
     piece = Schedule(pieces=[Piece(start=0.3, signal=signal)], offset=0.2).sample(times)

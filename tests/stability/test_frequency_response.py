@@ -10,7 +10,7 @@ from loop_cases import AT, COARSE, MODEL, PERIOD, POINT, Changed, loop_of, lqr
 
 from trms_cli.controllers.controller import Command, ControlSetup
 from trms_cli.controllers.pid import Pid
-from trms_cli.controllers.pid_tuning import Design
+from trms_cli.controllers.pid_tuning import PidDesign
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
@@ -137,7 +137,7 @@ def test_pid_has_the_margins_that_it_was_tuned_with():
     pid = Pid(operating_points=[AT])
     analyser = Analyser(lowest=0.2, ratio=1.1, amplitude=0.001)
     found = MarginResult(measured(pid, analyser=analyser)).loops[MODEL.controlled.index("alpha_h")]
-    design = Design(
+    design = PidDesign(
         given={"pitch": pid.pitch, "yaw": pid.yaw},
         operating_points=pid.operating_points,
         max_sensitivity=pid.max_sensitivity,

@@ -15,7 +15,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Setting:
+class SettingField:
     """A field of the settings struct."""
 
     declaration: str  #: As C declares it
@@ -92,7 +92,7 @@ def tables(state: Any) -> str:
     )
 
 
-def settings(state: Any) -> list[Setting]:
+def settings(state: Any) -> list[SettingField]:
     """What may be changed between two steps, with its exported values."""
     model, horizon, config = state.model, state.newton.horizon, state.config
     at = horizon.arguments
@@ -102,8 +102,8 @@ def settings(state: Any) -> list[Setting]:
     tracked = ", ".join(model.controlled)
     stops = [model.stops.get(name, np.inf) for name in model.controlled]
 
-    def vector(name: str, size: str, values: npt.ArrayLike, comment: str) -> Setting:
-        return Setting(f"double {name}[{size}]", numbers(values), comment)
+    def vector(name: str, size: str, values: npt.ArrayLike, comment: str) -> SettingField:
+        return SettingField(f"double {name}[{size}]", numbers(values), comment)
 
     return [
         vector("p", "MPC_ROOM(MPC_N_P)", at["p"], "parameters, see the source for their names"),
@@ -121,7 +121,7 @@ def settings(state: Any) -> list[Setting]:
         ),
         vector("input_weights", "MPC_N_U", at["rho"], "1/V^2, of " + ", ".join(inputs)),
         vector("move_weights", "MPC_N_U", at["s"], "1/V^2, of the change between blocks"),
-        Setting(
+        SettingField(
             "double soft_limits[MPC_ROOM(MPC_N_LIMITED)][2]",
             "{" + ", ".join(numbers(row) for row in at["limits"]) + "}"
             if horizon.limited
@@ -129,7 +129,7 @@ def settings(state: Any) -> list[Setting]:
             "lower and upper, states' units, of " + (", ".join(horizon.limited) or "none"),
         ),
         *(
-            Setting(f"double {name}", number(value), comment)
+            SettingField(f"double {name}", number(value), comment)
             for name, value, comment in (
                 ("soft_linear", at["prices"][2], "price of violating them, 1/unit"),
                 ("soft_quadratic", at["prices"][3], "1/unit^2"),
@@ -145,10 +145,12 @@ def settings(state: Any) -> list[Setting]:
             "steady_weights", "MPC_N_R", state.steady_state.weights, f"of {tracked} out of reach"
         ),
         vector("stops", "MPC_N_R", stops, f"rad, mechanical ranges of {tracked}, +-"),
-        Setting(
+        SettingField(
             "double tolerance", number(config.tolerance), "V, converged when no input moves more"
         ),
-        Setting("int max_iterations", str(config.max_iterations), "Newton iterations of a start"),
+        SettingField(
+            "int max_iterations", str(config.max_iterations), "Newton iterations of a start"
+        ),
     ]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.composer import Composition, Task, compose
-from trms_cli.composition.overrides import Request
+from trms_cli.composition.overrides import ComposeRequest
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, TrmsError
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def main(argv: Sequence[str]) -> int:
     return commands[word](argv[1:])
 
 
-def sweep(request: Request, primary: str, task: Task, *, as_json: bool = False) -> int:
+def sweep(request: ComposeRequest, primary: str, task: Task, *, as_json: bool = False) -> int:
     """Begin a sweep and drive it to its end, on the screen.
 
     Returns
@@ -234,7 +234,7 @@ def go_on(
             )
 
 
-def first_job(request: Request, primary: str) -> Composition:
+def first_job(request: ComposeRequest, primary: str) -> Composition:
     """The configuration of a sweep's first run, for ``-m --cfg job``."""
     from trms_cli.composition.sweep_settings import divided
 
@@ -248,7 +248,7 @@ def _checked(
     """The space, and its first run composed: what is wrong with the input is told now."""
     from trms_cli.composition.sweep_space import first_of, space_of
 
-    request = Request(tuple(overrides), config_dirs, show=False, multirun=True)
+    request = ComposeRequest(tuple(overrides), config_dirs, show=False, multirun=True)
     space = space_of(request, primary)
     folders = [word for place in config_dirs for word in ("--config-dir", str(place))]
     return space, compose([*folders, *first_of(space)], primary)

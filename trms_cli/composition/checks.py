@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.composition.catalogue import Groups, Primary, read_yaml
-from trms_cli.composition.overrides import PATH_KEYS, Override, Request, parse, quoted
+from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, quoted
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, nearest
 
@@ -38,7 +38,7 @@ _PLACED = re.compile(r"^(?:override\s+)?/?([\w/]+)@([\w.]+)$")
 _PLAIN_NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*")
 
 
-def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
+def prepare(request: ComposeRequest, primary: Primary, groups: Groups) -> list[str]:
     """The overrides in Hydra's words.
 
     Raises ConfigurationError for an unknown key or option.
@@ -64,7 +64,9 @@ def prepare(request: Request, primary: Primary, groups: Groups) -> list[str]:
     return prepared
 
 
-def _last_of_each_choice(request: Request, primary: Primary, groups: Groups) -> list[Override]:
+def _last_of_each_choice(
+    request: ComposeRequest, primary: Primary, groups: Groups
+) -> list[Override]:
     """The overrides; of a group that is chosen twice the later choice, as it is with values."""
     kept: list[Override] = []
     for text in request.overrides:

@@ -37,7 +37,7 @@ from trms_cli.composition.checks import (
     prepare,
     prepared_value,
 )
-from trms_cli.composition.overrides import Override, Request, parse, read_request
+from trms_cli.composition.overrides import ComposeRequest, Override, parse, read_request
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.headline import shown_choices
 from trms_cli.runs.run_folder import new_folder
@@ -143,7 +143,7 @@ def compose(
     )
 
 
-def compose_request(request: Request, primary: str) -> Composition:
+def compose_request(request: ComposeRequest, primary: str) -> Composition:
     """Compose what a command line asks for, from the start."""
     return Composer(primary, request.config_dirs).from_start(request)
 
@@ -200,14 +200,14 @@ class Composer:
         ConfigurationError
             For the first key that is wrong.
         """
-        request = Request(tuple(overrides), self.config_dirs, show=False, multirun=False)
+        request = ComposeRequest(tuple(overrides), self.config_dirs, show=False, multirun=False)
         try:
             composition = self._varied(request)
         except (_Unusual, TrmsError):
             composition = self.from_start(request)
         return composition if job is None else replace(composition, job=job)
 
-    def from_start(self, request: Request) -> Composition:
+    def from_start(self, request: ComposeRequest) -> Composition:
         """Compose by Hydra alone."""
         overrides = prepare(request, self._declared, self._groups)
 
@@ -247,7 +247,7 @@ class Composer:
         return composed, choices
 
     def _checked(
-        self, config: dict[str, Any], choices: Mapping[Any, Any], request: Request
+        self, config: dict[str, Any], choices: Mapping[Any, Any], request: ComposeRequest
     ) -> Composition:
         """A resolved configuration without a key that is not declared, and its choices by name."""
         several = [group for group, o in self._declared.defaults.items() if isinstance(o, list)]
@@ -258,7 +258,7 @@ class Composer:
         chosen = ours | {group: list(config[group]) for group in several}
         return Composition(config, request.overrides, chosen, self.config_dirs)
 
-    def _varied(self, request: Request) -> Composition:
+    def _varied(self, request: ComposeRequest) -> Composition:
         """Values put into what the choices among the overrides compose to."""
         choices: list[str] = []
         values: list[Override] = []
@@ -297,7 +297,7 @@ class Composer:
         from omegaconf import OmegaConf
         from omegaconf.errors import OmegaConfBaseException
 
-        request = Request(choices, self.config_dirs, show=False, multirun=False)
+        request = ComposeRequest(choices, self.config_dirs, show=False, multirun=False)
         prepared = prepare(request, self._declared, self._groups)
         try:
             composed, record = self._by_hydra(prepared, choices)

@@ -25,7 +25,7 @@ PATH_KEYS = ("out", "file", "path", "real", "resume")
 _OPTIONS = ("--allow", "--cfg", "--config-dir", "--from", "--multirun", "--help", "--debug")
 
 
-class Request(NamedTuple):
+class ComposeRequest(NamedTuple):
     """What was asked for on the command line of a composing command."""
 
     overrides: tuple[str, ...]  #: as typed
@@ -47,7 +47,7 @@ class Override(NamedTuple):
         return f"{self.prefix}{self.key}{self.package}{value}"
 
 
-def read_request(argv: Sequence[str], primary: str = "run") -> Request:
+def read_request(argv: Sequence[str], primary: str = "run") -> ComposeRequest:
     """Split `argv` into overrides and the options that every composing command has.
 
     ``--out DIR`` is taken as ``out=DIR``, as the commands without overrides have it.
@@ -80,7 +80,7 @@ def read_request(argv: Sequence[str], primary: str = "run") -> Request:
             raise _unknown_option(word, list(argv), primary, config_dirs)
         else:
             overrides.append(word)
-    return Request(tuple(overrides), config_dirs, show, multirun)
+    return ComposeRequest(tuple(overrides), config_dirs, show, multirun)
 
 
 def _unknown_option(

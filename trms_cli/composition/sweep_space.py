@@ -26,7 +26,7 @@ from trms_cli.composition.catalogue import (
 from trms_cli.composition.checks import DeclaredKeys, prepare
 from trms_cli.composition.composer import Composition, compose
 from trms_cli.composition.errors import explained
-from trms_cli.composition.overrides import PATH_KEYS, Override, Request, parse
+from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse
 from trms_cli.composition.sweep_priors import PRIOR, PriorTables
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
@@ -58,12 +58,12 @@ class _Typed(NamedTuple):
         return bool(self.values or self.interval or self.prior)
 
 
-def space_of(request: Request, primary: str) -> Space:
+def space_of(request: ComposeRequest, primary: str) -> Space:
     """The space that a command line asks for.
 
     Parameters
     ----------
-    request : Request
+    request : ComposeRequest
         Its overrides are those of the runs; what steers the sweep itself (``sampler``,
         ``launcher``, ``retries``, ``out``) has been taken off.
     primary : str
@@ -151,7 +151,7 @@ def middle_of(varied: Range | PriorOfKey) -> str:
 class _Composer:
     """Composes a run of the sweep without priors."""
 
-    request: Request
+    request: ComposeRequest
     primary: str
     typed: Sequence[_Typed]
 

@@ -54,7 +54,7 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.pid_feed_forward import Table
+from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
@@ -89,8 +89,8 @@ class AxisPart:
     reference: int  #: Of the angle in x, and of its reference
     rotor: int  #: Of the rotor's speed in x
     channel: int  #: Of the rotor's input in u
-    speed: Table  #: Speed by thrust, rad/s by N, up to the speeds that full commands hold
-    thrust: Table  #: Its inverse
+    speed: PiecewiseLinear  #: Speed by thrust, rad/s by N, up to the speeds that full commands hold
+    thrust: PiecewiseLinear  #: Its inverse
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ def _commanding(model: Model, spinning: ca.Function, channels: list[int]) -> ca.
 
 def _inverse(
     model: Model, spinning: ca.Function, thrust: ca.Function, rotor: int, channel: int, i: int
-) -> Table | None:
+) -> PiecewiseLinear | None:
     """Speed by thrust between the speeds that the input's limits hold; None if it does not rise."""
     ends = []
     for bound in model.input_bounds():
@@ -291,7 +291,7 @@ def _inverse(
     forces = np.array(thrust.map(len(speeds))(x)).ravel()
     if not np.all(np.diff(forces) > 0):
         return None
-    return Table(forces.tolist(), speeds.tolist())
+    return PiecewiseLinear(forces.tolist(), speeds.tolist())
 
 
 def gains_of(rates: tuple[float, ...]) -> tuple[float, float, float, float]:

@@ -20,12 +20,15 @@ With a terminal region (:mod:`trms_cli.controllers.newton_region`) J also has th
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
+from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
@@ -60,6 +63,62 @@ REGION_ARGUMENTS = ("centre", "root", "radius")
 
 #: Added under the root of ‖L ξ_N‖², whose slope would else be no number at the centre.
 _SMOOTH = 1e-20
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HorizonSettings:
+    """What every controller with a horizon is configured by."""
+
+    sample_time: Positive = 0.1  #: Control period, s
+    prediction_horizon: Annotated[int, Meta(ge=2)] = 40  #: N, control periods
+    #: Lengths of the blocks over which an input is constant, in control periods (the control
+    #: horizon). The last block lasts to the end of the prediction horizon; what is beyond it is
+    #: left out.
+    move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
+    #: How many control periods ahead the reference is known, at most N; beyond, it is taken as
+    #: constant, so that a terminal state leaves N − preview periods to settle
+    preview_horizon: Annotated[int, Meta(ge=0)] = 0
+    #: How many control periods ahead a reference that is not known is carried on as the constant,
+    #: ramp or sine that it has been so far (:mod:`trms_cli.controllers.reference_forecast`), at
+    #: most N; 0 for none. Without effect where ``preview_horizon`` knows it.
+    forecast_horizon: Annotated[int, Meta(ge=0)] = 15
+    #: ``state_weights``, ``rate_weights``, ``input_weights``, ``move_weights``: See
+    #: :class:`Weights`. For the Newton MPC each controlled state gets that of its typical size
+    #: where none has a weight (the speed of a rotor alone).
+    state_weights: Mapping[str, NotNegative] = field(
+        default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
+    )
+    rate_weights: Mapping[str, NotNegative] = field(
+        default_factory=lambda: {"alpha_v": 0.5, "alpha_h": 0.38}
+    )
+    input_weights: Mapping[str, NotNegative] = field(default_factory=dict)
+    move_weights: Mapping[str, NotNegative] = field(
+        default_factory=lambda: {"u_v": 0.02, "u_h": 0.005}
+    )
+    #: Largest change per second, V/s
+    input_rate_limits: Mapping[str, Positive] = field(default_factory=dict)
+    #: Limits on states, met if at all possible; in the states' units
+    soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    soft_linear: Positive = 100.0  #: Price of violating them
+    soft_quadratic: Positive = 1000.0  #: Price of violating them
+    #: Steps of the model's integrator in a control period
+    integration_steps: Annotated[int, Meta(ge=1)] = 1
+    #: Whether the observer's constant disturbances enter prediction and target (offset-free)
+    disturbance_compensation: bool = True
+
+    def __post_init__(self) -> None:
+        if self.preview_horizon > self.prediction_horizon:
+            raise ConfigurationError(
+                f"{self.preview_horizon} given",
+                where="preview_horizon",
+                remedy=f"at most the prediction horizon, {self.prediction_horizon}",
+            )
+
+    def preview(self, setup: ControlSetup) -> int:
+        """Reference samples wanted beyond the present one."""
+        return self.preview_horizon
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Meta
 
 from trms_cli.controllers.controller import (
     Command,
@@ -47,6 +46,8 @@ from trms_cli.controllers.controller import (
 )
 from trms_cli.controllers.fallback import Policy, fall_back
 from trms_cli.controllers.horizon import (
+    HorizonSettings,
+    NotNegative,
     SoftLimits,
     Weights,
     blocks_of,
@@ -63,8 +64,6 @@ from trms_cli.models.model import names
 from trms_cli.models.steady_state import SteadyState, Target
 
 FloatArray = npt.NDArray[np.float64]
-_Positive = Annotated[float, Meta(gt=0)]
-_NotNegative = Annotated[float, Meta(ge=0)]
 _KEY = "controller.operating_point"
 #: Least part of its effect at the operating point that an input must have in a linear model.
 _LEAST_EFFECT = 0.3
@@ -292,62 +291,25 @@ class Condensed:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearMpc:
+class LinearMpc(HorizonSettings):
     """Linear MPC."""
 
-    sample_time: _Positive = 0.1  #: Control period, s
     #: Where the linear model is taken
     linearisation: Literal["fixed", "target", "current"] = "current"
     #: Controlled angles of ``fixed``, rad; also of the cost beyond the horizon
     operating_point: Mapping[str, float] = field(default_factory=lambda: {"alpha_h": 0.5})
-    prediction_horizon: Annotated[int, Meta(ge=2)] = 40  #: N, control periods
-    #: Lengths of the blocks over which an input is constant, in control periods
-    move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
-    #: How many control periods ahead the reference is known, at most N
-    preview_horizon: Annotated[int, Meta(ge=0)] = 0
-    #: How many control periods ahead a reference that is not known is carried on as the constant,
-    #: ramp or sine that it has been (:mod:`trms_cli.controllers.reference_forecast`), at most N
-    forecast_horizon: Annotated[int, Meta(ge=0)] = 15
-    #: ``state_weights``, ``rate_weights``, ``input_weights``, ``move_weights``: See
-    #: :class:`trms_cli.controllers.horizon.Weights`
-    state_weights: Mapping[str, _NotNegative] = field(
-        default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
-    )
-    rate_weights: Mapping[str, _NotNegative] = field(
+    rate_weights: Mapping[str, NotNegative] = field(
         default_factory=lambda: {"alpha_v": 0.73, "alpha_h": 0.36}
     )
-    input_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
-    move_weights: Mapping[str, _NotNegative] = field(
+    move_weights: Mapping[str, NotNegative] = field(
         default_factory=lambda: {"u_v": 0.01, "u_h": 0.02}
     )
-    #: Largest change per second, V/s
-    input_rate_limits: Mapping[str, _Positive] = field(default_factory=dict)
-    #: Limits on states, met if at all possible; in the states' units
-    soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    soft_linear: _Positive = 100.0  #: Price of violating them
-    soft_quadratic: _Positive = 1000.0  #: Price of violating them
     #: Whether what is beyond the horizon counts, by the cost to go of the Riccati equation
     terminal: Literal["riccati", "none"] = "riccati"
-    #: Steps of the model's integrator in a control period, where it is linearised on the way
-    integration_steps: Annotated[int, Meta(ge=1)] = 1
-    #: Whether the steady state is that under the observer's disturbances (offset-free)
-    disturbance_compensation: bool = True
     #: What acts when a solve fails: the last plan shifted in time, the last command, the
     #: steady-state input of the reference, or the end of the run
     fallback: Policy = "shifted_plan"
     qp: QpSolver = field(default_factory=Daqp)
-
-    def __post_init__(self) -> None:
-        if self.preview_horizon > self.prediction_horizon:
-            raise ConfigurationError(
-                f"{self.preview_horizon} given",
-                where="preview_horizon",
-                remedy=f"at most the prediction horizon, {self.prediction_horizon}",
-            )
-
-    def preview(self, setup: ControlSetup) -> int:
-        """Reference samples wanted beyond the present one."""
-        return self.preview_horizon
 
     def init(self, setup: ControlSetup) -> LinearMpcState:
         """The linear model, its condensed prediction, and an empty plan."""

@@ -32,6 +32,9 @@ from trms_cli.controllers.controller import (
 )
 from trms_cli.controllers.horizon import (
     Horizon,
+    HorizonSettings,
+    NotNegative,
+    Positive,
     SoftLimits,
     TerminalPrice,
     Weights,
@@ -42,14 +45,12 @@ from trms_cli.controllers.newton_region import RegionDesign, TerminalRegion
 from trms_cli.controllers.newton_step import NewtonStep
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.errors import SimulationError
 from trms_cli.core.qp import Daqp, QpSolver
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState, Target
 
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -352,41 +353,9 @@ def _positive(weights: Mapping[str, float]) -> dict[str, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NewtonMpc:
+class NewtonMpc(HorizonSettings):
     """Newton-type MPC."""
 
-    sample_time: Positive = 0.1  #: Control period, s
-    prediction_horizon: Annotated[int, Meta(ge=2)] = 40  #: N, control periods
-    #: Lengths of the blocks over which an input is constant, in control periods (the control
-    #: horizon). The last block lasts to the end of the prediction horizon; what is beyond it is
-    #: left out.
-    move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
-    #: How many control periods ahead the reference is known, at most N; beyond, it is taken as
-    #: constant, so that the terminal state leaves N − preview periods to settle
-    preview_horizon: Annotated[int, Meta(ge=0)] = 0
-    #: How many control periods ahead a reference that is not known is carried on as the constant,
-    #: ramp or sine that it has been so far (:mod:`trms_cli.controllers.reference_forecast`), at
-    #: most N; 0 for none. Without effect where ``preview_horizon`` knows it.
-    forecast_horizon: Annotated[int, Meta(ge=0)] = 15
-    #: ``state_weights``, ``rate_weights``, ``input_weights``, ``move_weights``: See
-    #: :class:`trms_cli.controllers.horizon.Weights`. Where no controlled state has a weight (the
-    #: speed of a rotor alone), each gets that of its typical size.
-    state_weights: Mapping[str, NotNegative] = field(
-        default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
-    )
-    rate_weights: Mapping[str, NotNegative] = field(
-        default_factory=lambda: {"alpha_v": 0.5, "alpha_h": 0.38}
-    )
-    input_weights: Mapping[str, NotNegative] = field(default_factory=dict)
-    move_weights: Mapping[str, NotNegative] = field(
-        default_factory=lambda: {"u_v": 0.02, "u_h": 0.005}
-    )
-    #: Largest change per second, V/s
-    input_rate_limits: Mapping[str, Positive] = field(default_factory=dict)
-    #: Limits on states, met if at all possible; in the states' units
-    soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    soft_linear: Positive = 100.0  #: Price of violating them
-    soft_quadratic: Positive = 1000.0  #: Price of violating them
     #: Whether the predicted trajectory must end in the steady state of the reference, or in a
     #: region around it at the cost of a local law that goes on from there (see
     #: :mod:`trms_cli.controllers.newton_region`; where a target has no such region, in the steady
@@ -406,26 +375,10 @@ class NewtonMpc:
     #: Newton iterations a sample; 1 is the real-time iteration
     max_iterations: Annotated[int, Meta(ge=1)] = 10
     tolerance: Positive = 1e-4  #: Converged when no input moves more than this, V
-    #: Steps of the model's integrator in a control period
-    integration_steps: Annotated[int, Meta(ge=1)] = 1
-    #: Whether the observer's constant disturbances enter prediction and target (offset-free)
-    disturbance_compensation: bool = True
     #: What acts when a solve fails: the last plan shifted in time, the last command, the
     #: steady-state input of the reference, or the end of the run
     fallback: Literal["shifted_plan", "hold", "steady_input", "stop"] = "shifted_plan"
     qp: QpSolver = field(default_factory=Daqp)
-
-    def __post_init__(self) -> None:
-        if self.preview_horizon > self.prediction_horizon:
-            raise ConfigurationError(
-                f"{self.preview_horizon} given",
-                where="preview_horizon",
-                remedy=f"at most the prediction horizon, {self.prediction_horizon}",
-            )
-
-    def preview(self, setup: ControlSetup) -> int:
-        """Reference samples wanted beyond the present one."""
-        return self.preview_horizon
 
     def init(self, setup: ControlSetup) -> NewtonMpcState:
         """Compiled functions, workspaces and the first plan."""

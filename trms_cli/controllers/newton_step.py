@@ -24,7 +24,7 @@ _REGULARISATION = 1e-6
 
 
 @dataclass
-class Outcome:
+class NewtonResult:
     """How the iterations of a sample ended."""
 
     iterations: int
@@ -162,7 +162,7 @@ class NewtonStep:
 
     def solve(
         self, max_iterations: int, tolerance: float, other: FloatArray | None = None
-    ) -> Outcome:
+    ) -> NewtonResult:
         """Iterate from the present plan; the plan never gets worse in merit.
 
         Parameters
@@ -192,10 +192,10 @@ class NewtonStep:
         second.iterations += first.iterations
         return second
 
-    def _solve(self, max_iterations: int, tolerance: float) -> Outcome:
+    def _solve(self, max_iterations: int, tolerance: float) -> NewtonResult:
         if self._rate_limited:
             self._limit_rates()
-        outcome = Outcome(0, False, False, False, np.nan, np.nan, np.nan, np.nan, np.nan)
+        outcome = NewtonResult(0, False, False, False, np.nan, np.nan, np.nan, np.nan, np.nan)
         for iteration in range(1, max_iterations + 1):
             outcome.iterations = iteration
             self._iterate(outcome, tolerance)
@@ -203,7 +203,7 @@ class NewtonStep:
                 break
         return outcome
 
-    def _iterate(self, outcome: Outcome, tolerance: float) -> None:
+    def _iterate(self, outcome: NewtonResult, tolerance: float) -> None:
         begin = perf_counter()
         horizon = self.horizon
         horizon.arguments["z"][:] = self.plan
@@ -304,7 +304,7 @@ class NewtonStep:
         step: FloatArray,
         curvature: float,
         merit_now: float,
-        outcome: Outcome,
+        outcome: NewtonResult,
     ) -> None:
         """Go along the Newton direction until the merit falls (Armijo); else stay.
 
@@ -324,7 +324,7 @@ class NewtonStep:
         outcome.stalled = not outcome.converged
         self._report(self.horizon.linearise.outputs[:5], outcome)
 
-    def _report(self, outputs: Sequence[FloatArray], outcome: Outcome) -> None:
+    def _report(self, outputs: Sequence[FloatArray], outcome: NewtonResult) -> None:
         trajectory, terminal, objective, merit, violation = outputs
         self.trajectory[:] = trajectory
         outcome.objective = float(objective[0])

@@ -14,8 +14,7 @@ also solved from the steady state.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -24,13 +23,12 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.fallback import Policy, fall_back
+from trms_cli.controllers.horizon import HorizonSettings, Positive
 from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
-from trms_cli.controllers.ocp import InteriorPoint, Method, Solution, build
+from trms_cli.controllers.ocp import InteriorPoint, Method, OcpSolution, build
 from trms_cli.core.errors import ConfigurationError
 
 FloatArray = npt.NDArray[np.float64]
-_Positive = Annotated[float, Meta(gt=0)]
-_NotNegative = Annotated[float, Meta(ge=0)]
 #: Keys that have another meaning than those of ``newton_mpc``.
 _OWN = {"max_iterations", "tolerance", "fallback"}
 #: A scaled terminal residual above this counts as a relaxed equality.
@@ -40,40 +38,15 @@ _HAIR = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Nmpc:
+class Nmpc(HorizonSettings):
     """Nonlinear MPC by IPOPT or fatrop."""
 
-    sample_time: _Positive = 0.1  #: Control period, s
-    #: ``prediction_horizon``, ``move_blocks``, ``preview_horizon``, ``forecast_horizon``: As of
-    #: :class:`~trms_cli.controllers.newton_mpc.NewtonMpc`, in control periods
-    prediction_horizon: Annotated[int, Meta(ge=2)] = 40
-    move_blocks: tuple[int, ...] = (1,) * 10 + (2,) * 5 + (4,) * 5
-    preview_horizon: Annotated[int, Meta(ge=0)] = 0
-    forecast_horizon: Annotated[int, Meta(ge=0)] = 15
-    #: ``state_weights``, ``rate_weights``, ``input_weights``, ``move_weights``: See
-    #: :class:`trms_cli.controllers.horizon.Weights`
-    state_weights: Mapping[str, _NotNegative] = field(
-        default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
-    )
-    rate_weights: Mapping[str, _NotNegative] = field(
-        default_factory=lambda: {"alpha_v": 0.5, "alpha_h": 0.38}
-    )
-    input_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
-    move_weights: Mapping[str, _NotNegative] = field(
-        default_factory=lambda: {"u_v": 0.02, "u_h": 0.005}
-    )
-    #: Largest change per second, V/s
-    input_rate_limits: Mapping[str, _Positive] = field(default_factory=dict)
-    #: Limits on states, met if at all possible; in the states' units
-    soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    soft_linear: _Positive = 100.0  #: Price of violating them
-    soft_quadratic: _Positive = 1000.0  #: Price of violating them
     #: Whether the predicted trajectory must end in the steady state of the reference
     terminal: Literal["equality", "none"] = "equality"
     #: ``terminal_linear``, ``terminal_quadratic``: Exact penalty of that, relative to typical sizes
     #: of the states
-    terminal_linear: _Positive = 100.0
-    terminal_quadratic: _Positive = 1000.0
+    terminal_linear: Positive = 100.0
+    terminal_quadratic: Positive = 1000.0
     solver: Method = "ipopt"
     #: Of a solve. A sample that runs into it takes what it has if that is better than the last
     #: plan, and falls back otherwise. There is no limit in time: a run would depend on the machine.
@@ -85,16 +58,9 @@ class Nmpc:
     second_start: Literal["new_reference", "always", "never"] = "new_reference"
     #: Whether derivatives run as compiled C, built once for each structure of the problem
     machine_code: bool = True
-    #: Steps of the model's integrator in a control period
-    integration_steps: Annotated[int, Meta(ge=1)] = 1
-    #: Whether the observer's constant disturbances enter prediction and target (offset-free)
-    disturbance_compensation: bool = True
     #: What acts when a solve fails: the last plan shifted in time, the last command, the
     #: steady-state input of the reference, or the end of the run
     fallback: Policy = "shifted_plan"
-
-    def __post_init__(self) -> None:
-        self.problem()
 
     def problem(self) -> NewtonMpc:
         """The ``newton_mpc`` whose problem this is.
@@ -119,10 +85,6 @@ class Nmpc:
         known = {f.name for f in fields(cls)} - _OWN
         shared = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name in known}
         return cls(**{**shared, **own})
-
-    def preview(self, setup: ControlSetup) -> int:
-        """Reference samples wanted beyond the present one."""
-        return self.preview_horizon
 
     def init(self, setup: ControlSetup) -> NmpcState:
         """Compiled functions, the solver and the first plan."""
@@ -236,7 +198,7 @@ class NmpcState:
         self.seconds += solution.seconds
         return self._usable(solution), f"{self.config.solver}: {solution.message}"
 
-    def _usable(self, solution: Solution) -> _Found | None:
+    def _usable(self, solution: OcpSolution) -> _Found | None:
         """A minimum; or, where the iterations ran out, a plan that is better than the last one."""
         if not (solution.converged or solution.at_cap):
             return None

@@ -62,7 +62,7 @@ _IPOPT = {
 
 
 @dataclass(frozen=True)
-class Solution:
+class OcpSolution:
     """How a solve ended."""
 
     unknowns: FloatArray  #: (n,) array; the last iterate
@@ -120,7 +120,7 @@ class InteriorPoint:
 
     def solve(
         self, guess: FloatArray, multipliers: tuple[FloatArray, FloatArray] | None = None
-    ) -> Solution:
+    ) -> OcpSolution:
         """Solve at the horizon's present arguments; an exception of the library is a failure."""
         begin = perf_counter()
         start: dict[str, FloatArray] = {}
@@ -131,12 +131,14 @@ class InteriorPoint:
             stats: dict[str, Any] = self._solve.stats()
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1]
-            return Solution(guess, np.inf, False, False, 0, reason, _none(), perf_counter() - begin)
+            return OcpSolution(
+                guess, np.inf, False, False, 0, reason, _none(), perf_counter() - begin
+            )
         unknowns = result["x"].full().ravel()
         objective = float(result["f"])
         finite = bool(np.isfinite(unknowns).all()) and np.isfinite(objective)
         word = str(stats.get("return_status", "not solved"))
-        return Solution(
+        return OcpSolution(
             unknowns,
             objective,
             bool(stats["success"]) and finite,

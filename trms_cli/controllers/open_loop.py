@@ -20,7 +20,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import SteadyState
-from trms_cli.references.signal import Signal, require_signal
+from trms_cli.references.signal import ReferenceSignal, require_signal
 
 #: Samples for which the signals are evaluated at once.
 _BLOCK = 1024
@@ -31,7 +31,7 @@ class OpenLoopState:
     """What a run of it needs."""
 
     period: float  #: Between two commands, s
-    signals: list[Signal | None]  #: By input; None rests
+    signals: list[ReferenceSignal | None]  #: By input; None rests
     offset: FloatArray  #: (n_u,) array; u₀ and the limits
     lower: FloatArray  #: (n_u,) array; u₀ and the limits
     upper: FloatArray  #: (n_u,) array; u₀ and the limits
@@ -58,8 +58,8 @@ class OpenLoopState:
 class OpenLoop:
     """Signals as commands. All amplitudes and offsets of the signals are in the input's unit."""
 
-    u_v: Signal | None = None  #: What the main and the tail rotor are told, beyond u₀
-    u_h: Signal | None = None  #: None: nothing
+    u_v: ReferenceSignal | None = None  #: What the main and the tail rotor are told, beyond u₀
+    u_h: ReferenceSignal | None = None  #: None: nothing
     #: Angles (rad) at which the model rests with u₀; those not named rest at zero. None: u₀ = 0.
     operating_point: Mapping[str, float] | None = None
     sample_time: float | None = None  #: Period of the commands, s; None takes every sample

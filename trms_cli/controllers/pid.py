@@ -40,8 +40,8 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.pid_feed_forward import Table
-from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, Design, Gains, Margins
+from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
+from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, Gains, Margins, PidDesign
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
@@ -61,9 +61,9 @@ class AxisState:
     channel: int
     gains: Gains
     step: float  #: T, s
-    curve: Table  #: Input by torque, V by N m, and its inverse
-    torque_of: Table  #: Input by torque, V by N m, and its inverse
-    holding: Table | None  #: Torque by angle, N m by rad; None without feed-forward
+    curve: PiecewiseLinear  #: Input by torque, V by N m, and its inverse
+    torque_of: PiecewiseLinear  #: Input by torque, V by N m, and its inverse
+    holding: PiecewiseLinear | None  #: Torque by angle, N m by rad; None without feed-forward
     #: c_1, c_2, c_3: torque by the derivatives of the reference, N m s/rad and so on
     inverse: list[float]
     keep: float  #: a, and k_d (1 − a)/T
@@ -148,7 +148,7 @@ class Pid:
 
     def init(self, setup: ControlSetup) -> PidState:
         model, T = setup.model, setup.sample_time
-        designs = Design(
+        designs = PidDesign(
             given={"pitch": self.pitch, "yaw": self.yaw},
             operating_points=self.operating_points,
             max_sensitivity=self.max_sensitivity,

@@ -45,7 +45,7 @@ INVERTED = np.geomspace(0.1, 3.0, 24)
 
 
 @dataclass(frozen=True)
-class Table:
+class PiecewiseLinear:
     """A function of one number, linear between its points and constant beyond them."""
 
     x: list[float]  #: Its points
@@ -60,9 +60,9 @@ class Table:
         i = bisect_right(x, value)
         return y[i - 1] + (y[i] - y[i - 1]) * (value - x[i - 1]) / (x[i] - x[i - 1])
 
-    def inverse(self) -> Table:
+    def inverse(self) -> PiecewiseLinear:
         """Of an increasing table."""
-        return Table(self.y, self.x)
+        return PiecewiseLinear(self.y, self.x)
 
     def slope(self, value: float) -> float:
         """Of the cell that a value is in."""
@@ -74,8 +74,8 @@ class Table:
 class RotorTables:
     """What the steady states say of one axis and its rotor."""
 
-    curve: Table  #: Input by torque, V by N m
-    holding: Table  #: Torque by angle, N m by rad
+    curve: PiecewiseLinear  #: Input by torque, V by N m
+    holding: PiecewiseLinear  #: Torque by angle, N m by rad
 
 
 def rotor_tables(
@@ -127,7 +127,7 @@ def _all_that_steady_states_follow_from(model: Model) -> list[object]:
     ]
 
 
-def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> Table:
+def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> PiecewiseLinear:
     """Input by the torque on an axis that the rotor gives with it in steady state, V by N m.
 
     With the beam level and the yaw straight ahead: the input that holds the axis there against a
@@ -175,26 +175,26 @@ def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> 
     return _increasing(points, limit)
 
 
-def _increasing(points: Sequence[tuple[float, float]], limit: float) -> Table:
+def _increasing(points: Sequence[tuple[float, float]], limit: float) -> PiecewiseLinear:
     """A strictly increasing table up to both limits; the ends go on as they ended."""
     kept: list[tuple[float, float]] = []
     for torque, u in points:
         if not kept or u > kept[-1][1] + 1e-6 * limit:
             kept.append((torque, u))
     if len(kept) < 2:
-        return Table([-limit, limit], [-limit, limit])
+        return PiecewiseLinear([-limit, limit], [-limit, limit])
     (a, ua), (b, ub) = kept[0], kept[1]
     if ua > -limit:
         kept.insert(0, (a - (ua + limit) * (b - a) / (ub - ua), -limit))
     (a, ua), (b, ub) = kept[-2], kept[-1]
     if ub < limit:
         kept.append((b + (limit - ub) * (b - a) / (ub - ua), limit))
-    return Table([p[0] for p in kept], [p[1] for p in kept])
+    return PiecewiseLinear([p[0] for p in kept], [p[1] for p in kept])
 
 
 def holding_torques(
-    model: Model, axis: str, channel: int, steady: SteadyState, torque_of: Table
-) -> Table:
+    model: Model, axis: str, channel: int, steady: SteadyState, torque_of: PiecewiseLinear
+) -> PiecewiseLinear:
     """Torque that holds an axis at an angle, N m by rad, with the other axis at 0."""
     angle = model.axes[axis].angle
     position = model.controlled.index(angle)
@@ -211,7 +211,7 @@ def holding_torques(
             last = target
             found.append((value, torque_of.at(float(target.u[channel]))))
     table = sorted(dict(found).items()) or [(0.0, 0.0)]
-    return Table([p[0] for p in table], [p[1] for p in table])
+    return PiecewiseLinear([p[0] for p in table], [p[1] for p in table])
 
 
 def inverse(responses: Sequence[ComplexArray], omega: FloatArray) -> FloatArray:

@@ -36,8 +36,8 @@ import numpy.typing as npt
 
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
+    PiecewiseLinear,
     RotorTables,
-    Table,
     decoupling,
     inverse,
     rotor_lag,
@@ -88,8 +88,8 @@ class AxisDesign:
     inverse: tuple[float, ...]
     #: Torque by the rate of the torque fed forward to each axis before this one, s
     coupling: tuple[float, ...]
-    curve: Table  #: Input by torque, V by N m
-    holding: Table  #: torque by angle, N m by rad
+    curve: PiecewiseLinear  #: Input by torque, V by N m
+    holding: PiecewiseLinear  #: torque by angle, N m by rad
 
     @property
     def rotor_lag(self) -> float:
@@ -98,7 +98,7 @@ class AxisDesign:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Design:
+class PidDesign:
     """What is asked of a design."""
 
     given: Mapping[str, Literal["auto"] | Gains]  #: dict of str to "auto" or Gains; by axis
@@ -113,7 +113,7 @@ class Design:
 
         Raises ConfigurationError by the key of an operating point or of gains that will not do.
         """
-        return dict(kept(Design._of, self, model, step))
+        return dict(kept(PidDesign._of, self, model, step))
 
     def _of(self, model: Model, step: float) -> dict[str, AxisDesign]:
         """See :meth:`of`."""
@@ -157,7 +157,7 @@ class Design:
                 holding=tables[name].holding,
             )
             systems = [
-                held(plant, gains, filters, B, C)
+                with_loop_closed(plant, gains, filters, B, C)
                 for plant, (_, B, C) in zip(plants, systems, strict=True)
             ]
             following = list(model.axes)[len(designs) :]
@@ -351,7 +351,7 @@ def closed_loop(
     return after, u
 
 
-def held(
+def with_loop_closed(
     plant: AxisPlant, gains: Gains, filters: Filters, B: FloatArray, C: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The rig with one axis' loop closed, its law's states appended: A, B and C for the others."""

@@ -25,9 +25,15 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.robust.lmi import Certificate, Inequalities, Solution, Task, certify
-from trms_cli.controllers.robust.polytope import Region, box
-from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation, no_law
+from trms_cli.controllers.robust.lmi import Certificate, Inequalities, LmiSolution, Task, certify
+from trms_cli.controllers.robust.polytope import StateBox, box
+from trms_cli.controllers.robust.regulation import (
+    Aim,
+    Positive,
+    Regulation,
+    RegulationDesign,
+    no_law,
+)
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -36,10 +42,10 @@ FloatArray = npt.NDArray[np.float64]
 class Law:
     """A law that acts."""
 
-    solution: Solution
+    solution: LmiSolution
     certificate: Certificate
     task: Task  #: What it was designed for
-    region: Region  #: Over which its polytope was taken
+    region: StateBox  #: Over which its polytope was taken
 
 
 @dataclass
@@ -53,7 +59,7 @@ class RobustMpcState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobustMpc(Design):
+class RobustMpc(RegulationDesign):
     """Robust MPC, its inequalities solved at each sample."""
 
     sample_time: Positive = 0.1  #: Control period, s
@@ -162,14 +168,14 @@ class RobustMpc(Design):
             command.message = "the law is not finite at this estimate; the last command is held"
         return command
 
-    def region(self, regulation: Regulation, aim: Aim, z: FloatArray) -> Region:
+    def region(self, regulation: Regulation, aim: Aim, z: FloatArray) -> StateBox:
         """Where the coefficients are taken for a deviation z (n,) from the target."""
         if self.polytope == "region":
             extents = np.full(regulation.n, self.region_size)
             return regulation.region_of(aim.target, extents)
         return regulation.region_of(aim.target, self.reach * np.abs(z) + self.least_reach)
 
-    def task(self, regulation: Regulation, aim: Aim, z: FloatArray, region: Region) -> Task:
+    def task(self, regulation: Regulation, aim: Aim, z: FloatArray, region: StateBox) -> Task:
         """The inequalities' data over a region."""
         coefficients = regulation.coefficients.over(aim.target, region)
         polytope = box(coefficients, self.principal_components, self.margin)
@@ -225,7 +231,7 @@ class RobustMpc(Design):
 _PROBES = (0.3, 0.1, 0.03)
 
 
-def _level(solution: Solution, z: FloatArray) -> float:
+def _level(solution: LmiSolution, z: FloatArray) -> float:
     """Largest z'Q⁻¹z over the Lyapunov matrices."""
     return float(max(z @ np.linalg.solve(Q, z) for Q in solution.Q))
 

@@ -34,9 +34,15 @@ from msgspec import Meta
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.robust import lmi, polytope
 from trms_cli.controllers.robust import regulation as regulation_
-from trms_cli.controllers.robust.lmi import Certificate, Inequalities, Solution, Task, certify
+from trms_cli.controllers.robust.lmi import Certificate, Inequalities, LmiSolution, Task, certify
 from trms_cli.controllers.robust.polytope import box
-from trms_cli.controllers.robust.regulation import Aim, Design, Positive, Regulation, no_law
+from trms_cli.controllers.robust.regulation import (
+    Aim,
+    Positive,
+    Regulation,
+    RegulationDesign,
+    no_law,
+)
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.result_cache import cached_result
@@ -106,7 +112,7 @@ class Family:
 
 
 def make_family(
-    design: Design,
+    design: RegulationDesign,
     regulation: Regulation,
     aims: Sequence[Aim],
     farthest: FloatArray,
@@ -149,7 +155,7 @@ def make_family(
 
 
 def _make(
-    design: Design,
+    design: RegulationDesign,
     regulation: Regulation,
     aims: Sequence[Aim],
     farthest: FloatArray,
@@ -196,13 +202,13 @@ def _make(
 
 
 def _ring(
-    design: Design,
+    design: RegulationDesign,
     regulation: Regulation,
     aims: Sequence[Aim],
     inequalities: Inequalities,
     z: FloatArray,
     inside: FloatArray | None,
-) -> tuple[Task, Solution, Certificate] | None:
+) -> tuple[Task, LmiSolution, Certificate] | None:
     """The law for states z (k, n), its ellipsoid within the box of its own polytope."""
     extents = _REACH * np.abs(z).max(axis=0) + _LEAST_REACH * float(np.abs(z).max())
     for _ in range(_WIDENINGS):
@@ -245,7 +251,7 @@ class RobustMpcOfflineState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobustMpcOffline(Design):
+class RobustMpcOffline(RegulationDesign):
     """Robust MPC by lookup."""
 
     sample_time: Positive = 0.1  #: Control period, s

@@ -23,7 +23,7 @@ from trms_cli.identification.excitation.prbs import PrbsExcitation
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.references.sawtooth import Sawtooth
-from trms_cli.references.signal import Signal
+from trms_cli.references.signal import ReferenceSignal
 from trms_cli.references.square import Square
 from trms_cli.simulation.rollout import Rollout
 
@@ -69,9 +69,9 @@ class _Wave:
             keys["width"] = self.width
         return keys
 
-    def signal(self, amplitude: float) -> Signal:
+    def signal(self, amplitude: float) -> ReferenceSignal:
         kind: Any = {"square": Square, "sawtooth": Sawtooth}[self.option]
-        made: Signal = kind(**self.keys(amplitude))
+        made: ReferenceSignal = kind(**self.keys(amplitude))
         return made
 
 

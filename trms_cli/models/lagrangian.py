@@ -59,6 +59,8 @@ class Lagrangian(TwinRotor):
         For a curve that cannot be used, or a set without the arm h.
     """
 
+    OPTION = "lagrangian"
+
     def __init__(
         self,
         *,
@@ -73,8 +75,6 @@ class Lagrangian(TwinRotor):
         tail_voltage_limit: float | None = None,
     ) -> None:
         super().__init__(
-            "lagrangian",
-            (),
             freedom=freedom,
             currents=currents,
             parameter_set=parameter_set,

@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.models.motor import by_direction
-from trms_cli.models.twin_rotor import BeamMotion, BeamPoint, Currents, Freedom, TwinRotor
+from trms_cli.models.twin_rotor import BeamMotion, BeamPoint, TwinRotor
 
 
 class Newtonian(TwinRotor):
@@ -55,30 +55,7 @@ class Newtonian(TwinRotor):
         For a curve that cannot be used.
     """
 
-    def __init__(
-        self,
-        *,
-        freedom: Freedom = "both",
-        currents: Currents = "quasi_static",
-        parameter_set: str = "bench",
-        parameters: Mapping[str, float] | None = None,
-        main_interface: str | None = None,
-        tail_interface: str | None = None,
-        main_voltage_limit: float | None = None,
-        tail_voltage_limit: float | None = None,
-    ) -> None:
-        super().__init__(
-            "newtonian",
-            ("h",),
-            freedom=freedom,
-            currents=currents,
-            parameter_set=parameter_set,
-            parameters=parameters,
-            main_interface=main_interface,
-            tail_interface=tail_interface,
-            main_voltage_limit=main_voltage_limit,
-            tail_voltage_limit=tail_voltage_limit,
-        )
+    OPTION, UNUSED = "newtonian", ("h",)
 
     def pitch_at_rest(self) -> float:
         g = geometry({parameter.name: parameter.value for parameter in self.parameters})

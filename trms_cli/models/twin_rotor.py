@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -87,10 +87,6 @@ class TwinRotor(Model):
 
     Parameters
     ----------
-    name : str
-        The option of ``configs/model`` that a fitted file names.
-    unused : tuple of str
-        Parameters of the set that this form of the equations does not have.
     freedom : {"both", "vertical", "horizontal"}
         Axes that move.
     currents : {"quasi_static", "dynamic"}
@@ -113,19 +109,21 @@ class TwinRotor(Model):
         For a curve that cannot be used, or a set of another kind of model.
     """
 
+    OPTION: ClassVar[str]  #: of ``configs/model``, which a fitted file names
+    #: Parameters of the set that this form of the equations does not have.
+    UNUSED: ClassVar[tuple[str, ...]] = ()
+
     def __init__(
         self,
-        name: str,
-        unused: tuple[str, ...],
         *,
-        freedom: Freedom,
-        currents: Currents,
-        parameter_set: str,
-        parameters: Mapping[str, float] | None,
-        main_interface: str | None,
-        tail_interface: str | None,
-        main_voltage_limit: float | None,
-        tail_voltage_limit: float | None,
+        freedom: Freedom = "both",
+        currents: Currents = "quasi_static",
+        parameter_set: str = "bench",
+        parameters: Mapping[str, float] | None = None,
+        main_interface: str | None = None,
+        tail_interface: str | None = None,
+        main_voltage_limit: float | None = None,
+        tail_voltage_limit: float | None = None,
     ) -> None:
         content = parameter_file(parameter_set)
         moves = [axis for axis in _OF_AXIS if freedom in ("both", axis)]
@@ -138,12 +136,12 @@ class TwinRotor(Model):
         def of_axes(vertical: Any, horizontal: Any) -> tuple[Any, ...]:
             return (vertical,) * ("vertical" in moves) + (horizontal,) * ("horizontal" in moves)
 
-        self.name = name
+        self.name = self.OPTION
         self._circuits: dict[str, InterfaceCircuit] = {
             "v": interface_of("v", main_interface, main_voltage_limit, "model.main_"),
             "h": interface_of("h", tail_interface, tail_voltage_limit, "model.tail_"),
         }
-        self.parameters = _used(content, self._circuits, unused).replaced(parameters or {})
+        self.parameters = _used(content, self._circuits, self.UNUSED).replaced(parameters or {})
         self.states = tuple(STATES[name] for name in states)
         self.inputs = of_axes(INPUTS["u_v"], INPUTS["u_h"])
         measured = ("alpha_v", "alpha_h", "omega_v", "omega_h")

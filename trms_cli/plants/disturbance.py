@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trms_cli.references.signal import Signal
+from trms_cli.references.signal import ReferenceSignal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -12,5 +12,5 @@ class ScheduledDisturbance:
     """A torque over time on one physical equation."""
 
     equation: str  #: ``pitch_moment``, ``yaw_moment``, ``main_motor`` or ``tail_motor``
-    torque: Signal  #: N m over time; any signal of the group ``signal``
+    torque: ReferenceSignal  #: N m over time; any signal of the group ``signal``
     known: bool = False  #: Whether the torque is measured: it is then logged as ``d_<equation>``

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.references.signal import EDGE, Array, Signal, require_signal
+from trms_cli.references.signal import EDGE, Array, ReferenceSignal, require_signal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,12 +20,12 @@ class Piece:
     ----------
     start : float
         s since the begin of the run.
-    signal : Signal
+    signal : ReferenceSignal
         What to follow until the next piece starts.
     """
 
     start: float
-    signal: Signal
+    signal: ReferenceSignal
 
     def __post_init__(self) -> None:
         require_signal(self.signal, "signal")

@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.references.signal import Array, Signal
+from trms_cli.references.signal import Array, ReferenceSignal
 
 #: Distance between the points at which the motion is planned, s. Between them the reference is
 #: a straight line, off by at most ``max_acceleration · GRID² / 8``.
@@ -63,7 +63,7 @@ class Shaping:
                 remedy="set max_rate, max_acceleration or max_jerk, or leave the shaping out",
             )
 
-    def apply(self, signal: Signal) -> ShapedSignal:
+    def apply(self, signal: ReferenceSignal) -> ShapedSignal:
         """The signal within the limits."""
         return ShapedSignal(signal, self)
 
@@ -77,13 +77,13 @@ class ShapedSignal:
 
     Parameters
     ----------
-    signal : Signal
+    signal : ReferenceSignal
         What is to be followed.
     shaping : Shaping
         The limits.
     """
 
-    signal: Signal
+    signal: ReferenceSignal
     shaping: Shaping
     _grid: _Grid = field(init=False, repr=False)
 
@@ -108,7 +108,7 @@ class ShapedSignal:
 class _Grid:
     """The shaped values at ``0, GRID, 2·GRID, …``, planned on demand."""
 
-    def __init__(self, signal: Signal, shaping: Shaping) -> None:
+    def __init__(self, signal: ReferenceSignal, shaping: Shaping) -> None:
         self._signal = signal
         self._shaping = shaping
         self._values: Array = np.zeros(0)

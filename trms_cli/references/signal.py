@@ -28,7 +28,7 @@ EDGE = 1e-9
 
 
 @runtime_checkable
-class Signal(Protocol):
+class ReferenceSignal(Protocol):
     """One scalar reference over time.
 
     A signal must give the same answer for a time whatever other times are asked for, so that
@@ -55,7 +55,7 @@ def require_signal(value: object, where: str) -> None:
 
     Raises ConfigurationError if the value cannot be sampled.
     """
-    if not isinstance(value, Signal):
+    if not isinstance(value, ReferenceSignal):
         raise ConfigurationError(
             f"{type(value).__name__} is not a signal",
             where=where,

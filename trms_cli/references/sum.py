@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.references.signal import Array, Signal, require_signal
+from trms_cli.references.signal import Array, ReferenceSignal, require_signal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,11 +17,11 @@ class Sum:
 
     Parameters
     ----------
-    terms : sequence of Signal
+    terms : sequence of ReferenceSignal
         At least one.
     """
 
-    terms: Sequence[Signal]
+    terms: Sequence[ReferenceSignal]
 
     def __post_init__(self) -> None:
         if not self.terms:

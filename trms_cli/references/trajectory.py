@@ -10,7 +10,7 @@ import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.references.shaping import Shaping
-from trms_cli.references.signal import Array, Signal, require_signal
+from trms_cli.references.signal import Array, ReferenceSignal, require_signal
 
 #: All that can have a reference, in the order of the columns: angles of a rig, speeds of a rotor
 #: that is alone on a bench.
@@ -23,21 +23,21 @@ class ReferenceTrajectory:
 
     Parameters
     ----------
-    alpha_v : Signal, optional
+    alpha_v : ReferenceSignal, optional
         Pitch, rad. ``None`` on a rig that turns in the horizontal plane only.
-    alpha_h : Signal, optional
+    alpha_h : ReferenceSignal, optional
         Yaw, rad. ``None`` on a rig that moves in the vertical plane only.
-    omega_v, omega_h : Signal, optional
+    omega_v, omega_h : ReferenceSignal, optional
         Speeds of the main and the tail rotor, rad/s, where they are what is controlled.
     shaping : Shaping, optional
         Limits on the rate, acceleration and jerk of each; ``None`` leaves the signals as they
         are.
     """
 
-    alpha_v: Signal | None = None
-    alpha_h: Signal | None = None
-    omega_v: Signal | None = None
-    omega_h: Signal | None = None
+    alpha_v: ReferenceSignal | None = None
+    alpha_h: ReferenceSignal | None = None
+    omega_v: ReferenceSignal | None = None
+    omega_h: ReferenceSignal | None = None
     shaping: Shaping | None = None
 
     def __post_init__(self) -> None:
@@ -60,7 +60,7 @@ class ReferenceTrajectory:
         return tuple(axis for axis in AXES if getattr(self, axis) is not None)
 
     @cached_property
-    def _signals(self) -> tuple[Signal, ...]:
+    def _signals(self) -> tuple[ReferenceSignal, ...]:
         signals = tuple(getattr(self, axis) for axis in self.axes)
         if self.shaping is None:
             return signals

@@ -62,7 +62,7 @@ _SPIN_UP = 20.0  # s, of a rotor under a full command: to its steady speed
 class ThrustDemand:
     """The bound of one rotor."""
 
-    rotor: Rotor
+    rotor: ThrustRotor
     pole: float  #: λ
     #: ``above``, ``below``: min ψ_hi(ψ) − λψ and min λψ − ψ_lo(ψ), (rad/s)²
     above: float
@@ -80,7 +80,7 @@ class ThrustDemand:
         return self.bound(0.0)
 
 
-def thrust_demand(coordinates: Coordinates, rotor: Rotor, pole: float) -> ThrustDemand:
+def thrust_demand(coordinates: Coordinates, rotor: ThrustRotor, pole: float) -> ThrustDemand:
     """The bound of a rotor, from the model's step at evenly spaced speeds."""
     model = coordinates.model
     step = BufferedFunction(coordinates.discrete.step)
@@ -114,7 +114,7 @@ def thrust_demand(coordinates: Coordinates, rotor: Rotor, pole: float) -> Thrust
 
 
 @dataclass(frozen=True)
-class Rotor:
+class ThrustRotor:
     """A rotor that is regulated by its thrust."""
 
     #: ``input``, ``state``, ``coordinate``: Positions of its command in u, of its speed in x and of
@@ -211,7 +211,7 @@ class Coordinates:
         """ψ of ω, (rad/s)²."""
         return np.asarray(omega * np.sqrt(omega**2 + self.epsilon**2))
 
-    def _rotors(self, thrust_inputs: Sequence[str]) -> tuple[Rotor, ...]:
+    def _rotors(self, thrust_inputs: Sequence[str]) -> tuple[ThrustRotor, ...]:
         model = self.model
         inputs = names(model.inputs)
         found = []
@@ -227,7 +227,7 @@ class Coordinates:
                 # A model without that speed (static rotors, momenta) keeps its command.
                 if speed in model.state_names and model.state_index(speed) in self.kept:
                     state = model.state_index(speed)
-                    found.append(Rotor(inputs.index(name), state, self.kept.index(state)))
+                    found.append(ThrustRotor(inputs.index(name), state, self.kept.index(state)))
         return tuple(found)
 
     def _forward_function(self) -> ca.Function:

@@ -96,7 +96,7 @@ class Certificate:
         )
 
 
-def certify(task: Task, solution: Solution) -> Certificate:
+def certify(task: Task, solution: LmiSolution) -> Certificate:
     """Check a solution against its task."""
     Q, K = solution.Q, solution.K
     count = len(Q)
@@ -129,7 +129,7 @@ def certify(task: Task, solution: Solution) -> Certificate:
 
 
 def decrease_on(
-    coefficients: FloatArray, solution: Solution, task: Task
+    coefficients: FloatArray, solution: LmiSolution, task: Task
 ) -> tuple[FloatArray, FloatArray]:
     """A common law's decrease on coefficients that need not be in the polytope.
 
@@ -186,7 +186,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Solution:
+class LmiSolution:
     """A solver's answer, believed after :func:`certify`."""
 
     Q: FloatArray  #: (1 or L, n, n) array
@@ -282,7 +282,7 @@ class Inequalities:
             cp.Minimize(self._gamma + _PENALTY * cp.sum(self._slack)), constraints
         )
 
-    def solve(self, task: Task, inside: FloatArray | None = None) -> Solution | None:
+    def solve(self, task: Task, inside: FloatArray | None = None) -> LmiSolution | None:
         """The best law for a task; None where the solver found none.
 
         Parameters
@@ -329,7 +329,7 @@ class Inequalities:
         bounds = np.concatenate([input_bounds, state_bounds]) ** 2
         slack = np.maximum(relaxed, 0.0) / bounds
         stats: Any = self.problem.solver_stats
-        return Solution(
+        return LmiSolution(
             Q,
             np.ascontiguousarray(K),
             float(gamma) * unit,

@@ -34,7 +34,7 @@ _OVERSIZE = 1.2
 
 
 @dataclass(frozen=True)
-class Target:
+class RegulationTarget:
     """A steady state in the coordinates of the regulation."""
 
     z: FloatArray  #: (n,) array
@@ -43,24 +43,24 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Region:
+class StateBox:
     """A box in z."""
 
     lower: FloatArray  #: (n,) arrays
     upper: FloatArray  #: (n,) arrays
 
-    def contains(self, other: Region, tolerance: FloatArray | float = 0.0) -> bool:
+    def contains(self, other: StateBox, tolerance: FloatArray | float = 0.0) -> bool:
         """Whether another box lies within."""
         return bool(
             np.all(other.lower >= self.lower - tolerance)
             and np.all(other.upper <= self.upper + tolerance)
         )
 
-    def within(self, other: Region) -> Region:
+    def within(self, other: StateBox) -> StateBox:
         """What two boxes share; a side that would vanish is kept as a point."""
         lower = np.clip(self.lower, other.lower, other.upper)
         upper = np.clip(self.upper, other.lower, other.upper)
-        return Region(lower, upper)
+        return StateBox(lower, upper)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,9 @@ class Coefficients:
         self._cube = _cube(points, coordinates.n + coordinates.m)
         self._limits = coordinates.model.input_bounds()
 
-    def over(self, target: Target, region: Region, cube: FloatArray | None = None) -> FloatArray:
+    def over(
+        self, target: RegulationTarget, region: StateBox, cube: FloatArray | None = None
+    ) -> FloatArray:
         """Coefficients (N, n, n + m) over a region, in units of the scales.
 
         Commands are anywhere within their limits, demands of thrust anywhere within their bounds.
@@ -180,7 +182,7 @@ class Coefficients:
             )
         return self._scaled(total)
 
-    def residual(self, target: Target, region: Region, cube: FloatArray) -> FloatArray:
+    def residual(self, target: RegulationTarget, region: StateBox, cube: FloatArray) -> FloatArray:
         """What the coefficients leave of the step itself, (N, n), in units of the scale of z."""
         n = self.coordinates.n
         z, v = self._points(target, region, cube)
@@ -196,7 +198,7 @@ class Coefficients:
         return np.asarray((after - target.z) / self._scale_z - found)[:, :n]
 
     def _points(
-        self, target: Target, region: Region, cube: FloatArray
+        self, target: RegulationTarget, region: StateBox, cube: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         n = self.coordinates.n
         middle, half = (region.lower + region.upper) / 2, (region.upper - region.lower) / 2

@@ -15,7 +15,7 @@ from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.controllers.lqr import in_order
 from trms_cli.controllers.robust.coordinates import Coordinates, thrust_demand
 from trms_cli.controllers.robust.lmi import Task
-from trms_cli.controllers.robust.polytope import Coefficients, Polytope, Region, Target
+from trms_cli.controllers.robust.polytope import Coefficients, Polytope, RegulationTarget, StateBox
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models import steady_state
 from trms_cli.models.estimate import Estimate
@@ -32,7 +32,7 @@ _NO_STOP = math.pi  # rad, of an axis without stops
 
 
 @dataclass(frozen=True, kw_only=True)
-class Design:
+class RegulationDesign:
     """What is regulated, and how dear deviations are."""
 
     #: Commands whose rotors are regulated by their thrust
@@ -62,7 +62,7 @@ class Aim:
     """Where the regulation is going."""
 
     steady: steady_state.Target
-    target: Target  #: The same in the coordinates
+    target: RegulationTarget  #: The same in the coordinates
     message: str
     asked: FloatArray  #: (n_r,) array; the reference, rad
     moved: bool = False  #: Whether it is another than that of the aim before
@@ -73,7 +73,7 @@ class Regulation:
 
     Parameters
     ----------
-    design : Design
+    design : RegulationDesign
     setup : ControlSetup
 
     Raises
@@ -82,7 +82,7 @@ class Regulation:
         For a model that it does not work with, or names that the model does not have.
     """
 
-    def __init__(self, design: Design, setup: ControlSetup) -> None:
+    def __init__(self, design: RegulationDesign, setup: ControlSetup) -> None:
         model = setup.model
         if not model.axes:
             raise ConfigurationError(
@@ -161,7 +161,7 @@ class Regulation:
         if found.projected:
             message = "the reference is out of reach; the closest is the target"
         z = self.coordinates.forward(found.x)
-        target = Target(z, self.coordinates.demand(z, found.u), disturbance.copy())
+        target = RegulationTarget(z, self.coordinates.demand(z, found.u), disturbance.copy())
         return Aim(found, target, message, asked.copy(), last is None or found.asked != last.asked)
 
     def aim_at(self, reference: FloatArray) -> Aim:
@@ -177,7 +177,7 @@ class Regulation:
         z[self._rows] = values / self.scale_z[self._rows]
         return z
 
-    def deviation(self, x: FloatArray, target: Target) -> FloatArray:
+    def deviation(self, x: FloatArray, target: RegulationTarget) -> FloatArray:
         """z − z_s in units of the scales, shape (n,)."""
         return np.asarray((self.coordinates.forward(x) - target.z) / self.scale_z)
 
@@ -204,7 +204,7 @@ class Regulation:
             least[rotor.input] = _NO_ROOM * demand.scale
         return np.asarray(np.maximum(room, least) / self.scale_v)
 
-    def state_bounds(self, target: Target) -> FloatArray:
+    def state_bounds(self, target: RegulationTarget) -> FloatArray:
         """What the mechanical stops leave around the target, in units of the scales, (n,)."""
         bounds = np.full(self.n, np.inf)
         for row, name in zip(self._rows, self.model.controlled, strict=True):
@@ -245,26 +245,26 @@ class Regulation:
             self.state_bounds(aim.target),
         )
 
-    def region_of(self, target: Target, extents: FloatArray) -> Region:
+    def region_of(self, target: RegulationTarget, extents: FloatArray) -> StateBox:
         """The box target ± extents (n,), in units of the scales, within the region of operation."""
         half = extents * self.scale_z
-        return Region(target.z - half, target.z + half).within(self.around(target))
+        return StateBox(target.z - half, target.z + half).within(self.around(target))
 
-    def covers(self, target: Target, extents: FloatArray, reached: FloatArray) -> bool:
+    def covers(self, target: RegulationTarget, extents: FloatArray, reached: FloatArray) -> bool:
         """Whether what is possible of target ± reached lies in the box of target ± extents."""
         return self.region_of(target, extents).contains(
             self.region_of(target, reached), 1e-6 * self.scale_z
         )
 
-    def around(self, target: Target) -> Region:
+    def around(self, target: RegulationTarget) -> StateBox:
         """The region of operation with the target's own momenta in its middle."""
         lower, upper = self.operation.lower.copy(), self.operation.upper.copy()
         for i in self._free:
             lower[i] += target.z[i]
             upper[i] += target.z[i]
-        return Region(lower, upper)
+        return StateBox(lower, upper)
 
-    def _operation(self) -> Region:
+    def _operation(self) -> StateBox:
         """All that the frame and the motors let be; momenta within the configured range."""
         model, half = self.model, np.full(self.n, self.design.rate_range)
         angles = {axis.angle for axis in model.axes.values()} | set(model.controlled)
@@ -279,7 +279,7 @@ class Regulation:
                 half[i] = self.coordinates.sizes[i]
         for demand in self.demands:
             half[demand.rotor.coordinate] = demand.largest
-        return Region(-half, half)
+        return StateBox(-half, half)
 
 
 def no_law(model: Model) -> ConfigurationError:
