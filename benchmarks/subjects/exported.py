@@ -12,8 +12,7 @@ from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.lockstep import WARM_UP, quantiles
 from benchmarks.options import Options
 from benchmarks.setups import experiment, newton_horizon, newton_of
-from trms_cli.code_generation.example_run import example_rows, rounding_difference
-from trms_cli.code_generation.export import export
+from trms_cli.code_generation.export import example_rows, export, rounding_difference
 from trms_cli.code_generation.measure import FLAGS, PASSES, Measured, measure
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.core.compilation import compiler

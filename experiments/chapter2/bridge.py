@@ -37,21 +37,12 @@ class Bridge(TwinRotor):
         Other values for some parameters, in SI.
     """
 
+    OPTION, UNUSED = "newtonian", ("h",)
+
     def __init__(
         self, right: tuple[str, ...], parameters: Mapping[str, float] | None = None
     ) -> None:
-        super().__init__(
-            "newtonian",
-            ("h",),
-            freedom="both",
-            currents="quasi_static",
-            parameter_set="bench",
-            parameters=parameters,
-            main_interface=None,
-            tail_interface=None,
-            main_voltage_limit=None,
-            tail_voltage_limit=None,
-        )
+        super().__init__(parameters=parameters)
         self._right = right
 
     def pitch_at_rest(self) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from exported_controller import PERIOD, Exported, build, compare, contiguous
 
-from trms_cli.code_generation.example_run import example_rows, rounding_difference
+from trms_cli.code_generation.export import example_rows, rounding_difference
 from trms_cli.code_generation.newton_source import newton_source
 from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
