@@ -65,7 +65,8 @@ fuzz: $(READY) ## attack the readers of files: make fuzz TARGET=log MINUTES=10 (
 	@$(BIN)/python -m pip install --quiet 'atheris>=2.3'
 	@OMP_NUM_THREADS=1 TRMS_RUNS=off $(BIN)/python -m tests.fuzz $(or $(TARGET),all) --minutes $(or $(MINUTES),10)
 
-lint: $(READY) ## formatting, lint and types
+lint: $(READY) ## formatting, lint and types; code of third parties fails
+	@$(BIN)/python .ci/borrowed_code.py
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy

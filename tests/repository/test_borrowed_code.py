@@ -1,0 +1,52 @@
+"""No code of third parties stands among the tracked files, and `make lint` would say so."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / ".ci" / "borrowed_code.py"
+
+
+def check(*files: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(SCRIPT), *files]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder)
+
+
+def test_nothing_is_borrowed_here() -> None:
+    done = check()
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "hit"),
+    [
+        ("a.js", "/* Copy~right 2012-2026, Somebody, Inc. */", True),
+        ("a.c", "// SP~DX-License-Identifier: MIT", True),
+        ("a.py", "# Licensed un~der the Apache License", True),
+        ("plot.min.js", "x", True),
+        ("LICENSE-plot.js", "MIT", True),
+        ("lib/LICENSE", "MIT", True),
+        ("LICENSE", "Copy~right (c) 2026 us. Permission i~s hereby granted", False),
+        ("about.md", "Copy~right (c) of others is no concern here", False),
+        ("b.py", "LICENCE = 'the copyright of a table'", False),
+    ],
+)
+def test_a_licence_header_is_found(tmp_path: Path, name: str, text: str, hit: bool) -> None:
+    file = tmp_path / name
+    file.parent.mkdir(exist_ok=True)
+    # parted, so that this file is no hit of its own
+    file.write_text(text.replace("~", ""), encoding="utf-8")
+    done = check(name, folder=tmp_path)
+    assert done.returncode == int(hit) and (name in done.stdout) == hit
+
+
+def test_lint_and_the_hook_run_it() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    lint = makefile.partition("\nlint:")[2].partition("\n\n")[0]
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    assert ".ci/borrowed_code.py" in lint and ".ci/borrowed_code.py" in hooks
