@@ -12,7 +12,7 @@ import numpy.typing as npt
 import yaml
 
 from experiments.gap.blind.drivers import rich_excitation
-from experiments.gap.blind.rig import Driver, Recorded, Rigs
+from experiments.gap.blind.rig import Driver, RigRecordings, Rigs
 from experiments.gap.driver import CHANNELS
 from trms_cli.identification.model_writer import write_model
 from trms_cli.models.model import names
@@ -106,7 +106,7 @@ def driven(
     among: Sequence[Rig] = (),
     settling: float = 0.0,
     seed: int = 0,
-) -> Recorded:
+) -> RigRecordings:
     """Drive rigs at once, some of them several times.
 
     Parameters
@@ -158,7 +158,7 @@ def gentle_excitation(seed: int, duration: float, sample_time: float) -> FloatAr
     raise ValueError(f"no excitation of {duration} s stays inside the stops")
 
 
-def write_csv(recorded: Recorded, rig: int, path: Path) -> Path:
+def write_csv(recorded: RigRecordings, rig: int, path: Path) -> Path:
     """One rig's recording as a laboratory writes it."""
     units = dict(zip((*INPUTS, *CHANNELS), ("V", "V", "rad", "rad", "rad/s", "rad/s"), strict=True))
     head = ",".join(["t[s]", *(f"{name}[{unit}]" for name, unit in units.items())])

@@ -10,6 +10,7 @@ import numpy as np
 from trms_cli.gap.diagnosis import (
     Cause,
     Detectable,
+    DiagnosedRecording,
     Diagnosis,
     FittedParameter,
     Gap,
@@ -18,7 +19,6 @@ from trms_cli.gap.diagnosis import (
     NextExperiment,
     NotTestable,
     RaceEntry,
-    Recorded,
     RegionShare,
     Shrink,
     SizeEstimate,
@@ -92,7 +92,7 @@ def diagnosis(**changes: Any) -> Diagnosis:
     shrink["all"] = {h: Shrink(fraction=0.91, ci95=(0.86, 0.94)) for h in ("0.5", "2.0", "10.0")}
     found = Diagnosis(
         recordings=(
-            Recorded(
+            DiagnosedRecording(
                 file="records/monday.csv",
                 sha256="5f" * 32,
                 duration_s=120.0,

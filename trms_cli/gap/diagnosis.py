@@ -38,7 +38,7 @@ LOCATIONS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class DiagnosedRecording:
     """A recording that was diagnosed."""
 
     file: str  #: as it was named
@@ -191,7 +191,7 @@ class Traces:
 class Diagnosis:
     """The whole answer. Fields up to ``next_experiment`` are the contract's."""
 
-    recordings: tuple[Recorded, ...]  #: that were diagnosed
+    recordings: tuple[DiagnosedRecording, ...]  #: that were diagnosed
     model: str  #: as the user named it
     seed: int  #: of all that was drawn
     versions: Mapping[str, str]  #: of the program and of what it builds on

@@ -138,7 +138,7 @@ def _pooled(parts: Sequence[tuple[FloatArray, IntArray]], seed: int) -> Shrink:
 class SealedComparison:
     """The opened seal."""
 
-    measured: Shrinkage
+    shrinkage: Shrinkage
     raw: Model  #: As their free runs were made
     refit: Model  #: As their free runs were made
     corrected: Model  #: As their free runs were made

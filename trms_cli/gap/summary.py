@@ -16,12 +16,12 @@ from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
     Detectable,
+    DiagnosedRecording,
     FittedParameter,
     LocationShare,
     NextExperiment,
     NotTestable,
     RaceEntry,
-    Recorded,
     RegionShare,
     SizeEstimate,
     Traces,
@@ -76,7 +76,7 @@ def summary_fields(
     experiment = _advice(problem, race, posterior, candidates, unseen)
     return {
         "recordings": tuple(
-            Recorded(
+            DiagnosedRecording(
                 file=d.source,
                 sha256=d.sha256,
                 duration_s=d.duration,
@@ -96,14 +96,14 @@ def summary_fields(
         "not_testable": unseen,
         "detectable": _detectable(race, candidates),
         "parameters": parameters,
-        "gap": sealed.measured.gap,
-        "shrink": sealed.measured.shrink,
+        "gap": sealed.shrinkage.gap,
+        "shrink": sealed.shrinkage.shrink,
         "next_experiment": experiment,
-        "sentence": sentence(posterior, causes, where, sealed.measured, parameters),
+        "sentence": sentence(posterior, causes, where, sealed.shrinkage, parameters),
         "race": _race(posterior, race),
         "description": tuple(words),
         "warnings": (*problem.warnings, *_remarks(parts, race)),
-        "worse": sealed.measured.worse,
+        "worse": sealed.shrinkage.worse,
         "refit": refit.structure.values(refit.fit.theta),
         "evidence": {
             **posterior.features.as_json(),
@@ -351,7 +351,7 @@ def sentence(
     posterior: Posterior,
     causes: Sequence[Cause],
     where: Sequence[LocationShare],
-    measured: Shrinkage,
+    shrinkage: Shrinkage,
     parameters: Mapping[str, FittedParameter],
 ) -> str:
     """What a colleague would say."""
@@ -370,7 +370,7 @@ def sentence(
         return (
             "No effect is missing: other values of the parameters explain these recordings, with "
             f"probability {top.probability:.2f}; {', '.join(moved[:3])} moved most."
-            + _left_over(measured)
+            + _left_over(shrinkage)
         )
     if posterior.verdict == "none_of_these":
         return (
@@ -394,7 +394,7 @@ def sentence(
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
-    shrink = measured.shrink.get("all", {}).get(_TOLD_AT)
+    shrink = shrinkage.shrink.get("all", {}).get(_TOLD_AT)
     if shrink is not None and shrink.fraction is not None:
         text += f"; adding it closes {100 * shrink.fraction:.0f} % of the gap at 2 s"
         if shrink.ci95 is not None:
@@ -405,7 +405,7 @@ def sentence(
     return text + "."
 
 
-def _left_over(measured: Shrinkage) -> str:
+def _left_over(shrinkage: Shrinkage) -> str:
     """What the refitted model still lacks on the sealed part, where that is much.
 
     The verdict compares causes on the part that was fitted. A short recording can be fitted by
@@ -413,7 +413,7 @@ def _left_over(measured: Shrinkage) -> str:
     """
     shares = {
         channel: (gaps[_TOLD_AT].refit / gaps[_TOLD_AT].floor, gaps[_TOLD_AT])
-        for channel, gaps in measured.gap.items()
+        for channel, gaps in shrinkage.gap.items()
         if _TOLD_AT in gaps and gaps[_TOLD_AT].floor > 0
     }
     worst = max(shares, key=lambda channel: shares[channel][0], default="")

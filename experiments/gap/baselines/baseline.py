@@ -10,10 +10,10 @@ import trms_cli
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import (
     Cause,
+    DiagnosedRecording,
     Diagnosis,
     FittedParameter,
     LocationShare,
-    Recorded,
     Verdict,
 )
 from trms_cli.gap.problem import GapProblem
@@ -48,7 +48,7 @@ def diagnosis(
     """An answer; what is not given is left empty."""
     return Diagnosis(
         recordings=tuple(
-            Recorded(
+            DiagnosedRecording(
                 file=d.source,
                 sha256=d.sha256,
                 duration_s=d.duration,

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import ClassVar
@@ -21,18 +22,215 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.gap.baselines.baseline import diagnosis, places
-from experiments.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
-from experiments.gap.baselines.marks import marks
-from experiments.gap.baselines.synthetic import Request, rigs
+from experiments.gap.baselines.fits import (
+    fit_problem,
+    is_size,
+    map_fit,
+    nominal_free,
+    parts_of,
+    refit,
+)
+from experiments.gap.baselines.force_terms import columns
+from experiments.gap.baselines.restoring_force import motion
 from experiments.gap.baselines.white_noise import compete
 from trms_cli.core.compilation import cache_folder
 from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import extended
 from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.diagnosis import Cause, Diagnosis
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
-from trms_cli.identification.dataset import FloatArray
-from trms_cli.models.model import Model, names
+from trms_cli.identification.data import noise_estimate
+from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.models.model import Model, index_of, names
+from trms_cli.models.parameters import Parameter
+from trms_cli.models.rest import resting_state
+from trms_cli.simulation.rollout import Rollout
+
+#: s, of a training recording, and what is left out at its beginning.
+_DURATION, _SETTLING = 40.0, 3.0
+#: Share of a command's limit about which it moves, and by which, by rotor.
+_CENTRE, _SWING = {"main": 0.5, "tail": 0.0}, {"main": 0.18, "tail": 0.36}
+#: Hz and s: lines of the waves, holding times of the levels.
+_BAND, _LINES, _HOLD = (0.02, 1.2), 24, (1.0, 5.0)
+#: Encoder's and tacho's quanta and the tacho's noise, as the bench declares them.
+_ENCODER, _TACHO, _TACHO_NOISE = 2 * np.pi / 4096, 0.49, 1.6
+#: rad. A rig that swings farther is none.
+_FARTHEST = 2.5
+_FARTHEST_SD = 2.5
+
+
+@dataclass(frozen=True)
+class Request:
+    """Rigs of one class."""
+
+    model: Model  #: The nominal one
+    name: str
+    effect: Effect | None
+    outputs: tuple[str, ...]
+    sample_time: float  #: s
+    count: int
+    seed: int
+
+
+def rigs(request: Request) -> FloatArray:
+    """Marks of the rigs of a class, (up to count, n); a rig that ran away is left out."""
+    model = request.model
+    rig = model if request.effect is None else extended(model, {request.name: request.effect})
+    rollout = Rollout(rig, request.sample_time)
+    random = np.random.default_rng(np.random.SeedSequence([0xC1A5, request.seed]))
+    rows = []
+    for _ in range(request.count):
+        dataset = _recorded(request, rig, rollout, random)
+        if dataset is not None:
+            rows.append(marks(model, [dataset], 10.0))
+    return np.array(rows)
+
+
+def _recorded(
+    request: Request, rig: Model, rollout: Rollout, random: np.random.Generator
+) -> Dataset | None:
+    model, step = request.model, request.sample_time
+    skipped = round(_SETTLING / step)
+    u = _commands(model, round(_DURATION / step) + skipped, step, random)
+    p = _drawn(rig, random)
+    start = rollout.initial(resting_state(rig, {}, u[0]), u[0])
+    with np.errstate(all="ignore"):
+        y = rollout.outputs(u, [0], [len(u)], start[None], p).y[skipped:]
+    columns = [index_of(model.outputs, name, "an output") for name in request.outputs]
+    y, outputs, sd = y[:, columns], tuple(model.outputs[i] for i in columns), []
+    for i, signal in enumerate(outputs):
+        if not np.isfinite(y[:, i]).all():
+            return None
+        if signal.unit == "rad":
+            if np.abs(y[:, i]).max() > _FARTHEST:
+                return None
+            quantum, noise = _ENCODER, 0.0
+        else:
+            quantum, noise = _TACHO, _TACHO_NOISE
+        y[:, i] = quantum * np.round((y[:, i] + noise * random.standard_normal(len(y))) / quantum)
+        sd.append(float(np.hypot(noise, quantum / 12**0.5)))
+    commands = np.ascontiguousarray(u[skipped:])
+    time: FloatArray = step * np.arange(len(y), dtype=float)
+    return Dataset(
+        "synthetic", "", "0" * 64, step, time, model.inputs, outputs, commands, y, np.array(sd)
+    )
+
+
+def _commands(model: Model, samples: int, step: float, random: np.random.Generator) -> FloatArray:
+    """Sums of sines with held random levels, within the limits."""
+    time, columns = step * np.arange(samples), []
+    for signal in model.inputs:
+        rotor = next((r for r, name in model.rotors.items() if name == signal.name), "tail")
+        limit = model.input_limits[signal.name]
+        lines = np.exp(random.uniform(np.log(_BAND[0]), np.log(_BAND[1]), _LINES))
+        phases = random.uniform(0, 2 * np.pi, _LINES)
+        waves = np.sin(2 * np.pi * np.outer(time, lines) + phases).sum(axis=1)
+        waves /= np.sqrt(_LINES / 2)
+        levels, at = np.empty(samples), 0
+        while at < samples:
+            hold = max(1, round(random.uniform(*_HOLD) / step))
+            levels[at : at + hold] = random.uniform(-1, 1)
+            at += hold
+        swing = _SWING.get(rotor, 0.3) * random.uniform(0.6, 1.1)
+        centre = _CENTRE.get(rotor, 0.0) * random.uniform(0.95, 1.05)
+        u = centre + 0.5 * swing * (waves + levels)
+        columns.append(limit * np.clip(u, -1, 1))
+    return np.stack(columns, axis=1)
+
+
+def _drawn(rig: Model, random: np.random.Generator) -> FloatArray:
+    """All parameters of a rig: the nominal ones from their priors, sizes from their ranges."""
+    p, order = rig.parameters.values, rig.parameters.names
+    scatter = random.uniform(0.0, 1.0)
+    for free in nominal_free(rig):
+        z = np.clip(random.standard_normal(), -_FARTHEST_SD, _FARTHEST_SD)
+        value = free.prior_mean + scatter * free.scale * z
+        p[order.index(free.name)] = np.clip(value, free.lower, free.upper)
+    for parameter in rig.parameters:
+        if is_size(parameter.name) and parameter.prior_sd is None:
+            p[order.index(parameter.name)] = _size(parameter, random)
+    return p
+
+
+def _size(parameter: Parameter, random: np.random.Generator) -> float:
+    """Over its typical range: by factors where it has one sign, evenly where it has two."""
+    if parameter.typical is None:
+        return parameter.value * float(np.exp(random.uniform(-1, 1)))
+    low, high = parameter.typical
+    if low > 0:
+        value = float(np.exp(random.uniform(np.log(low), np.log(high))))
+    else:
+        value = float(random.uniform(low, high))
+    return float(np.clip(value, parameter.lower, parameter.upper))
+
+
+#: Edges of the bands of the force's spectrum, Hz.
+_BANDS = (0.0, 0.3, 1.0, 2.0, 4.0, 8.0)
+
+
+def marks(model: Model, datasets: Sequence[Dataset], block: float) -> FloatArray:
+    """Marks of one rig's recordings, (n,): of the same length for the same model and channels.
+
+    For each equation: logarithm of the force's size beyond what the parameters explain, shares of
+    bands, and its correlation with the library's terms, with derivatives of the states, and with
+    the commands; for each channel the size of its steps and of its noise.
+    """
+    free = nominal_free(model)
+    moved = motion(model, datasets, [p.name for p in free], block)
+    terms, library = columns(model, moved)
+    scales = np.array([p.scale for p in free])
+    derivative = np.gradient(moved.x, moved.step, axis=0)
+    second = np.gradient(derivative, moved.step, axis=0)
+    slopes = np.gradient(moved.u, moved.step, axis=0)
+    common = np.hstack([moved.x, derivative, second, moved.u, slopes, np.ones((len(moved.x), 1))])
+    found: list[float] = []
+    for i, place in enumerate(names(model.disturbances)):
+        force = moved.force[:, i]
+        nuisances = moved.of_parameters[:, i] * scales
+        ridge = float(np.var(force)) * len(force) / moved.independent
+        inner = nuisances.T @ nuisances + ridge * np.eye(len(free))
+        gain = np.linalg.solve(inner, nuisances.T) if len(free) else nuisances.T
+        chosen = [k for k, term in enumerate(terms) if term.location == place]
+        both = np.hstack([force[:, None], library[:, chosen], common])
+        left = both - nuisances @ (gain @ both)
+        size = np.sqrt(np.mean(left**2, axis=0))
+        unit = left / np.maximum(size, 1e-12 + 1e-6 * np.sqrt(np.mean(both**2, axis=0)))
+        found.append(float(np.log(size[0] + 1e-12)))
+        found.append(float(np.log(size[0] / (np.sqrt(np.mean(force**2)) + 1e-12) + 1e-6)))
+        found += _bands(left[:, 0], moved.step)
+        found += (unit[:, 1:].T @ unit[:, 0] / len(unit)).tolist()
+    for signal_noise in _of_channels(datasets):
+        found += signal_noise
+    values = np.nan_to_num(np.array(found), nan=0.0, posinf=0.0, neginf=0.0)
+    return values
+
+
+def _bands(force: FloatArray, step: float) -> list[float]:
+    """Logarithms of the shares of bands."""
+    power = np.abs(np.fft.rfft(force - force.mean())) ** 2
+    frequency = np.fft.rfftfreq(len(force), step)
+    total = float(power.sum()) + 1e-300
+    return [
+        float(np.log(power[(frequency >= low) & (frequency < high)].sum() / total + 1e-6))
+        for low, high in pairwise(_BANDS)
+    ]
+
+
+def _of_channels(datasets: Sequence[Dataset]) -> list[list[float]]:
+    """Logarithms of each channel's noise and typical step, over the declared noise."""
+    found = []
+    for i, sd in enumerate(datasets[0].noise_sd):
+        values = np.concatenate([d.measurements[:, i] for d in datasets])
+        noise = float(noise_estimate(values[:, None])[0])
+        steps = np.abs(np.diff(values))
+        steps = steps[np.isfinite(steps) & (steps > 1e-9)]
+        step = float(np.median(steps)) if steps.size else 0.0
+        least = float(np.min(steps)) if steps.size else 0.0
+        unit = max(float(sd), 1e-9)
+        found.append([float(np.log(v / unit + 1e-2)) for v in (noise, step, least)])
+    return found
+
 
 #: Rigs of each class, and the share that the ridge is chosen on.
 RIGS, _HELD = 40, 0.2

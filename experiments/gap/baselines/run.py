@@ -7,23 +7,83 @@ again. Only the oracle may open the key.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from experiments.gap.baselines.baseline import Baseline
-from experiments.gap.baselines.model_files import write_models
-from experiments.gap.blind.sealing import RECORDINGS, open_key
+from experiments.gap.blind.judgement import CORRECTED, REFIT
+from experiments.gap.blind.run import one_thread, recordings_of
+from experiments.gap.blind.sealing import open_key
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import build, nearest
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
-from trms_cli.gap.diagnosis import document_of
+from trms_cli.effects.extended_model import extended
+from trms_cli.gap.diagnosis import NO_EFFECT, Diagnosis, document_of
 from trms_cli.gap.problem import GapProblem
+from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
+from trms_cli.identification.problem import free_parameters
+from trms_cli.models.model import Model
+
+
+def write_models(answer: Diagnosis, problem: GapProblem, folder: Path) -> None:
+    """Write the nominal model refitted, and with the first cause's effects.
+
+    An answer whose correction is no effect of the library (a regressed force) leaves none: its
+    shrink is what it tells itself.
+    """
+    first = answer.causes[0] if answer.causes else None
+    effects: tuple[str, ...] = ()
+    if first is not None and not set(first.effects) & set(NO_EFFECT):
+        effects = first.effects if first.parameters else ()
+        if answer.verdict == "effect" and not effects:
+            return
+    elif answer.verdict == "none_of_these" and answer.where:
+        return
+    refitted = dict(answer.refit)
+    _write(answer, problem, (), refitted, folder / REFIT)
+    values = {name: p.fitted for name, p in answer.parameters.items()} or refitted
+    if first is not None:
+        values |= {name: size.value for name, size in first.parameters.items()}
+    _write(answer, problem, effects, values, folder / CORRECTED)
+
+
+def _write(
+    answer: Diagnosis,
+    problem: GapProblem,
+    effects: tuple[str, ...],
+    values: dict[str, float],
+    path: Path,
+) -> None:
+    chosen = {name: problem.candidates[name] for name in effects}
+    nominal = [name for name in values if name in problem.model.parameters]
+    model: Model = extended(problem.model, chosen)
+    document = model_document(
+        problem.datasets[0].name,
+        model,
+        ModelOrigin(
+            option=problem.model_name,
+            effects={name: _arguments(effect) for name, effect in chosen.items()},
+        ),
+        values=values,
+        deviations={name: p.sd for name, p in answer.parameters.items() if p.sd == p.sd},
+        free=free_parameters(problem.model.parameters, nominal) if nominal else (),
+        source="fitted by a baseline on " + ", ".join(d.name for d in problem.datasets),
+    )
+    write_model(document, path)
+
+
+def _arguments(effect: Effect) -> dict[str, Any]:
+    """What an effect is made with besides its sizes."""
+    sizes = {p.name for p in effect.parameters()}
+    own: list[str] = list(getattr(effect, "__dataclass_fields__", ()))
+    return {name: getattr(effect, name) for name in own if name not in sizes}
+
 
 DOCUMENT = "diagnosis.json"
 METHODS = (
@@ -62,7 +122,7 @@ def baseline_of(name: str, effects: Sequence[str] = ()) -> Baseline:
 
         return SparseRegression()
     if name == "white_noise_bic":
-        from experiments.gap.baselines.white_noise_bic import WhiteNoiseBic
+        from experiments.gap.baselines.white_noise import WhiteNoiseBic
 
         return WhiteNoiseBic()
     if name == "classifier":
@@ -163,19 +223,13 @@ def run_baseline(
             "the oracle has to be told the truth", where="key", remedy="key=DIR.key"
         )
     baseline_of(name)
-    recordings = sorted((folder_in / RECORDINGS).glob("*.csv"))[:cases]
-    if not recordings:
-        raise ConfigurationError(
-            f"there are no recordings in {str(folder_in / RECORDINGS)!r}",
-            where="in",
-            remedy="in=DIR names the folder that `trms blind make` wrote",
-        )
+    recordings = recordings_of(folder_in)[:cases]
     waiting = [r for r in recordings if not (folder_out / r.stem / DOCUMENT).is_file()]
     folder_out.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
     begun = perf_counter()
     with ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), max_tasks_per_child=20, initializer=_one_thread
+        jobs, mp_context=get_context("spawn"), max_tasks_per_child=20, initializer=one_thread
     ) as pool:
         told = truth or {}
         futures = {
@@ -198,11 +252,6 @@ def run_baseline(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return failed
-
-
-def _one_thread() -> None:
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
 
 
 def _answer(

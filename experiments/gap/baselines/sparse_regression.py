@@ -36,7 +36,7 @@ _THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6)
 _FOLDS, _SWEEPS = 5, 10
 
 
-class Found(NamedTuple):
+class SupportedTerm(NamedTuple):
     """A term that stayed."""
 
     coefficient: float
@@ -78,7 +78,7 @@ class SparseRegression:
         )
 
 
-def sparse_terms(fit: Fit, moved: Motion) -> dict[Term, Found]:
+def sparse_terms(fit: Fit, moved: Motion) -> dict[Term, SupportedTerm]:
     """Terms that stay, those that explain most first.
 
     Each has to earn what the extended Bayesian information criterion asks for one of so many
@@ -86,7 +86,7 @@ def sparse_terms(fit: Fit, moved: Motion) -> dict[Term, Found]:
     """
     terms, values = columns(fit.model, moved)
     scales = np.array([p.scale for p in fit.free])
-    found: dict[Term, Found] = {}
+    found: dict[Term, SupportedTerm] = {}
     for i, place in enumerate(names(fit.model.disturbances)):
         chosen = [k for k, term in enumerate(terms) if term.location == place]
         if not chosen:
@@ -105,7 +105,7 @@ def sparse_terms(fit: Fit, moved: Motion) -> dict[Term, Found]:
             share = 1 - rss / without
             if gain < 0.5 * np.log(moved.independent) + np.log(len(terms)):
                 continue
-            found[terms[chosen[k]]] = Found(value, gain, share)
+            found[terms[chosen[k]]] = SupportedTerm(value, gain, share)
     return dict(sorted(found.items(), key=lambda item: -item[1].gain))
 
 
@@ -204,7 +204,7 @@ def _rss(columns_: FloatArray, y: FloatArray, kept: Mapping[int, float]) -> floa
     return float(left @ left)
 
 
-def _causes(found: Mapping[Term, Found], problem: GapProblem) -> list[Cause]:
+def _causes(found: Mapping[Term, SupportedTerm], problem: GapProblem) -> list[Cause]:
     """Effects by their terms' shares of all gains; no probabilities."""
     gains: dict[str, float] = defaultdict(float)
     for term, entry in found.items():
@@ -219,7 +219,7 @@ def _causes(found: Mapping[Term, Found], problem: GapProblem) -> list[Cause]:
 
 
 def _where(
-    found: Mapping[Term, Found], known: Mapping[str, CandidateEffect]
+    found: Mapping[Term, SupportedTerm], known: Mapping[str, CandidateEffect]
 ) -> list[LocationShare]:
     """Where the effects that terms speak for act; a term that speaks for none, at its equation."""
     gains: dict[str, float] = defaultdict(float)
@@ -236,7 +236,7 @@ def _where(
     ]
 
 
-def _sentence(found: Mapping[Term, Found]) -> str:
+def _sentence(found: Mapping[Term, SupportedTerm]) -> str:
     if not found:
         return "No term of the library explains the residual force in cross-validation."
     term = next(iter(found))

@@ -19,7 +19,7 @@ def perform(composition: Composition) -> int:
     """Make the set that a configuration asks for."""
     from experiments.gap.blind.cases import SETS
     from experiments.gap.blind.recording import Timing
-    from experiments.gap.blind.sealing import KEY, Asked, make
+    from experiments.gap.blind.sealing import KEY, SetRequest, make
     from trms_cli.runs.run_folder import new_folder
 
     begin = perf_counter()
@@ -45,7 +45,7 @@ def perform(composition: Composition) -> int:
         )
     new_folder(folder, "blind")
     new_folder(key_folder, "blind")
-    asked = Asked(
+    asked = SetRequest(
         name=options.set,
         seed=options.seed,
         cases=options.cases,

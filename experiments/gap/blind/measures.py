@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Literal
 
-from experiments.gap.blind.judging import Judged
+from experiments.gap.blind.judgement import JudgedCase
 from experiments.gap.blind.severity import LEVELS
 from experiments.gap.blind.statistics import Estimate, Reliability, quantile, reliability, share
 
@@ -16,7 +16,7 @@ SURE = 0.7
 #: A shrink relative to the oracle's is told where the oracle's is at least this.
 _LEAST_SHRINK = 0.2
 
-Judge = Callable[[Judged], bool]
+Judge = Callable[[JudgedCase], bool]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +64,8 @@ class Table:
 
 
 def table(
-    judged: Sequence[Judged],
-    oracle: Mapping[str, Judged] | None = None,
+    judged: Sequence[JudgedCase],
+    oracle: Mapping[str, JudgedCase] | None = None,
     *,
     draws: int = 2000,
     seed: int = 0,
@@ -74,8 +74,8 @@ def table(
 
     Parameters
     ----------
-    judged : sequence of Judged
-    oracle : dict of str to Judged or None
+    judged : sequence of JudgedCase
+    oracle : dict of str to JudgedCase or None
         Answers of one who was told the effect, by case.
     draws, seed : int
         Of the bootstrap.
@@ -90,17 +90,17 @@ def table(
     )
 
 
-def _full(j: Judged) -> bool:
+def _full(j: JudgedCase) -> bool:
     """Four outputs, open loop, rich excitation."""
     return j.case.drive == "rich" and j.case.channels == "four"
 
 
-def _plain(j: Judged) -> bool:
+def _plain(j: JudgedCase) -> bool:
     """What the first measures are about: singles that are well seen."""
     return j.case.kind == "single" and _full(j) and "weak" not in j.case.severity.values()
 
 
-def _weak(j: Judged) -> bool:
+def _weak(j: JudgedCase) -> bool:
     return j.case.kind == "single" and _full(j) and "weak" in j.case.severity.values()
 
 
@@ -108,23 +108,23 @@ def _kind(*kinds: str) -> Judge:
     return lambda j: j.case.kind in kinds
 
 
-def _effect_named(j: Judged) -> bool:
+def _effect_named(j: JudgedCase) -> bool:
     return j.answer.verdict == "effect"
 
 
-def _sure_and_wrong(j: Judged) -> bool:
+def _sure_and_wrong(j: JudgedCase) -> bool:
     return j.answer.effects != frozenset(j.case.effects) and _sure_of_effect(j)
 
 
-def _sure_of_effect(j: Judged) -> bool:
+def _sure_of_effect(j: JudgedCase) -> bool:
     return bool(j.answer.effects) and j.answer.first[1] > SURE
 
 
-def _wrong_name(j: Judged) -> bool:
+def _wrong_name(j: JudgedCase) -> bool:
     return bool(j.answer.named - frozenset(j.case.effects))
 
 
-def _none_or_undecided(j: Judged) -> bool:
+def _none_or_undecided(j: JudgedCase) -> bool:
     return j.answer.verdict in ("none_of_these", "undecided")
 
 
@@ -194,7 +194,7 @@ _SHARES: tuple[tuple[str, Judge, Judge, Target | None], ...] = (
 )
 
 
-def _shares(judged: Sequence[Judged]) -> list[Row]:
+def _shares(judged: Sequence[JudgedCase]) -> list[Row]:
     return [
         Row(
             measure=measure,
@@ -206,7 +206,7 @@ def _shares(judged: Sequence[Judged]) -> list[Row]:
 
 
 def _amounts(
-    judged: Sequence[Judged], oracle: Mapping[str, Judged], draws: int, seed: int
+    judged: Sequence[JudgedCase], oracle: Mapping[str, JudgedCase], draws: int, seed: int
 ) -> list[Row]:
     ratios = [r for j in judged if (r := _relative_shrink(j, oracle.get(j.name))) is not None]
     errors = [e for j in judged if j.case.kind == "single" for e in j.size_errors.values()]
@@ -242,7 +242,7 @@ def _amounts(
     ]
 
 
-def _relative_shrink(j: Judged, told: Judged | None) -> float | None:
+def _relative_shrink(j: JudgedCase, told: JudgedCase | None) -> float | None:
     """Of rigs with library effects; on second recordings where both have one."""
     if told is None or j.case.kind not in ("single", "pair", "matched"):
         return None
@@ -256,7 +256,7 @@ def _relative_shrink(j: Judged, told: Judged | None) -> float | None:
     return (own or 0.0) / best
 
 
-def _covered(j: Judged) -> bool | None:
+def _covered(j: JudgedCase) -> bool | None:
     """Whether the told interval holds the shrink on the second recording."""
     ci95 = j.answer.shrink_ci95
     if j.fresh is None or j.fresh.shrink is None or ci95 is None or not j.answer.named:
@@ -264,7 +264,7 @@ def _covered(j: Judged) -> bool | None:
     return ci95[0] <= j.fresh.shrink <= ci95[1]
 
 
-def _by_effect(judged: Sequence[Judged]) -> dict[str, dict[str, Estimate]]:
+def _by_effect(judged: Sequence[JudgedCase]) -> dict[str, dict[str, Estimate]]:
     hits: dict[str, dict[str, list[bool]]] = {}
     for j in judged:
         if j.case.kind != "single" or not _full(j):
@@ -280,7 +280,7 @@ def _by_effect(judged: Sequence[Judged]) -> dict[str, dict[str, Estimate]]:
     }
 
 
-def _confusions(judged: Sequence[Judged]) -> dict[str, dict[str, int]]:
+def _confusions(judged: Sequence[JudgedCase]) -> dict[str, dict[str, int]]:
     found: dict[str, dict[str, int]] = {}
     for j in judged:
         row = found.setdefault(j.label, {})

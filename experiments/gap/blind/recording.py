@@ -18,7 +18,7 @@ from experiments.gap.blind.drivers import (
     square_references,
 )
 from experiments.gap.blind.nominal import nominal, relative_sds
-from experiments.gap.blind.rig import PITCH_STOP, YAW_STOP, Driver, Nuisances, Recorded, Rigs
+from experiments.gap.blind.rig import PITCH_STOP, YAW_STOP, Driver, Nuisances, RigRecordings, Rigs
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Timing:
 
 def record(
     cases: Sequence[Case], timing: Timing, seed: int, *, fresh: bool = False
-) -> tuple[list[Case], Recorded]:
+) -> tuple[list[Case], RigRecordings]:
     """Run all cases.
 
     Parameters
@@ -55,7 +55,7 @@ def record(
     -------
     cases : list of Case
         With the amplitudes that kept the rigs off their stops.
-    recorded : Recorded
+    recorded : RigRecordings
         All six columns of every case.
     """
     tried = list(cases)
@@ -71,7 +71,7 @@ def record(
     return tried, run
 
 
-def _run(cases: Sequence[Case], timing: Timing, seed: list[int], fresh: bool) -> Recorded:
+def _run(cases: Sequence[Case], timing: Timing, seed: list[int], fresh: bool) -> RigRecordings:
     rigs = Rigs(
         _constants(cases),
         _sizes(cases),
@@ -128,7 +128,7 @@ def _driver(cases: Sequence[Case], timing: Timing, fresh: bool) -> Driver:
     return Mixed(parts)
 
 
-def _at_stops(run: Recorded) -> npt.NDArray[np.bool_]:
+def _at_stops(run: RigRecordings) -> npt.NDArray[np.bool_]:
     """Which rigs came near a stop: there is none in the model, and none in the key."""
     reach = np.abs(run.measured[..., :2]).max(axis=1)
     near: npt.NDArray[np.bool_] = (

@@ -66,7 +66,7 @@ class Nuisances:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RigRecordings:
     """What came out."""
 
     time: FloatArray  #: (k,) array; s
@@ -98,7 +98,7 @@ class Rigs:
 
     def run(
         self, driver: Driver, duration: float, sample_time: float, settling: float = 20.0
-    ) -> Recorded:
+    ) -> RigRecordings:
         """Drive all rigs for a while.
 
         Parameters
@@ -121,7 +121,7 @@ class Rigs:
             commands[:, k] = np.clip(command, -COMMAND_LIMIT, COMMAND_LIMIT)
             run.advance(commands[:, k])
         time: FloatArray = sample_time * np.arange(samples, dtype=float)
-        return Recorded(time, commands, measured)
+        return RigRecordings(time, commands, measured)
 
 
 class _Run:

@@ -86,7 +86,7 @@ def diagnose_all(
     waiting = list(reversed(recordings))
     # a process a recording: what one leaves behind in memory does not burden the next
     pool = ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), max_tasks_per_child=1, initializer=_one_thread
+        jobs, mp_context=get_context("spawn"), max_tasks_per_child=1, initializer=one_thread
     )
     running: dict[Future[str], str] = {}
     with pool:
@@ -109,7 +109,8 @@ def diagnose_all(
     return failed
 
 
-def _one_thread() -> None:
+def one_thread() -> None:
+    """What runs beside others takes one thread: an initialiser of processes."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
 

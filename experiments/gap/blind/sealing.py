@@ -34,7 +34,7 @@ KEY, FRESH = "key.json", "fresh"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class SetRequest:
     """Which set is to be made."""
 
     name: str  #: Of :data:`experiments.gap.blind.cases.SETS`
@@ -57,7 +57,7 @@ class OpenedKey:
     commitment: str  #: The SHA-256 that was told first
 
 
-def make(asked: Asked, folder: Path, key_folder: Path, tell: Callable[[str], None]) -> str:
+def make(asked: SetRequest, folder: Path, key_folder: Path, tell: Callable[[str], None]) -> str:
     """Make a set; the same request makes the same recordings, byte for byte.
 
     Parameters
@@ -158,7 +158,7 @@ def _opened(
     )
 
 
-def _recorded(asked: Asked) -> tuple[list[Case], dict[str, str], dict[str, str]]:
+def _recorded(asked: SetRequest) -> tuple[list[Case], dict[str, str], dict[str, str]]:
     """The cases as driven, and the texts of both recordings by name."""
     cases = plan(asked.name, asked.seed, asked.cases)
     digits = max(3, len(str(len(cases))))

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from experiments.gap.blind.drivers import OpenLoop, rich_excitation
 from experiments.gap.blind.nominal import nominal
-from experiments.gap.blind.rig import Recorded, Rigs
+from experiments.gap.blind.rig import RigRecordings, Rigs
 from experiments.gap.blind.truths import TRUTHS
 
 FloatArray = npt.NDArray[np.float64]
@@ -162,7 +162,7 @@ def _ratios(tried: Sequence[tuple[str, float]]) -> list[float]:
     return [float(np.sqrt(np.mean((r / floor) ** 2))) for r in left[_NULLS:]]
 
 
-def _recorded(tried: Sequence[tuple[str, float]]) -> Recorded:
+def _recorded(tried: Sequence[tuple[str, float]]) -> RigRecordings:
     """Rigs without effect first, then one for each, all with the same commands."""
     n = _NULLS + len(tried)
     sizes: dict[str, FloatArray] = {}

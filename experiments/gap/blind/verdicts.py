@@ -10,8 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from experiments.gap.blind.fresh import on_fresh
-from experiments.gap.blind.judging import Judged, OnFresh, answer_of
+from experiments.gap.blind.judgement import FreshResult, JudgedCase, answer_of, on_fresh
 from experiments.gap.blind.measures import Row, Table, Target
 from experiments.gap.blind.sealing import OpenedKey
 from experiments.gap.blind.severity import LEVELS
@@ -25,7 +24,7 @@ DOCUMENT = "diagnosis.json"
 _TIMING = "blind.json"
 
 
-def judge(key: OpenedKey, folder: Path) -> list[Judged]:
+def judge(key: OpenedKey, folder: Path) -> list[JudgedCase]:
     """All diagnoses in a folder, by the recordings' names; those missing are left out.
 
     Raises RecordingError if there is none, or one that cannot be read, or one of another recording.
@@ -52,7 +51,7 @@ def judge(key: OpenedKey, folder: Path) -> list[Judged]:
                 where=str(file),
                 remedy="give the diagnoses of this set: diagnoses=FOLDER",
             )
-        found.append(Judged(name=name, case=case, answer=answer))
+        found.append(JudgedCase(name=name, case=case, answer=answer))
     if not found:
         raise RecordingError(
             "there is no diagnosis of this set",
@@ -62,7 +61,9 @@ def judge(key: OpenedKey, folder: Path) -> list[Judged]:
     return found
 
 
-def with_fresh(judged: Sequence[Judged], folder: Path, fresh: Path, jobs: int) -> list[Judged]:
+def with_fresh(
+    judged: Sequence[JudgedCase], folder: Path, fresh: Path, jobs: int
+) -> list[JudgedCase]:
     """The same with how the models do on the second recordings."""
     tasks = [(j, folder / j.name, fresh / f"{j.name}.csv") for j in judged]
     if jobs == 1:
@@ -73,12 +74,12 @@ def with_fresh(judged: Sequence[Judged], folder: Path, fresh: Path, jobs: int) -
     return [replace(j, fresh=found) for j, found in zip(judged, seen, strict=True)]
 
 
-def _on_fresh(judged: Judged, folder: Path, recording: Path) -> OnFresh | None:
+def _on_fresh(judged: JudgedCase, folder: Path, recording: Path) -> FreshResult | None:
     return on_fresh(judged.answer, folder, recording) if recording.is_file() else None
 
 
 def document_of(
-    key: OpenedKey, tables: Mapping[str, Table], judged: Mapping[str, Sequence[Judged]]
+    key: OpenedKey, tables: Mapping[str, Table], judged: Mapping[str, Sequence[JudgedCase]]
 ) -> dict[str, Any]:
     """The content of ``score.json``."""
     return {
@@ -178,7 +179,7 @@ def _row(row: Row) -> dict[str, Any]:
     }
 
 
-def _facts(j: Judged) -> dict[str, Any]:
+def _facts(j: JudgedCase) -> dict[str, Any]:
     return {
         "kind": j.case.kind,
         "truth": sorted(j.case.effects),

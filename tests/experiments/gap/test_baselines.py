@@ -11,18 +11,16 @@ import pytest
 
 from experiments.gap.baselines import __main__ as command
 from experiments.gap.baselines.baseline import Baseline
-from experiments.gap.baselines.classifier import _fitted
+from experiments.gap.baselines.classifier import Request, _fitted, marks, rigs
 from experiments.gap.baselines.fits import fit_problem, parts_of, refit
 from experiments.gap.baselines.flexible_residual import FlexibleResidual
 from experiments.gap.baselines.force_terms import columns
-from experiments.gap.baselines.marks import marks
 from experiments.gap.baselines.oracle import Oracle
 from experiments.gap.baselines.parameter_refit import ParameterRefit
 from experiments.gap.baselines.restoring_force import motion
 from experiments.gap.baselines.run import METHODS, _answer, baseline_of, bench_effects, run_baseline
 from experiments.gap.baselines.sparse_regression import SparseRegression
-from experiments.gap.baselines.synthetic import Request, rigs
-from experiments.gap.baselines.white_noise_bic import WhiteNoiseBic
+from experiments.gap.baselines.white_noise import WhiteNoiseBic
 from tests.identification.greybox.rigs import recording
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.actuator_lag import ActuatorLag

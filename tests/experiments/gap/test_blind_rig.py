@@ -20,7 +20,7 @@ from experiments.gap.blind.drivers import (
     rich_excitation,
     square_references,
 )
-from experiments.gap.blind.rig import Nuisances, Recorded, Rigs
+from experiments.gap.blind.rig import Nuisances, RigRecordings, Rigs
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
@@ -132,7 +132,9 @@ def test_an_effect_is_the_same_in_both_codes(name: str, recorded: Any) -> None:
     assert difference < OTHER_LAW.get(name, SAME_LAW) * signature
 
 
-def run_with(driver: Any, n: int, nuisances: Nuisances | None = None, seed: int = 1) -> Recorded:
+def run_with(
+    driver: Any, n: int, nuisances: Nuisances | None = None, seed: int = 1
+) -> RigRecordings:
     rigs = Rigs(nominal(n), {}, nuisances or Nuisances(), seed)
     return rigs.run(driver, 1.0, SAMPLE, settling=0.2)
 

@@ -11,8 +11,7 @@ from scipy.stats import binomtest
 
 from experiments.gap.blind.cases import Case
 from experiments.gap.blind.drivers import rich_excitation
-from experiments.gap.blind.fresh import on_fresh
-from experiments.gap.blind.judging import Answer, Judged, OnFresh, answer_of
+from experiments.gap.blind.judgement import Answer, FreshResult, JudgedCase, answer_of, on_fresh
 from experiments.gap.blind.measures import Table, Target, table
 from experiments.gap.blind.nominal import nominal
 from experiments.gap.blind.recording import csv_of
@@ -41,8 +40,8 @@ def answer(*effects: str, verdict: str = "effect", probability: float = 0.9, **m
     return Answer(verdict=verdict, causes=((effects, probability),), **more)
 
 
-def judged(c: Case, a: Answer, name: str = "c001", fresh: OnFresh | None = None) -> Judged:
-    return Judged(name=name, case=c, answer=a, fresh=fresh)
+def judged(c: Case, a: Answer, name: str = "c001", fresh: FreshResult | None = None) -> JudgedCase:
+    return JudgedCase(name=name, case=c, answer=a, fresh=fresh)
 
 
 def figure(found: Table, measure: str) -> Any:
@@ -136,8 +135,13 @@ def test_the_table_counts_each_kind_where_it_belongs() -> None:
 
 def test_the_second_recording_judges_intervals_and_harm() -> None:
     told: dict[str, Any] = {"shrink": 0.8, "shrink_ci95": (0.7, 0.9)}
-    inside, outside = OnFresh(shrink=0.75, worse=()), OnFresh(shrink=0.5, worse=("alpha_v",))
-    best = judged(case("single", FRICTION), answer(FRICTION), fresh=OnFresh(shrink=1.0, worse=()))
+    inside, outside = (
+        FreshResult(shrink=0.75, worse=()),
+        FreshResult(shrink=0.5, worse=("alpha_v",)),
+    )
+    best = judged(
+        case("single", FRICTION), answer(FRICTION), fresh=FreshResult(shrink=1.0, worse=())
+    )
     found = table(
         [
             judged(case("single", FRICTION), answer(FRICTION, **told), "a", inside),
@@ -146,7 +150,7 @@ def test_the_second_recording_judges_intervals_and_harm() -> None:
                 case("null"),
                 answer("no_gap", verdict="no_gap"),
                 "n",
-                OnFresh(shrink=None, worse=()),
+                FreshResult(shrink=None, worse=()),
             ),
         ],
         {"a": best, "b": best},
@@ -273,5 +277,5 @@ def test_models_run_on_a_recording_that_nobody_saw(
         assert found.shrink is not None
         assert found.shrink > 0.9
     nothing = answer("no_gap", verdict="no_gap")
-    assert on_fresh(nothing, tmp_path, recording) == OnFresh(shrink=None, worse=())
+    assert on_fresh(nothing, tmp_path, recording) == FreshResult(shrink=None, worse=())
     assert on_fresh(answer(FRICTION), tmp_path / "none", recording) is None

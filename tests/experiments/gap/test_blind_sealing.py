@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from experiments.gap.blind.recording import Timing
-from experiments.gap.blind.sealing import Asked, make, open_key
+from experiments.gap.blind.sealing import SetRequest, make, open_key
 from experiments.gap.blind.truths import TRUTHS
 from trms_cli.core.errors import RecordingError
 
-ASKED = Asked(name="small", seed=5, cases=6, timing=Timing(duration=0.3), fresh=0.2, jobs=1)
+ASKED = SetRequest(name="small", seed=5, cases=6, timing=Timing(duration=0.3), fresh=0.2, jobs=1)
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -1,14 +1,20 @@
-"""One diagnosis held against the truth of its case."""
+"""One diagnosis held against the truth of its case, and its models against a second recording."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from experiments.gap.blind.cases import Case
+from experiments.gap.blind.refit import dataset_of
 from experiments.gap.blind.truths import TRUTHS, same_equation
+from trms_cli.effects.model_file import load_model
 from trms_cli.gap.diagnosis import NO_EFFECT, SCHEMA
+from trms_cli.gap.free_runs import free_run_errors
 
 #: Sizes that the rigs' laws and the library's share: the cable's memory follows another law, a
 #: disturbance is drawn.
@@ -52,7 +58,7 @@ class Answer:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnFresh:
+class FreshResult:
     """How the models of a diagnosis do on the second recording of the rig."""
 
     #: At :data:`HORIZON`, all channels; None where the refit leaves no gap to shrink
@@ -62,13 +68,13 @@ class OnFresh:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class JudgedCase:
     """A case with an answer."""
 
     name: str
     case: Case
     answer: Answer
-    fresh: OnFresh | None = None
+    fresh: FreshResult | None = None
 
     @property
     def exact(self) -> bool:
@@ -182,3 +188,66 @@ def answer_of(document: Mapping[str, Any], seconds: float | None = None) -> Answ
         )
     except (KeyError, TypeError, AttributeError, IndexError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from error
+
+
+#: Files of a diagnosis: the nominal model refitted, and with the cause.
+CORRECTED, REFIT = "corrected_model.yaml", "refit_model.yaml"
+#: A channel that errs by so much more is worse; a refit so near the floor leaves nothing to shrink.
+_WORSE, _LEAST_GAP = 1.02, 1.05
+
+
+def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | None:
+    """Free runs of both models over a whole recording.
+
+    Parameters
+    ----------
+    answer : Answer
+        Its floors are the units of the channels, as in its own shrink.
+    folder : Path
+        Of the diagnosis.
+    recording : Path
+        CSV.
+
+    Returns
+    -------
+    FreshResult or None
+        None where the diagnosis left no models.
+    """
+    files = [folder / name for name in (REFIT, CORRECTED)]
+    if not all(file.is_file() for file in files):
+        return None
+    if not answer.named:
+        return FreshResult(shrink=None, worse=())  # nothing was added
+    refit, corrected = (_errors(file, recording) for file in files)
+    worse = tuple(c for c in refit if corrected[c] > _WORSE * refit[c])
+    told = [c for c in refit if c in answer.floors]
+    if not told:
+        return FreshResult(shrink=None, worse=worse)
+    floors = np.array([answer.floors[c] for c in told])
+    before, after = (
+        float(np.sqrt(np.mean((np.array([e[c] for c in told]) / floors) ** 2)))
+        for e in (refit, corrected)
+    )
+    shrink = 1 - (after - 1) / (before - 1) if before > _LEAST_GAP else None
+    return FreshResult(shrink=shrink, worse=worse)
+
+
+def _errors(file: Path, recording: Path) -> dict[str, float]:
+    """Root mean square by channel at the horizon."""
+    model = load_model(str(file))
+    with recording.open(encoding="utf-8") as lines:
+        columns = next(line for line in lines if not line.startswith("#")).count(",") + 1
+    table = np.loadtxt(recording, delimiter=",", comments="#", skiprows=_header(recording))
+    data = dataset_of(model, table[:, 0], table[:, 1:3], table[:, 3:columns], recording.name)
+    horizon = float(HORIZON)
+    errors = free_run_errors(model, [data], [(0, 0, len(data))], horizons=[horizon])
+    return {channel: of[horizon].rms for channel, of in errors.items()}
+
+
+def _header(recording: Path) -> int:
+    """Lines up to and with the names of the columns."""
+    with recording.open(encoding="utf-8") as lines:
+        for number, line in enumerate(lines, start=1):
+            if not line.startswith("#"):
+                return number
+    return 0
