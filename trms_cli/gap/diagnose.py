@@ -15,7 +15,6 @@ import numpy as np
 from trms_cli.gap.blocks import Parts, divide
 from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
 from trms_cli.gap.diagnosis import Diagnosis
-from trms_cli.gap.discrepancy import Discrepancy
 from trms_cli.gap.fitting import Metric
 from trms_cli.gap.innovation_tests import innovation_tests
 from trms_cli.gap.location import locate, smoothed_forces
@@ -127,10 +126,7 @@ def _answered(
     usual = {c.location: constants.usual(c.location) for c in channels if c.fixed is None}
     watch.enter("where")
     place = locate(nominal.structure, nominal.fit, nominal.metric.discrepancy, usual)
-    following = Discrepancy(
-        nominal.structure.windows, nominal.metric.discrepancy.trajectory, channels
-    )
-    forces = smoothed_forces(nominal.structure, nominal.fit, following, nominal.metric.shares)
+    forces = smoothed_forces(nominal, nominal)
     watch.enter("tests")
     # errors that are smaller than usual are no gap either
     limits = np.array([usual.get(c.location, np.inf) for c in channels])

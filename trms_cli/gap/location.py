@@ -24,6 +24,8 @@ from trms_cli.gap.discrepancy import (
 )
 from trms_cli.gap.fitting import Fit, ModelStructure
 from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.race import RacedCandidate
+from trms_cli.gap.refit import Refit
 from trms_cli.models.model import Model, names
 
 FloatArray = npt.NDArray[np.float64]
@@ -90,16 +92,15 @@ def locate(
     )
 
 
-def smoothed_forces(
-    structure: ModelStructure, fit: Fit, discrepancy: Discrepancy, shares: FloatArray
-) -> dict[str, ForceRecord]:
-    """The force that each equation lacks, read by a smoother from what a fit left over.
+def smoothed_forces(refit: Refit, entry: Refit | RacedCandidate) -> dict[str, ForceRecord]:
+    """The force that each nominal equation lacks beside a fit, read by a smoother from the rest.
 
-    ``shares``, (n_d,) array: sizes of the forces of ``discrepancy``.
+    In the nominal model's states, along the motion of the refit, with its discrepancy's sizes.
     """
+    structure, along = entry.structure, refit.metric.discrepancy
     model, windows = structure.problem.model, structure.windows
-    r = structure.residuals(fit)
-    x, variance = discrepancy.smoothed(shares, r)
+    discrepancy = Discrepancy(refit.structure.windows, along.trajectory, along.channels)
+    x, variance = discrepancy.smoothed(refit.metric.shares, structure.residuals(entry.fit))
     n = discrepancy.trajectory.x.shape[-1]
     inside = windows.inside
     states = discrepancy.trajectory.x[..., : model.n_x]

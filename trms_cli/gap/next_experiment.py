@@ -41,17 +41,6 @@ _LEFT = 1 / 3
 
 
 @dataclass(frozen=True)
-class _Worth:
-    """What a recording is worth: nats for each thing asked, in the order asked."""
-
-    nats: tuple[float, ...]
-
-    @property
-    def score(self) -> float:
-        return sum(min(value, _ENOUGH) for value in self.nats) + 1e-6 * sum(self.nats)
-
-
-@dataclass(frozen=True)
 class _Question:
     """What is to be found out."""
 
@@ -61,15 +50,16 @@ class _Question:
     #: Rows of each that the present recordings do not show
     hidden: Mapping[str, tuple[int, ...]] | None = None
 
-    def worth(self, recording: ProjectedRecording) -> _Worth:
+    def worth(self, recording: ProjectedRecording) -> tuple[float, ...]:
+        """Nats that a recording gives for each thing asked, in the order asked."""
         signs = recording.signatures(self.candidates)
         names = [candidate.name for candidate in self.candidates]
         if self.apart:
             first = names[0]
             nats = [between(signs, first, other, self.fitted) for other in names[1:]]
-            return _Worth((min(nats),))
+            return (min(nats),)
         hidden = self.hidden or {}
-        return _Worth(tuple(visibility(signs, name, hidden.get(name)) for name in names))
+        return tuple(visibility(signs, name, hidden.get(name)) for name in names)
 
 
 def advise(
@@ -125,7 +115,7 @@ def advise(
         shares = np.maximum(FLOOR, _LEFT * refit.metric.shares)
     metric = Metric(refit.metric.discrepancy, shares, refit.metric.robust)
     present = ProjectedRecording(refit.structure, refit.fit, metric, refit.centres)
-    question = _asked(known, untested, candidates, values, present)
+    question = _question(known, untested, candidates, values, present)
     if question is None:
         return None
     now = question.worth(present)
@@ -137,13 +127,15 @@ def advise(
     ]
     if not found:
         return None
-    best, experiment = max(found, key=lambda pair: pair[0].score)
+    best, experiment = max(
+        found, key=lambda pair: sum(min(n, _ENOUGH) for n in pair[0]) + 1e-6 * sum(pair[0])
+    )
     lasted = sum(dataset.duration for dataset in refit.structure.problem.datasets)
     why = _why(question, now, best, experiment, lasted, step, len(found))
     return NextExperiment(why=why, command=experiment.command)
 
 
-def _asked(
+def _question(
     apart: Sequence[str],
     untested: Sequence[str],
     candidates: Mapping[str, CandidateEffect],
@@ -192,8 +184,8 @@ def _repeated(
 
 def _why(
     question: _Question,
-    now: _Worth,
-    best: _Worth,
+    now: tuple[float, ...],
+    best: tuple[float, ...],
     experiment: OpenLoopExperiment,
     lasted: float,
     step: float,
@@ -203,24 +195,24 @@ def _why(
     seconds = len(experiment.commands) * step
     if question.apart:
         pair = listing(names) if len(names) > 2 else " from ".join(names)
-        told = f"{_nats(best.nats[0])} in {seconds:.0f} s, against {_nats(now.nats[0])} in the "
+        told = f"{_nats(best[0])} in {seconds:.0f} s, against {_nats(now[0])} in the "
         told += f"{lasted:.0f} s recorded"
-        if best.nats[0] < DECIDES:
+        if best[0] < DECIDES:
             return (
                 f"none of {tried} open-loop experiments tells {pair}: the best, "
                 f"{experiment.words}, promises {told}, and {DECIDES:g} would be odds of 20 to 1; "
                 "no input of this kind tells them apart"
             )
-        if best.nats[0] * lasted < now.nats[0] * seconds:
+        if best[0] * lasted < now[0] * seconds:
             return (
                 f"none of {tried} open-loop experiments tells {pair} faster than a longer "
                 f"recording like the present one; the best, {experiment.words}, promises {told}"
             )
         return f"{experiment.words}: tells {pair} by {told}"
-    shown = [n for n, nats in zip(names, best.nats, strict=True) if nats >= VISIBLE]
+    shown = [n for n, nats in zip(names, best, strict=True) if nats >= VISIBLE]
     by = ", ".join(
         f"{name} {_nats(then)} against {_nats(before)}"
-        for name, then, before in zip(names, best.nats, now.nats, strict=True)
+        for name, then, before in zip(names, best, now, strict=True)
         if name in shown or not shown
     )
     if not shown:

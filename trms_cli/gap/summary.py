@@ -26,7 +26,6 @@ from trms_cli.gap.diagnosis import (
     SizeEstimate,
     Traces,
 )
-from trms_cli.gap.discrepancy import Discrepancy
 from trms_cli.gap.force.description import description
 from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.force.regions import regions
@@ -466,14 +465,7 @@ def report_traces(
     shown = [name for name in locations if name in forces] or list(forces)[:1]
     explained: dict[str, FloatArray] = {}
     if posterior.corrected is not None:
-        refit, entry = race.refit, posterior.corrected
-        # the force that the nominal equations lack beside the cause: in the nominal model's states
-        following = Discrepancy(
-            refit.structure.windows,
-            refit.metric.discrepancy.trajectory,
-            refit.metric.discrepancy.channels,
-        )
-        left = smoothed_forces(entry.structure, entry.fit, following, refit.metric.shares)
+        left = smoothed_forces(race.refit, posterior.corrected)
         explained = {name: forces[name].force - left[name].force for name in shown}
     first = forces[shown[0]] if shown else None
     rows = slice(None, None, 1 if first is None else max(1, len(first.time) // _POINTS))
