@@ -129,67 +129,55 @@ def rounded(value: float) -> float:
     return float(f"{np.sign(value) * nearest * power:.3g}")
 
 
-def _thresholds(values: FloatArray, quantiles: tuple[float, ...]) -> Iterator[float]:
-    for quantile in np.quantile(values, quantiles):
-        yield rounded(float(quantile))
+def _limits(
+    text: str, about: str, values: FloatArray, quantiles: tuple[float, ...]
+) -> Iterator[Condition]:
+    """Values above, or with a ``<`` in the text below, rounded quantiles of themselves."""
+    for at in (rounded(float(quantile)) for quantile in np.quantile(values, quantiles)):
+        holds = values < at if "<" in text else values > at
+        yield Condition(text=text.format(f"{at:g}"), about=about, holds=holds)
 
 
 def _about_an_angle(symbol: str, axis: str, values: FloatArray) -> Iterator[Condition]:
     about, size = f"{axis} angle", np.abs(values)
-    for at in _thresholds(size, _HIGH):
-        yield Condition(text=f"|{symbol}| > {at:g} rad", about=about, holds=size > at)
-    for at in _thresholds(size, _LOW[1:]):
-        yield Condition(text=f"|{symbol}| < {at:g} rad", about=about, holds=size < at)
     low, high = ("beam low: ", "beam high: ") if axis == "pitch" else ("", "")
-    for at in _thresholds(values, _HIGH):
-        yield Condition(text=f"{high}{symbol} > {at:g} rad", about=about, holds=values > at)
-    for at in _thresholds(values, _LOW):
-        yield Condition(text=f"{low}{symbol} < {at:g} rad", about=about, holds=values < at)
+    yield from _limits(f"|{symbol}| > {{}} rad", about, size, _HIGH)
+    yield from _limits(f"|{symbol}| < {{}} rad", about, size, _LOW[1:])
+    yield from _limits(f"{high}{symbol} > {{}} rad", about, values, _HIGH)
+    yield from _limits(f"{low}{symbol} < {{}} rad", about, values, _LOW)
 
 
 def _about_a_rate(axis: str, values: FloatArray) -> Iterator[Condition]:
     about, size = f"{axis} rate", np.abs(values)
-    for at in _thresholds(size, _LOW):
-        text = f"{axis} rate near zero (|rate| < {at:g} rad/s)"
-        yield Condition(text=text, about=about, holds=size < at)
-    for at in _thresholds(size, _HIGH):
-        text = f"{axis} moving fast (|rate| > {at:g} rad/s)"
-        yield Condition(text=text, about=about, holds=size > at)
+    yield from _limits(f"{axis} rate near zero (|rate| < {{}} rad/s)", about, size, _LOW)
+    yield from _limits(f"{axis} moving fast (|rate| > {{}} rad/s)", about, size, _HIGH)
     yield Condition(text=f"{axis} rate positive", about=about, holds=values > 0)
     yield Condition(text=f"{axis} rate negative", about=about, holds=values < 0)
 
 
 def _about_a_rotor(rotor: str, values: FloatArray) -> Iterator[Condition]:
-    about, size = f"{rotor} rotor speed", np.abs(values)
+    name, size = f"{rotor} rotor", np.abs(values)
+    about = f"{name} speed"
     still = rounded(_STANDSTILL * float(size.max(initial=0.0)))
-    text = f"{rotor} rotor near standstill (|speed| < {still:g} rad/s)"
+    text = f"{name} near standstill (|speed| < {still:g} rad/s)"
     yield Condition(text=text, about=about, holds=size < still)
-    yield Condition(
-        text=f"{rotor} rotor turning backwards", about=about, holds=values < -0.3 * still
-    )
-    yield Condition(text=f"{rotor} rotor turning forwards", about=about, holds=values > 0.3 * still)
-    for at in _thresholds(size, _HIGH):
-        text = f"{rotor} rotor fast (|speed| > {at:g} rad/s)"
-        yield Condition(text=text, about=about, holds=size > at)
-    for at in _thresholds(size, _LOW):
-        text = f"{rotor} rotor slow (|speed| < {at:g} rad/s)"
-        yield Condition(text=text, about=about, holds=size < at)
+    yield Condition(text=f"{name} turning backwards", about=about, holds=values < -0.3 * still)
+    yield Condition(text=f"{name} turning forwards", about=about, holds=values > 0.3 * still)
+    yield from _limits(f"{name} fast (|speed| > {{}} rad/s)", about, size, _HIGH)
+    yield from _limits(f"{name} slow (|speed| < {{}} rad/s)", about, size, _LOW)
 
 
 def _about_a_command(rotor: str, values: FloatArray, record: ForceRecord) -> Iterator[Condition]:
     about, size = f"{rotor} command", np.abs(values)
     zero = rounded(_STANDSTILL * float(size.max(initial=0.0)))
-    text = f"{rotor} command near zero (|u| < {zero:g} V)"
-    yield Condition(text=text, about=about, holds=size < zero)
-    for at in _thresholds(size, _HIGH):
-        yield Condition(text=f"{rotor} command |u| > {at:g} V", about=about, holds=size > at)
+    yield Condition(text=f"{about} near zero (|u| < {zero:g} V)", about=about, holds=size < zero)
+    yield from _limits(f"{about} |u| > {{}} V", about, size, _HIGH)
     # A step's effect on a slow force shows for about half a second.
     ago = max(round(0.5 / sample_time(record)), 1)
     changed = np.zeros(values.size)
     changed[ago:] = np.abs(values[ago:] - values[:-ago])
-    for at in _thresholds(changed, _HIGH[1:]):
-        text = f"{rotor} command changing (by over {at:g} V in 0.5 s)"
-        yield Condition(text=text, about=f"change of the {rotor} command", holds=changed > at)
+    text = f"{about} changing (by over {{}} V in 0.5 s)"
+    yield from _limits(text, f"change of the {about}", changed, _HIGH[1:])
 
 
 def _about_time(record: ForceRecord) -> Iterator[Condition]:
