@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.controller import (
     Command,
@@ -22,6 +21,7 @@ from trms_cli.controllers.controller import (
     ControlSetup,
     Status,
 )
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import SimulationError
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
@@ -35,7 +35,6 @@ from trms_cli.simulation.closed_loop import Experiment, Loop
 from trms_cli.simulation.history import History
 from trms_cli.stability.subject import LoopParts
 
-FloatArray = npt.NDArray[np.float64]
 #: What reaches the motors instead of a command (n_u,) at a sample's number.
 Path = Callable[[int, FloatArray], FloatArray]
 #: Why a run ends at a state (n_x,); empty: it goes on.

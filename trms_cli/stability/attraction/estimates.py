@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.stability.attraction.functions import LyapunovCandidate, basis_of, quadratic
 from trms_cli.stability.attraction.inclusion import (
     Ellipsoid,
@@ -23,8 +23,6 @@ from trms_cli.stability.attraction.proof import LevelProof, frame, proved_level
 from trms_cli.stability.attraction.system import ReducedSystem
 from trms_cli.stability.study import Tell
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 Method = Literal["lyapunov", "inclusion", "level_set", "integrals", "quartic"]
 
 #: What each method is called in tables and figures.

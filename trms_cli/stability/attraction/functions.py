@@ -19,11 +19,9 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.stability.attraction.system import ReducedSystem, operations
-
-FloatArray = npt.NDArray[np.float64]
 
 _NODES = 6
 #: What an expression with a kink or a jump holds.

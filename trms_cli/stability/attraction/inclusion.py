@@ -25,14 +25,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ModelError
 from trms_cli.stability.attraction.system import ReducedSystem
 from trms_cli.stability.intervals.definite import corners, decays, inside_slab
 from trms_cli.stability.intervals.interval import Interval
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Corners that one problem holds.
 _SLOTS = 12
@@ -182,7 +180,7 @@ class _Search:
         one = np.ones((1, 1))
         constraints += [cp.bmat([[one, row @ Q], [(row @ Q).T, Q]]) >> 0 for row in self._rows]
         self._problem = cp.Problem(cp.Maximize(cp.log_det(Q)), constraints)
-        self._active: list[npt.NDArray[np.bool_]] = []
+        self._active: list[BoolArray] = []
         self.solved = 0
 
     def at(self, radii: FloatArray) -> Ellipsoid | None:
@@ -247,7 +245,7 @@ class _Search:
         return Q if np.all(np.isfinite(Q)) and np.linalg.eigvalsh(Q)[0] > 0 else None
 
 
-def _among(mask: npt.NDArray[np.bool_], masks: list[npt.NDArray[np.bool_]]) -> bool:
+def _among(mask: BoolArray, masks: list[BoolArray]) -> bool:
     return any(np.array_equal(mask, other) for other in masks)
 
 

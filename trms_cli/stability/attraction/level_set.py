@@ -27,11 +27,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.stability.attraction.functions import Basis, LyapunovCandidate
-
-FloatArray = npt.NDArray[np.float64]
 
 _RADII = 120
 _REFINED = 8

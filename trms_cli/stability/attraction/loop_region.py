@@ -20,10 +20,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.lqr import Lqr, Regulator
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
 from trms_cli.core.findings import Column, Findings, Judged, Section, Table, table
 from trms_cli.models.model import Model, Signal
@@ -43,8 +43,6 @@ from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,7 @@ class LoopStarts:
     """Runs of the loop."""
 
     d: FloatArray  #: (n, m) array; starts, as deviations
-    recovered: npt.NDArray[np.bool_]  #: (n,) bool
+    recovered: BoolArray  #: (n,) bool
 
     @property
     def count(self) -> int:

@@ -23,16 +23,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.stability.attraction.functions import LyapunovCandidate
 from trms_cli.stability.attraction.level_set import SampledLevel
 from trms_cli.stability.intervals.branch_and_bound import BoxSearch, branch_and_bound, halved
 from trms_cli.stability.intervals.definite import corners, positive_definite
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Boxes that are halved at once.
 _BATCH = 1024

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.vector_field import VectorField
@@ -32,8 +33,6 @@ from trms_cli.stability.attraction.simulation import (
 )
 from trms_cli.stability.attraction.system import ReducedSystem
 from trms_cli.stability.study import Tell
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Time constants of the slowest mode after which a motion is undecided.
 _TIME_CONSTANTS = 10.0
@@ -260,7 +259,7 @@ def _limits(system: ReducedSystem, box: Mapping[str, float]) -> FloatArray:
     )
 
 
-def _tiny(limits: FloatArray) -> Callable[[FloatArray], npt.NDArray[np.bool_]]:
+def _tiny(limits: FloatArray) -> Callable[[FloatArray], BoolArray]:
     """Arrival where nothing is proved: within a thousandth of the limits."""
     return lambda y: np.asarray(np.all(np.abs(y) <= 1e-3 * limits, axis=1))
 

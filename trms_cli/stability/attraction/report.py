@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import (
     Axis,
     Chart,
@@ -260,8 +260,6 @@ def warnings(region: AttractionRegion) -> list[str]:
         )
     return said
 
-
-FloatArray = npt.NDArray[np.float64]
 
 _COLOURS: dict[Method, Colour] = {
     "lyapunov": "ink",

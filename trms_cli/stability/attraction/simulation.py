@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.operating_point import refined
@@ -22,9 +23,8 @@ from trms_cli.stability.attraction.estimates import RegionEstimate
 from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
 from trms_cli.stability.attraction.system import ReducedSystem
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int8]
-Inside = Callable[[FloatArray], npt.NDArray[np.bool_]]
+Inside = Callable[[FloatArray], BoolArray]
 
 #: What became of a motion.
 SETTLED, UNDECIDED, LEFT = 1, 0, -1
@@ -153,7 +153,7 @@ def failures(
         return [(0, 0) for _ in sets]
     least = min(float(np.einsum("ij,jk,ik->i", y, P, y).max()) for y in drawn)
 
-    def arrived(y: FloatArray) -> npt.NDArray[np.bool_]:
+    def arrived(y: FloatArray) -> BoolArray:
         near = np.where(np.isfinite(y), y, 1e6)
         return np.asarray(np.einsum("ij,jk,ik->i", near, P, near) < 1e-2 * least)
 

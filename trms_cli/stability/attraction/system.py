@@ -22,8 +22,8 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
@@ -31,8 +31,6 @@ from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Real parts of eigenvalues below this share of the largest modulus count as zero.
 _MARGINAL = 1e-8
@@ -92,7 +90,7 @@ class ReducedSystem:
         return np.array(self.slopes(np.zeros(self.n), np.zeros(self.model.n_x)))
 
     @cached_property
-    def eigenvalues(self) -> npt.NDArray[np.complex128]:
+    def eigenvalues(self) -> ComplexArray:
         """Of the linearisation; where a coefficient switches of the mean of both sides."""
         A = Linear(self.model).a(self.point.x, self.point.u)
         kept = list(self.kept)

@@ -17,10 +17,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Boxes bounded at once: enough for NumPy's loops to be long, little enough to stay in the cache.
 _CHUNK = 2048

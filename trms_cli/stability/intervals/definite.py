@@ -11,12 +11,9 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.stability.intervals.interval import Interval
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 #: Entries whose both ends are taken in turn; 2¹² matrices are factorised in some ten ms.
 MOST_ENTRIES = 12

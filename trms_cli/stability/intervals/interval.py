@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from trms_cli.core.arrays import BoolArray, FloatArray
 
 #: Units in the last place that a function of libm may be off, with room to spare.
 _LIBRARY_ERROR = 4

@@ -37,15 +37,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.models.model import Model, names
 from trms_cli.stability.local.linear import Matrices
 from trms_cli.stability.local.modes import STILL, EigenMode, modes_of, parts_of
 from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath
-
-FloatArray = npt.NDArray[np.float64]
 
 #: rad, rad/s: a motion of an axis worth speaking of.
 MOTION = 0.1
@@ -171,7 +169,6 @@ def _symmetric(matrix: FloatArray) -> FloatArray:
     return symmetric
 
 
-ComplexArray = npt.NDArray[np.complex128]
 Grade = Literal["none", "weak", "yes"]
 
 #: Margins below this, relative to the scaled matrices' size, are rounding.

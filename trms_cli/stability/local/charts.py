@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.core.chart import (
     Axis,
@@ -23,8 +22,6 @@ from trms_cli.core.chart import (
 )
 from trms_cli.stability.local.modes import STILL, Modes
 from trms_cli.stability.local.tracks import Crossing, Locus, Track
-
-FloatArray = npt.NDArray[np.float64]
 
 _OF_PART: dict[str, Colour] = {
     "pitch": "blue",

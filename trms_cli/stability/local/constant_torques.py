@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
@@ -68,8 +68,6 @@ def set_words(model: Model, sensors: Sequence[str]) -> str:
         return ", ".join(["angles", *(name for name in sensors if name not in angles)])
     return ", ".join(sensors)
 
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Directions that are this small beside the others are none.
 _RANK = 1e-6

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel, Points
 from trms_cli.core.findings import (
     Cell,
@@ -33,8 +33,6 @@ from trms_cli.stability.local.constant_torques import TorqueEstimates, set_words
 from trms_cli.stability.local.sensitivity import state_words
 from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath
 from trms_cli.stability.results import as_json, rounded
-
-FloatArray = npt.NDArray[np.float64]
 
 _GRADES: dict[str, tuple[str, Judgement]] = {
     "none": ("no", "bad"),

@@ -17,11 +17,10 @@ from typing import Literal
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.models.model import Model
 
-FloatArray = npt.NDArray[np.float64]
 #: Which matrix at a switch: the mean of both, or that of the side where the switching states are
 #: larger (``upper``) or smaller.
 Side = Literal["mean", "upper", "lower"]
@@ -158,17 +157,13 @@ class Linear:
         upper, lower = x + step, x - step
         return {"upper": (upper,), "lower": (lower,), "mean": (upper, lower)}[side]
 
-    def _differs(
-        self, x: FloatArray, u: FloatArray, p: FloatArray, away: FloatArray
-    ) -> npt.NDArray[np.bool_]:
+    def _differs(self, x: FloatArray, u: FloatArray, p: FloatArray, away: FloatArray) -> BoolArray:
         """Entries of A that jump in a direction."""
         steps = [size * (1.0 + np.abs(x)) * away for size in _PROBES]
         points = [x + sign * step for step in steps for sign in (1, -1)]
         far_up, far_down, near_up, near_down = self._at(points, u, p)
         far, near = np.abs(far_up - far_down), np.abs(near_up - near_down)
-        jumps: npt.NDArray[np.bool_] = (near > 0.5 * far) & (
-            near > _ROUNDING * (1.0 + np.abs(near_up))
-        )
+        jumps: BoolArray = (near > 0.5 * far) & (near > _ROUNDING * (1.0 + np.abs(near_up)))
         return jumps
 
     def _at(self, points: list[FloatArray], u: FloatArray, p: FloatArray) -> list[FloatArray]:

@@ -24,13 +24,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.models.model import Model, names
 from trms_cli.stability.local.linear import Matrices
-
-FloatArray = npt.NDArray[np.float64]
 
 #: From this share on, a mode is called after one part alone.
 DOMINANT = 0.6
@@ -119,7 +117,6 @@ def mode_name(parts: tuple[RigPart, ...], participation: FloatArray, eigenvalue:
     return f"{first} rate" if role == "rate" else f"{first} settling"
 
 
-ComplexArray = npt.NDArray[np.complex128]
 Verdict = Literal["stable", "marginal", "unstable"]
 
 #: Eigenvalues closer than this, relative to 1 + |λ|, are one multiple eigenvalue: a defective

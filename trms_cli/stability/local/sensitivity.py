@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel
 from trms_cli.core.findings import Column, Table, table
 from trms_cli.core.wording import listing
@@ -70,9 +70,6 @@ def _equation(part: RigPart, name: str) -> str:
         return f"torque on the {part.name}"
     return f"rate of {name}"
 
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: 1/s: nearer to a pole of its own, an edge has no gain to speak of.
 _NO_GAIN = 1e-9
@@ -373,7 +370,7 @@ def share_chart(
     )
 
 
-def _broken(totals: FloatArray) -> npt.NDArray[np.bool_]:
+def _broken(totals: FloatArray) -> BoolArray:
     """Places on a jump of a derivative, between two of opposite sign: a kink of the growth rate."""
     broken = np.zeros(len(totals), dtype=bool)
     if len(totals) > 2:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Axis, Chart, Contour, Line, Mark, Panel, Points, Region
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import Column, Section, table
@@ -22,8 +22,6 @@ from trms_cli.stability.local.tables import amount_words, crossing_data
 from trms_cli.stability.local.tracks import locus_of
 from trms_cli.stability.results import rounded
 from trms_cli.stability.study import Tell
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Boundary points are located to this share of a cell.
 _EXACT = 1e-10

@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
@@ -36,9 +37,6 @@ from trms_cli.models.operating_point import (
 )
 from trms_cli.stability.local.linear import Linear, Side
 from trms_cli.stability.local.modes import spectrum
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Weight of a move of an eigenvalue by its own size against eigenvectors with nothing in common.
 _MOVE = 1.0
@@ -164,7 +162,7 @@ class EigenvalueSweep:
         return np.array([place.value for place in self.places])
 
     @property
-    def eigenvalues(self) -> npt.NDArray[np.complex128]:
+    def eigenvalues(self) -> ComplexArray:
         """(n, n_x), of the matrices; column i is one track."""
         return np.array([place.spectrum.values for place in self.places])
 

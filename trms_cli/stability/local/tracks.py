@@ -12,15 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
+from trms_cli.core.arrays import ComplexArray
 from trms_cli.models.model import Model
 from trms_cli.stability.local.modes import STILL, mode_name, parts_of, rate_of, shares_of_parts
 from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath, SweepPoint, matched
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Modes this many times as fast as the fastest motion of an axis have no room in a plane with it.
 _FAR = 8.0

@@ -35,15 +35,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import Enough, LoopRun, run_loop
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

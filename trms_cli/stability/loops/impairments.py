@@ -10,15 +10,14 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import Path
 
-FloatArray = npt.NDArray[np.float64]
 ImpairmentKind = Literal["delay", "gain", "friction"]
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.chart import (
     Axis,
     Chart,
@@ -26,9 +26,6 @@ from trms_cli.stability.loops.margins import (
     diagonal_mu,
     largest_singular_value,
 )
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple")
 _OMEGA = Axis("ω", "rad/s", log=True)
@@ -70,7 +67,7 @@ def bode(margins: MarginResult, condition: str) -> Chart:
     )
 
 
-def _degrees(curve: npt.NDArray[np.complex128]) -> FloatArray:
+def _degrees(curve: ComplexArray) -> FloatArray:
     """The phase without jumps, between −360° and 0 where the gain is last 1."""
     phase = np.unwrap(np.angle(curve))
     above = np.flatnonzero(np.abs(curve) >= 1)

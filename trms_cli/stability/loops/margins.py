@@ -40,12 +40,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.stability.loops.frequency_response import FrequencyResponse
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -20,15 +20,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import LoopRun, run_loop
 from trms_cli.stability.loops.impairments import GainError, Impairment
 from trms_cli.stability.loops.margins import MarginResult
 from trms_cli.stability.subject import LoopParts, Subject
-
-FloatArray = npt.NDArray[np.float64]
 
 Kind = Literal[
     "settles", "dies out", "still creeping", "rests beside", "chatters", "swings", "is lost"
@@ -111,13 +109,13 @@ class Bounds:
         return RunVerdict("settles" if settled else "dies out", rest, swing, worst)
 
 
-def _creeps(errors: FloatArray) -> npt.NDArray[np.bool_]:
+def _creeps(errors: FloatArray) -> BoolArray:
     """Which of (n, m) mean errors shrink from each quarter to the next, (m,)."""
     means = np.array([np.abs(part.mean(axis=0)) for part in np.array_split(errors, 4)])
     return np.asarray(np.all(means[1:] < _STILL * means[:-1], axis=0))
 
 
-def _swings_on(values: FloatArray, bound: float) -> npt.NDArray[np.bool_]:
+def _swings_on(values: FloatArray, bound: float) -> BoolArray:
     """Which of (n, m) signals swing beyond a bound without getting calmer, (m,)."""
     half = len(values) // 2
     before, last = (np.ptp(part, axis=0) / 2 for part in (values[:half], values[half:]))

@@ -19,13 +19,12 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
 from trms_cli.stability.intervals.definite import definite
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval, stack
 from trms_cli.stability.lyapunov.energy import SLOPES, Energy, EnergyWeights
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Newton steps from the guess, and how far they may lead away from it, as a share of 1 + |value|.
 #: What a solver leaves of a moment at the equilibrium would be a term of V̇ that is not in −zᵀQz.

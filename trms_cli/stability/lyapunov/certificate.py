@@ -24,8 +24,8 @@ from typing import Literal
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.quadratic_damping import QuadraticDamping
@@ -125,8 +125,6 @@ def _require_friction_and_cable(model: TwinRotor) -> None:
             remedy="give both a value above 0, or choose model=newtonian_vertical",
         )
 
-
-FloatArray = npt.NDArray[np.float64]
 
 _RAYS = 1500
 _PLACES = 16

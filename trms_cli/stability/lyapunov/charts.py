@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.chart import (
     Axis,
     Chart,
@@ -24,9 +24,6 @@ from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate
 from trms_cli.stability.lyapunov.certificate import LyapunovCertificate
 from trms_cli.stability.lyapunov.motions import LevelMotions
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 _GRID = 101
 _SYMBOL = {"Omega": "Ω", "omega": "ω", "alpha": "α"}

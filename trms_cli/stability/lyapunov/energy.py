@@ -67,6 +67,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.motor import Motor, by_direction
 from trms_cli.models.newtonian import geometry
@@ -195,8 +196,6 @@ def gravity_of(model: TwinRotor, c: Mapping[str, float]) -> tuple[float, float]:
     g = geometry(c)
     return c["g"] * (g["A"] - g["B"]), -c["g"] * g["C"]
 
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Slopes θ, in this order.
 SLOPES = ("psi_h", "psi_v", "lambda_h", "lambda_v", "sigma", "thrust_h")

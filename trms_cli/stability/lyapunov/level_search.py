@@ -35,6 +35,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.stability.intervals.branch_and_bound import (
     BoxSearch,
     NegativityProof,
@@ -133,8 +134,6 @@ def stop_level(candidate: EnergyCandidate, ends: Interval | None = None) -> tupl
     return lowest, name
 
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 #: Matrices (m, n, n) over boxes (m, n_y), and (m,) bounds of V.
 Matrices = Callable[[Interval], Interval]
 Values = Callable[[Interval], Interval]

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.models.model import Model
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate
 from trms_cli.stability.lyapunov.certificate import StabilityClaim
 from trms_cli.stability.lyapunov.level_search import Wells, rays
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 _STEP = 0.05
 _DOUBLINGS = 60

@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
+from trms_cli.core.arrays import ComplexArray
 from trms_cli.core.findings import Column, Judged, Judgement, Table, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate
 from trms_cli.stability.lyapunov.certificate import EnergyRig, LyapunovCertificate, StabilityClaim
 from trms_cli.stability.results import as_json, rounded
-
-ComplexArray = npt.NDArray[np.complex128]
 
 _JUDGED: dict[str, Judgement] = {"failed": "bad", "open": "doubtful", "simulated": ""}
 _SPOKEN = {"Omega": "Ω", "omega": "ω", "alpha": "α"}

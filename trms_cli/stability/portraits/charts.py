@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import (
     Axis,
     Chart,
@@ -26,8 +26,6 @@ from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.separatrices import Separatrix
 from trms_cli.stability.portraits.sticking import StickingSet
 from trms_cli.stability.portraits.trajectories import Trajectory, TrajectoryEnd, spaced
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Points between two drawn points, and the length up to which trajectories are drawn, in shares of
 #: the window's width: a lightly damped spiral drawn to its end hides the plane.

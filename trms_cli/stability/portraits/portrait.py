@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Chart
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings, Section
@@ -35,8 +35,6 @@ from trms_cli.stability.portraits.window import (
 from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
-
-FloatArray = npt.NDArray[np.float64]
 
 NAME = "phase_portrait"
 #: s: of a trajectory of a loop; least and longest of the model alone.

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.findings import Column, Judged, Table, table
 from trms_cli.core.wording import listing, symbol
 from trms_cli.models.model import names
@@ -17,8 +17,6 @@ from trms_cli.stability.portraits.rest_points import RestPoint, halving_time, pe
 from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.sticking import StickingSet
 from trms_cli.stability.portraits.trajectories import NEAR, TrajectoryEnd
-
-FloatArray = npt.NDArray[np.float64]
 
 #: A mode this much faster than the slowest one is told apart in words.
 _MUCH_FASTER = 20.0

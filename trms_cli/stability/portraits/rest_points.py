@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
 from trms_cli.models.operating_point import refined
 from trms_cli.stability.portraits.section import StateSection
 
-FloatArray = npt.NDArray[np.float64]
 Kind = Literal[
     "stable node",
     "stable focus",
@@ -48,12 +48,12 @@ class RestPoint:
     c: FloatArray  #: (n_c,) array; its coordinates
     #: (n_x,) complex array; of the whole model, the slowest first, 1/s; on a switch those of the
     #: mean of both sides' slopes
-    eigenvalues: npt.NDArray[np.complex128]
+    eigenvalues: ComplexArray
     kind: Kind  #: By all of them
     in_section: bool  #: Whether the section goes through it; otherwise it is seen in projection
     #: (n_x,) bool array; whether a mode moves what the portrait shows: its participation in the
     #: coordinates' states
-    shown: npt.NDArray[np.bool_]
+    shown: BoolArray
     line: bool  #: Whether it is one of a line of rest points that the portrait shows
     #: The states on either side of which the slopes differ there (the cable's stiffness by the sign
     #: of the yaw)
@@ -94,7 +94,7 @@ def kind_of(eigenvalues: npt.ArrayLike) -> Kind:
     return "unstable focus" if turns else "unstable node"
 
 
-def _no_rate(eigenvalues: npt.NDArray[np.complex128]) -> float:
+def _no_rate(eigenvalues: ComplexArray) -> float:
     return max(1e-9, _NO_RATE * float(np.abs(eigenvalues).max()))
 
 
@@ -165,7 +165,7 @@ def rest_point(section: StateSection, x: FloatArray) -> RestPoint:
     )
 
 
-def _shown(vectors: npt.NDArray[np.complex128], own: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+def _shown(vectors: ComplexArray, own: tuple[int, ...]) -> BoolArray:
     """Modes whose participation factors |v_ki w_ik| (Pérez-Arriaga 1982) are large in some states.
 
     Where the eigenvectors do not span the space, all are.
@@ -175,15 +175,15 @@ def _shown(vectors: npt.NDArray[np.complex128], own: tuple[int, ...]) -> npt.NDA
     except np.linalg.LinAlgError:
         return np.ones(len(vectors), dtype=bool)
     shares = np.abs(vectors * left.T)
-    found: npt.NDArray[np.bool_] = shares[list(own)].sum(axis=0) >= _SHOWN * shares.sum(axis=0)
+    found: BoolArray = shares[list(own)].sum(axis=0) >= _SHOWN * shares.sum(axis=0)
     return found
 
 
 def _on_a_line(
     section: StateSection,
     x: FloatArray,
-    eigenvalues: npt.NDArray[np.complex128],
-    vectors: npt.NDArray[np.complex128],
+    eigenvalues: ComplexArray,
+    vectors: ComplexArray,
 ) -> bool:
     """Whether a direction in which nothing pulls moves the coordinates."""
     none = np.abs(eigenvalues) <= _no_rate(eigenvalues)

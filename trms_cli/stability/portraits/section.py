@@ -30,6 +30,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.wording import symbol
@@ -37,8 +38,6 @@ from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, operating_point
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.local.linear import Linear
-
-FloatArray = npt.NDArray[np.float64]
 
 _RATE, _ANGLE = "rate_", "alpha_"
 #: A rate that changes with no state by more than this can be set through none of them.

@@ -17,12 +17,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.stability.portraits.rest_points import RestPoint
 from trms_cli.stability.portraits.section import StateSection
-
-FloatArray = npt.NDArray[np.float64]
 
 #: How far from the saddle a manifold begins, in shares of the window.
 _BESIDE = 1e-4

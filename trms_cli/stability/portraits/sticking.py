@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.wording import symbol
 from trms_cli.models.dry_friction import SPEEDS
@@ -23,8 +23,6 @@ from trms_cli.stability.portraits.section import (
     StateSection,
     rate_names,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 _POINTS = 400
 #: s: the longest step of the trial, and the longest in time constants of the fastest mode. A
@@ -137,7 +135,7 @@ def _held_on(
     ]
 
 
-def _held(line: StateSection, values: FloatArray) -> npt.NDArray[np.bool_]:
+def _held(line: StateSection, values: FloatArray) -> BoolArray:
     """Whether friction holds the rate of the line at zero, at each of its points (n,)."""
     x = _placed(line, values)
     known = np.isfinite(x).all(axis=1)

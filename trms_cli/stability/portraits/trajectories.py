@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.models.operating_point import refined
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.portraits.rest_points import RestPoint, rest_point
@@ -24,8 +24,6 @@ from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.sticking import StickingSet
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Points while a mode lasts that is over within a step, and between them in its time constants.
 _FINE_STEPS, _FINE = 40, 0.2
@@ -41,7 +39,7 @@ class Trajectory:
     x: FloatArray  #: (n, n_x) array
     c: FloatArray  #: (n, n_c) array; coordinates
     #: (n,) bool array; whether a command is at its bound; False throughout for the model alone
-    saturated: npt.NDArray[np.bool_]
+    saturated: BoolArray
 
 
 def trajectories(
@@ -86,7 +84,7 @@ def _fine_step(section: StateSection, step: float) -> float:
 
 def spaced(
     trajectory: Trajectory, window: FloatArray, apart: float, longest: float = np.inf
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+) -> tuple[FloatArray, BoolArray]:
     """A trajectory for drawing: points some distance apart, up to a length, within the window.
 
     Distances are shares of the window's width. Returns points (n, n_c), NaN outside, and whether a

@@ -14,14 +14,12 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.stability.portraits.rest_points import search
 from trms_cli.stability.portraits.section import PortraitCoordinates, StateSection
-
-FloatArray = npt.NDArray[np.float64]
 
 #: rad. A little more than half a turn: rest points of a pendulum on both sides.
 _SEARCHED = 3.6

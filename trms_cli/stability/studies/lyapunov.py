@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import ComplexArray
 from trms_cli.core.chart import Chart
 from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.models.operating_point import OperatingPoint, operating_point
@@ -32,8 +32,6 @@ from trms_cli.stability.lyapunov.motions import (
 )
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
-
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Share of the barrier at which a function that fails is shown.
 _SHOWN = 0.05
