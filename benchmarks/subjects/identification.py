@@ -15,7 +15,7 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.genetic import Genetic
 from trms_cli.identification.method import FitResult, Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
-from trms_cli.identification.population.simulation_cost import SimulationCost
+from trms_cli.identification.population import SimulationCost
 from trms_cli.identification.problem import FitProblem, free_parameters
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.references.multilevel import Multilevel

@@ -10,8 +10,7 @@ import numpy as np
 from experiments.chapter3.study import Study
 from experiments.chapter3.tables import MEMBERS, TITLES, angles, grouped
 from experiments.chapter3.trainings import Trained, recorded
-from trms_cli.identification.blackbox.playback import predicted, simulated
-from trms_cli.identification.blackbox.regressors import sampled
+from trms_cli.identification.blackbox.regressors import predicted, sampled, simulated
 from trms_cli.identification.blackbox.structure_selection import selected
 from trms_cli.identification.validation.residual_tests import residual_tests
 from trms_cli.models.network import NarxStructure, Network

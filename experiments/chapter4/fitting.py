@@ -25,7 +25,7 @@ class Fitted:
     method: str
     errors: Mapping[str, Any]  #: By output: ``rmse``, … on the recording that was held out
     #: The common cost of all methods at the fitted values, nats; see
-    #: :class:`trms_cli.identification.population.simulation_cost.SimulationCost`
+    #: :class:`trms_cli.identification.population.SimulationCost`
     cost: float
     seconds: float  #: Processor time of the fit, one thread
     simulations: int
@@ -79,7 +79,7 @@ def _fit(
 ) -> None:
     from trms_cli.commands.identify_request import identification_of
     from trms_cli.composition.composer import compose
-    from trms_cli.identification.population.simulation_cost import SimulationCost
+    from trms_cli.identification.population import SimulationCost
 
     overrides = [f"real='{fit}'", f"validation.real='{held_out}'", "jobs=1"]
     asked = identification_of(compose([*overrides, *outcome.case.identify, *words], "identify"))

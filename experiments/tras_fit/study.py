@@ -19,9 +19,9 @@ from trms_cli.identification.judgement import with_values
 from trms_cli.identification.method import FitResult, Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.problem import FitProblem, Prior, free_parameters
-from trms_cli.identification.validation.free_run import common_windows, free_runs, lead_samples
 from trms_cli.identification.validation.options import ValidationOptions, WindowOptions
 from trms_cli.identification.validation.prediction import predict_one_step
+from trms_cli.identification.validation.validate import common_windows, free_runs, lead_samples
 from trms_cli.models.driven import DrivenModel
 from trms_cli.models.model import Model
 from trms_cli.models.tras import Tras

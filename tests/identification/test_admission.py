@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.admission import admit
-from trms_cli.identification.admission_issue import together
+from trms_cli.identification.admission import admit, together
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian

@@ -64,7 +64,7 @@ def test_what_the_priors_allow_is_no_zero():
 
 
 def test_weight_at_rest_vanishes_where_the_beam_hangs():
-    from trms_cli.identification.recorded_motion import Motions
+    from trms_cli.identification.admission_by_model import Motions
 
     rest = MODEL.rest()[MODEL.state_index("alpha_v")]
     left, there, right = Motions(MODEL).at_rest("alpha_v", rest + np.array([-0.2, 0.0, 0.2]))

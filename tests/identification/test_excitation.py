@@ -10,7 +10,7 @@ import pytest
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.excitation.band import band_of, linearised
 from trms_cli.identification.excitation.chirp import ChirpExcitation
-from trms_cli.identification.excitation.design import Design, design
+from trms_cli.identification.excitation.design import Design, Request, design
 from trms_cli.identification.excitation.excitation import Plan, crest_factor
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import (
@@ -19,7 +19,6 @@ from trms_cli.identification.excitation.multisine import (
     schroeder_phases,
 )
 from trms_cli.identification.excitation.prbs import PrbsExcitation
-from trms_cli.identification.excitation.request import Request
 from trms_cli.identification.excitation.spectra import spectra_of, summary
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras

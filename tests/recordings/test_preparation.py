@@ -10,12 +10,9 @@ import pytest
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.delays import estimate_delays, shift_channels
-from trms_cli.recordings.findings import look_at
-from trms_cli.recordings.gaps import fill_gaps, split_at_gaps
-from trms_cli.recordings.outliers import outliers
-from trms_cli.recordings.preparation import Preparation
+from trms_cli.recordings.preparation import Preparation, fill_gaps, resample, split_at_gaps
 from trms_cli.recordings.recording import Recording
-from trms_cli.recordings.resampling import resample
+from trms_cli.recordings.summary import outliers, summarise
 
 sys.path.insert(0, str(Path(__file__).parent))
 from played_rig import BENCH, STEP, play
@@ -206,20 +203,20 @@ class TestLoop:
     @pytest.mark.parametrize("seed", range(2))
     @pytest.mark.parametrize("kind", ["prbs", "multilevel", "multisine"])
     def test_open_loops_are_never_called_closed(self, kind, seed):
-        assert look_at(play(kind, seed=seed, prior_seed=seed)).loop.state == "open"
+        assert summarise(play(kind, seed=seed, prior_seed=seed)).loop.state == "open"
 
     @pytest.mark.parametrize("seed", range(2))
     def test_a_controller_is_noticed(self, seed):
-        assert look_at(play("closed", seed=seed, prior_seed=seed)).loop.state == "closed"
+        assert summarise(play("closed", seed=seed, prior_seed=seed)).loop.state == "closed"
 
     def test_what_the_recording_says_wins(self):
         recording = play("closed", duration=20.0)
         said = Recording(recording.time, recording.channels, recording.units, {"loop": "open"})
-        loop = look_at(said).loop
+        loop = summarise(said).loop
         assert loop.declared and loop.state == "open" and max(loop.answered.values()) > 0.1
 
     def test_too_little_is_not_told(self):
-        assert look_at(made(np.arange(50) * 0.02)).loop.state == "unknown"
+        assert summarise(made(np.arange(50) * 0.02)).loop.state == "unknown"
 
 
 class TestFindings:
@@ -229,7 +226,9 @@ class TestFindings:
         channels["alpha_h"] = np.zeros(len(recording))
         channels["omega_h"] = np.full(len(recording), np.nan)
         channels["u_v"] = np.clip(channels["u_v"] + np.linspace(0, 1e-3, len(recording)), -0.4, 0.4)
-        found = look_at(Recording(recording.time, channels, recording.units, {}, recording.source))
+        found = summarise(
+            Recording(recording.time, channels, recording.units, {}, recording.source)
+        )
         words = " | ".join(found.sentences)
         assert "alpha_h is constant at 0 rad" in words
         assert "omega_h: not a single value" in words
@@ -240,12 +239,12 @@ class TestFindings:
         time = np.arange(0, 40, 0.02)
         alpha = 0.3 * np.sin(2 * np.pi * 0.25 * np.minimum(time, 20))  # ten periods, then rest
         noise = np.random.default_rng(0).normal(0, 2e-4, len(time))
-        found = look_at(made(time, alpha=alpha + noise)).channels["alpha_v"]
+        found = summarise(made(time, alpha=alpha + noise)).channels["alpha_v"]
         assert found.turns == pytest.approx(10, abs=1)
         assert found.rest_share == pytest.approx(0.5, abs=0.05)
 
     def test_quanta_are_those_of_the_sensors(self):
-        found = look_at(play("prbs", duration=30.0)).channels
+        found = summarise(play("prbs", duration=30.0)).channels
         assert found["alpha_v"].quantum == pytest.approx(BENCH.quantum["alpha_v"], rel=1e-3)
         assert found["omega_h"].quantum == pytest.approx(0.49, rel=1e-3)
 

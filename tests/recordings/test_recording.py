@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings import append_stream
-from trms_cli.recordings.grid import on_grid
+from trms_cli.recordings import run_log
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.mcap_recording import write_mcap
-from trms_cli.recordings.recording import Recording, quantum, read_recording
+from trms_cli.recordings.recording import Recording, on_grid, quantum, read_recording
 
 
 @given(
@@ -81,7 +80,7 @@ def test_a_full_disk_leaves_no_half_log(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     path = tmp_path / "rec.mcap"
-    monkeypatch.setattr(append_stream.os, "write", refuse)
+    monkeypatch.setattr(run_log.os, "write", refuse)
     with pytest.raises(RecordingError, match="no room") as caught:
         write_mcap(recording, path, {})
     assert caught.value.where == str(path) and "safe" not in caught.value.problem

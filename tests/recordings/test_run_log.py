@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings import append_stream
+from trms_cli.recordings import run_log
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic
@@ -132,7 +132,7 @@ def test_read_only_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code:
     def refuse(*_: object) -> int:
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(append_stream.os, "open", refuse)
+    monkeypatch.setattr(run_log.os, "open", refuse)
     with pytest.raises(RecordingError, match="does not let you write") as caught:
         RunLog(tmp_path / "run.mcap", [NUMBERS], {})
     assert "out=" in caught.value.remedy
@@ -188,7 +188,7 @@ def test_full_disk_at_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     def refuse(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(append_stream.os, "write", refuse)
+    monkeypatch.setattr(run_log.os, "write", refuse)
     with pytest.raises(RecordingError, match="nothing of the run is in the log"):
         RunLog(tmp_path / "run.mcap", [NUMBERS], {})
 
@@ -207,7 +207,7 @@ def test_closing_on_a_full_disk_keeps_the_samples(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return write(descriptor, data[: len(data) // 2])
 
-    monkeypatch.setattr(append_stream.os, "write", write_half)
+    monkeypatch.setattr(run_log.os, "write", write_half)
     with pytest.raises(RecordingError, match=r"safe up to 1\.000 s"):
         log.close("completed")
     log.close("completed")  # and again, as a `finally` would
@@ -276,7 +276,7 @@ def test_ctrl_c_within_a_flush_is_held_back(
     with pytest.raises(KeyboardInterrupt), RunLog(path, [NUMBERS], {}) as log:
         log.write("/numbers", 0, (1.0, 1))
         with monkeypatch.context() as patch:
-            patch.setattr(append_stream.os, "write", interrupted)
+            patch.setattr(run_log.os, "write", interrupted)
             log.flush()
     log_back = read_log(path)
     assert log_back.complete and log_back.outcome == "interrupted"

@@ -15,8 +15,7 @@ from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.gap.problem import GapProblem
-from trms_cli.identification.admission import admit
-from trms_cli.identification.admission_issue import Admission
+from trms_cli.identification.admission import Admission, admit
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model

@@ -47,7 +47,7 @@ class Assessment:
     @property
     def correlation(self) -> FloatArray | None:
         """Correlation of the estimates, (n_f, n_f); NaN beside one without variance."""
-        from trms_cli.identification.greybox.identifiability import correlations
+        from trms_cli.identification.greybox.information import correlations
 
         covariance = self.result.covariance
         return None if covariance is None else correlations(covariance)
@@ -65,7 +65,7 @@ def assess(asked: Identification, result: FitResult) -> Assessment:
 
 def _at_point(asked: Identification, result: FitResult, told: dict[str, Any]) -> Assessment:
     """Covariance and identifiability, for a method that knows no slopes."""
-    from trms_cli.identification.greybox.identifiability import identifiability
+    from trms_cli.identification.greybox.information import identifiability
     from trms_cli.identification.greybox.map_fit import MapSettings, fit_from
     from trms_cli.identification.greybox.windows import Windows
 

@@ -71,9 +71,9 @@ def main(argv: list[str]) -> int:
     given = options.parse_args(argv)
 
     from trms_cli.core.errors import RecordingError
-    from trms_cli.recordings.findings import look_at
     from trms_cli.recordings.mcap_recording import sha256_of, write_mcap
     from trms_cli.recordings.recording import read_recording
+    from trms_cli.recordings.summary import summarise
 
     if given.file.suffix.lower() == ".mcap" and _is_log(given.file):
         raise RecordingError(
@@ -83,7 +83,7 @@ def main(argv: list[str]) -> int:
     recording = read_recording(given.file)
     log_path = given.out or Path(given.file.with_suffix(".mcap").name)
     sha256 = sha256_of(given.file)
-    findings = look_at(recording)
+    findings = summarise(recording)
     prepared = preparation is not None
     parts = _prepared(preparation, recording)
     logs = [_numbered(log_path, k, len(parts)) for k in range(1, len(parts) + 1)]

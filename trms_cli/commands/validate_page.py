@@ -14,7 +14,7 @@ from trms_cli.commands.validate_pictures import (
 from trms_cli.core import wording
 from trms_cli.core.findings import Judged, Judgement
 from trms_cli.core.invocation import command_line
-from trms_cli.identification.admission_issue import Issue
+from trms_cli.identification.admission import Issue
 from trms_cli.identification.validation.characteristics import characteristics_of
 from trms_cli.identification.validation.validate import ModelValidation
 from trms_cli.identification.validation.verdict import (

@@ -7,15 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.validation.comparison import rms_interval
-from trms_cli.identification.validation.metrics import rms
-from trms_cli.identification.validation.residual_tests import ResidualTest
-from trms_cli.identification.validation.spectra import (
+from trms_cli.identification.validation.characteristics import (
     coherence,
     default_length,
     segments_of,
     spectrum,
 )
+from trms_cli.identification.validation.metrics import rms, rms_interval
+from trms_cli.identification.validation.residual_tests import ResidualTest
 from trms_cli.identification.validation.validate import ModelValidation, joined
 from trms_cli.identification.validation.verdict import p_words
 from trms_cli.models.model import names

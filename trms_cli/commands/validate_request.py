@@ -20,8 +20,7 @@ from trms_cli.commands.validate_models import shown_names
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, build
-from trms_cli.identification.admission import admit
-from trms_cli.identification.admission_issue import Admission, together
+from trms_cli.identification.admission import Admission, admit, together
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.options import ValidationOptions
@@ -119,7 +118,7 @@ def calibrated_where_asked(
     """p-values from simulation, where they are asked for; and what to say of it."""
     if asked.options.tests.calibration != "simulated":
         return list(validations), []
-    from trms_cli.identification.validation.calibration import calibrated
+    from trms_cli.identification.validation.validate import calibrated
 
     done, notes = [], []
     wanted = asked.options.tests.simulations

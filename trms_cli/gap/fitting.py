@@ -13,8 +13,8 @@ from trms_cli.gap.candidates import CandidateEffect, joint
 from trms_cli.gap.discrepancy import Discrepancy
 from trms_cli.gap.kalman import FilterGains
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.elimination import Quadratic, triangles
-from trms_cli.identification.greybox.levenberg_marquardt import Point, minimise
+from trms_cli.identification.greybox.map_fit import Point, minimise
+from trms_cli.identification.greybox.objective import Quadratic, triangles
 from trms_cli.identification.greybox.windows import Residuals, Windows
 from trms_cli.identification.method import Outcome
 from trms_cli.identification.problem import FitProblem, FreeParameter

@@ -6,17 +6,97 @@ matter of degree is a warning that stands in the report. Nothing is mended here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from trms_cli.identification.admission_by_model import Finding, findings_by_model, time_scales
-from trms_cli.identification.admission_issue import Admission, Issue, ordered
+from trms_cli.core.errors import RecordingError
+from trms_cli.identification.admission_by_model import (
+    SAMPLES_A_PERIOD,
+    Finding,
+    far_too_slow,
+    findings_by_model,
+    time_scales,
+)
 from trms_cli.identification.dataset import Dataset, FloatArray
-from trms_cli.identification.sample_time import SAMPLES_A_PERIOD, far_too_slow
 from trms_cli.models.model import Model, names
+
+Severity = Literal["error", "warning"]
+
+
+@dataclass(frozen=True)
+class Issue:
+    """Something that is wrong with a recording, or not as good as it might be."""
+
+    check: str  #: What was looked at, in one word or two
+    severity: Severity  #: "error" or "warning"
+    dataset: str  #: Name; empty for all together
+    channel: str  #: Input or output; empty for the whole recording
+    problem: str  #: A sentence
+    remedy: str  #: What to record or to change instead
+
+    def __str__(self) -> str:
+        place = f"{self.dataset}: " if self.dataset else ""
+        return f"{place}{self.problem} ({self.remedy})"
+
+
+@dataclass(frozen=True)
+class Admission:
+    """What was found."""
+
+    issues: tuple[Issue, ...]  #: Errors first
+
+    @property
+    def errors(self) -> tuple[Issue, ...]:
+        return tuple(issue for issue in self.issues if issue.severity == "error")
+
+    @property
+    def warnings(self) -> tuple[Issue, ...]:
+        return tuple(issue for issue in self.issues if issue.severity == "warning")
+
+    def require(self) -> None:
+        """Raise if there is an error.
+
+        Raises RecordingError: Of the first error; the others are listed below its remedy.
+        """
+        errors = self.errors
+        if not errors:
+            return
+        first, *others = errors
+        remedy = "\n".join([first.remedy, *(f"also: {issue}" for issue in others)])
+        raise RecordingError(first.problem, where=first.dataset or "real", remedy=remedy)
+
+    def as_data(self) -> list[dict[str, str]]:
+        """For a JSON document."""
+        return [asdict(issue) for issue in self.issues]
+
+
+def together(admissions: Mapping[str, Admission]) -> Admission:
+    """What was found with several models; what does not hold for all names those that it is of.
+
+    Parameters
+    ----------
+    admissions : dict of str to Admission
+        By the name that the model is shown with.
+    """
+    holders: dict[Issue, list[str]] = {}
+    for name, admission in admissions.items():
+        for issue in admission.issues:
+            holders.setdefault(issue, []).append(name)
+    return ordered(
+        issue
+        if len(models) == len(admissions)
+        else replace(issue, problem=f"{', '.join(models)}: {issue.problem}")
+        for issue, models in holders.items()
+    )
+
+
+def ordered(issues: Iterable[Issue]) -> Admission:
+    """Errors first, each kind in its order."""
+    return Admission(tuple(sorted(issues, key=lambda issue: issue.severity != "error")))
+
 
 Purpose = Literal["fit", "validation"]
 

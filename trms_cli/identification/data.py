@@ -17,8 +17,8 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.identification.admission_by_model import require_sample_time
 from trms_cli.identification.dataset import Dataset, FloatArray
-from trms_cli.identification.sample_time import require_sample_time
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.plants.recorded import read_runs
 from trms_cli.plants.replay import RecordedRig

@@ -19,11 +19,9 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.identification.greybox.identifiability import identifiability
-from trms_cli.identification.greybox.levenberg_marquardt import Point
-from trms_cli.identification.greybox.map_fit import MapFit, MapSettings, fit_from
-from trms_cli.identification.greybox.profile import profile
-from trms_cli.identification.greybox.weights import sizes
+from trms_cli.identification.greybox.information import identifiability
+from trms_cli.identification.greybox.map_fit import MapFit, MapSettings, Point, fit_from, profile
+from trms_cli.identification.greybox.objective import sizes
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.method import FitResult, HistoryPoint, Outcome, Progress
 from trms_cli.identification.problem import FitProblem

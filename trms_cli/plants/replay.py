@@ -21,8 +21,7 @@ from trms_cli.models.model import Model, Signal, names
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 from trms_cli.recordings.channels import CHANNELS, REFERENCE_OF_AXIS
-from trms_cli.recordings.grid import GriddedRecording, on_grid
-from trms_cli.recordings.recording import Recording, read_recording
+from trms_cli.recordings.recording import GriddedRecording, Recording, on_grid, read_recording
 
 FloatArray = npt.NDArray[np.float64]
 

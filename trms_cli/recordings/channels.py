@@ -1,12 +1,21 @@
 """The channels that a recording may hold: their names, roles and units.
 
 One vocabulary for CSV headers, log topics and everything that reads a recording.
+
+Units as people write them are turned into SI by pint. It takes about half a second to load, so a
+column already in SI never asks for it.
 """
 
 from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from trms_cli.core.errors import RecordingError
 
 DISTURBANCE_PREFIX = "d_"
 
@@ -68,3 +77,90 @@ def nearest_name(name: str) -> str | None:
     lower = {known.lower(): known for known in ("t", *CHANNELS)}
     close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
     return lower[close[0]] if close else None
+
+
+#: What pint spells in base units, in the spelling of our files.
+_TIDY_UNITS = ("V", "A", "rad", "rad/s", "N", "N*m", "m", "m/s", "s", "kg", "Hz", "K", "Pa", "W")
+
+
+@lru_cache(maxsize=1)
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry()
+
+
+def _root_units(unit: str) -> Any:
+    """Return pint's root units of ``unit``; they keep the radian, which has no dimension.
+
+    So rad/s and 1/s (or Hz) stay apart, although both are "1 / [time]": a speed in Hz that
+    silently became rad/s would be wrong by 2 pi.
+    """
+    registry = _registry()
+    return registry.get_root_units(registry.parse_units("" if unit == "1" else unit))[1]
+
+
+def to_si(
+    values: np.ndarray, unit: str, allowed: tuple[str, ...], *, where: str, name: str
+) -> tuple[np.ndarray, str]:
+    """Convert a column to SI.
+
+    Parameters
+    ----------
+    values : (n,) float array
+        In ``unit``; NaN stays NaN.
+    unit : str
+        As written between the brackets of the header.
+    allowed : tuple of str
+        SI units that fit the channel; empty if any does.
+    where, name : str
+        File and line, and the column, for the message.
+
+    Returns
+    -------
+    (n,) float array, str
+        The values in SI, and that SI unit.
+    """
+    unit = unit.strip()
+    if unit in allowed or (not allowed and unit in (*_TIDY_UNITS, "1")):
+        return values, unit
+    fits = " or ".join(f"[{u}]" for u in allowed) or "any unit that pint knows, as [N*m]"
+    if not unit:
+        raise RecordingError(
+            f"column {name!r} has empty brackets for its unit",
+            where=where,
+            remedy=f"write {name}[{allowed[0] if allowed else 1}]",
+        )
+    try:
+        root = _root_units(unit)
+    except Exception as error:  # pint raises its own, tokenize's and plain ValueErrors
+        raise RecordingError(
+            f"column {name!r}: the unit {unit!r} is not known",
+            where=where,
+            remedy=f"{name} takes {fits} or a unit that converts to it",
+        ) from error
+    target = next((u for u in allowed or _TIDY_UNITS if _root_units(u) == root), None)
+    if target is None and not allowed:
+        target = "1" if not str(root) or str(root) == "dimensionless" else f"{root:~C}"
+    if target is None:
+        raise RecordingError(
+            f"column {name!r}: the unit {unit!r} does not fit; it is {_kind(root)}",
+            where=where,
+            remedy=f"{name} takes {fits} or a unit that converts to it",
+        )
+    quantity = _registry().Quantity(values, "" if unit == "1" else unit)
+    converted = quantity.to("" if target == "1" else target).magnitude
+    return np.asarray(converted, dtype=float), target
+
+
+def _kind(root: Any) -> str:
+    text = f"{root:~C}" or "1"
+    kinds = {
+        "rad": "an angle",
+        "rad/s": "an angular speed",
+        "1/s": "a frequency (cycles or rad? write rpm or rad/s)",
+        "s": "a time",
+        "A": "a current",
+        "1": "a plain number",
+    }
+    return kinds.get(text, f"a quantity in {text}")

@@ -17,7 +17,7 @@ import numpy as np
 from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, read_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
-from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name
+from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name, to_si
 from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import (
     Recording,
@@ -25,7 +25,6 @@ from trms_cli.recordings.recording import (
     require_values,
     unit_fields,
 )
-from trms_cli.recordings.units import to_si
 
 _HEADER_CELL = re.compile(r"^(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]$")
 _TIME = Channel("t", "time", ("s",), "time")

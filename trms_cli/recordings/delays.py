@@ -16,8 +16,7 @@ import numpy as np
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.plugins import nearest
-from trms_cli.recordings.grid import on_grid
-from trms_cli.recordings.recording import Recording
+from trms_cli.recordings.recording import Recording, on_grid
 
 #: s, the range of delays that is looked at.
 _EARLIEST, _LATEST = -0.1, 0.4

@@ -90,8 +90,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
         If the file cannot be read, has no such column, an unknown unit, or a cell that is not
         a finite number; it names the file and the line.
     """
-    from trms_cli.recordings.channels import find_channel
-    from trms_cli.recordings.units import to_si
+    from trms_cli.recordings.channels import find_channel, to_si
 
     channel = find_channel(column)
     is_command = channel is not None and channel.role == "input"

@@ -26,10 +26,8 @@ from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.dataset import FloatArray
 from trms_cli.identification.greybox.information import information
-from trms_cli.identification.greybox.levenberg_marquardt import Point, minimise
-from trms_cli.identification.greybox.map_fit import with_fitted_starts
-from trms_cli.identification.greybox.objective import Objective
-from trms_cli.identification.greybox.weights import Weights
+from trms_cli.identification.greybox.map_fit import Point, minimise, with_fitted_starts
+from trms_cli.identification.greybox.objective import Objective, Weights
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.judgement import with_values
 from trms_cli.identification.problem import FitProblem

@@ -9,8 +9,7 @@ from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
-from trms_cli.identification.blackbox.playback import free_run, predicted, rms, simulated
-from trms_cli.identification.blackbox.regressors import sampled
+from trms_cli.identification.blackbox.regressors import free_run, predicted, rms, sampled, simulated
 from trms_cli.identification.blackbox.structure_selection import Assessed, Candidate, selected
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.method import Method, Outcome, Unwatched

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.blackbox.multi_step import SimulationError
-from trms_cli.identification.blackbox.one_step import OneStepError
+from trms_cli.identification.blackbox.prediction_error import OneStepError, SimulationError
 from trms_cli.identification.blackbox.regressors import Samples, placed_rows, rows, scaling
 from trms_cli.identification.blackbox.trainable import Mlp
 from trms_cli.models.network import NarxStructure

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.identification.blackbox.radial import Radial
-from trms_cli.identification.blackbox.radial_start import (
+from trms_cli.identification.blackbox.radial_fit import (
+    Radial,
     clustered,
     dyadic,
     selected,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ModelError
-from trms_cli.identification.blackbox.radial import Radial
+from trms_cli.identification.blackbox.radial_fit import Radial
 from trms_cli.identification.blackbox.trainable import Mlp
 from trms_cli.models.network import Network
 

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares, minimize
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
-from trms_cli.identification.blackbox.one_step import NormalEquations, OneStepError
+from trms_cli.identification.blackbox.prediction_error import NormalEquations, OneStepError
 from trms_cli.identification.blackbox.trainable import Mlp
 from trms_cli.identification.blackbox.training.bayesian_regularisation import (
     BayesianRegularisation,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.identification.greybox.elimination import Joint, Quadratic, reduced, triangles
+from trms_cli.identification.greybox.objective import Joint, Quadratic, reduced, triangles
 
 M, N, F, ROWS = 5, 3, 4, 40
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.identification.greybox.identifiability import (
+from trms_cli.identification.greybox.information import (
     COLLINEAR,
+    Information,
     correlations,
     identifiability,
 )
-from trms_cli.identification.greybox.information import Information
 
 
 def information(

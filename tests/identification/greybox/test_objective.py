@@ -13,8 +13,7 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.objective import Objective
-from trms_cli.identification.greybox.weights import Weights
+from trms_cli.identification.greybox.objective import Objective, Weights
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem, free_parameters
 from trms_cli.models.model import Model

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.identification.greybox.weights import Weights, sizes
+from trms_cli.identification.greybox.objective import Weights, sizes
 
 
 def weights(robust: float | None) -> Weights:

@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.population.cma_search import CmaSearch
-from trms_cli.identification.population.evolution import evolve, on_threads
-from trms_cli.identification.population.genetic_search import GeneticSearch
-from trms_cli.identification.population.journal import Journal
+from trms_cli.identification.cma_es import CmaSearch
+from trms_cli.identification.genetic import GeneticSearch
+from trms_cli.identification.population import Journal, evolve, on_threads
 
 N = 4
 TARGET = np.array([0.2, 0.8, 0.55, 0.4])

@@ -11,8 +11,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.cma_es import CmaEs
 from trms_cli.identification.genetic import Genetic
 from trms_cli.identification.method import Outcome, Unwatched
-from trms_cli.identification.population.fit import Box
-from trms_cli.identification.population.simulation_cost import SimulationCost
+from trms_cli.identification.population import Box, SimulationCost
 
 SMALL = Genetic(individuals=12, generations=8)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom, kstest
 
-from trms_cli.identification.validation.moment_test import (
+from trms_cli.identification.validation.residual_tests import (
     chi2_tail,
     correlation,
     ljung_box,

@@ -12,20 +12,23 @@ from scipy.stats import binom, false_discovery_control, kstest
 from trms_cli.identification.validation.characteristics import (
     autocorrelation,
     characteristics,
+    coherence,
     reverse_arrangements,
+    segments_of,
+    spectrum,
 )
-from trms_cli.identification.validation.comparison import (
+from trms_cli.identification.validation.metrics import (
     BlockSums,
+    fit_percent,
     mean_log_ratio,
     ratio_interval,
+    region_tables,
+    rms,
     rms_interval,
+    vaf_percent,
 )
-from trms_cli.identification.validation.metrics import fit_percent, rms, vaf_percent
-from trms_cli.identification.validation.multiplicity import benjamini_hochberg, holm
-from trms_cli.identification.validation.regions import region_tables
-from trms_cli.identification.validation.spectra import coherence, segments_of, spectrum
+from trms_cli.identification.validation.residual_tests import benjamini_hochberg, holm, whitened
 from trms_cli.identification.validation.verdict import worst_quarter
-from trms_cli.identification.validation.whitening import whitened
 
 p_values = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12)
 

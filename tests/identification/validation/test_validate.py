@@ -12,15 +12,19 @@ from known_rig import QUANTUM, SAMPLE_TIME, model, recording
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.validation.calibration import calibrated, matched_tail
 from trms_cli.identification.validation.document import document_of
-from trms_cli.identification.validation.lagged_state import measured_states
 from trms_cli.identification.validation.options import (
     TestOptions,
     ValidationOptions,
     WindowOptions,
 )
-from trms_cli.identification.validation.validate import ModelValidation, validate_all
+from trms_cli.identification.validation.prediction import measured_states
+from trms_cli.identification.validation.validate import (
+    ModelValidation,
+    calibrated,
+    matched_tail,
+    validate_all,
+)
 from trms_cli.identification.validation.verdict import (
     lead_of,
     remarks_on,

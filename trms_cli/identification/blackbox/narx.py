@@ -13,8 +13,15 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.blackbox.outcome import Stage, fit_result, interrupted, told
-from trms_cli.identification.blackbox.preparation import Prepared, Regressors, prepared_problem
+from trms_cli.identification.blackbox.network_fit import (
+    Prepared,
+    Regressors,
+    Stage,
+    fit_result,
+    interrupted,
+    prepared_problem,
+    told,
+)
 from trms_cli.identification.blackbox.trainable import Mlp
 from trms_cli.identification.blackbox.training.levenberg_marquardt import LevenbergMarquardt
 from trms_cli.identification.blackbox.training.training import (

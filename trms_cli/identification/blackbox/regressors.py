@@ -1,4 +1,4 @@
-"""From samples to regressors and targets, and the scales that normalise them."""
+"""From samples to regressors and targets, and a stored network played along recordings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.dataset import Dataset, FloatArray
 from trms_cli.models.model import names
-from trms_cli.models.network import NarxStructure
+from trms_cli.models.network import NarxStructure, Network
 
 #: A signal whose spread is below this share of its size never moves, rounding apart.
 _LEAST_SPREAD = 1e-9
@@ -179,3 +179,73 @@ def _spread(values: FloatArray) -> FloatArray:
     """Standard deviations, 1 where a column is constant (it is then zero when normalised)."""
     spread = values.std(axis=0)
     return np.asarray(np.where(spread > 0, spread, 1.0))
+
+
+def predicted(structure: NarxStructure, network: Network, samples: Samples) -> FloatArray:
+    """Each sample from the measured ones before it, (n, n_y); NaN where one is missing."""
+    regressors, _, place = placed_rows(structure, samples)
+    result = np.full_like(samples.outputs, np.nan)
+    result[place] = network.evaluate(regressors)
+    if structure.incremental:
+        result[place] += samples.outputs[place - 1]
+    return result
+
+
+def free_run(
+    structure: NarxStructure, network: Network, past: FloatArray, inputs: FloatArray
+) -> FloatArray:
+    """Simulate windows side by side on the network's own outputs.
+
+    Parameters
+    ----------
+    past : (L, m, n_y) array
+        The ``structure.longest_lag`` samples before each of m windows.
+    inputs : (L + K, m, n_u) array
+        Commands of the same samples and of the windows.
+
+    Returns
+    -------
+    (K, m, n_y) array
+        Not finite after a divergence.
+    """
+    first = structure.longest_lag
+    levels = np.empty((len(inputs), *past.shape[1:]))
+    levels[:first] = past
+    arrangement = structure.arrangement().T
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(first, len(inputs)):
+            lagged = [levels[k - lag] for lag in structure.output_lags]
+            lagged += [inputs[k - lag] for lag in structure.input_lags]
+            levels[k] = network.evaluate(np.hstack(lagged) @ arrangement)
+            if structure.incremental:
+                levels[k] += levels[k - 1]
+    return levels[first:]
+
+
+def simulated(
+    structure: NarxStructure, network: Network, samples: Samples, start: Samples | None = None
+) -> FloatArray:
+    """One free run over a whole recording, (n, n_y); the first samples are the measured ones.
+
+    ``start`` gives those first samples, where they are not to be taken as measured.
+    """
+    first = structure.longest_lag
+    past = (start or samples).outputs[:first]
+    run = free_run(structure, network, past[:, None], samples.inputs[:, None])
+    return np.vstack([past, run[:, 0]])
+
+
+def rms(errors: FloatArray) -> FloatArray:
+    """Root mean square of each column over the samples that are there, (n, n_y) -> (n_y,)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.sqrt(np.nanmean(errors**2, axis=0)))
+
+
+def normalised_rms(errors: FloatArray, measured: FloatArray) -> float:
+    """Root mean square over all outputs, each in units of its own spread; 1: as good as the mean.
+
+    Infinite after a divergence.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        value = float(np.sqrt(np.mean((rms(errors) / np.nanstd(measured, axis=0)) ** 2)))
+    return value if np.isfinite(value) else np.inf

@@ -1,17 +1,88 @@
-"""What the data say of the parameters at a fitted point, and how far that can be trusted."""
+"""What the data say of the parameters at a fitted point, and how far that can be trusted.
+
+Residuals of a good fit are not white: an encoder's rounding stays the same while the beam is slow,
+and what a model misses lasts for seconds. With slopes ``B̃`` of the whitened residuals in the
+parameters (the windows' starts eliminated) the score ``Σ B̃ᵀ r`` then has the covariance
+
+    M = Σ_c Σ_{s,t} B̃_c(s)ᵀ γ_c(t − s) B̃_c(t)
+
+with γ_c the autocovariance of channel c, estimated from the residuals, tapered by Parzen's window
+so that M stays positive (Newey & West 1987, Econometrica 55, with the autocovariance pooled over
+all windows instead of that of the products: 15 parameters cannot be told from a dozen windows).
+
+Identifiability: Brun, Reichert & Künsch (2001, Water Resources Research 37) call a set of
+parameters collinear when the change that one of them makes can nearly be made up for by the others:
+with the normalised columns of the set's sensitivities, ``γ = 1/√λ_min`` of their Gram matrix. From
+γ of about 10 to 15 on a set cannot be identified together: 1/γ of the effect of one is all that the
+others cannot imitate.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.identification.greybox.correlation import autocovariance, score_covariances
-from trms_cli.identification.greybox.elimination import reduced
-from trms_cli.identification.greybox.objective import Objective
+from trms_cli.identification.greybox.objective import Objective, reduced
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def autocovariance(z: FloatArray, measured: BoolArray, lags: int) -> FloatArray:
+    """Tapered autocovariance of each channel's residuals, shape (n_y, lags + 1).
+
+    Parameters
+    ----------
+    z : (m, c, n_y) array
+        Whitened residuals, 0 where nothing was measured.
+    measured : (m, c, n_y) array of bool
+    lags : int
+        The longest, in samples.
+    """
+    size = 2 ** int(np.ceil(np.log2(z.shape[1] + lags + 1)))
+    spectrum = np.fft.rfft(z, size, axis=1)
+    raw = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=1)[:, : lags + 1].sum(axis=0)
+    # Divided by the number of samples, not of pairs: only so is it positive at all frequencies.
+    count = np.maximum(measured.sum(axis=(0, 1)), 1)
+    tapered: FloatArray = (raw / count).T * parzen(lags)
+    return tapered
+
+
+def parzen(lags: int) -> FloatArray:
+    """Parzen's lag window, 1 at lag 0 and 0 beyond the last, shape (lags + 1,)."""
+    x = np.arange(lags + 1) / (lags + 1)
+    return np.where(x <= 0.5, 1 - 6 * x**2 + 6 * x**3, 2 * (1 - x) ** 3)
+
+
+def score_covariances(slopes: FloatArray, gamma: FloatArray) -> FloatArray:
+    """Covariance of each channel's part of the score, shape (n_y, n_f, n_f).
+
+    Parameters
+    ----------
+    slopes : (m, c, n_y, n_f) array
+        Of the whitened residuals; 0 where nothing was measured.
+    gamma : (n_y, lags + 1) array
+    """
+    lags = gamma.shape[1] - 1
+    length = slopes.shape[1]
+    size = 2 ** int(np.ceil(np.log2(length + lags)))
+    kernel = np.zeros((gamma.shape[0], size))
+    kernel[:, : lags + 1] = gamma
+    kernel[:, size - lags :] = gamma[:, :0:-1]
+    density = np.fft.rfft(kernel, axis=1).real  # (n_y, frequencies)
+    found = []
+    for c in range(slopes.shape[2]):
+        spectrum = np.fft.rfft(slopes[:, :, c], size, axis=1)
+        smooth = np.fft.irfft(spectrum * density[c][None, :, None], size, axis=1)[:, :length]
+        found.append(np.einsum("mtf,mtg->fg", slopes[:, :, c], smooth))
+    matrices = np.array(found)
+    symmetric: FloatArray = (matrices + matrices.swapaxes(1, 2)) / 2
+    return symmetric
+
 
 #: Share of a window up to which residuals are taken to hang together, and the same in s.
 _LONGEST_SHARE, _LONGEST_LAG = 0.3, 3.0
@@ -148,3 +219,101 @@ def _at_least(white: FloatArray, found: FloatArray) -> FloatArray:
     scaled = root @ directions
     floored: FloatArray = (scaled * np.maximum(ratio, 1.0)) @ scaled.T
     return floored
+
+
+#: Brun's threshold.
+COLLINEAR = 15.0
+#: Share of the prior's deviation above which the data have said next to nothing.
+_UNINFORMED = 0.9
+#: Sets of up to so many parameters are looked at.
+_LARGEST_SET = 4
+
+
+@dataclass(frozen=True)
+class Confounded:
+    """Parameters whose effects on these data imitate each other."""
+
+    names: tuple[str, ...]  #: A smallest set: without any one of them the others can be told apart
+    index: float  #: Collinearity γ
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What the data alone say of each parameter."""
+
+    #: Standard deviation after the data over that before; only where there is a prior
+    prior_remaining: dict[str, float]
+    #: γ of each parameter against all others: how many times its own effect is larger than what of
+    #: it the others cannot imitate
+    collinearity: dict[str, float]
+    confounded: tuple[Confounded, ...]  #: The worst first
+    silent: tuple[str, ...]  #: Parameters that these data do not depend on at all
+    #: Parameters of which the data say next to nothing, so that the prior decided: those of whose
+    #: prior's deviation more than nine tenths remain, and the silent ones
+    uninformed: tuple[str, ...]
+
+
+def identifiability(
+    information: Information, names: Sequence[str], covariance: FloatArray
+) -> Identifiability:
+    """Judge the parameters of a fit.
+
+    Parameters
+    ----------
+    information : Information
+    names : sequence of str
+    covariance : (n_f, n_f) array
+        Of the estimate, in the parameters' units.
+    """
+    fisher = information.of_data
+    size = np.sqrt(np.diag(fisher))
+    loud = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
+    heard = np.flatnonzero(loud).tolist()
+    gram = fisher[np.ix_(heard, heard)] / np.outer(size[heard], size[heard])
+    sd = np.sqrt(np.diag(covariance))
+    remaining = {
+        name: float(sd[i] / information.scales[i])
+        for i, name in enumerate(names)
+        if information.prior[i] > 0
+    }
+    against_all = _against_all(gram)
+    silent = tuple(names[i] for i in np.flatnonzero(~loud).tolist())
+    return Identifiability(
+        remaining,
+        {names[i]: float(against_all[k]) for k, i in enumerate(heard)},
+        tuple(_confounded(gram, [names[i] for i in heard])),
+        silent,
+        tuple(n for n in names if remaining.get(n, 0.0) > _UNINFORMED or n in silent),
+    )
+
+
+def correlations(covariance: FloatArray) -> FloatArray:
+    """Correlation matrix; NaN beside a parameter without variance, its own included."""
+    sd = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found: FloatArray = covariance / np.outer(sd, sd)
+    return found
+
+
+def _against_all(gram: FloatArray) -> FloatArray:
+    """γ of each column against all the others: the root of its variance inflation."""
+    inverse = np.linalg.pinv(gram, rcond=1e-14, hermitian=True)
+    inflation: FloatArray = np.sqrt(np.maximum(np.diag(inverse), 1.0))
+    return inflation
+
+
+def _confounded(gram: FloatArray, names: Sequence[str]) -> list[Confounded]:
+    found: list[tuple[tuple[int, ...], float]] = []
+    for size in range(2, min(_LARGEST_SET, len(names)) + 1):
+        sets = np.array(list(combinations(range(len(names)), size)))
+        for known, _ in found:  # a larger set around a known one says nothing new
+            inside = np.isin(sets, known).sum(axis=1) == len(known)
+            sets = sets[~inside]
+        if not len(sets):
+            break
+        least = np.linalg.eigvalsh(gram[sets[:, :, None], sets[:, None, :]])[:, 0]
+        index = 1 / np.sqrt(np.maximum(least, 1e-16))
+        bad = np.flatnonzero(index > COLLINEAR)
+        found += [(tuple(sets[k].tolist()), float(index[k])) for k in bad]
+    found.sort(key=lambda item: -item[1])
+    return [Confounded(tuple(names[i] for i in rows), index) for rows, index in found]

@@ -4,6 +4,16 @@ Far from the optimum a residual is large because the parameters are wrong, not b
 The first rounds therefore measure residuals by their own size, and each round that follows by the
 size they have then, until that no longer changes: the deviations come down to the declared noise
 where the model can follow the data, and stay above it where it cannot.
+
+The least squares are Levenberg and Marquardt's, the windows' starts eliminated at every step.
+Damping follows Nielsen (IMM-REP-1999-05): it falls smoothly with a good step and grows ever faster
+with bad ones, which carries the search over the kinks of dry friction. Bounds are part of each
+step's least-squares problem, so that a parameter may slide along its bound and leave it again.
+
+A profile likelihood is how the cost grows when one parameter is held away from its optimum. All
+others and the starts are fitted again at every value (Venzon & Moolgavkar 1988, Applied Statistics
+37). Where the cost is not a parabola, or a bound is near, the interval in which it stays within
+half the χ² quantile of the best is better than one from the covariance.
 """
 
 from __future__ import annotations
@@ -16,13 +26,135 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.identification.greybox.information import Information, information
-from trms_cli.identification.greybox.levenberg_marquardt import Point, minimise, step
-from trms_cli.identification.greybox.objective import Objective
-from trms_cli.identification.greybox.weights import Weights, sizes
+from trms_cli.identification.greybox.objective import Objective, Quadratic, Weights, reduced, sizes
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.method import Outcome
 
 FloatArray = npt.NDArray[np.float64]
+
+#: First damping, in the scaled units: as strong as the priors.
+_FIRST_DAMPING = 1.0
+_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e12
+#: Steps whose reductions stay below the tolerance before the search ends.
+_SMALL_STEPS = 2
+
+
+class Point(NamedTuple):
+    """A point of the search."""
+
+    theta: FloatArray  #: (n_f,) array
+    starts: FloatArray  #: (m, n_x) array
+    cost: float
+
+
+class Search(NamedTuple):
+    """Where a search ended, and why."""
+
+    point: Point
+    outcome: Outcome
+    iterations: int
+
+
+def minimise(
+    objective: Objective,
+    point: Point,
+    *,
+    bounds: tuple[FloatArray, FloatArray],
+    iterations: int,
+    tolerance: float,
+    watch: Callable[[int, Point], bool] = lambda k, point: True,
+) -> Search:
+    """Lower the cost until no step promises more than the tolerance.
+
+    Parameters
+    ----------
+    objective : Objective
+    point : Point
+        Where to begin; its cost is not read.
+    bounds : (lower, upper)
+        Each (n_f,); equal where a parameter is held.
+    iterations : int
+        At most so many steps, bad ones included.
+    tolerance : float
+        In the cost's unit. A change of 0.5 is one standard deviation of one parameter, so that
+        a thousandth lies far below what any data can tell.
+    watch : callable
+        Told the iteration and the best point; False ends the search.
+    """
+    theta = np.clip(point.theta, *bounds)
+    cost, quadratic, _ = objective.parabola(theta, point.starts)
+    best = Point(theta, point.starts, cost)
+    if not np.isfinite(cost):
+        return Search(best, Outcome.FAILED, 0)
+    damping, growth, small = _FIRST_DAMPING, 2.0, 0
+    for k in range(iterations):
+        if not watch(k, best):
+            return Search(best, Outcome.INTERRUPTED, k)
+        dx, dtheta = step(quadratic, damping, best.theta, bounds, objective.scales)
+        promised = quadratic.cost(np.zeros_like(dx), np.zeros_like(dtheta)) - quadratic.cost(
+            dx, dtheta
+        )
+        if promised < tolerance and damping <= _FIRST_DAMPING:
+            return Search(best, Outcome.CONVERGED, k)
+        theta = np.clip(best.theta + dtheta * objective.scales, *bounds)
+        moved = best.starts + dx * objective.windows.spread
+        cost, starts = objective.better_starts(theta, moved, best.starts)
+        gained = best.cost - cost
+        if gained > 0:
+            small = small + 1 if gained < tolerance else 0
+            cost, quadratic, _ = objective.parabola(theta, starts)
+            best = Point(theta, starts, cost)
+            if small >= _SMALL_STEPS:
+                return Search(best, Outcome.CONVERGED, k + 1)
+            quality = min(gained / promised, 1.0) if promised > 0 else 0.0
+            damping = max(damping * max(1 / 5, 1 - (2 * quality - 1) ** 3), _LEAST_DAMPING)
+            growth = 2.0
+        else:
+            damping, growth = damping * growth, growth * 2
+            if damping > _MOST_DAMPING or promised < 0.01 * tolerance:
+                outcome = Outcome.CONVERGED if promised < tolerance else Outcome.STUCK
+                return Search(best, outcome, k + 1)
+    return Search(best, Outcome.BUDGET_SPENT, iterations)
+
+
+def step(
+    quadratic: Quadratic,
+    damping: float,
+    theta: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+    scales: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """The damped parabola's minimum within bounds: changes of starts and parameters, scaled."""
+    left = reduced(quadratic, damping)
+    n_f = len(theta)
+    rows = np.vstack([left.factor, np.diag(quadratic.prior_root), np.sqrt(damping) * np.eye(n_f)])
+    wanted = -np.concatenate([left.residual, quadratic.prior_gap, np.zeros(n_f)])
+    low, high = (bounds[0] - theta) / scales, (bounds[1] - theta) / scales
+    dtheta = bounded_least_squares(rows, wanted, low, high)
+    return left.starts(dtheta), dtheta
+
+
+def bounded_least_squares(
+    rows: FloatArray, wanted: FloatArray, low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """``min |rows·x − wanted|²`` with ``low ≤ x ≤ high``; held where the two are equal."""
+    x = np.zeros(rows.shape[1])
+    held = low == high
+    x[held] = low[held]
+    free = ~held
+    if not free.any():
+        return x
+    a, b = rows[:, free], wanted - rows[:, held] @ x[held]
+    inner, *_ = np.linalg.lstsq(a, b, rcond=None)
+    if ((inner < low[free]) | (inner > high[free])).any():
+        from scipy.optimize import lsq_linear  # 0.4 s to import, and seldom needed
+
+        # The triangle says the same in fewer rows.
+        q, r = np.linalg.qr(a)
+        inner = lsq_linear(r, q.T @ b, (low[free], high[free]), method="bvls").x
+    x[free] = np.clip(inner, low[free], high[free])
+    return x
+
 
 #: Least-squares steps in the rounds before the last, and the reduction (nats) that ends a round.
 _ROUND_ITERATIONS, _ROUND_TOLERANCE = 12, 0.5
@@ -172,3 +304,98 @@ def _change(before: Weights, after: Weights) -> float:
     """Largest relative change of the weight of any output."""
     scale = before.sd / after.sd * np.sqrt(before.samples / after.samples)
     return float(np.max(np.abs(np.log(scale))))
+
+
+#: Half the 95 % quantile of χ² with one degree of freedom.
+_RISE_95 = 3.841458820694124 / 2
+#: The profile is followed to this many times that rise, to show its shape beyond the interval.
+_FOLLOWED = 1.5
+_ITERATIONS, _TOLERANCE = 30, 1e-3
+_MOST_STEPS = 24
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The cost along one parameter."""
+
+    name: str
+    values: FloatArray  #: (k,) array; ascending, in the parameter's unit
+    #: (k,) array; cost above the optimum's; negative where the fit had not found the best
+    rise: FloatArray
+    #: 95 %, by the likelihood ratio; infinite on a side where the profile stays below the quantile
+    #: as far as it was followed, the bound where it ends there
+    interval: tuple[float, float]
+
+
+def profile(
+    objective: Objective,
+    best: Point,
+    name: str,
+    sd: float,
+    *,
+    factor: float = 1.0,
+    watch: Callable[[int, Point], bool] = lambda k, point: True,
+) -> Profile:
+    """Follow the cost to both sides of an optimum, each fit beginning at the one before.
+
+    Parameters
+    ----------
+    objective : Objective
+        With the weights of the fit.
+    best : Point
+    name : str
+        A free parameter.
+    sd : float
+        Its standard deviation; steps are half of it.
+    factor : float
+        The rise is multiplied by it before it is compared: how much larger the curvature of the
+        cost would be if the residuals' correlation were in it.
+    watch : callable
+        As of :func:`minimise`.
+    """
+    problem = objective.windows.problem
+    column = problem.names.index(name)
+    low, high = problem.bounds
+    values, rises = [float(best.theta[column])], [0.0]
+    ends = []
+    for direction, bound in ((-1.0, low[column]), (1.0, high[column])):
+        point, stride, end = best, 0.5 * sd, direction * np.inf
+        for _ in range(_MOST_STEPS):
+            value = float(point.theta[column] + direction * stride)
+            value = float(np.clip(value, low[column], high[column]))
+            if value == point.theta[column]:
+                end = float(bound)
+                break
+            theta = point.theta.copy()
+            theta[column] = value
+            held = (low.copy(), high.copy())
+            held[0][column] = held[1][column] = value
+            found = minimise(
+                objective,
+                point._replace(theta=theta),
+                bounds=held,
+                iterations=_ITERATIONS,
+                tolerance=_TOLERANCE,
+                watch=watch,
+            ).point
+            rise = factor * (found.cost - best.cost)
+            before = factor * (point.cost - best.cost)
+            if before < _RISE_95 <= rise:
+                share = _root_share(before, rise)
+                end = float(point.theta[column] + share * (value - point.theta[column]))
+            values.append(value)
+            rises.append(rise)
+            point = found
+            if not np.isfinite(rise) or rise > _FOLLOWED * _RISE_95:
+                break
+            if rise < 0.25 * _RISE_95:  # flat: longer strides
+                stride *= 1.5
+        ends.append(end)
+    order = np.argsort(values)
+    return Profile(name, np.array(values)[order], np.array(rises)[order], (ends[0], ends[1]))
+
+
+def _root_share(before: float, after: float) -> float:
+    """Where between two values the rise passes the quantile, as of a parabola."""
+    roots = np.sqrt(np.maximum([before, after, _RISE_95], 0.0))
+    return float((roots[2] - roots[0]) / max(roots[1] - roots[0], 1e-12))

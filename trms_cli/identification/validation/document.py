@@ -13,14 +13,17 @@ from trms_cli.identification.validation.characteristics import (
     Characteristics,
     characteristics_of,
 )
-from trms_cli.identification.validation.comparison import (
+from trms_cli.identification.validation.metrics import (
     BlockSums,
     Interval,
+    fit_percent,
+    largest,
     mean_log_ratio,
     ratio_interval,
+    rms,
     rms_interval,
+    vaf_percent,
 )
-from trms_cli.identification.validation.metrics import fit_percent, largest, rms, vaf_percent
 from trms_cli.identification.validation.residual_tests import MEANING
 from trms_cli.identification.validation.validate import ModelValidation
 from trms_cli.models.model import names

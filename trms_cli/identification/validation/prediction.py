@@ -8,7 +8,9 @@ factor for the beam and one for what drives it, by the likelihood of the innovat
 
     ln L = −½ Σ (ν²/s² + ln s²)
 
-A network's one-step error is that of a step from measured values (:mod:`lagged_state`).
+A network's one-step error is that of a step from measured values: its state at a sample is what was
+measured and commanded before it. No observer is needed, and none would do: the one-step prediction
+of such a model is one step from measured values.
 """
 
 from __future__ import annotations
@@ -19,14 +21,49 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trms_cli.identification.dataset import Dataset, FloatArray
-from trms_cli.identification.validation.lagged_state import measured_states
 from trms_cli.identification.validation.options import PredictorOptions
+from trms_cli.models.discrete import copied_states
 from trms_cli.models.model import Model, index_of, names
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import INPUTS
 from trms_cli.observers.ukf import Ukf
 from trms_cli.simulation.rollout import Rollout
+
+
+def measured_states(model: Model, dataset: Dataset) -> FloatArray | None:
+    """The states at every sample, as far as measured.
+
+    Parameters
+    ----------
+    model : Model
+    dataset : Dataset
+
+    Returns
+    -------
+    (n, n_x) array or None
+        NaN where something is missing or lies before the recording; None for a model that has a
+        derivative, or a state that is neither a measured output nor a copy of one or of an input.
+    """
+    if getattr(model, "sample_time", None) is None:
+        return None
+    copies = copied_states(model)
+    measured = {name: column for column, name in enumerate(names(dataset.outputs))}
+    states = np.full((len(dataset), model.n_x), np.nan)
+    for i in range(model.n_x):
+        kind, at, delay = "x", i, 0
+        while kind == "x" and at in copies and delay <= model.n_x:
+            kind, at = copies[at]
+            delay += 1
+        if kind == "u":
+            source = dataset.commands[:, at]
+        elif model.states[at].name in measured:
+            source = dataset.measurements[:, measured[model.states[at].name]]
+        else:
+            return None
+        states[delay:, i] = source[: len(dataset) - delay]
+    return states
+
 
 #: Kinds of states whose process noise is scaled together; the others are the drive's.
 _BEAM = ("angle", "momentum")

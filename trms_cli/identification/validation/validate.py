@@ -1,30 +1,190 @@
-"""A model held against recordings: everything that the report is made of."""
+"""A model held against recordings: everything that the report is made of.
+
+In a free run the model is alone over a window, started from what came before. Windows of every
+horizon begin at the same samples, one every `stride`, for all models alike. Sample j of a window is
+j + 1 steps ahead of the last measurement that its start may know.
+
+p-values may come from simulation, where the model is exactly right: it runs along the recorded
+commands, its outputs get the sensors' noise and quanta, and the same predictor and the same tests
+go over them (a parametric bootstrap). Each statistic's mean and variance over the simulations give
+a scaled χ² with the same two moments, and its tail the p-value. That keeps whatever the limit of
+long recordings leaves out: quantised angles, a short recording, the filter's own approximations.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.dataset import Dataset, FloatArray
-from trms_cli.identification.validation.comparison import BlockSums, block_sums
-from trms_cli.identification.validation.free_run import (
-    FreeRuns,
+from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.identification.validation.metrics import (
+    BlockSums,
+    RegionTable,
     WindowErrors,
-    common_windows,
-    free_runs,
-    lead_samples,
-    samples_of,
+    block_sums,
+    region_tables,
 )
 from trms_cli.identification.validation.options import ValidationOptions
-from trms_cli.identification.validation.prediction import OneStep, predict_one_step
-from trms_cli.identification.validation.regions import RegionTable, region_tables
+from trms_cli.identification.validation.prediction import (
+    OneStep,
+    OneStepFilter,
+    measured_states,
+    predict_one_step,
+)
 from trms_cli.identification.validation.residual_tests import ResidualTests, residual_tests
-from trms_cli.models.model import Model, Signal, names
+from trms_cli.identification.validation.window_start import fitted_starts, with_memory
+from trms_cli.models.model import Model, Signal, index_of, names
 from trms_cli.simulation.rollout import Rollout
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """The model alone to the end of the recording."""
+
+    first: int  #: Sample at which it begins
+    simulated: FloatArray  #: (n − first, n_y) array; in the order of the recording's outputs
+
+
+@dataclass(frozen=True)
+class FreeRuns:
+    """All free runs of a model over one recording."""
+
+    windows: Mapping[float, WindowErrors]  #: By horizon, s
+    whole: FreeRun
+
+
+def common_windows(
+    dataset: Dataset, options: ValidationOptions, lead: int
+) -> dict[float, IntArray]:
+    """First samples of the windows of every horizon that fits.
+
+    Parameters
+    ----------
+    lead : int
+        Samples that are needed before a window.
+
+    Raises
+    ------
+    ConfigurationError
+        If not even the shortest horizon fits.
+    """
+    step = dataset.sample_time
+    stride = max(1, round(options.windows.stride / step))
+    found = {}
+    for horizon in options.horizons:
+        last = len(dataset) - samples_of(horizon, step)
+        first = np.arange(lead, last + 1, stride, dtype=np.int64)
+        if first.size and horizon >= 0.5 * step:
+            found[horizon] = first
+    if not found:
+        needed = lead * step + options.horizons[0]
+        raise ConfigurationError(
+            f"{dataset.source} lasts {dataset.duration:.3g} s, and {needed:.3g} s are needed: "
+            f"{lead * step:.3g} s to estimate a start from, then the shortest horizon",
+            where="real",
+            remedy="give a longer recording, or shorten windows.history and horizons",
+        )
+    return found
+
+
+def lead_samples(models: Sequence[Model], dataset: Dataset, options: ValidationOptions) -> int:
+    """Samples before the first window that every model has its start from."""
+    lead = max(2, round(options.windows.history / dataset.sample_time))
+    for model in models:
+        states = measured_states(model, dataset)
+        if states is not None:
+            present = ~np.isnan(states).any(axis=1)
+            lead = max(lead, int(np.argmax(present)) + 1 if present.any() else 0)
+    return lead
+
+
+def samples_of(time: float, sample_time: float) -> int:
+    """A time in samples, at least one."""
+    return max(1, round(time / sample_time))
+
+
+def free_runs(
+    model: Model,
+    dataset: Dataset,
+    rollout: Rollout,
+    one_step: OneStep,
+    firsts: Mapping[float, IntArray],
+    options: ValidationOptions,
+) -> FreeRuns:
+    """Simulate all windows, and once from the first of them to the end."""
+    remembered = measured_states(model, dataset)
+    shortest = min(firsts)
+    every = firsts[shortest]
+    if remembered is not None:
+        starts = _filled(remembered)[every]
+    elif options.windows.start != "moving_horizon":
+        before = with_memory(rollout, dataset, every - 1, one_step.states[every - 1])
+        ones = np.ones_like(every)
+        starts = rollout.outputs(dataset.commands, every - 1, ones, before).ends
+    else:
+        history = np.minimum(every, samples_of(options.windows.history, dataset.sample_time))
+        prior = one_step.states[every - history]
+        _, starts = fitted_starts(model, rollout, dataset, every - history, history, prior)
+    windows = {}
+    for horizon, first in firsts.items():
+        samples = samples_of(horizon, dataset.sample_time)
+        count = np.full(len(first), samples)
+        begin = starts[np.searchsorted(every, first)]
+        if options.windows.start == "fitted" and remembered is None:
+            prior = begin[:, : model.n_x]
+            begin, _ = fitted_starts(model, rollout, dataset, first, count, prior)
+        windows[horizon] = _errors(model, dataset, rollout, first, samples, begin)
+    origin = int(every[0])
+    with np.errstate(all="ignore"):
+        y = rollout.outputs(dataset.commands, [origin], [len(dataset) - origin], starts[:1]).y
+    return FreeRuns(windows, FreeRun(origin, y[:, _columns(model, dataset)]))
+
+
+def _errors(
+    model: Model,
+    dataset: Dataset,
+    rollout: Rollout,
+    first: IntArray,
+    samples: int,
+    starts: FloatArray,
+) -> WindowErrors:
+    m, n_y = len(first), len(dataset.outputs)
+    with np.errstate(all="ignore"):
+        y = rollout.outputs(dataset.commands, first, np.full(m, samples), starts).y
+    simulated = y[:, _columns(model, dataset)].reshape(m, samples, n_y)
+    at = first[:, None] + np.arange(samples)
+    measured = dataset.measurements[at]
+    known = _filled(dataset.measurements)[np.maximum(first - 1, 0)]
+    return WindowErrors(
+        names(dataset.outputs),
+        first,
+        measured - simulated,
+        measured,
+        measured - known[:, None, :],
+    )
+
+
+def _columns(model: Model, dataset: Dataset) -> list[int]:
+    return [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
+
+
+def _filled(values: FloatArray) -> FloatArray:
+    """Missing values replaced by the last present one (at the beginning by the first)."""
+    filled = values.copy()
+    for column in filled.T:
+        present = ~np.isnan(column)
+        if not present.any():
+            column[:] = 0.0
+            continue
+        latest = np.maximum.accumulate(np.where(present, np.arange(len(column)), 0))
+        column[:] = column[latest]
+        column[: int(np.argmax(present))] = column[int(np.argmax(present))]
+    return filled
+
 
 #: Called with a word on what is being done.
 Progress = Callable[[str], None]
@@ -245,3 +405,113 @@ def _check_sample_times(datasets: Sequence[Dataset]) -> None:
                 where="real",
                 remedy="validate on recordings of one sample time, or resample",
             )
+
+
+#: A simulation that swings this much wider than the recording is no picture of it.
+_WIDEST = 3.0
+
+
+def calibrated(
+    validation: ModelValidation,
+    quanta: Mapping[str, float],
+    progress: Callable[[int], None] | None = None,
+) -> ResidualTests | None:
+    """The residual tests with p-values from simulation.
+
+    Parameters
+    ----------
+    quanta : dict of str to float
+        Resolution of each output; the rest of its declared noise is white.
+    progress : callable, optional
+        Called with the number of simulations done.
+
+    Returns
+    -------
+    ResidualTests or None
+        None if the model, left alone over the recording, leaves the range of what was measured.
+    """
+    options = validation.options
+    rollout = Rollout(validation.model, validation.sample_time)
+    clean = [_alone(validation, rollout, i) for i in range(len(validation.datasets))]
+    if any(y is None for y in clean):
+        return None
+    generator = np.random.default_rng(options.seed)
+    statistics = []
+    filters = [
+        OneStepFilter(validation.model, dataset, options.predictor) if step.noise_factors else None
+        for dataset, step in zip(validation.datasets, validation.one_steps, strict=True)
+    ]
+    factors = None  # of the filter's process noise: fitted to the first simulation, and kept
+    for count in range(options.tests.simulations):
+        simulated, steps = [], []
+        for dataset, y, filter_ in zip(validation.datasets, clean, filters, strict=True):
+            assert y is not None
+            data = replace(dataset, measurements=_measured(y, dataset, quanta, generator))
+            step = predict_one_step(
+                validation.model, data, rollout, options.predictor, factors, filter_
+            )
+            factors = step.noise_factors or None
+            simulated.append(data)
+            steps.append(step)
+        tests = tests_of(validation.model, simulated, steps, options)
+        statistics.append([test.result.statistic for test in tests.tests])
+        if progress is not None:
+            progress(count + 1)
+    p_values = [
+        matched_tail(test.result.statistic, np.array(column), test.result.degrees)
+        for test, column in zip(validation.tests.tests, np.array(statistics).T, strict=True)
+    ]
+    return validation.tests.with_p_values(p_values)
+
+
+def matched_tail(statistic: float, simulated: FloatArray, degrees: int) -> float:
+    """Tail of the scaled χ² that has the mean and the variance of simulated statistics.
+
+    The variance is at least that of ``a χ²_degrees`` of the same mean: that of a few dozen
+    statistics is too uncertain to make a tail thinner than the limit of long recordings has it.
+    That the mean is an estimate too turns χ² into F.
+    """
+    from scipy.special import fdtrc
+
+    simulated = simulated[np.isfinite(simulated)]
+    if len(simulated) < 10 or not np.isfinite(statistic) or degrees < 1:
+        return np.nan
+    mean = float(simulated.mean())
+    if not mean > 0:
+        return np.nan
+    variance = max(float(simulated.var(ddof=1)), 2.0 * mean**2 / degrees)
+    freedom = 2.0 * mean**2 / variance
+    return float(fdtrc(freedom, freedom * len(simulated), statistic / mean))
+
+
+def _alone(validation: ModelValidation, rollout: Rollout, i: int) -> FloatArray | None:
+    """The model's outputs along the whole recording; None where it runs away."""
+    dataset = validation.datasets[i]
+    start = validation.one_steps[i].states[0]
+    if np.isnan(start).any():
+        known = np.flatnonzero(~np.isnan(validation.one_steps[i].states).any(axis=1))
+        start = validation.one_steps[i].states[known[0]]
+    full = rollout.initial(start[: validation.model.n_x], dataset.commands[0])
+    columns = [index_of(validation.model.outputs, n, "an output") for n in names(dataset.outputs)]
+    with np.errstate(all="ignore"):
+        y = rollout.outputs(dataset.commands, [0], [len(dataset)], full[None]).y[:, columns]
+    swing = np.nanmax(dataset.measurements, axis=0) - np.nanmin(dataset.measurements, axis=0)
+    noise = 10.0 * dataset.noise_sd
+    if not np.all(np.isfinite(y)) or np.any(np.ptp(y, axis=0) > _WIDEST * (swing + noise)):
+        return None
+    return y
+
+
+def _measured(
+    y: FloatArray, dataset: Dataset, quanta: Mapping[str, float], generator: np.random.Generator
+) -> FloatArray:
+    """Outputs as the sensors show them, missing where the recording is."""
+    quantum = np.array([quanta.get(name, 0.0) for name in names(dataset.outputs)])
+    white = np.sqrt(np.maximum(dataset.noise_sd**2 - quantum**2 / 12.0, 0.0))
+    noisy = y + white * generator.standard_normal(y.shape)
+    # Where an encoder's steps lie is chance: with them fixed, a channel without white noise would
+    # be the same in every simulation.
+    phase = quantum * generator.uniform(-0.5, 0.5, quantum.shape)
+    step = np.where(quantum > 0, quantum, 1.0)
+    shown = np.where(quantum > 0, np.round((noisy - phase) / step) * step + phase, noisy)
+    return np.where(np.isnan(dataset.measurements), np.nan, shown)

@@ -18,7 +18,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.one_step import Objective
+from trms_cli.identification.blackbox.prediction_error import Objective
 from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.levenberg_marquardt import damped_step, slope_norm
 from trms_cli.identification.blackbox.training.training import Report

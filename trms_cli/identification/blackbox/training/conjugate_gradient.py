@@ -21,7 +21,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.one_step import Objective
+from trms_cli.identification.blackbox.prediction_error import Objective
 from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.line_search import DECREASE, LineSearch
 from trms_cli.identification.blackbox.training.training import Report

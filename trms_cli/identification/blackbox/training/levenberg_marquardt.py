@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.one_step import NormalEquations, Objective
+from trms_cli.identification.blackbox.prediction_error import NormalEquations, Objective
 from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.training import Report
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trms_cli.identification.blackbox.one_step import Objective
+from trms_cli.identification.blackbox.prediction_error import Objective
 from trms_cli.identification.blackbox.trainable import FloatArray
 
 #: Armijo's constant.

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.blackbox.one_step import Objective
+from trms_cli.identification.blackbox.prediction_error import Objective
 from trms_cli.identification.blackbox.trainable import FloatArray
 
 
