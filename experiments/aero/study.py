@@ -12,10 +12,9 @@ import yaml
 
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.judgement import with_values
 from trms_cli.identification.method import FitResult, Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
-from trms_cli.identification.problem import FitProblem, Prior, free_parameters
+from trms_cli.identification.problem import FitProblem, Prior, free_parameters, with_values
 from trms_cli.identification.validation.options import ValidationOptions, WindowOptions
 from trms_cli.identification.validation.validate import ModelValidation, validate_all
 from trms_cli.models.quanser_aero import QuanserAero

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from experiments.chapter4.cases import Case
-from trms_cli.identification.judgement import figures, judged, with_values
+from trms_cli.identification.free_runs import error_figures, window_runs
 from trms_cli.identification.method import FitResult, Unwatched
+from trms_cli.identification.problem import with_values
 
 
 @dataclass
@@ -87,8 +88,8 @@ def _fit(
     length = problem.window_length
     if not outcome.white:
         outcome.free = len(problem.free)
-        white = judged(problem.model, problem.validation, length)
-        outcome.white = figures(white)
+        white = window_runs(problem.model, problem.validation, length)
+        outcome.white = error_figures(white)
         dataset = problem.validation[0]
         outcome.measured = {"time": dataset.time} | {
             s.name: dataset.measurements[:, i] for i, s in enumerate(dataset.outputs)
@@ -97,11 +98,11 @@ def _fit(
     begin = process_time()
     result: FitResult = asked.method.fit(problem, Unwatched())
     seconds = process_time() - begin
-    runs = judged(with_values(problem.model, result.values), problem.validation, length)
+    runs = window_runs(with_values(problem.model, result.values), problem.validation, length)
     outcome.fits.append(
         Fitted(
             method,
-            figures(runs),
+            error_figures(runs),
             SimulationCost(problem)(result.theta),
             seconds,
             result.evaluations,

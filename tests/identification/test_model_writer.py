@@ -11,9 +11,8 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.model_file import load_model
-from trms_cli.identification.judgement import with_values
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
-from trms_cli.identification.problem import Prior, free_parameters
+from trms_cli.identification.problem import Prior, free_parameters, with_values
 from trms_cli.models.driven import DrivenModel
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import parameter_file

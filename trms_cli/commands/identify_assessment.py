@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.commands.identify_request import Identification
-from trms_cli.identification.judgement import Judged, judged, with_values
+from trms_cli.identification.free_runs import WindowRuns, window_runs
 from trms_cli.identification.method import FitResult
+from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model
 
 FloatArray = npt.NDArray[np.float64]
@@ -29,8 +30,8 @@ class Assessment:
     statistics: dict[str, Any] = field(default_factory=dict)
     #: ``before``, ``after``: Free runs of the model as it was and as fitted, over ``fit`` and
     #: ``held_out``
-    before: dict[str, list[Judged]] = field(default_factory=dict)
-    after: dict[str, list[Judged]] = field(default_factory=dict)
+    before: dict[str, list[WindowRuns]] = field(default_factory=dict)
+    after: dict[str, list[WindowRuns]] = field(default_factory=dict)
 
     @property
     def deviations(self) -> dict[str, float | None]:
@@ -93,9 +94,11 @@ def judge(asked: Identification, assessment: Assessment, fitted: Model | None = 
     parts = {"fit": problem.datasets, "held_out": problem.validation}
     for part, datasets in parts.items():
         length = problem.window_length
-        assessment.after[part] = judged(after, datasets, length, jobs=problem.jobs)
+        assessment.after[part] = window_runs(after, datasets, length, jobs=problem.jobs)
         if fitted is None:
-            assessment.before[part] = judged(problem.model, datasets, length, jobs=problem.jobs)
+            assessment.before[part] = window_runs(
+                problem.model, datasets, length, jobs=problem.jobs
+            )
 
 
 def at_bounds(asked: Identification, values: Mapping[str, float]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from trms_cli.commands.run_assembly import versions
 from trms_cli.composition.composer import Composition
 from trms_cli.core.invocation import command_line
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.judgement import Judged, figures
+from trms_cli.identification.free_runs import WindowRuns, error_figures
 from trms_cli.models.model import names
 
 SCHEMA = "trms.identification/1"
@@ -132,5 +132,5 @@ def _correlation(fitted: Assessment) -> dict[str, Any] | None:
     return {"names": list(fitted.result.values), "matrix": matrix}
 
 
-def _errors(runs: Sequence[Judged] | None) -> dict[str, Any] | None:
-    return figures(runs) if runs else None
+def _errors(runs: Sequence[WindowRuns] | None) -> dict[str, Any] | None:
+    return error_figures(runs) if runs else None

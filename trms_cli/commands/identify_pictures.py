@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.commands.identify_assessment import Assessment
-from trms_cli.identification.judgement import Judged
+from trms_cli.identification.free_runs import WindowRuns
 from trms_cli.models.model import names
 from trms_cli.reporting.identification_picture import FreeRunTrace
 
@@ -97,7 +97,7 @@ def _traces(fitted: Assessment, part: str) -> list[FreeRunTrace]:
     ]
 
 
-def _shown(run: Judged, column: int, begin: int, end: int) -> Any:
+def _shown(run: WindowRuns, column: int, begin: int, end: int) -> Any:
     assert column < len(names(run.dataset.outputs))
     values = run.simulated[begin:end, column]
     return np.where(np.isfinite(values), values, np.nan)

@@ -21,9 +21,14 @@ from trms_cli.core.plugins import TARGET, build
 from trms_cli.identification.admission import Admission, admit
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.judgement import acting_parameters
 from trms_cli.identification.method import Method
-from trms_cli.identification.problem import FitProblem, FreeParameter, Prior, free_parameters
+from trms_cli.identification.problem import (
+    FitProblem,
+    FreeParameter,
+    Prior,
+    acting_parameters,
+    free_parameters,
+)
 from trms_cli.models.model import Model
 
 #: Keys of the configuration that are plugins of their own.

@@ -22,8 +22,9 @@ import numpy.typing as npt
 
 from trms_cli.gap.problem import HORIZONS
 from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
 from trms_cli.identification.greybox.starts import estimated_starts, spreads
-from trms_cli.models.model import Model, index_of, names
+from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 
 #: s before a start that it is fitted to, and samples at least.
@@ -31,8 +32,8 @@ HISTORY = 0.3
 _FEWEST = 8
 #: s between the samples at which a simulation from the beginning is put right by measurements.
 _ANCHORED = 1.0
-#: Steps of Levenberg–Marquardt, the first damping, the relative fall of the cost that is enough.
-_ITERATIONS, _FIRST_DAMPING, _ENOUGH = 10, 1e-3, 1e-3
+#: Thousands of starts need no more care than their errors show.
+_START_SEARCH = StartSearch(iterations=10, enough=1e-3, least_cost=1.0, most_damping=1.0)
 
 #: Number of a dataset, first sample, and the sample after the last.
 Span = tuple[int, int, int]
@@ -131,55 +132,16 @@ def start_states(model: Model, rollout: Rollout, dataset: Dataset, first: IntArr
     recording. Returns (m, rollout.n_x) array.
     """
     samples = history(dataset.sample_time)
-    begin, n = first - samples, model.n_x
+    begin = first - samples
     # From the beginning of the recording step by step, so that slow memories follow the rig.
     anchors = np.arange(0, begin[-1], max(1, round(_ANCHORED / dataset.sample_time)))
     stops = np.unique(np.concatenate([anchors[~_near(anchors, begin, samples)], begin]))
     p = model.parameters.values
     guess = estimated_starts(rollout, dataset, stops, p).states[np.searchsorted(stops, begin)]
-    columns = [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
-    measured = dataset.measurements[begin[:, None] + np.arange(samples)]
-    present, count = ~np.isnan(measured), np.full(len(begin), samples)
-    sd = np.where(dataset.noise_sd > 0, dataset.noise_sd, 1e-9)
     prior_sd = _prior_sd(model, dataset.sample_time)
-    shape = (len(begin), samples, len(columns))
-
-    def simulated(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Costs, residuals, their slopes in the model's states, and the ends."""
-        with np.errstate(all="ignore"):
-            now = rollout.sensitivities(dataset.commands, begin, count, x, p)
-            r = np.where(present, (measured - now.y[:, columns].reshape(shape)) / sd, 0.0)
-            slope = now.dy[:, columns, :n].reshape(*shape, n) / sd[:, None]
-            slope = np.where(present[..., None] & np.isfinite(slope), slope, 0.0)
-            gaps = (x[:, :n] - guess[:, :n]) / prior_sd
-            cost = np.sum(r**2, axis=(1, 2)) + np.sum(gaps**2, axis=1)
-        return np.where(np.isfinite(cost), cost, np.inf), np.nan_to_num(r), slope, now.ends
-
-    x = guess.copy()
-    cost, r, slope, ends = simulated(x)
-    damping = np.full(len(begin), _FIRST_DAMPING)
-    for _ in range(_ITERATIONS):
-        normal = np.einsum("jkci,jkcl->jil", slope, slope, optimize=True) + np.diag(prior_sd**-2.0)
-        right = np.einsum("jkci,jkc->ji", slope, r, optimize=True)
-        right += (guess - x)[:, :n] / prior_sd**2
-        diagonal = np.einsum("jii->ji", normal)
-        damped = normal + (damping[:, None] * diagonal)[:, :, None] * np.eye(n)
-        trial = x.copy()
-        trial[:, :n] += np.linalg.solve(damped, right[..., None])[..., 0]
-        cost_after, r_after, slope_after, ends_after = simulated(trial)
-        better = cost_after < cost
-        with np.errstate(invalid="ignore"):
-            gained = np.where(better, cost - cost_after, 0.0) / np.maximum(cost, 1.0)
-        x[better], ends[better], cost[better] = (
-            trial[better],
-            ends_after[better],
-            cost_after[better],
-        )
-        r[better], slope[better] = r_after[better], slope_after[better]
-        damping = np.where(better, damping / 10, damping * 10)
-        if np.all((gained < _ENOUGH) & (better | (damping > 1.0))):
-            break
-    return ends
+    return fitted_starts(
+        rollout, dataset, begin, samples, guess, prior_sd, search=_START_SEARCH, p=p
+    )[1]
 
 
 def history(sample_time: float) -> int:
@@ -209,11 +171,10 @@ def expected_errors(
     """
     rollout = rollout or Rollout(model, datasets[0].sample_time, jobs=jobs)
     random = np.random.default_rng(np.random.SeedSequence([seed, 0xF100]))
-    columns = [index_of(model.outputs, s.name, "an output") for s in datasets[0].outputs]
     p, made = model.parameters.values, []
     for dataset in datasets:
         start = estimated_starts(rollout, dataset, np.zeros(1, dtype=np.int64), p).states
-        y = rollout.outputs(dataset.commands, [0], [len(dataset)], start, p).y[:, columns]
+        y = simulated_windows(rollout, dataset, [0], len(dataset), start, p)[0]
         noisy = y + dataset.noise_sd * random.standard_normal(y.shape)
         noisy[np.isnan(dataset.measurements)] = np.nan
         made.append(replace(dataset, measurements=noisy))
@@ -251,14 +212,11 @@ def _squared(
     starts: FloatArray,
 ) -> FloatArray:
     """Mean squared errors, (m, n_y); NaN where nothing was measured."""
-    m, n_y = len(first), len(dataset.outputs)
-    columns = [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
     measured = dataset.measurements[first[:, None] + np.arange(samples)]
     present = ~np.isnan(measured)
-    count = np.full(m, samples)
+    y = simulated_windows(rollout, dataset, first, samples, starts, model.parameters.values)
     with np.errstate(all="ignore"):
-        y = rollout.outputs(dataset.commands, first, count, starts, model.parameters.values).y
-        squared = (measured - y[:, columns].reshape(m, samples, n_y)) ** 2
+        squared = (measured - y) ** 2
         squared = np.where(np.isfinite(squared), squared, np.inf)
         total = np.sum(np.where(present, squared, 0.0), axis=1)
         mean: FloatArray = total / present.sum(axis=1)

@@ -50,8 +50,7 @@ def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:
         return free_parameters(model.parameters, names)
     known = [p for p in model.parameters if "." not in p.name and p.value != 0.0]
     try:
-        from trms_cli.identification.judgement import acting_parameters
-        from trms_cli.identification.problem import Prior
+        from trms_cli.identification.problem import Prior, acting_parameters
 
         used = acting_parameters(model)
         chosen = [p.name for p in known if p.name in used and p.name != "g"]

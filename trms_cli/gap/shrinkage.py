@@ -14,7 +14,7 @@ from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race import Race
 from trms_cli.identification.dataset import FloatArray, IntArray
-from trms_cli.identification.judgement import with_values
+from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
 

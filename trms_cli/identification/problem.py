@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import fnmatch
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from msgspec import Meta
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.identification.dataset import Dataset
+from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter, ParameterSet
 
@@ -26,6 +28,8 @@ PRIORS = "priors"
 _SCALE_WITHOUT_PRIOR = 0.3
 #: Share of a parameter's scale within which it counts as lying on its bound.
 _ON_BOUND = 1e-3
+#: s; which parameters act does not depend on it.
+_ANY_STEP = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,3 +319,32 @@ class FitProblem:
         for value, name in zip(theta, self.names, strict=True):
             p[order.index(name)] = value
         return p
+
+
+def with_values(model: Model, values: Mapping[str, float]) -> Model:
+    """The same model with other values of some parameters, also in the models beneath it."""
+    changed = copy.copy(model)
+    beneath = getattr(model, "base", None)
+    if isinstance(beneath, Model):
+        changed.base = with_values(beneath, values)  # type: ignore[attr-defined]
+    changed.parameters = ParameterSet(
+        (
+            replace(parameter, value=float(values.get(parameter.name, parameter.value)))
+            for parameter in model.parameters
+        ),
+        model.parameters.name,
+    )
+    return changed
+
+
+def acting_parameters(model: Model) -> set[str]:
+    """Names of the parameters on which the model's step or its outputs depend at all.
+
+    A locked axis or a prescribed rotor leaves others without any part in the equations.
+    """
+    discrete = discretise(model, model.sample_time or _ANY_STEP, 1)
+    acting = set[str]()
+    for function in (discrete.step, discrete.measurement):
+        columns = function.jac_sparsity(0, function.index_in("p")).get_triplet()[1]
+        acting |= {model.parameters.names[column] for column in columns}
+    return acting

@@ -12,10 +12,15 @@ from trms_cli.gap.candidates import CandidateEffect, joint
 from trms_cli.gap.diagnosis import FittedParameter, SizeEstimate
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import FloatArray
-from trms_cli.identification.judgement import with_values
 from trms_cli.identification.method import Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
-from trms_cli.identification.problem import PRIORS, FitProblem, FreeParameter, free_parameters
+from trms_cli.identification.problem import (
+    PRIORS,
+    FitProblem,
+    FreeParameter,
+    free_parameters,
+    with_values,
+)
 from trms_cli.models.model import Model
 
 

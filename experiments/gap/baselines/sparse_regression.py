@@ -28,7 +28,7 @@ from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.dataset import FloatArray, IntArray
-from trms_cli.identification.judgement import with_values
+from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model, names
 
 #: Standard deviation of a term's contribution, in that of the force, below which it goes.

@@ -29,8 +29,7 @@ from trms_cli.identification.greybox.information import information
 from trms_cli.identification.greybox.map_fit import Point, minimise, with_fitted_starts
 from trms_cli.identification.greybox.objective import Objective, Weights
 from trms_cli.identification.greybox.windows import Windows
-from trms_cli.identification.judgement import with_values
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, with_values
 
 #: Steps from each start, then from the better one, and the reduction (nats) that ends a search.
 _FIRST_STEPS, _LAST_STEPS, _TOLERANCE = 4, 6, 0.5

@@ -21,9 +21,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.free_runs import output_columns
 from trms_cli.identification.validation.options import PredictorOptions
 from trms_cli.models.discrete import copied_states
-from trms_cli.models.model import Model, index_of, names
+from trms_cli.models.model import Model, names
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import INPUTS
@@ -137,7 +138,7 @@ def _from_measured(model: Model, dataset: Dataset, rollout: Rollout, states: Flo
     """One step of the model from measured states."""
     n = len(dataset)
     first = np.flatnonzero(~np.isnan(states[: n - 1]).any(axis=1))
-    columns = [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
+    columns = output_columns(model, dataset)
     predicted = np.full((n, len(columns)), np.nan)
     if first.size:
         simulated = rollout.outputs(

@@ -21,6 +21,11 @@ import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.identification.free_runs import (
+    fitted_starts,
+    simulated_windows,
+    with_memory,
+)
 from trms_cli.identification.validation.metrics import (
     BlockSums,
     RegionTable,
@@ -36,8 +41,7 @@ from trms_cli.identification.validation.prediction import (
     predict_one_step,
 )
 from trms_cli.identification.validation.residual_tests import ResidualTests, residual_tests
-from trms_cli.identification.validation.window_start import fitted_starts, with_memory
-from trms_cli.models.model import Model, Signal, index_of, names
+from trms_cli.models.model import Model, Signal, names
 from trms_cli.simulation.rollout import Rollout
 
 
@@ -126,38 +130,29 @@ def free_runs(
         ones = np.ones_like(every)
         starts = rollout.outputs(dataset.commands, every - 1, ones, before).ends
     else:
-        history = np.minimum(every, samples_of(options.windows.history, dataset.sample_time))
-        prior = one_step.states[every - history]
-        _, starts = fitted_starts(model, rollout, dataset, every - history, history, prior)
+        # The first window begins no earlier: see :func:`lead_samples`.
+        history = samples_of(options.windows.history, dataset.sample_time)
+        begin = every - history
+        guess = with_memory(rollout, dataset, begin, one_step.states[begin])
+        _, starts = fitted_starts(rollout, dataset, begin, history, guess)
     windows = {}
     for horizon, first in firsts.items():
         samples = samples_of(horizon, dataset.sample_time)
-        count = np.full(len(first), samples)
-        begin = starts[np.searchsorted(every, first)]
+        at = starts[np.searchsorted(every, first)]
         if options.windows.start == "fitted" and remembered is None:
-            prior = begin[:, : model.n_x]
-            begin, _ = fitted_starts(model, rollout, dataset, first, count, prior)
-        windows[horizon] = _errors(model, dataset, rollout, first, samples, begin)
+            guess = with_memory(rollout, dataset, first, at[:, : model.n_x])
+            at, _ = fitted_starts(rollout, dataset, first, samples, guess)
+        windows[horizon] = _errors(dataset, rollout, first, samples, at)
     origin = int(every[0])
-    with np.errstate(all="ignore"):
-        y = rollout.outputs(dataset.commands, [origin], [len(dataset) - origin], starts[:1]).y
-    return FreeRuns(windows, FreeRun(origin, y[:, _columns(model, dataset)]))
+    whole = simulated_windows(rollout, dataset, [origin], len(dataset) - origin, starts[:1])
+    return FreeRuns(windows, FreeRun(origin, whole[0]))
 
 
 def _errors(
-    model: Model,
-    dataset: Dataset,
-    rollout: Rollout,
-    first: IntArray,
-    samples: int,
-    starts: FloatArray,
+    dataset: Dataset, rollout: Rollout, first: IntArray, samples: int, starts: FloatArray
 ) -> WindowErrors:
-    m, n_y = len(first), len(dataset.outputs)
-    with np.errstate(all="ignore"):
-        y = rollout.outputs(dataset.commands, first, np.full(m, samples), starts).y
-    simulated = y[:, _columns(model, dataset)].reshape(m, samples, n_y)
-    at = first[:, None] + np.arange(samples)
-    measured = dataset.measurements[at]
+    simulated = simulated_windows(rollout, dataset, first, samples, starts)
+    measured = dataset.measurements[first[:, None] + np.arange(samples)]
     known = _filled(dataset.measurements)[np.maximum(first - 1, 0)]
     return WindowErrors(
         names(dataset.outputs),
@@ -166,10 +161,6 @@ def _errors(
         measured,
         measured - known[:, None, :],
     )
-
-
-def _columns(model: Model, dataset: Dataset) -> list[int]:
-    return [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
 
 
 def _filled(values: FloatArray) -> FloatArray:
@@ -492,9 +483,7 @@ def _alone(validation: ModelValidation, rollout: Rollout, i: int) -> FloatArray 
         known = np.flatnonzero(~np.isnan(validation.one_steps[i].states).any(axis=1))
         start = validation.one_steps[i].states[known[0]]
     full = rollout.initial(start[: validation.model.n_x], dataset.commands[0])
-    columns = [index_of(validation.model.outputs, n, "an output") for n in names(dataset.outputs)]
-    with np.errstate(all="ignore"):
-        y = rollout.outputs(dataset.commands, [0], [len(dataset)], full[None]).y[:, columns]
+    y = simulated_windows(rollout, dataset, [0], len(dataset), full[None])[0]
     swing = np.nanmax(dataset.measurements, axis=0) - np.nanmin(dataset.measurements, axis=0)
     noise = 10.0 * dataset.noise_sd
     if not np.all(np.isfinite(y)) or np.any(np.ptp(y, axis=0) > _WIDEST * (swing + noise)):

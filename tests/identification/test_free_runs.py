@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.judgement import acting_parameters, figures, judged, with_values
+from trms_cli.identification.free_runs import error_figures, window_runs
+from trms_cli.identification.problem import acting_parameters, with_values
 from trms_cli.models.driven import DrivenModel
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout
@@ -38,8 +39,8 @@ def dataset(model) -> Dataset:
 
 
 def test_the_right_model_strays_by_little_more_than_the_noise(model, dataset):
-    (run,) = judged(model, [dataset], 5.0)
-    table = figures([run])
+    (run,) = window_runs(model, [dataset], 5.0)
+    table = error_figures([run])
     assert table["alpha_v"]["rmse"] < 5e-4 and table["alpha_v"]["fit_percent"] > 99
     assert table["omega_v"]["rmse"] < 1.0
     # Two seconds are needed for the first start; two windows of five follow, and a shorter one.
@@ -48,10 +49,10 @@ def test_the_right_model_strays_by_little_more_than_the_noise(model, dataset):
 
 
 def test_nothing_of_a_window_is_seen(model, dataset):
-    (run,) = judged(model, [dataset], 5.0)
+    (run,) = window_runs(model, [dataset], 5.0)
     later = dataset.measurements.copy()
     later[360:] += 1.0
-    (other,) = judged(model, [replace(dataset, measurements=later)], 5.0)
+    (other,) = window_runs(model, [replace(dataset, measurements=later)], 5.0)
     # All starts are sought at once, to a tolerance: the number of steps is common to them.
     assert np.allclose(run.simulated[100:600], other.simulated[100:600], rtol=0, atol=1e-3)
     assert not np.allclose(run.simulated[600:], other.simulated[600:], rtol=0, atol=0.1)
@@ -59,25 +60,27 @@ def test_nothing_of_a_window_is_seen(model, dataset):
 
 def test_a_wrong_model_strays(model, dataset):
     wrong = with_values(model, {"k_fvp": 1.1 * model.parameters["k_fvp"].value})
-    right, off = (figures(judged(m, [dataset], 5.0))["alpha_v"]["rmse"] for m in (model, wrong))
+    right, off = (
+        error_figures(window_runs(m, [dataset], 5.0))["alpha_v"]["rmse"] for m in (model, wrong)
+    )
     assert off > 20 * right
 
 
 def test_a_simulation_that_overflows_has_no_figures(model, dataset):
     broken = with_values(model, {"k_ov": -1e4})
-    table = figures(judged(broken, [dataset], 5.0))
+    table = error_figures(window_runs(broken, [dataset], 5.0))
     assert table["alpha_v"]["rmse"] is None and table["alpha_v"]["max_abs_error"] is None
 
 
 def test_missing_samples_are_left_out(model, dataset):
     holed = dataset.measurements.copy()
     holed[400:450] = np.nan
-    table = figures(judged(model, [replace(dataset, measurements=holed)], 5.0))
+    table = error_figures(window_runs(model, [replace(dataset, measurements=holed)], 5.0))
     assert table["alpha_v"]["rmse"] < 5e-4
 
 
 def test_too_short_a_recording_is_left_out(model, dataset):
-    assert judged(model, [dataset.part(0, 150)], 5.0) == []
+    assert window_runs(model, [dataset.part(0, 150)], 5.0) == []
 
 
 def test_a_locked_axis_and_a_prescribed_rotor_leave_parameters_without_a_part(model):

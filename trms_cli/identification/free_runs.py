@@ -1,0 +1,286 @@
+"""Free runs: a model alone over windows of a recording, from starts that know the past only.
+
+Gauss–Newton with exact sensitivities fits the state at the beginning of a stretch,
+
+    min over x₀  Σ_k |(y_k − ŷ_k(x₀))/σ|² + |(x₀ − x̂)/s|²
+
+by Levenberg–Marquardt, all stretches at once. The prior (x̂, s wide) only settles what the
+measurements leave open. Where the stretch lies *before* a window, the model's state at its end is
+the window's start: nothing of the window has been seen.
+
+``trms validate`` and ``trms diagnose`` ask more of a model; the figures over windows end to end are
+those of a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.identification.greybox.starts import estimated_starts
+from trms_cli.identification.validation.metrics import fit_percent, largest, rms
+from trms_cli.models.model import Model, Signal, index_of, names
+from trms_cli.models.state_kinds import kinds_of_states
+from trms_cli.observers.augmentation import InitialSd
+from trms_cli.simulation.rollout import Rollout
+
+#: s before a window from which its start is estimated.
+HISTORY = 2.0
+_FIRST_DAMPING = 1e-3
+#: No residual is divided by less than this (in the output's unit).
+_LEAST_SD = 1e-9
+
+
+class StartSearch(NamedTuple):
+    """When a search for starts ends."""
+
+    iterations: int = 12
+    enough: float = 1e-4  #: Relative fall of the cost
+    least_cost: float = 1e-300  #: Smaller costs count as this where falls are compared
+    most_damping: float = 1e2  #: Beyond it a start that finds no better one is given up
+
+
+_CAREFUL = StartSearch()
+
+
+def output_columns(model: Model, dataset: Dataset) -> list[int]:
+    """Columns of the model's outputs that a recording measures, in the recording's order."""
+    return [index_of(model.outputs, s.name, "an output") for s in dataset.outputs]
+
+
+def simulated_windows(
+    rollout: Rollout,
+    dataset: Dataset,
+    first: IntArray | Sequence[int],
+    samples: int,
+    starts: FloatArray,
+    p: FloatArray | None = None,
+) -> FloatArray:
+    """Outputs of the model over windows, (m, samples, n_y), in the order of the recording's.
+
+    Parameters
+    ----------
+    first : (m,) array of int
+        First sample of each window.
+    starts : (m, rollout.n_x) array
+        States there, with memory.
+    p : (n_p,) array or None
+        All parameters; None: the model's.
+    """
+    columns = output_columns(rollout.model, dataset)
+    with np.errstate(all="ignore"):
+        y = rollout.outputs(dataset.commands, first, np.full(len(first), samples), starts, p).y
+    return np.asarray(y[:, columns].reshape(len(first), samples, len(columns)))
+
+
+def fitted_starts(
+    rollout: Rollout,
+    dataset: Dataset,
+    first: IntArray,
+    samples: int,
+    guess: FloatArray,
+    prior_sd: FloatArray | None = None,
+    *,
+    search: StartSearch = _CAREFUL,
+    p: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Fit the states at the beginnings of stretches.
+
+    Parameters
+    ----------
+    first : (m,) array of int
+        First sample of each stretch.
+    samples : int
+        Length of all of them.
+    guess : (m, rollout.n_x) array
+        States around which the starts are sought, with memory, which stays.
+    prior_sd : (n_x,) array or None
+        Standard deviation of the model's states around the guess; None: as wide as what the
+        default observer believes before the first measurement.
+    p : (n_p,) array or None
+        All parameters; None: the model's.
+
+    Returns
+    -------
+    starts, ends : (m, rollout.n_x) arrays
+        States at the first sample, and one sample after the last; with memory.
+    """
+    model, n = rollout.model, rollout.model.n_x
+    columns, count = output_columns(model, dataset), np.full(len(first), samples)
+    measured = dataset.measurements[first[:, None] + np.arange(samples)]
+    present, shape = ~np.isnan(measured), measured.shape
+    sd = np.where(dataset.noise_sd > 0, dataset.noise_sd, _LEAST_SD)
+    prior_sd = _observers_prior_sd(model) if prior_sd is None else prior_sd
+
+    def simulated(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Costs, residuals, their slopes in the model's states, and the ends.
+
+        A start that makes the model overflow costs more than anything.
+        """
+        with np.errstate(all="ignore"):
+            now = rollout.sensitivities(dataset.commands, first, count, x, p)
+            r = np.where(present, (measured - now.y[:, columns].reshape(shape)) / sd, 0.0)
+            slope = now.dy[:, columns, :n].reshape(*shape, n) / sd[:, None]
+            slope = np.where(present[..., None] & np.isfinite(slope), slope, 0.0)
+            gaps = (x[:, :n] - guess[:, :n]) / prior_sd
+            cost = np.sum(r**2, axis=(1, 2)) + np.sum(gaps**2, axis=1)
+        r = np.where(np.isfinite(r), r, 0.0)
+        return np.where(np.isfinite(cost), cost, np.inf), r, slope, now.ends
+
+    x = guess.copy()
+    cost, r, slope, ends = simulated(x)
+    damping = np.full(len(first), _FIRST_DAMPING)
+    for _ in range(search.iterations):
+        normal = np.einsum("jkci,jkcl->jil", slope, slope, optimize=True) + np.diag(prior_sd**-2.0)
+        right = np.einsum("jkci,jkc->ji", slope, r, optimize=True)
+        right += (guess - x)[:, :n] / prior_sd**2
+        diagonal = np.einsum("jii->ji", normal)
+        damped = normal + (damping[:, None] * diagonal)[:, :, None] * np.eye(n)
+        trial = x.copy()
+        trial[:, :n] += np.linalg.solve(damped, right[..., None])[..., 0]
+        cost_after, r_after, slope_after, ends_after = simulated(trial)
+        better = cost_after < cost
+        with np.errstate(invalid="ignore"):
+            gained = np.where(better, cost - cost_after, 0.0) / np.maximum(cost, search.least_cost)
+        x[better], ends[better] = trial[better], ends_after[better]
+        cost[better], r[better], slope[better] = (
+            cost_after[better],
+            r_after[better],
+            slope_after[better],
+        )
+        damping = np.where(better, damping / 10, damping * 10)
+        if np.all((gained < search.enough) & (better | (damping > search.most_damping))):
+            break
+    return x, ends
+
+
+def _observers_prior_sd(model: Model) -> FloatArray:
+    table = InitialSd()
+    return np.array([getattr(table, kind) for kind in kinds_of_states(model)])
+
+
+def with_memory(
+    rollout: Rollout, dataset: Dataset, first: IntArray, states: FloatArray
+) -> FloatArray:
+    """States completed by what the input path remembers, which follows from the commands alone.
+
+    Parameters
+    ----------
+    first : (m,) array of int
+        Samples of the states.
+    states : (m, n_x) array
+        The model's own.
+    """
+    n = rollout.model.n_x
+    full = np.empty((len(first), rollout.n_x))
+    full[:, :n] = states
+    if rollout.n_x == n:
+        return full
+    rest = rollout.model.rest()
+    x, at = rollout.initial(rest, dataset.commands[0]), 0
+    for j in np.argsort(first, kind="stable"):
+        if first[j] > at:
+            between = [at], [int(first[j]) - at]
+            x[n:] = rollout.outputs(dataset.commands, *between, x[None]).ends[0, n:]
+            x[:n], at = rest, int(first[j])
+        full[j, n:] = x[n:]
+    return full
+
+
+@dataclass(frozen=True)
+class WindowRuns:
+    """A model's free runs over one recording."""
+
+    dataset: Dataset
+    #: (n, n_y) array; in the order of the recording's outputs; NaN before the first window and
+    #: after the last, infinite where the simulation overflowed
+    simulated: FloatArray
+    window: npt.NDArray[np.int64]  #: (m,) array of int; first sample of each window
+
+    @property
+    def errors(self) -> FloatArray:
+        """Measured minus simulated, (n, n_y)."""
+        errors: FloatArray = self.dataset.measurements - self.simulated
+        return errors
+
+
+def window_runs(
+    model: Model, datasets: Sequence[Dataset], length: float, *, jobs: int = 1
+) -> list[WindowRuns]:
+    """Free runs over windows end to end.
+
+    Parameters
+    ----------
+    model : Model
+        With the values to be judged.
+    datasets : sequence of Dataset
+        A recording that is too short for any window is left out.
+    length : float
+        s.
+    """
+    runs = []
+    rollouts: dict[float, Rollout] = {}
+    for dataset in datasets:
+        step = dataset.sample_time
+        rollout = rollouts.setdefault(step, Rollout(model, step, jobs=jobs))
+        history = max(2, round(HISTORY / step))
+        if len(dataset) < 2 * history:
+            continue
+        first, count = dataset.part(history, len(dataset)).windows(length)
+        first = first + history
+        begin = first - history
+        prior = estimated_starts(rollout, dataset, begin, model.parameters.values)
+        with np.errstate(all="ignore"):
+            guess = with_memory(rollout, dataset, begin, prior.states[:, : model.n_x])
+            _, starts = fitted_starts(rollout, dataset, begin, history, guess)
+            y = rollout.outputs(dataset.commands, first, count, starts).y
+        simulated = np.full(dataset.measurements.shape, np.nan)
+        columns = output_columns(model, dataset)
+        samples = np.concatenate([np.arange(a, a + c) for a, c in zip(first, count, strict=True)])
+        simulated[samples] = np.where(np.isfinite(y[:, columns]), y[:, columns], np.inf)
+        runs.append(WindowRuns(dataset, simulated, first))
+    return runs
+
+
+def outputs_of(runs: Sequence[WindowRuns]) -> tuple[Signal, ...]:
+    """All outputs that any of the recordings measures, in their order."""
+    found: dict[str, Signal] = {}
+    for run in runs:
+        found |= {signal.name: signal for signal in run.dataset.outputs}
+    return tuple(found.values())
+
+
+def error_figures(runs: Sequence[WindowRuns]) -> dict[str, dict[str, Any]]:
+    """RMS error, largest error and fit of each output over all recordings.
+
+    Returns
+    -------
+    dict
+        By output: ``rmse`` and ``max_abs_error`` in its unit, ``fit_percent``, ``unit``; None for
+        a figure that does not exist. A simulation that overflowed has none.
+    """
+    table: dict[str, dict[str, Any]] = {}
+    for signal in outputs_of(runs):
+        errors, measured = [], []
+        for run in runs:
+            if signal.name in names(run.dataset.outputs):
+                column = index_of(run.dataset.outputs, signal.name, "an output")
+                errors.append(run.errors[:, column])
+                measured.append(run.dataset.measurements[:, column])
+        e, y = np.concatenate(errors), np.concatenate(measured)
+        table[signal.name] = {
+            "rmse": _plain(rms(e)),
+            "max_abs_error": _plain(largest(e)),
+            "fit_percent": _plain(fit_percent(e, y)),
+            "unit": signal.unit,
+        }
+    return table
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
