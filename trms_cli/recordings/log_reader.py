@@ -3,12 +3,16 @@
 Records are taken from the file one after another up to the last intact one; the summary
 at the end, which a killed run lacks, is never needed. Decoding the records is the mcap
 library's work; only messages, of which there are tens of thousands, are cut out here.
+
+A chunk of a few kilobytes can unpack to gigabytes. So it is unpacked to the size that it claims and
+not further, and the chunks of one log together to no more than a limit.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Iterator, Mapping
+import zlib
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -29,19 +33,96 @@ from trms_cli.core.data_file import (
     read_bytes,
 )
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.chunk_content import (
-    TooMuch,
-    content_of,
-    is_damaged,
-    most_cells,
-    most_kept,
-    most_unpacked,
-)
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, RUN_SCHEMA, SCORE_METADATA
 from trms_cli.recordings.topics import VIEWER_SCHEMAS
 
-_RECORD = struct.Struct("<BQ")  # opcode, length of what follows
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+#: Messages of one log that are kept, and what one chunk unpacks to, however small the file is.
+USUAL_MOST = 256 * MEBIBYTE
+#: A long run has a large log, which unpacks to some four times its size.
+_UNPACKED_TO_FILE = 8
+#: All chunks of a log together, of which one is in the memory at a time.
+_TOGETHER = 16
+#: Numbers in the tables of one log, 8 bytes each. A table of a run is as long as its messages say,
+#: but a schema may name any number of columns, and the messages leave them out.
+_USUAL_MOST_CELLS = 32 * MEBIBYTE
+#: Memory that a compressor may ask for beside the content.
+_WINDOW = 64 * MEBIBYTE
+
+
+class TooMuch(ValueError):
+    """There is no room for what a log would unpack to."""
+
+
+def most_kept(size: int = 0) -> int:
+    """Bytes of messages that are kept of a log in a file of `size` bytes."""
+    return max(largest(USUAL_MOST), _UNPACKED_TO_FILE * size)
+
+
+def most_unpacked(size: int = 0) -> int:
+    """Bytes that all chunks of such a log may unpack to, one after another."""
+    return _TOGETHER * most_kept(size)
+
+
+def most_cells(size: int = 0) -> int:
+    """Numbers that the tables of such a log may hold."""
+    return max(_USUAL_MOST_CELLS, most_kept(size) // 8)
+
+
+def content_of(chunk: Chunk, room: int) -> bytes:
+    """The records of a chunk.
+
+    Parameters
+    ----------
+    chunk : Chunk
+    room : int
+        Bytes that it may have.
+
+    Raises
+    ------
+    TooMuch
+        If it claims more.
+    ValueError
+        If it is not what it claims: of another size, damaged, of an unknown compression. The
+        checksum is the caller's.
+    """
+    size = chunk.uncompressed_size
+    if size > min(room, most_kept()):
+        raise TooMuch(f"it unpacks to more than {min(room, most_kept()) / MEBIBYTE:,.0f} MiB")
+    if chunk.compression == "zstd":
+        data = _unpacked_zstd(chunk.data, size)
+    elif chunk.compression == "lz4":
+        data = _unpacked_lz4(chunk.data, size)
+    elif not chunk.compression:
+        data = chunk.data
+    else:
+        raise ValueError(f"the compression {chunk.compression!r} is not known")
+    if len(data) != size:
+        raise ValueError(f"a chunk is not of the size that it claims ({size} bytes)")
+    return data
+
+
+def _unpacked_zstd(data: bytes, size: int) -> bytes:
+    import zstandard
+
+    unpacker = zstandard.ZstdDecompressor(max_window_size=_WINDOW)
+    with unpacker.stream_reader(data) as stream:
+        return bytes(stream.read(size + 1))
+
+
+def _unpacked_lz4(data: bytes, size: int) -> bytes:
+    from importlib import import_module
+
+    unpacker: Any = import_module("lz4.frame").LZ4FrameDecompressor()
+    return bytes(unpacker.decompress(data, max_length=size + 1))
+
+
+def is_damaged(chunk: Chunk, data: bytes) -> bool:
+    """Whether the content does not fit its checksum; a chunk without one is taken as it is."""
+    return bool(chunk.uncompressed_crc) and zlib.crc32(data) != chunk.uncompressed_crc
+
+
+RECORD = struct.Struct("<BQ")  # opcode, length of what follows
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 #: Of a file, compressed: some four hours of a run at 50 Hz.
 _USUAL_MOST = 512 * MEBIBYTE
 #: Bytes that a message takes in the memory at least, however short it is.
@@ -214,7 +295,7 @@ def _read_bytes(path: Path) -> bytes:
 
 def _walk(data: bytes, content: _Content) -> None:
     """Gather all intact records; stop where one is cut off."""
-    for opcode, body in _records(memoryview(data)[len(MCAP0_MAGIC) :]):
+    for opcode, body, _ in records(memoryview(data)[len(MCAP0_MAGIC) :]):
         stream = ReadDataStream(BytesIO(body))
         try:
             if opcode == Opcode.HEADER:
@@ -240,16 +321,16 @@ def _walk(data: bytes, content: _Content) -> None:
             content.problems.append(f"a damaged record was left out ({error})")
 
 
-def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield (opcode, body) of each whole record."""
+def records(data: memoryview) -> Iterator[tuple[int, memoryview, int]]:
+    """Yield (opcode, body, where it ends) of each whole record."""
     position, size = 0, len(data)
-    while position + _RECORD.size <= size:
-        opcode, length = _RECORD.unpack_from(data, position)
-        position += _RECORD.size
-        if length > size - position:
+    while position + RECORD.size <= size:
+        opcode, length = RECORD.unpack_from(data, position)
+        start = position + RECORD.size
+        if length > size - start:
             return
-        yield opcode, data[position : position + length]
-        position += length
+        position = start + length
+        yield opcode, data[start:position], position
 
 
 def _open_chunk(chunk: Chunk, content: _Content) -> None:
@@ -259,19 +340,19 @@ def _open_chunk(chunk: Chunk, content: _Content) -> None:
         start, end = chunk.message_start_time * 1e-9, chunk.message_end_time * 1e-9
         content.problems.append(f"samples from {start:.3f} to {end:.3f} s are damaged (checksum)")
         return
-    for opcode, body in _records(memoryview(data)):
+    for opcode, body, _ in records(memoryview(data)):
         _take(opcode, body, content)
 
 
 def _take(opcode: int, body: memoryview, content: _Content) -> None:
     if opcode == Opcode.MESSAGE:
-        channel_id, _, log_time, _ = _MESSAGE.unpack_from(body)
+        channel_id, _, log_time, _ = MESSAGE.unpack_from(body)
         if channel_id in content.times:
             content.kept_room -= max(len(body), _LEAST_MESSAGE)
             if content.kept_room < 0:
                 raise TooMuch("its messages take more memory than a log of its size has")
             content.times[channel_id].append(log_time)
-            content.messages[channel_id].append(bytes(body[_MESSAGE.size :]))
+            content.messages[channel_id].append(bytes(body[MESSAGE.size :]))
     elif opcode == Opcode.SCHEMA:
         read = Schema.read(ReadDataStream(BytesIO(body)))
         content.schemas[read.id] = read
@@ -295,8 +376,9 @@ def _tables(content: _Content, path: Path, room: int) -> dict[str, Table]:
             room -= len(times) * len(schema["properties"])
             if room < 0:
                 raise ValueError("more numbers than a log of its size has")
-            rows = orjson.loads(b"[" + b",".join(content.messages[channel_id]) + b"]")
-            tables[channel.topic] = _table(np.array(times, dtype=np.int64), rows, schema)
+            kinds = {name: one["type"] for name, one in schema["properties"].items()}
+            units = {name: one.get("unit", "") for name, one in schema["properties"].items()}
+            tables[channel.topic] = table_of(times, content.messages[channel_id], kinds, units)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise RecordingError(
                 f"the messages of {channel.topic} are not as trms writes them ({error})",
@@ -305,20 +387,39 @@ def _tables(content: _Content, path: Path, room: int) -> dict[str, Table]:
     return tables
 
 
-def _table(time_ns: np.ndarray, rows: list[dict[str, Any]], schema: dict[str, Any]) -> Table:
+def table_of(
+    times: Sequence[int],
+    messages: Sequence[bytes],
+    kinds: Mapping[str, str],
+    units: Mapping[str, str],
+) -> Table:
+    """Messages as columns, in the order of time.
+
+    Parameters
+    ----------
+    times : sequence of int
+        Log times, ns.
+    messages : sequence of bytes
+        JSON objects.
+    kinds, units : mapping of str to str
+        JSON type and SI unit of each column that is wanted.
+
+    Raises
+    ------
+    ValueError, TypeError, AttributeError, OverflowError
+        If the messages are not of this form.
+    """
+    time_ns = np.array(times, dtype=np.int64)
+    rows = orjson.loads(b"[" + b",".join(messages) + b"]")
     if len(rows) != len(time_ns):
         raise ValueError(f"{len(time_ns)} messages hold {len(rows)} values")
-    order = None
+    columns = {name: _column([row.get(name) for row in rows], kind) for name, kind in kinds.items()}
     if len(time_ns) > 1 and bool(np.any(np.diff(time_ns) < 0)):
         order = np.argsort(time_ns, kind="stable")
         time_ns = time_ns[order]
-    columns, units = {}, {}
-    for name, property_ in schema["properties"].items():
-        column = _column([row.get(name) for row in rows], property_["type"])
-        columns[name] = column if order is None else column[order]
-        units[name] = property_.get("unit", "")
+        columns = {name: column[order] for name, column in columns.items()}
     # Division, not a product with 1e-9: decimal times then come back exactly.
-    return Table(time_ns / 1e9, time_ns, columns, units)
+    return Table(time_ns / 1e9, time_ns, columns, dict(units))
 
 
 def _column(values: list[Any], json_type: str) -> np.ndarray:

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import errno
 import os
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-import numpy as np
 import orjson
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -25,13 +23,19 @@ from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.chunk_content import content_of, is_damaged, most_cells
-from trms_cli.recordings.log_reader import Table
+from trms_cli.recordings.log_reader import (
+    MESSAGE,
+    RECORD,
+    Table,
+    content_of,
+    is_damaged,
+    most_cells,
+    records,
+    table_of,
+)
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA
 from trms_cli.recordings.topics import VIEWER_SCHEMAS
 
-_RECORD = struct.Struct("<BQ")  # opcode, length of what follows
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 #: Read in one look: some 30 s of a run at 50 Hz, decoded in a few milliseconds.
 _AT_ONCE = 2**20  # bytes
 #: A record that claims to be longer was not written by a run; nobody waits for its end.
@@ -115,7 +119,7 @@ class LogTail:
             return None
         data = self._next_bytes(at_once)
         taken = 0
-        for opcode, body, end in _records(memoryview(data)):
+        for opcode, body, end in records(memoryview(data)):
             if opcode == Opcode.FOOTER:
                 self.finished = data[end : end + len(MCAP0_MAGIC)] == MCAP0_MAGIC
                 taken = end if self.finished else taken
@@ -179,8 +183,8 @@ class LogTail:
                 )
             self._offset = len(MCAP0_MAGIC)
             data = data[len(MCAP0_MAGIC) :]
-        if len(data) >= _RECORD.size:
-            whole = _RECORD.size + _RECORD.unpack_from(data)[1] + len(MCAP0_MAGIC)
+        if len(data) >= RECORD.size:
+            whole = RECORD.size + RECORD.unpack_from(data)[1] + len(MCAP0_MAGIC)
             if whole > _LONGEST:
                 self.finished = True
                 self.problems.append("a damaged record hides what follows it")
@@ -232,7 +236,7 @@ class LogTail:
             words = f"samples from {start:.3f} to {end:.3f} s are damaged (checksum)"
             self.problems.append(words)
             return
-        for opcode, body, _ in _records(memoryview(data)):
+        for opcode, body, _ in records(memoryview(data)):
             self._take(opcode, body)
         self._written.append((chunk.message_end_time, self._published))
 
@@ -250,11 +254,11 @@ class LogTail:
             self._rows[channel.id] = _Rows()
 
     def _take_message(self, body: memoryview) -> None:
-        channel_id, _, log_time, publish_time = _MESSAGE.unpack_from(body)
+        channel_id, _, log_time, publish_time = MESSAGE.unpack_from(body)
         rows = self._rows.get(channel_id)
         if rows is not None:
             rows.times.append(log_time)
-            rows.messages.append(bytes(body[_MESSAGE.size :]))
+            rows.messages.append(bytes(body[MESSAGE.size :]))
             self._published = max(self._published, publish_time)
 
     def _tables(self) -> dict[str, Table]:
@@ -265,13 +269,9 @@ class LogTail:
                 continue
             topic, kinds = self._kinds[channel_id]
             try:
-                time_ns = np.array(rows.times, dtype=np.int64)
-                if len(time_ns) * len(kinds) > most_cells():
+                if len(rows.times) * len(kinds) > most_cells():
                     raise ValueError(f"more than {most_cells()} numbers at once")
-                messages = orjson.loads(b"[" + b",".join(rows.messages) + b"]")
-                if len(messages) != len(time_ns):
-                    raise ValueError(f"{len(time_ns)} messages hold {len(messages)} values")
-                columns = {n: _column([m.get(n) for m in messages], k) for n, k in kinds.items()}
+                tables[topic] = table_of(rows.times, rows.messages, kinds, self.units[topic])
             except (AttributeError, TypeError, ValueError, OverflowError) as error:
                 raise RecordingError(
                     f"the messages of {topic} are not as trms writes them ({error})",
@@ -279,35 +279,4 @@ class LogTail:
                 ) from error
             finally:
                 self._rows[channel_id] = _Rows()
-            if np.any(np.diff(time_ns) < 0):
-                order = np.argsort(time_ns, kind="stable")
-                time_ns = time_ns[order]
-                columns = {name: column[order] for name, column in columns.items()}
-            tables[topic] = Table(time_ns / 1e9, time_ns, columns, self.units[topic])
         return tables
-
-
-def _records(data: memoryview) -> Iterator[tuple[int, memoryview, int]]:
-    """Yield (opcode, body, where it ends) of each whole record."""
-    position, size = 0, len(data)
-    while position + _RECORD.size <= size:
-        opcode, length = _RECORD.unpack_from(data, position)
-        start = position + _RECORD.size
-        if length > size - start:
-            return
-        position = start + length
-        yield opcode, data[start:position], position
-
-
-def _column(values: list[Any], json_type: str) -> np.ndarray:
-    if json_type in ("number", "integer", "boolean"):
-        numbers = np.array(values, dtype=float)  # None becomes NaN
-        if numbers.ndim != 1:
-            raise ValueError("a list stands where a number belongs")
-        return numbers
-    column = np.empty(len(values), dtype=object)
-    if json_type == "array":
-        values = [np.array(() if value is None else value, dtype=float) for value in values]
-    for index, value in enumerate(values):  # a slice assignment would stack equal arrays
-        column[index] = value
-    return column
