@@ -402,7 +402,7 @@ class FeedbackLinearisation:
         if not state.started:
             state.started = True
             state.guide[:, 0] = angles
-        ahead = state.forecast.seen(reference)
+        ahead = state.forecast.update(reference)
         wanted = np.array(
             [
                 ahead[min(delay, len(ahead) - 1), axis.reference]

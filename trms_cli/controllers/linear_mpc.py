@@ -454,7 +454,7 @@ class LinearMpcState:
             self._disturbance = w.copy()
         references = sample.reference
         if len(references) == 1:
-            references = self._forecast.seen(references[0])
+            references = self._forecast.update(references[0])
         known = len(references)
         self._goals[: known - 1] = references[1:]
         self._goals[known - 1 :] = asked = references[-1]

@@ -227,7 +227,7 @@ class NewtonMpcState:
         self._full[:n_x] = sample.estimate.x
         references = sample.reference
         if len(references) == 1:
-            references = self._forecast.seen(references[0])
+            references = self._forecast.update(references[0])
         asked = goal = references[-1]
         if self._goal_limits is not None:
             # A steady state beyond a soft limit would be fought over for ever.

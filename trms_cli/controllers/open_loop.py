@@ -41,7 +41,7 @@ class OpenLoopState:
     #: (n, n_u) array; what is asked for in it
     commands: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def asked(self, time: float) -> FloatArray:
+    def command_at(self, time: float) -> FloatArray:
         """What the signals ask for at a time (s), before limits, shape (n_u,)."""
         block, k = divmod(round(time / self.period), _BLOCK)
         if block != self.block:
@@ -98,7 +98,7 @@ class OpenLoop:
         self, state: OpenLoopState, sample: ControlSample, *, want_prediction: bool
     ) -> Command:
         """The signals' values now; the message says what was cut."""
-        u = state.asked(sample.time)
+        u = state.command_at(sample.time)
         cut = np.clip(u, state.lower, state.upper)
         message = ""
         if not np.array_equal(cut, u):

@@ -80,7 +80,7 @@ class ReferenceForecast:
         self._last: list[float | None] = [None] * axes
         self._moves: list[deque[float]] = [deque(maxlen=_WINDOW) for _ in range(axes)]
 
-    def seen(self, reference: FloatArray) -> FloatArray:
+    def update(self, reference: FloatArray) -> FloatArray:
         """Take in the reference of this control period, and tell the next ones.
 
         Parameters
