@@ -20,7 +20,7 @@ from trms_cli.stability.cycles.search import (
     continuum,
     half_widths,
     has_impulses,
-    searched,
+    search_orbits,
     starts_in,
 )
 from trms_cli.stability.cycles.shooting import Shooting
@@ -77,7 +77,7 @@ def test_orbits_around_a_centre_are_a_continuum_and_those_at_a_fold_are_not():
     pendulum = Oscillator(lambda x, y, u: (y, -ca.sin(x)))
     shooting = Shooting(pendulum, steps=400)
     starts = np.array([[a, 0.0] for a in (0.5, 1.0, 1.5)])
-    found = searched(pendulum, starts, np.zeros(1), 40.0, shooting)
+    found = search_orbits(pendulum, starts, np.zeros(1), 40.0, shooting)
     assert len(found.orbits) == 0 and len(found.continuum) == 3
     for orbit in found.continuum:
         a = orbit.path[:, 0].max()
@@ -91,7 +91,7 @@ def test_orbits_around_a_centre_are_a_continuum_and_those_at_a_fold_are_not():
 @pytest.fixture(scope="module")
 def van_der_pol_search():
     starts = starts_in(np.zeros(2), np.array([3.0, 3.0]), 6)
-    return searched(van_der_pol(), starts, np.zeros(1), 60.0, VAN_DER_POL)
+    return search_orbits(van_der_pol(), starts, np.zeros(1), 60.0, VAN_DER_POL)
 
 
 def test_the_cycle_of_van_der_pol_is_found_from_motions(van_der_pol_search):

@@ -23,10 +23,10 @@ from trms_cli.stability.equilibria.named_points import named_points
 from trms_cli.stability.equilibria.proof import Prover, over_range
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import (
-    Setting,
     Survey,
+    SurveySetting,
     bounds_of,
-    completed,
+    complete_curves,
     setting_of,
     survey,
 )
@@ -57,6 +57,13 @@ def prover_of(model: Model, over: str, held: dict[str, float] | None = None) -> 
     return Prover(system, box, scale), system.given_index(over)
 
 
+def inputs_of(prover: Prover, index: int, values: list[float]) -> np.ndarray:
+    """Inputs and torques for a proof at each of some values of one input."""
+    rows = np.zeros((len(values), len(prover.system.given)))
+    rows[:, index] = values
+    return rows
+
+
 def surveyed(model: Model, over: str, points: int = 6, whole: bool = False) -> Survey:
     limit = model.input_limits[over]
     setting = setting_of(model, over, (-limit, limit), {})
@@ -81,8 +88,7 @@ def over_u_v() -> Survey:
 @pytest.mark.parametrize("model", [NEWTONIAN, Lagrangian()], ids=["newtonian", "lagrangian"])
 def test_the_table_of_the_design_is_proved(model: Model) -> None:
     prover, index = prover_of(model, "u_v")
-    given_ = np.zeros((len(TABLE), len(prover.system.given)))
-    given_[:, index] = list(TABLE)
+    given_ = inputs_of(prover, index, list(TABLE))
     for proof, (omega, alpha) in zip(prover.at(given_), TABLE.values(), strict=True):
         lowest = min(proof.proved, key=lambda one: one.x.middle[model.state_index("alpha_v")])
         assert proof.complete
@@ -94,8 +100,7 @@ def test_the_table_of_the_design_is_proved(model: Model) -> None:
 
 def test_proved_equilibria_rest() -> None:
     prover, index = prover_of(NEWTONIAN, "u_v")
-    given_ = np.zeros((3, len(prover.system.given)))
-    given_[:, index] = [-1.3, 0.0, 1.9]
+    given_ = inputs_of(prover, index, [-1.3, 0.0, 1.9])
     field = VectorField(NEWTONIAN)
     for proof in prover.at(given_):
         for one in proof.proved:
@@ -184,8 +189,7 @@ SHARED = prover_of(NEWTONIAN, "u_v")
 
 def test_yaw_at_hover() -> None:
     prover, index = prover_of(NEWTONIAN, "u_h", {"alpha_v": 0.0})
-    given_ = np.zeros((4, len(prover.system.given)))
-    given_[:, index] = [0.2, 0.5, 1.0, -0.5]
+    given_ = inputs_of(prover, index, [0.2, 0.5, 1.0, -0.5])
     row = NEWTONIAN.state_index("alpha_h")
     for proof, yaw in zip(prover.at(given_), (0.10, 0.50, 1.56, -0.85), strict=True):
         assert proof.count == 1
@@ -266,7 +270,7 @@ def test_a_yaw_that_nothing_pulls_back_is_free_and_its_input_follows() -> None:
 
 def test_a_curve_that_the_search_misses_is_found_by_the_proof(over_u_v: Survey) -> None:
     proofs = [check.proof for check in over_u_v.checks if abs(check.input) < 0.1]
-    curves, late = completed(over_u_v.equations, [], proofs)
+    curves, late = complete_curves(over_u_v.equations, [], proofs)
     assert late == len(curves) == 1
 
 
@@ -279,13 +283,11 @@ def test_many_starts_lead_to_the_same_curve(over_u_v: Survey) -> None:
 def test_a_dead_zone_is_part_of_rest() -> None:
     model = ExtendedModel(NEWTONIAN, "dead", DeadZone(rotor="main", width=0.2))
     prover, index = prover_of(model, "u_v")
-    given_ = np.zeros((2, len(prover.system.given)))
-    given_[:, index] = [0.19, 1.2]
+    given_ = inputs_of(prover, index, [0.19, 1.2])
     plain, plain_index = SHARED
-    without = np.zeros((2, len(plain.system.given)))
-    without[:, plain_index] = [0.0, 1.0]
+    without = inputs_of(plain, plain_index, [0.0, 1.0])
     for one, other in zip(prover.at(given_), plain.at(without), strict=True):
-        np.testing.assert_allclose(one.found[0].x.middle, other.found[0].x.middle, atol=1e-9)
+        np.testing.assert_allclose(one.enclosed[0].x.middle, other.enclosed[0].x.middle, atol=1e-9)
 
 
 def test_a_curve_goes_around_the_corners_of_a_dead_zone() -> None:
@@ -333,7 +335,7 @@ def test_a_range_cut_no_further_is_told_as_unknown() -> None:
 
 
 def test_settings_hold_the_pitch_over_the_tail_rotor() -> None:
-    assert setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {}) == Setting(
+    assert setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {}) == SurveySetting(
         "u_h", (-1.0, 1.0), {}, {"alpha_v": 0.0}
     )
     given_ = setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {"u_v": 1.0})

@@ -31,7 +31,7 @@ from trms_cli.stability.cycles.friction_loop import (
     frictions_of,
     law_matrices,
 )
-from trms_cli.stability.cycles.hunting_prediction import predicted
+from trms_cli.stability.cycles.hunting_prediction import predict
 from trms_cli.stability.cycles.hunting_runs import axis_run, slips, with_sizes
 from trms_cli.stability.cycles.stick_slip import StickSlip
 from trms_cli.stability.studies.hunting import Hunting
@@ -51,7 +51,7 @@ LAW = frictions_of(RIG)[0].law
 
 @pytest.fixture(scope="module")
 def prediction():
-    return predicted(StickSlip(LINEAR, LAW))
+    return predict(StickSlip(LINEAR, LAW))
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_the_map_of_coulomb_friction_is_a_straight_line_below_the_diagonal():
     ratios = [events.next_error(e) / e for e in (1e-3, 1e-2, 1e-1)]
     assert ratios == pytest.approx([ratios[0]] * 3, rel=1e-5)
     assert abs(ratios[0]) < 0.5
-    found = predicted(events)
+    found = predict(events)
     assert found.cycle is None and found.threshold is None
 
 

@@ -17,7 +17,7 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.vector_field import VectorField
 from trms_cli.observers.full_state import FullState
-from trms_cli.stability.cycles.search import searched
+from trms_cli.stability.cycles.search import search_orbits
 from trms_cli.stability.cycles.shooting import Shooting
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.studies.limit_cycles import LimitCycles
@@ -97,7 +97,7 @@ def test_the_multipliers_have_the_product_of_liouville():
     point = operating_point(model, {"alpha_v": 0.17, "alpha_h": 0.3})
     start = point.x.copy()
     start[model.state_index("alpha_v")] -= 0.8
-    found = searched(model, start[None], point.u, 60.0, Shooting(model))
+    found = search_orbits(model, start[None], point.u, 60.0, Shooting(model))
     (orbit,) = [orbit for orbit in found.orbits if orbit.stable]
     field = VectorField(model)
     divergence = [np.trace(field.linearised(x, point.u)[0]) for x in orbit.path]

@@ -146,15 +146,15 @@ def _beside(
 
 
 def _at_angles(model: Model, at: Mapping[str, float], where: str) -> OperatingPoint:
-    asked = np.array([at.get(name, 0.0) for name in model.controlled])
-    target = SteadyState(model).solve(asked)
+    angles = np.array([at.get(name, 0.0) for name in model.controlled])
+    target = SteadyState(model).solve(angles)
     if not target.exact:
         wanted, reached = (
             ", ".join(
                 f"{n}={round(v, 6) + 0.0:.4g}"
                 for n, v in zip(model.controlled, values, strict=True)
             )
-            for values in (asked, target.reference_reached)
+            for values in (angles, target.reference_reached)
         )
         raise ConfigurationError(
             f"model {model.name!r} has no equilibrium at {wanted} within its inputs and stops",
@@ -221,10 +221,10 @@ def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint
     )
 
 
-def _as_foretold(found: FloatArray, ahead: FloatArray, x: FloatArray) -> bool:
+def _as_foretold(solution: FloatArray, ahead: FloatArray, x: FloatArray) -> bool:
     """Whether a solution is the one that the tangent pointed at, state by state."""
     room = 0.5 * np.abs(ahead - x) + 0.02 * (1.0 + np.abs(x))
-    return bool(np.all(np.abs(found - ahead) <= room))
+    return bool(np.all(np.abs(solution - ahead) <= room))
 
 
 def refined(field: VectorField, x: FloatArray, u: FloatArray) -> FloatArray | None:
@@ -338,11 +338,11 @@ class TrimSolver:
         rest = OperatingPoint(self.model.rest(), np.zeros(self.model.n_u))
         if not held.by_angle:
             start = TrimCondition(False, np.zeros(self.model.n_u), held.p)
-            found = self.advance(start, held, self.solve(start, rest) or rest)
+            settled = self.advance(start, held, self.solve(start, rest) or rest)
         else:
             target = SteadyState(self.model).solve(held.values)
-            found = OperatingPoint(target.x, target.u) if target.exact else None
-        if found is None:
+            settled = OperatingPoint(target.x, target.u) if target.exact else None
+        if settled is None:
             asked = ", ".join(f"{name}={value:g}" for name, value in at.items())
             raise ConfigurationError(
                 f"model {self.model.name!r} has no rest at {asked or 'no command'} within its "
@@ -350,7 +350,7 @@ class TrimSolver:
                 where=where,
                 remedy="ask for a smaller angle or command",
             )
-        return found
+        return settled
 
     def solve(self, held: TrimCondition, guess: OperatingPoint) -> OperatingPoint | None:
         """Newton's method from a point nearby; None where it does not converge."""

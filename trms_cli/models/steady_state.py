@@ -154,9 +154,9 @@ class SteadyState:
             self._r[i] = min(max(value, -self._stops[i]), self._stops[i])
         self._w[:] = 0.0 if disturbance is None else disturbance
         if guess is not None:
-            found = self._from(guess)
-            if found is not None:
-                target = self._target(asked, found)
+            bounds_met = self._from(guess)
+            if bounds_met is not None:
+                target = self._target(asked, bounds_met)
                 # The closest point found from nearby may be closest in its neighbourhood only:
                 # it is believed where the search over all starts led to just before, unless the
                 # disturbance that kept the reference out of reach has gone.

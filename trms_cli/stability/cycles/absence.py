@@ -57,7 +57,7 @@ _ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)
-class Block:
+class StateBlock:
     """States that drive one another."""
 
     states: tuple[str, ...]
@@ -93,7 +93,7 @@ class Block:
 class Absence:
     """What is proved."""
 
-    blocks: Sequence[Block]  #: In the order in which they drive one another
+    blocks: Sequence[StateBlock]  #: In the order in which they drive one another
 
     @property
     def proved(self) -> bool:
@@ -127,7 +127,7 @@ def absence(model: Model, x_rest: FloatArray, u: FloatArray, widths: FloatArray)
     at = [x, ca.SX(u), ca.SX(field.parameters), ca.SX.zeros(model.n_w)]
     f = ca.Function("f", [x, command, p, w], [f])(*at)
     slope = ca.jacobian(f, x)
-    blocks: list[Block] = []
+    blocks: list[StateBlock] = []
     not_constant: set[int] = set()
     # Half-widths within which the constants of the blocks before are known.
     known = widths.copy()
@@ -137,10 +137,10 @@ def absence(model: Model, x_rest: FloatArray, u: FloatArray, widths: FloatArray)
         if blocks and not blocks[-1].constant:
             not_constant |= {model.state_index(name) for name in blocks[-1].states}
         if any(pattern[i, j] for i in members for j in not_constant):
-            blocks.append(Block(named, None, False, False, driven=True))
+            blocks.append(StateBlock(named, None, False, False, driven=True))
             continue
         if len(members) == 1:
-            blocks.append(Block(named, None, True, True))
+            blocks.append(StateBlock(named, None, True, True))
             own = ca.Function("own", [x], [ca.densify(slope[members, members])])
             if _falls(own, box):
                 # Its equilibrium is the only one in the box.
@@ -149,7 +149,7 @@ def absence(model: Model, x_rest: FloatArray, u: FloatArray, widths: FloatArray)
         if len(members) > 2:
             own = ca.Function("own", [x], [ca.densify(slope[members, members])])
             share = share_without_orbits(own, members, x_rest, known)
-            blocks.append(Block(named, None, False, False, share=share))
+            blocks.append(StateBlock(named, None, False, False, share=share))
             continue
         divergence = ca.densify(ca.simplify(ca.trace(slope[members, members])))
         blocks.append(_bounded(named, ca.Function("divergence", [x], [divergence]), box))
@@ -187,20 +187,20 @@ def _cascade(sparsity: ca.Sparsity) -> list[list[int]]:
 
 def _bounded(
     named: tuple[str, ...], divergence: ca.Function, box: tuple[FloatArray, FloatArray]
-) -> Block:
+) -> StateBlock:
     """A block of two states with bounds of its divergence."""
     try:
         enclosure = Enclosure(divergence)
     except ModelError:
-        return Block(named, None, False, False)
+        return StateBlock(named, None, False, False)
     n = len(box[0])
     everything = Interval.of(np.full((1, n), -np.inf), np.full((1, n), np.inf))
     for region, everywhere in ((everything, True), (_cut(divergence, box), False)):
         bounds = enclosure(region)[0]
         low, high = float(bounds.lower.min()), float(bounds.upper.max())
         if high < 0.0 or low > 0.0:
-            return Block(named, (low, high), everywhere, True)
-    return Block(named, (low, high), False, False)
+            return StateBlock(named, (low, high), everywhere, True)
+    return StateBlock(named, (low, high), False, False)
 
 
 def _cut(divergence: ca.Function, box: tuple[FloatArray, FloatArray]) -> Interval:
@@ -292,13 +292,13 @@ def _coordinates(J: FloatArray) -> list[FloatArray]:
     T = np.column_stack(columns)
     if len(groups) == 1:
         return [T]
-    found = []
+    candidates = []
     for scale in _SCALES:
         scaled = T.copy()
         scaled[:, groups[-1]] *= scale
         np.linalg.inv(scaled)
-        found.append(scaled)
-    return found
+        candidates.append(scaled)
+    return candidates
 
 
 def _bound(

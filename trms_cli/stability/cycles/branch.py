@@ -26,7 +26,7 @@ from trms_cli.models.continuation import follow
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, refined
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.cycles.shooting import MARGIN, Orbit, Row, Shooting, packed
+from trms_cli.stability.cycles.shooting import MARGIN, BranchCondition, Orbit, Shooting, packed
 from trms_cli.stability.local.linear import Linear
 
 FloatArray = npt.NDArray[np.float64]
@@ -70,11 +70,14 @@ def equilibria_over(
     linear = Linear(model)
     order = np.argsort(commands)
     along = np.array(commands)[order]
-    found = np.array(states)[order]
+    equilibria = np.array(states)[order]
     growth = np.array(
-        [_growth(linear, row, _with(u, channel, v)) for row, v in zip(found, along, strict=True)]
+        [
+            _growth(linear, row, _with(u, channel, v))
+            for row, v in zip(equilibria, along, strict=True)
+        ]
     )
-    return EquilibriumBranch(along, found, growth)
+    return EquilibriumBranch(along, equilibria, growth)
 
 
 def _one_way(
@@ -105,7 +108,7 @@ def _one_way(
 def hopf_points(model: Model, curve: EquilibriumBranch, u: FloatArray, channel: int) -> list[Hopf]:
     """Where a complex pair crosses along a curve of equilibria, by bisection."""
     field, linear = VectorField(model), Linear(model)
-    found = []
+    points = []
     # Growth that is rounding has no sign: a pair that stays on the axis crosses it nowhere.
     clear = np.flatnonzero(np.abs(curve.growth) > _NO_GROWTH)
     for i, j in pairwise(clear):
@@ -129,8 +132,8 @@ def hopf_points(model: Model, curve: EquilibriumBranch, u: FloatArray, channel: 
             continue  # a real eigenvalue: a fold of equilibria
         mode = vectors[:, k] if values[k].imag > 0 else vectors[:, k].conj()
         mode = mode / mode[int(np.argmax(np.abs(mode)))]
-        found.append(Hopf(x, at, float(abs(values[k].imag)), mode))
-    return found
+        points.append(Hopf(x, at, float(abs(values[k].imag)), mode))
+    return points
 
 
 def _with(u: FloatArray, channel: int, value: float) -> FloatArray:
@@ -197,7 +200,7 @@ class Branch:
 
     def changes(self, channel: int, state: int) -> list[Change]:
         """Folds, period doublings and tori."""
-        found = []
+        changes = []
         for i in range(len(self.orbits) - 1):
             one, other = self.orbits[i : i + 2]
             if _outside(one) == _outside(other) or (
@@ -213,17 +216,17 @@ class Branch:
             if kind == "fold" and 0 < i < len(rows) - 2:
                 values = _turn(rows[i - 1 : i + 3])
             command, period, swing, lowest, highest = values.tolist()
-            found.append(Change(kind, command, period, swing, lowest, highest, after=i))
-        return found
+            changes.append(Change(kind, command, period, swing, lowest, highest, after=i))
+        return changes
 
     def stable(self) -> npt.NDArray[np.bool_]:
         """Of each orbit; one whose multiplier is not resolved from 1 is as the nearest that is."""
-        told = np.array([orbit.stable for orbit in self.orbits], dtype=bool)
+        stable = np.array([orbit.stable for orbit in self.orbits], dtype=bool)
         clear = np.flatnonzero([not _unresolved(orbit) for orbit in self.orbits])
         if not clear.size:
-            return told
-        nearest = np.abs(np.arange(len(told))[:, None] - clear[None, :]).argmin(axis=1)
-        return np.asarray(told[clear[nearest]])
+            return stable
+        nearest = np.abs(np.arange(len(stable))[:, None] - clear[None, :]).argmin(axis=1)
+        return np.asarray(stable[clear[nearest]])
 
     def _turns(self, i: int, channel: int) -> bool:
         """Whether the command turns back about the step after an orbit."""
@@ -281,7 +284,7 @@ def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch
     # Where the model's slope jumps at the equilibrium, only a cycle that is large beside the shift
     # of the Hopf point between the two sides can be reached from there.
     for _ in range(5):
-        row = Row(channel, weights, place, size)
+        row = BranchCondition(channel, weights, place, size)
         first = shooting.closed(hopf.x + size * away, period, hopf.u, row=row)
         if first is not None:
             break
@@ -291,8 +294,8 @@ def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch
     return followed(shooting, first, channel, limits, before=place)
 
 
-def _nowhere(channel: int) -> Row:
-    return Row(channel, np.zeros(0), np.zeros(0), 0.0)
+def _nowhere(channel: int) -> BranchCondition:
+    return BranchCondition(channel, np.zeros(0), np.zeros(0), 0.0)
 
 
 def followed(
@@ -341,7 +344,7 @@ def followed(
             guess[:-2].reshape(last.nodes.shape),
             float(guess[-2]),
             command,
-            row=Row(channel, tangent / scale, z, step),
+            row=BranchCondition(channel, tangent / scale, z, step),
         )
         turned = trial is not None and float((trial.u - last.u)[channel] * (z - before)[-1]) < 0.0
         if turned and step > _TURNING_STEP:
@@ -437,27 +440,27 @@ def followed_over(
     """
     curve = _within_stops(model, equilibria_over(model, point.x, point.u, channel), point)
     hopfs = hopf_points(model, curve, point.u, channel)
-    found: list[Branch] = []
+    branches: list[Branch] = []
     if shooting is not None:
-        found = [born_at(shooting, hopf, channel, limit) for hopf in hopfs]
+        branches = [born_at(shooting, hopf, channel, limit) for hopf in hopfs]
         for orbit in orbits:
-            if not any(_on(branch, orbit, channel) for branch in found):
+            if not any(_on(branch, orbit, channel) for branch in branches):
                 one, other = (
                     followed(shooting, orbit, channel, limit, towards=sign) for sign in (-1.0, 1.0)
                 )
-                found.append(
+                branches.append(
                     Branch(
                         [*reversed(one.orbits), *other.orbits[1:]], f"{one.ended}; {other.ended}"
                     )
                 )
-    return OverCommand(curve, hopfs, found)
+    return OverCommand(curve, hopfs, branches)
 
 
 def at_the_point(
     shooting: Shooting, branches: Sequence[Branch], channel: int, u: FloatArray
 ) -> list[Orbit]:
     """The orbits of branches at one command, closed between their neighbours."""
-    found = []
+    orbits = []
     for branch in branches:
         for one, other in zip(branch.orbits[:-1], branch.orbits[1:], strict=True):
             before, after = float(one.u[channel] - u[channel]), float(other.u[channel] - u[channel])
@@ -470,8 +473,8 @@ def at_the_point(
                 u,
             )
             if orbit is not None:
-                found.append(orbit)
-    return found
+                orbits.append(orbit)
+    return orbits
 
 
 def _within_stops(

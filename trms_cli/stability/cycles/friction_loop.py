@@ -84,11 +84,11 @@ def law_matrices(axis: AxisState) -> tuple[FloatArray, FloatArray, FloatArray, f
     derivative = np.array([0.0, axis.keep, share, 0.0, -share])
     v = derivative + np.array([1.0, 0.0, 0.0, 0.0, -kp])
     lagged = (1.0 - axis.slow) * v + axis.slow * np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-    asked = lagged + axis.lead * (v - lagged)
+    moment = lagged + axis.lead * (v - lagged)
     integral = np.array([1.0, 0.0, 0.0, 0.0, -ki * axis.step])
     last = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
     rows = np.array([integral, derivative, last, lagged])
-    return rows[:, :4], rows[:, 4], asked[:4], float(asked[4])
+    return rows[:, :4], rows[:, 4], moment[:4], float(moment[4])
 
 
 def in_continuous_time(
@@ -197,7 +197,7 @@ class Friction:
 
 def frictions_of(model: Model) -> tuple[Friction, ...]:
     """Dry friction among a model's effects, with the sizes that are in force."""
-    found = []
+    frictions = []
     for name, effect in effects_of(model):
         if isinstance(effect, CoulombFriction | StribeckFriction):
             sizes = {
@@ -205,5 +205,5 @@ def frictions_of(model: Model) -> tuple[Friction, ...]:
                 for parameter in model.parameters
                 if parameter.name.startswith(f"{name}.")
             }
-            found.append(Friction(name, effect.axis, FrictionLaw(**sizes)))
-    return tuple(found)
+            frictions.append(Friction(name, effect.axis, FrictionLaw(**sizes)))
+    return tuple(frictions)

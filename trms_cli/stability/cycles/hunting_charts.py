@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
-from trms_cli.stability.cycles.hunting_prediction import Harmonics, Prediction
+from trms_cli.stability.cycles.hunting_prediction import Harmonics, HuntingPrediction
 from trms_cli.stability.cycles.hunting_runs import AxisRun, LevelSweep
 from trms_cli.stability.cycles.stick_slip import StickSlip
 
@@ -55,7 +55,7 @@ def history(run: AxisRun, label: str, input_label: str) -> Chart:
 
 def planes(
     run: AxisRun,
-    prediction: Prediction | None,
+    prediction: HuntingPrediction | None,
     events: StickSlip | None,
     label: str,
     input_label: str,
@@ -92,7 +92,7 @@ def planes(
     )
 
 
-def event_map(prediction: Prediction, run: AxisRun) -> Chart:
+def event_map(prediction: HuntingPrediction, run: AxisRun) -> Chart:
     """Error at a stick over error at the one before; the simulation's sticks too."""
     e, f = prediction.errors, prediction.following
     size = np.abs(f)

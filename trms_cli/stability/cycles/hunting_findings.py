@@ -29,7 +29,7 @@ from trms_cli.stability.cycles.hunting_charts import (
     over_levels,
     planes,
 )
-from trms_cli.stability.cycles.hunting_prediction import Harmonics, Prediction
+from trms_cli.stability.cycles.hunting_prediction import Harmonics, HuntingPrediction
 from trms_cli.stability.cycles.hunting_runs import AxisRun, HuntingLevel, LevelSweep
 from trms_cli.stability.cycles.stick_slip import StickSlip
 
@@ -58,7 +58,7 @@ class HuntingResult:
     elsewhere: AxisRun | None
     channel: int  #: Of the command that holds the axis
     coulomb: AxisRun | None  #: The same with Coulomb friction alone; None where there is no excess
-    prediction: Prediction | None  #: Only for a PID
+    prediction: HuntingPrediction | None  #: Only for a PID
     harmonics: Harmonics | None  #: Only for a PID
     events: StickSlip | None  #: Only for a PID
     sweeps: Sequence[LevelSweep]
@@ -179,7 +179,7 @@ def _run_section(result: HuntingResult) -> Section:
     return Section("In simulation", text, blocks)
 
 
-def _prediction_section(result: HuntingResult, prediction: Prediction) -> Section:
+def _prediction_section(result: HuntingResult, prediction: HuntingPrediction) -> Section:
     run, cycle = result.run, prediction.cycle
     balance = result.harmonics.balance if result.harmonics is not None else None
 

@@ -46,7 +46,7 @@ _SETTLED = 1e-4
 
 
 @dataclass(frozen=True)
-class Prediction:
+class HuntingPrediction:
     """What the linear loop says."""
 
     #: (n,) arrays; The map: the error at a stick, and that at the next one with its sign turned
@@ -71,22 +71,22 @@ def errors_of(loop: FrictionLoop, law: FrictionLaw, count: int = _COUNT) -> Floa
     return np.geomspace(_LEAST, _MOST, count) * law.breakaway * yielding
 
 
-def predicted(events: StickSlip, count: int = _COUNT) -> Prediction:
+def predict(events: StickSlip, count: int = _COUNT) -> HuntingPrediction:
     """The map, its threshold, and the stable cycle."""
     errors = errors_of(events.loop, events.law, count)
-    found = [events.next_error(float(e)) for e in errors]
-    following = np.array([np.nan if f is None else -f for f in found])
+    errors_after = [events.next_error(float(e)) for e in errors]
+    following = np.array([np.nan if f is None else -f for f in errors_after])
     ratio = following / errors
     grows = np.nan_to_num(ratio, nan=0.0) > 1.0
     coulomb = _coulomb_factor(events, float(errors[len(errors) // 2]))
     if not grows.any():
-        return Prediction(errors, following, None, None, coulomb)
+        return HuntingPrediction(errors, following, None, None, coulomb)
     first = int(np.flatnonzero(grows)[0])
     threshold = _threshold(events, errors, first)
     guess = float(errors[int(np.flatnonzero(grows)[-1])])
     if threshold is not None:
         errors, following = _with_jump(events, errors, following, threshold)
-    return Prediction(errors, following, _cycle(events, guess), threshold, coulomb)
+    return HuntingPrediction(errors, following, _cycle(events, guess), threshold, coulomb)
 
 
 def _with_jump(
@@ -94,8 +94,8 @@ def _with_jump(
 ) -> tuple[FloatArray, FloatArray]:
     """The map with points close to its threshold, where it jumps, and a gap in between."""
     near = threshold * np.array([0.8, 0.9, 0.96, 0.99, 0.998, 1.002, 1.01, 1.05, 1.12])
-    found = [events.next_error(float(e)) for e in near]
-    more = np.array([np.nan if f is None else -f for f in found])
+    errors_after = [events.next_error(float(e)) for e in near]
+    more = np.array([np.nan if f is None else -f for f in errors_after])
     both = np.concatenate([errors, near, [threshold]])
     order = np.argsort(both, kind="stable")
     return both[order], np.concatenate([following, more, [np.nan]])[order]
@@ -144,8 +144,8 @@ def swings(events: StickSlip, laws: Sequence[FrictionLaw]) -> FloatArray:
 def _swing(events: StickSlip) -> float:
     """By iterating the map; no multipliers."""
     errors = errors_of(events.loop, events.law, 14)
-    found = [events.next_error(float(e)) for e in errors]
-    grows = [f is not None and -f > e for f, e in zip(found, errors, strict=True)]
+    errors_after = [events.next_error(float(e)) for e in errors]
+    grows = [f is not None and -f > e for f, e in zip(errors_after, errors, strict=True)]
     if not any(grows):
         return float("nan")
     z = events.settled(float(errors[int(np.flatnonzero(grows)[-1])]))
@@ -212,7 +212,7 @@ _BALANCED, _SLOWEST = 1e-3, 0.15
 
 
 @dataclass(frozen=True)
-class Answer:
+class AxisResponse:
     """What an axis with friction does under a sine of the moment."""
 
     ratio: complex  #: M: first harmonic of the rate over the moment, (rad/s)/(N m)
@@ -261,7 +261,7 @@ class HarmonicBalance:
             mean = (rate + after) / 2
         return BufferedFunction(ca.Function("sticking_axis", [rate, push, sizes], [after]))
 
-    def answer(self, moment: float, omega: float) -> Answer:
+    def answer(self, moment: float, omega: float) -> AxisResponse:
         """The axis under ``moment · sin(omega t)``."""
         h, inertia = 2.0 * np.pi / omega / _OF_A_PERIOD, 1.0 / self.loop.mobility
         middles = 2.0 * np.pi * (np.arange(_OF_A_PERIOD) + 0.5) / _OF_A_PERIOD
@@ -280,7 +280,9 @@ class HarmonicBalance:
         ends = 2.0 * np.pi * (np.arange(_OF_A_PERIOD) + 1.0) / _OF_A_PERIOD
         first = 2j / _OF_A_PERIOD * np.sum(rates * np.exp(-1j * ends))
         angle = np.cumsum(rates - rates.mean()) * h
-        return Answer(complex(first / moment), float(np.ptp(angle)), float(np.mean(rates == 0.0)))
+        return AxisResponse(
+            complex(first / moment), float(np.ptp(angle)), float(np.mean(rates == 0.0))
+        )
 
     def impedance(self, omega: npt.ArrayLike) -> ComplexArray:
         """Z(jω): the moment that the loop puts on the axis against its rate, N m s/rad."""
@@ -308,8 +310,8 @@ class HarmonicBalance:
 
         for _, moment, omega in sorted(grid)[:4]:
             start = [np.log(moment / limit), np.log(omega)]
-            found = root(equations, start, options={"eps": 1e-3, "maxfev": 60, "xtol": 1e-6})
-            moment, omega = limit * float(np.exp(found.x[0])), float(np.exp(found.x[1]))
+            solution = root(equations, start, options={"eps": 1e-3, "maxfev": 60, "xtol": 1e-6})
+            moment, omega = limit * float(np.exp(solution.x[0])), float(np.exp(solution.x[1]))
             if not _SLOWEST < omega < 100.0:
                 continue
             error = abs(self.misfit(moment, omega))

@@ -141,8 +141,8 @@ def slips(
     begins, ends = np.flatnonzero(edges == -1), np.flatnonzero(edges == 1)
     ends = ends[ends > begins[0]] if begins.size else ends[:0]
     pairs = zip(begins, ends, strict=False)  # a run may end within a slip
-    found = [(float(time[b]), float(angle[e + 1] - angle[b])) for b, e in pairs]
-    return [slip for slip in found if abs(slip[1]) > _SHORTEST]
+    whole = [(float(time[b]), float(angle[e + 1] - angle[b])) for b, e in pairs]
+    return [slip for slip in whole if abs(slip[1]) > _SHORTEST]
 
 
 def _verdict(
@@ -159,8 +159,8 @@ def _verdict(
             return "unstable", None
         steady = np.ptp(last) > _KEEPS * np.ptp(tail[: len(tail) // 2])
         return ("oscillating" if steady else "dying out"), _period_of_crossings(run.time, angle)
-    found = slips(run.time[half:], tail, stuck[half:])
-    travels = np.array([travel for _, travel in found])
+    motions = slips(run.time[half:], tail, stuck[half:])
+    travels = np.array([travel for _, travel in motions])
     if not len(travels) or np.abs(travels).max() < _CALM:
         return "rest", None
     if len(travels) < 3:
@@ -168,13 +168,13 @@ def _verdict(
     both = bool((travels > 0).any() and (travels < 0).any())
     if not both or abs(travels[-2:]).max() < _KEEPS * abs(travels[:2]).max():
         return "dying out", None
-    return "hunting", _period_of_slips(found)
+    return "hunting", _period_of_slips(motions)
 
 
-def _period_of_slips(found: list[tuple[float, float]]) -> float | None:
+def _period_of_slips(motions: list[tuple[float, float]]) -> float | None:
     """Twice the mean time between slips that turn back."""
     turns, last = list[float](), 0.0
-    for begin, travel in found:
+    for begin, travel in motions:
         if travel * last < 0:
             turns.append(begin)
         last = travel

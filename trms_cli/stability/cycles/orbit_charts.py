@@ -22,7 +22,7 @@ from trms_cli.core.chart import (
 from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model
 from trms_cli.stability.cycles.branch import Branch, EquilibriumBranch, Hopf
-from trms_cli.stability.cycles.search import Search
+from trms_cli.stability.cycles.search import OrbitSearch
 from trms_cli.stability.cycles.shooting import Orbit
 
 FloatArray = npt.NDArray[np.float64]
@@ -34,7 +34,12 @@ _OF_MANY = 7
 
 
 def plane(
-    model: Model, search: Search, x: FloatArray, state: int, words: str, name: str = "limit_cycles"
+    model: Model,
+    search: OrbitSearch,
+    x: FloatArray,
+    state: int,
+    words: str,
+    name: str = "limit_cycles",
 ) -> Chart:
     """Orbits and motions in the plane of a state and its rate, and the orbits over time."""
     signal = model.states[state]

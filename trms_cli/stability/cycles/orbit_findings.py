@@ -17,7 +17,7 @@ from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.cycles.absence import Absence
 from trms_cli.stability.cycles.branch import Branch, Hopf, OverCommand
 from trms_cli.stability.cycles.orbit_charts import diagram, multipliers, plane
-from trms_cli.stability.cycles.search import FATES, Fate, Search
+from trms_cli.stability.cycles.search import FATES, Fate, OrbitSearch
 from trms_cli.stability.cycles.shooting import Orbit
 from trms_cli.stability.local.linear import Linear
 
@@ -39,7 +39,7 @@ class LimitCycleResult:
     duration: float  #: s, of each motion
     smooth: bool  #: Whether there were slopes for Newton's method
     proof: Absence
-    search: Search
+    search: OrbitSearch
     channel: int  #: Of the command that is varied
     over: OverCommand | None  #: None where there are no slopes
 
@@ -230,7 +230,7 @@ def _criticality(result: LimitCycleResult, hopf: Hopf, branch: Branch) -> str:
     )
 
 
-def _fates(search: Search) -> str:
+def _fates(search: OrbitSearch) -> str:
     words: dict[Fate, str] = {
         "rest": "at rest",
         "settling": "settling",

@@ -50,7 +50,7 @@ _SAME_ORBIT = 1e-4
 
 
 @dataclass(frozen=True)
-class Motion:
+class SearchMotion:
     """One start and what became of it."""
 
     path: FloatArray  #: (n, n_x) array
@@ -61,10 +61,10 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Search:
+class OrbitSearch:
     """What a search found."""
 
-    motions: Sequence[Motion]
+    motions: Sequence[SearchMotion]
     orbits: Sequence[Orbit]  #: Different ones, by rising period
     step: float  #: s between the states of a motion's path
     #: Orbits that are not isolated, by rising period: no limit cycles, and none of ``orbits``
@@ -105,25 +105,25 @@ def half_widths(model: Model, x: FloatArray, given: Mapping[str, float]) -> Floa
     Controlled angles: half of the way to the stops (0.5 rad without). Other states: 1 (a rate), or
     a third of their value at the equilibrium, whichever is more.
     """
-    found = np.maximum(1.0, np.abs(x) / 3.0)
+    widths = np.maximum(1.0, np.abs(x) / 3.0)
     for name in model.controlled:
         i = model.state_index(name)
         if model.states[i].unit == "rad":
             stop = model.stops.get(name, 1.0)
-            found[i] = 0.5 * stop if np.isfinite(stop) else 0.5
+            widths[i] = 0.5 * stop if np.isfinite(stop) else 0.5
     for name, width in given.items():
-        found[model.state_index(name)] = width
-    return found
+        widths[model.state_index(name)] = width
+    return widths
 
 
-def searched(
+def search_orbits(
     model: Model,
     starts: FloatArray,
     u: FloatArray,
     duration: float,
     shooting: Shooting | None,
     step: float = 0.02,
-) -> Search:
+) -> OrbitSearch:
     """Motions from all starts, and the periodic orbits that they lead to.
 
     Parameters
@@ -148,13 +148,13 @@ def searched(
             orbits += _closed(shooting, path, row, u, step, tried)
         if fate == "moves on" and _repeats(path, row, step):
             fate = "cycle"
-        motions.append(Motion(path, fate, swing))
-    found = different(orbits)
-    family = continuum(found)
-    isolated = [orbit for orbit in found if not any(orbit is one for one in family)]
+        motions.append(SearchMotion(path, fate, swing))
+    every = different(orbits)
+    family = continuum(every)
+    isolated = [orbit for orbit in every if not any(orbit is one for one in family)]
     if shooting is not None:
         family = different([gone_round_once(shooting, orbit) for orbit in family])
-    return Search(motions, isolated, step, family)
+    return OrbitSearch(motions, isolated, step, family)
 
 
 def _fate(angles: FloatArray) -> tuple[Fate, float]:
@@ -214,14 +214,14 @@ def _closed(
                 continue
             miss = float(np.abs(path[last] - path[first]).max()) / swing
             candidates.append((miss * turns, int(first), int(last)))
-    found = []
+    orbits = []
     for _, first, last in sorted(candidates)[:tried]:
         stretch = path[first : last + 1]
         picked = np.linspace(0, last - first, shooting.pieces + 1)[:-1].round().astype(int)
         orbit = shooting.closed(stretch[picked], (last - first) * step, u)
         if orbit is not None and orbit.swing.max() > _SMALLEST and orbit.trivial_error < 0.05:
-            found.append(orbit)
-    return found
+            orbits.append(orbit)
+    return orbits
 
 
 def different(orbits: Sequence[Orbit]) -> list[Orbit]:

@@ -151,7 +151,7 @@ class Shooting:
         period: float,
         u: FloatArray,
         *,
-        row: Row | None = None,
+        row: BranchCondition | None = None,
     ) -> Orbit | None:
         """The orbit near a guess, by damped Newton steps; None where there is none.
 
@@ -161,7 +161,7 @@ class Shooting:
         period : float
             s.
         u : (n_u,)
-        row : Row, optional
+        row : BranchCondition, optional
             Frees one command, and fixes the place on a branch of orbits instead.
         """
         anchor, direction = nodes[0].copy(), self.field.rates(nodes[0], u)
@@ -171,14 +171,14 @@ class Shooting:
         direction = direction / size
         widest = float(np.ptp(nodes, axis=0).max())
         z = packed(nodes, period, u, row)
-        found = self._equations(z, u, anchor, direction, row)
+        linearised = self._equations(z, u, anchor, direction, row)
         for _ in range(_ITERATIONS):
-            if found is None:
+            if linearised is None:
                 return None
-            residual, slope, _ = found
+            residual, slope, _ = linearised
             misfit = float(np.abs(residual).max())
             if misfit < _CLOSED:
-                return self._orbit(z, u, row, misfit, found[2])
+                return self._orbit(z, u, row, misfit, linearised[2])
             change = np.linalg.lstsq(slope, residual, rcond=1e-13)[0]
             for halving in range(_HALVINGS):
                 trial = z - change / 2.0**halving
@@ -188,8 +188,8 @@ class Shooting:
             else:
                 # At the limit of rounding a step may not lessen what is small already.
                 small = misfit < 1e3 * _CLOSED
-                return self._orbit(z, u, row, misfit, found[2]) if small else None
-            z, found = trial, tried
+                return self._orbit(z, u, row, misfit, linearised[2]) if small else None
+            z, linearised = trial, tried
             now = z[: nodes.size].reshape(nodes.shape)
             if not _SHORTEST < z[nodes.size] / period < 1.0 / _SHORTEST or (
                 row is None and np.ptp(now, axis=0).max() < _COLLAPSED * widest
@@ -203,7 +203,7 @@ class Shooting:
         u: FloatArray,
         anchor: FloatArray,
         direction: FloatArray,
-        row: Row | None,
+        row: BranchCondition | None,
     ) -> tuple[FloatArray, FloatArray, Pieces] | None:
         """Residuals, their slopes and the pieces; None where a motion leaves all bounds."""
         m, n = self.pieces, self.model.n_x
@@ -231,7 +231,12 @@ class Shooting:
         return np.concatenate([np.asarray(part, dtype=float) for part in residual]), slope, pieces
 
     def _orbit(
-        self, z: FloatArray, u: FloatArray, row: Row | None, misfit: float, pieces: Pieces
+        self,
+        z: FloatArray,
+        u: FloatArray,
+        row: BranchCondition | None,
+        misfit: float,
+        pieces: Pieces,
     ) -> Orbit:
         m, n = self.pieces, self.model.n_x
         nodes, period, command = unpacked(z, m, n, u, row)
@@ -250,7 +255,7 @@ class Shooting:
 
 
 @dataclass(frozen=True)
-class Row:
+class BranchCondition:
     """One more equation, which fixes the place on a branch while a command is free.
 
     ``weights · (z − place) = length``, z = [nodes, T, the free command].
@@ -262,14 +267,16 @@ class Row:
     length: float
 
 
-def packed(nodes: FloatArray, period: float, u: FloatArray, row: Row | None) -> FloatArray:
+def packed(
+    nodes: FloatArray, period: float, u: FloatArray, row: BranchCondition | None
+) -> FloatArray:
     """The unknowns as one vector."""
     tail = [period] if row is None else [period, u[row.channel]]
     return np.concatenate([nodes.ravel(), tail])
 
 
 def unpacked(
-    z: FloatArray, m: int, n: int, u: FloatArray, row: Row | None
+    z: FloatArray, m: int, n: int, u: FloatArray, row: BranchCondition | None
 ) -> tuple[FloatArray, float, FloatArray]:
     """Nodes, period and command of a vector of unknowns."""
     command = u.copy()

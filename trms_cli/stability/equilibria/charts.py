@@ -14,7 +14,7 @@ from trms_cli.core.wording import unit as written_unit
 from trms_cli.models.model import Model, Signal
 from trms_cli.stability.equilibria.landmarks import Kind
 from trms_cli.stability.equilibria.named_points import NamedPoint
-from trms_cli.stability.equilibria.survey import EquilibriumMap, JudgedCurve, Survey
+from trms_cli.stability.equilibria.survey import EquilibriumMap, Survey, SurveyCurve
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def shown_signals(model: Model, survey: Survey) -> list[Signal]:
     return shown
 
 
-def values_of(model: Model, curve: JudgedCurve, name: str) -> FloatArray:
+def values_of(model: Model, curve: SurveyCurve, name: str) -> FloatArray:
     """A state or command along a curve."""
     return np.array([point.value(model, name) for point in curve.points])
 
@@ -140,8 +140,10 @@ def _marks(
         if special:
             at = [float(one.y[-1]) for one in special]
             where = [one.at.value(model, name) for one in special]
-            told = [f"{value:.4g} {unit}" for value in at] if legend and marker == "star" else ()
-            marks.append(draw.Points(at, where, label if legend else "", marker, colour, told, 7.0))
+            labels = [f"{value:.4g} {unit}" for value in at] if legend and marker == "star" else ()
+            marks.append(
+                draw.Points(at, where, label if legend else "", marker, colour, labels, 7.0)
+            )
     here = [point for point in named if _belongs(model, survey, point)]
     if here:
         at = [point.value(model, over) for point in here]
@@ -180,11 +182,11 @@ def _belongs(model: Model, survey: Survey, point: NamedPoint) -> bool:
     return all(abs(point.value(model, name) - value) < 1e-6 for name, value in given.items())
 
 
-def map_chart(model: Model, found: EquilibriumMap, first: str, second: str) -> draw.Chart:
+def map_chart(model: Model, over_both: EquilibriumMap, first: str, second: str) -> draw.Chart:
     """Where the rig rests over both inputs."""
     units = {signal.name: signal.unit for signal in model.inputs}
     panels = []
-    for name, values in found.angles.items():
+    for name, values in over_both.angles.items():
         finite = values[np.isfinite(values)]
         if not finite.size or np.ptp(finite) < _VARIES:
             continue
@@ -194,8 +196,10 @@ def map_chart(model: Model, found: EquilibriumMap, first: str, second: str) -> d
                 draw.Axis(symbol(first), written_unit(units[first])),
                 draw.Axis(symbol(second), written_unit(units[second])),
                 [
-                    draw.Region(found.first, found.second, np.isfinite(values), "stable rest"),
-                    draw.Contour(found.first, found.second, values, levels, numbers=True),
+                    draw.Region(
+                        over_both.first, over_both.second, np.isfinite(values), "stable rest"
+                    ),
+                    draw.Contour(over_both.first, over_both.second, values, levels, numbers=True),
                 ],
                 f"{symbol(name)} [rad]",
             )

@@ -27,7 +27,7 @@ from trms_cli.stability.equilibria.charts import MARKS, curves_chart, map_chart,
 from trms_cli.stability.equilibria.curves import EquilibriumPoint
 from trms_cli.stability.equilibria.landmarks import Landmark
 from trms_cli.stability.equilibria.named_points import FrictionBand, NamedPoint
-from trms_cli.stability.equilibria.proof import Enclosed, Piece
+from trms_cli.stability.equilibria.proof import EnclosedEquilibrium, RangePiece
 from trms_cli.stability.equilibria.survey import EquilibriumMap, Survey
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
@@ -157,7 +157,7 @@ def _bounds(signals: Sequence[Signal], box: Interval) -> dict[str, Any]:
     return dict(zip(names(signals), np.stack([box.lower, box.upper], axis=1), strict=True))
 
 
-def _enclosed_data(model: Model, one: Enclosed) -> dict[str, Any]:
+def _enclosed_data(model: Model, one: EnclosedEquilibrium) -> dict[str, Any]:
     return {
         "unique": one.unique,
         "exists": one.exists,
@@ -166,7 +166,7 @@ def _enclosed_data(model: Model, one: Enclosed) -> dict[str, Any]:
     }
 
 
-def _proved_share(pieces: Sequence[Piece]) -> float | None:
+def _proved_share(pieces: Sequence[RangePiece]) -> float | None:
     """Share of a range in which the number is proved."""
     if not pieces:
         return None
@@ -271,17 +271,17 @@ def _proof_words(survey: Survey) -> str:
     return words
 
 
-def _piece_words(pieces: Sequence[Piece], unit: str) -> list[str]:
+def _piece_words(pieces: Sequence[RangePiece], unit: str) -> list[str]:
     """Ranges with one number; a sliver left untold between two of the same number divides none.
 
     Ends are rounded inwards, so that nothing is said of what is not proved.
     """
-    joined: list[Piece] = []
+    joined: list[RangePiece] = []
     most = 2e-3 * (pieces[-1].upper - pieces[0].lower)
     for piece in (p for p in pieces if p.count is not None):
         near = bool(joined) and piece.lower - joined[-1].upper <= most
         if near and joined[-1].count == piece.count:
-            joined[-1] = Piece(joined[-1].lower, piece.upper, piece.count)
+            joined[-1] = RangePiece(joined[-1].lower, piece.upper, piece.count)
         else:
             joined.append(piece)
     words = [

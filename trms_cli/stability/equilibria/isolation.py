@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.stability.equilibria.rest_system import Block, RestSystem
+from trms_cli.stability.equilibria.rest_system import EquationBlock, RestSystem
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 
@@ -52,10 +52,10 @@ class BlockEquations:
     Parameters
     ----------
     system : RestSystem
-    block : Block
+    block : EquationBlock
     """
 
-    def __init__(self, system: RestSystem, block: Block) -> None:
+    def __init__(self, system: RestSystem, block: EquationBlock) -> None:
         self.n = len(block.unknowns)
         n_z, n_v = system.n, len(system.given)
         own, given = ca.SX.sym("own", self.n), ca.SX.sym("given", n_z + n_v)
@@ -93,8 +93,8 @@ class PointBounds:
         z, v = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
         p = ca.SX.sym("p", len(system.model.parameters))
         state, commands, _ = system.point(z, v, p)
-        found, constants, self._constants = _constants_apart([state, commands], p, system)
-        self._function = Enclosure(ca.Function("point", [z, v, constants], found))
+        expressions, constants, self._constants = _constants_apart([state, commands], p, system)
+        self._function = Enclosure(ca.Function("point", [z, v, constants], expressions))
 
     def __call__(self, z: Interval, v: Interval) -> tuple[Interval, Interval]:
         """x, (m, n_x), and u, (m, n_u)."""
@@ -119,8 +119,8 @@ def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
     enclosure = Enclosure(ca.Function("nonzero", [z, given, constants], [w]))
     boxes = box[None, :]
     for _ in range(_REGULARITY_CUTS):
-        found = enclosure(boxes, v, bounds)[0]
-        doubtful = np.any(found.contains_zero() | ~np.isfinite(found.width), axis=1)
+        bounds_there = enclosure(boxes, v, bounds)[0]
+        doubtful = np.any(bounds_there.contains_zero() | ~np.isfinite(bounds_there.width), axis=1)
         if not doubtful.any():
             return True
         boxes = boxes[doubtful]
@@ -147,11 +147,11 @@ def _constants_apart(
         together, symbols, parts = ca.extract_parametric(together, p)
     enclosure = Enclosure(ca.Function("constants", [p], [ca.vertcat(p, *parts)]))
     bounds = enclosure(Interval.point(system.model.parameters.values))[0]
-    found, at = [], 0
+    dense, at = [], 0
     for rows, columns in shapes:
-        found.append(ca.densify(ca.reshape(together[at : at + rows * columns], rows, columns)))
+        dense.append(ca.densify(ca.reshape(together[at : at + rows * columns], rows, columns)))
         at += rows * columns
-    return found, ca.vertcat(p, *symbols), bounds[0]
+    return dense, ca.vertcat(p, *symbols), bounds[0]
 
 
 @dataclass(frozen=True)
@@ -193,24 +193,26 @@ def isolate(
     open_ended = bool(len(tails.lower)) and not _excluded(equations, tails, given)
     owner = np.repeat(np.arange(count), len(starts.lower))
     queue = Interval(np.tile(starts.lower, (count, 1)), np.tile(starts.upper, (count, 1)))
-    found = _Found(equations.n)
+    progress = _Progress(equations.n)
     left: set[int] = set()
     for _ in range(_ROUNDS):
         if not len(owner):
             break
-        queue, owner = _round(equations, queue, owner, given, tolerance, found)
-        queue, owner = _within_budget(queue, owner, found, groups is not None)
+        queue, owner = _round(equations, queue, owner, given, tolerance, progress)
+        queue, owner = _within_budget(queue, owner, progress, groups is not None)
         if groups is not None:
-            left.update(g for own, _ in found.undecided for g in groups[own].tolist())
+            left.update(g for own, _ in progress.undecided for g in groups[own].tolist())
             sure = ~np.isin(groups[owner], list(left))
             queue, owner = queue[sure], owner[sure]
     if len(owner):
-        found.undecided.append((owner, queue))
-    roots = _result(equations, found, given, box, tolerance, np.array(sorted(left), dtype=np.int64))
+        progress.undecided.append((owner, queue))
+    roots = _result(
+        equations, progress, given, box, tolerance, np.array(sorted(left), dtype=np.int64)
+    )
     return replace(roots, open_ended=open_ended)
 
 
-class _Found:
+class _Progress:
     """What a search has come to so far."""
 
     def __init__(self, n: int) -> None:
@@ -276,7 +278,7 @@ def _round(
     owner: IntArray,
     given: Interval,
     tolerance: FloatArray,
-    found: _Found,
+    progress: _Progress,
 ) -> tuple[Interval, IntArray]:
     """One test of every box, and the boxes that are left."""
     half = 0.5 * _INFLATION * queue.width + 1e-300
@@ -284,7 +286,7 @@ def _round(
     step = newton(equations, tested, given[owner])
     alive = step.possible & np.all(step.image.meets(queue), axis=1)
     proved = alive & step.unique
-    found.proved.append((owner[proved], tested[proved]))
+    progress.proved.append((owner[proved], tested[proved]))
     left = alive & ~proved
     if proved.any():
         left &= ~_inside(queue, owner, tested[proved], owner[proved])
@@ -296,7 +298,7 @@ def _round(
     small |= np.all(
         (contracted.middle <= contracted.lower) | (contracted.middle >= contracted.upper), axis=1
     )
-    found.undecided.append((owner[small], contracted[small]))
+    progress.undecided.append((owner[small], contracted[small]))
     stalled = np.all(contracted.width > 0.7 * before.width, axis=1)[~small]
     contracted, owner, slopes = contracted[~small], owner[~small], slopes[~small]
     halves = _cut(contracted[stalled], slopes[stalled], tolerance)
@@ -339,30 +341,30 @@ def _cut(box: Interval, slopes: Interval, tolerance: FloatArray) -> Interval:
 
 
 def _within_budget(
-    queue: Interval, owner: IntArray, found: _Found, in_ranges: bool
+    queue: Interval, owner: IntArray, progress: _Progress, in_ranges: bool
 ) -> tuple[Interval, IntArray]:
     """Give up the problems that have too many boxes."""
     if not len(owner):
         return queue, owner
-    most = _MOST_BOXES.get(found.n, _MOST_BOXES_OF_MORE)
+    most = _MOST_BOXES.get(progress.n, _MOST_BOXES_OF_MORE)
     over = (np.bincount(owner) > (_MOST_BOXES_IN_RANGES if in_ranges else most))[owner]
     if over.any():
-        found.undecided.append((owner[over], queue[over]))
+        progress.undecided.append((owner[over], queue[over]))
     return queue[~over], owner[~over]
 
 
 def _result(
     equations: BlockEquations,
-    found: _Found,
+    progress: _Progress,
     given: Interval,
     box: Interval,
     tolerance: FloatArray,
     left: IntArray,
 ) -> Roots:
-    owner, domain = found.together(found.proved)
+    owner, domain = progress.together(progress.proved)
     tight = refined(equations, domain, given[owner])
     owner, domain, tight, certain = _distinct(owner, domain, tight)
-    small_owner, small = found.together(found.undecided)
+    small_owner, small = progress.together(progress.undecided)
     outside = ~_inside(small, small_owner, domain, owner)
     small_owner, small = _clusters(small_owner[outside], small[outside], tolerance)
     # A cluster may hold a root that lay on the border of all its boxes.
@@ -454,7 +456,7 @@ _REFINEMENTS = 120
 
 
 @dataclass(frozen=True)
-class Step:
+class IntervalNewtonStep:
     """Of the interval Newton operator on boxes: what it tells, and its image."""
 
     possible: BoolArray  #: whether a root is not excluded
@@ -463,7 +465,7 @@ class Step:
     slopes: Interval  #: bounds of g' over it
 
 
-def newton(equations: BlockEquations, box: Interval, given: Interval) -> Step:
+def newton(equations: BlockEquations, box: Interval, given: Interval) -> IntervalNewtonStep:
     """One step on boxes (m, n), for what is given (m, n_given)."""
     g, slopes = equations.with_slopes(box, given)
     centre = centre_of(box)
@@ -479,7 +481,7 @@ def newton(equations: BlockEquations, box: Interval, given: Interval) -> Step:
     shift = _times(Interval.point(inverse), at_centre)
     image = Interval.point(centre) - shift + _times(deviation, away)
     unique = np.all(image.within(box), axis=1)
-    return Step(possible, unique, image, slopes)
+    return IntervalNewtonStep(possible, unique, image, slopes)
 
 
 def _one_unknown(
@@ -488,7 +490,7 @@ def _one_unknown(
     given: Interval,
     over: tuple[Interval, Interval],
     about: tuple[FloatArray, Interval, Interval],
-) -> Step:
+) -> IntervalNewtonStep:
     (g, slopes), (centre, at_centre, away) = over, about
     slope = slopes[:, :, 0]
     monotonic = ~slope.contains_zero()[:, 0]
@@ -498,7 +500,7 @@ def _one_unknown(
     unique = monotonic & (low * high < 0)
     possible &= ~(monotonic & (low * high > 0))
     image = box.intersection(_newton_image(centre, at_centre, slope))
-    return Step(possible, unique, image, slopes)
+    return IntervalNewtonStep(possible, unique, image, slopes)
 
 
 def _newton_image(centre: FloatArray, at_centre: Interval, slope: Interval) -> Interval:
@@ -535,9 +537,9 @@ def _inverses(matrices: FloatArray) -> FloatArray:
     matrices = np.where(usable[:, None, None], matrices, 0.0)
     size = np.where(usable, np.abs(matrices).max(axis=(1, 2)), 1.0)
     usable &= np.abs(np.linalg.det(matrices / np.where(size > 0, size, 1.0)[:, None, None])) > 1e-14
-    found = np.zeros_like(matrices)
-    found[usable] = np.linalg.inv(matrices[usable])
-    return found
+    inverses = np.zeros_like(matrices)
+    inverses[usable] = np.linalg.inv(matrices[usable])
+    return inverses
 
 
 def _deviation(inverse: FloatArray, slopes: Interval) -> Interval:

@@ -45,9 +45,9 @@ def landmarks(
     points: Sequence[EquilibriumPoint],
 ) -> list[Landmark]:
     """The special points of a curve, in order along it."""
-    found: list[tuple[float, Landmark]] = []
+    marks: list[tuple[float, Landmark]] = []
     folds = _folds(linear, equations, curve)
-    found += folds
+    marks += folds
     kinks = [place for place, one in folds if one.kind == "kink"]
     for before, after in pairwise(_with_folds(linear, equations, curve, points, folds)):
         more = after.at.unstable - before.at.unstable
@@ -57,22 +57,22 @@ def landmarks(
         kinked = more % 2 == 1 and any(abs(place - before.place) <= 2 for place in kinks)
         if more == 0 or folding or kinked:
             continue
-        found.append((before.place, _change(linear, equations, before.y, after.y, before.at)))
+        marks.append((before.place, _change(linear, equations, before.y, after.y, before.at)))
     for k in curve.crossings:
-        if not any(abs(place - k) <= 2 for place, _ in found):
+        if not any(abs(place - k) <= 2 for place, _ in marks):
             y = curve.y[k]
-            found.append((k, Landmark("crossing", "", y, equations.stability(linear, y))))
+            marks.append((k, Landmark("crossing", "", y, equations.stability(linear, y))))
     for index, signal in enumerate(equations.system.unknowns):
         if signal.name in equations.system.model.controlled and _varies(curve.y[:, index]):
             for y in equations.crossings_of(curve, 0.0, index):
                 if _stays(equations, curve, y, index):
                     continue
                 point = Landmark("level", signal.name, y, equations.stability(linear, y))
-                found.append((_place(equations, curve, y), point))
+                marks.append((_place(equations, curve, y), point))
     for y in equations.crossings_of(curve, 0.0):
         point = Landmark("zero", "", y, equations.stability(linear, y))
-        found.append((_place(equations, curve, y), point))
-    return [landmark for _, landmark in sorted(found, key=lambda item: item[0])]
+        marks.append((_place(equations, curve, y), point))
+    return [landmark for _, landmark in sorted(marks, key=lambda item: item[0])]
 
 
 def _stays(equations: CurveEquations, curve: SolutionCurve, y: FloatArray, index: int) -> bool:
@@ -94,7 +94,7 @@ def _folds(
     linear: Linear, equations: CurveEquations, curve: SolutionCurve
 ) -> list[tuple[float, Landmark]]:
     steps = np.diff(curve.y[:, -1])
-    found: list[tuple[float, Landmark]] = []
+    folds: list[tuple[float, Landmark]] = []
     # The end of a curve may lie on its last point: a step of nothing turns nowhere.
     moving = np.flatnonzero(np.abs(steps) > 1e-12 * equations.scale[-1])
     for i, j in pairwise(moving):
@@ -106,8 +106,8 @@ def _folds(
         point = y if smooth and y is not None else near
         kind: Kind = "fold" if smooth else "kink"
         place = _between(equations, curve, point, range(int(i), int(j) + 1)) if smooth else float(i)
-        found.append((place, Landmark(kind, "", point, equations.stability(linear, point))))
-    return found
+        folds.append((place, Landmark(kind, "", point, equations.stability(linear, point))))
+    return folds
 
 
 def _between(

@@ -61,23 +61,23 @@ def named_points(
     TrmsError
         For a point that is asked for and does not exist.
     """
-    found: list[NamedPoint] = []
+    points: list[NamedPoint] = []
     missing: list[str] = []
     usual: dict[str, Mapping[str, float]] = {"rest": {}}
     if "pitch" in model.axes:
         usual["hover"] = dict.fromkeys(model.controlled, 0.0)
     for name, at in usual.items():
-        if name in more or (name == "hover" and found and _is_level(model, found[0])):
+        if name in more or (name == "hover" and points and _is_level(model, points[0])):
             continue
         try:
-            found.append(_named(model, name, operating_point(model, at)))
+            points.append(_named(model, name, operating_point(model, at)))
         except TrmsError as error:
             missing.append(
                 f"no {name}: {error.problem}" + (f" ({error.remedy})" if error.remedy else "")
             )
     for name, at in more.items():
-        found.append(_named(model, name, operating_point(model, at, f"{where}.{name}")))
-    return found, missing
+        points.append(_named(model, name, operating_point(model, at, f"{where}.{name}")))
+    return points, missing
 
 
 def _is_level(model: Model, rest: NamedPoint) -> bool:
@@ -195,7 +195,7 @@ def friction_bands(
     u, reached : (n_u,)
         Its commands, and what of them reaches the motors.
     """
-    found: list[FrictionBand] = []
+    bands: list[FrictionBand] = []
     for axis, place in model.axes.items():
         torque = breakaway(model, x, reached, axis)
         if torque == 0.0:
@@ -221,10 +221,10 @@ def friction_bands(
                 values = curve.y[:, names(system.unknowns).index(name)]
                 if np.ptp(values) > 1e-9:
                     command = (name, float(values.min()), float(values.max()))
-            found.append(FrictionBand(axis, place.angle, torque, None, None, command))
+            bands.append(FrictionBand(axis, place.angle, torque, None, None, command))
         else:
             values = curve.y[:, names(system.unknowns).index(place.angle)]
-            found.append(
+            bands.append(
                 FrictionBand(axis, place.angle, torque, float(values.min()), float(values.max()))
             )
-    return found
+    return bands

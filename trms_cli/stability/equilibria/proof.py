@@ -30,7 +30,7 @@ _MOST_RANGES_OF_MORE = 200
 
 
 @dataclass(frozen=True)
-class Enclosed:
+class EnclosedEquilibrium:
     """Bounds around one equilibrium, or around a place where one could not be told."""
 
     z: Interval  #: (n,), of the unknowns
@@ -45,7 +45,7 @@ class Proof:
     """All equilibria in a box for one input, or for each input of a small range."""
 
     given: Interval  #: (n_v,)
-    enclosed: tuple[Enclosed, ...]
+    enclosed: tuple[EnclosedEquilibrium, ...]
     open_ended: bool  #: Whether equilibria with a state beyond 1e6 are not excluded
 
     @property
@@ -59,11 +59,11 @@ class Proof:
         return len(self.enclosed) if self.complete else None
 
     @property
-    def proved(self) -> tuple[Enclosed, ...]:
+    def proved(self) -> tuple[EnclosedEquilibrium, ...]:
         return tuple(one for one in self.enclosed if one.unique)
 
     @property
-    def undecided(self) -> tuple[Enclosed, ...]:
+    def undecided(self) -> tuple[EnclosedEquilibrium, ...]:
         return tuple(one for one in self.enclosed if not one.unique)
 
 
@@ -102,10 +102,10 @@ class Prover:
         given = Interval.point(np.atleast_2d(v))
         all_ = self._solve(given, _SHARE_AT_POINTS, whole=True)
         x, u = self._point(all_.z, given[all_.owner]) if len(all_.owner) else (all_.z, all_.z)
-        proofs: list[list[Enclosed]] = [[] for _ in given.lower]
+        proofs: list[list[EnclosedEquilibrium]] = [[] for _ in given.lower]
         for k, one in enumerate(all_.owner):
             known = bool(all_.unique[k]), bool(all_.exists[k])
-            proofs[one].append(Enclosed(all_.z[k], x[k], u[k], *known))
+            proofs[one].append(EnclosedEquilibrium(all_.z[k], x[k], u[k], *known))
         return [Proof(given[k], tuple(own), all_.open_ended) for k, own in enumerate(proofs)]
 
     def counts(self, lower: npt.ArrayLike, upper: npt.ArrayLike) -> list[int | None]:
@@ -114,9 +114,11 @@ class Prover:
         None where that could not be told.
         """
         given = Interval.of(lower, upper)
-        found = self._solve(given, _SHARE_OVER_RANGES, whole=False)
-        numbers: list[int | None] = np.bincount(found.owner, minlength=len(given.lower)).tolist()
-        for one in found.doubtful:
+        solutions = self._solve(given, _SHARE_OVER_RANGES, whole=False)
+        numbers: list[int | None] = np.bincount(
+            solutions.owner, minlength=len(given.lower)
+        ).tolist()
+        for one in solutions.doubtful:
             numbers[one] = None
         return numbers
 
@@ -163,7 +165,7 @@ class _Solutions:
 
 
 @dataclass(frozen=True)
-class Piece:
+class RangePiece:
     """A part of a range of one input, in which the number of equilibria is proved or not."""
 
     lower: float  #: ends of the input
@@ -173,7 +175,7 @@ class Piece:
 
 def over_range(
     prover: Prover, v: FloatArray, index: int, bounds: tuple[float, float], resolution: float
-) -> tuple[Piece, ...]:
+) -> tuple[RangePiece, ...]:
     """Numbers of equilibria for every value of one input.
 
     The range is cut where a number cannot be told, down to the resolution.
@@ -191,7 +193,7 @@ def over_range(
     """
     edges = np.linspace(*bounds, 33)
     waiting = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
-    pieces: list[Piece] = []
+    pieces: list[RangePiece] = []
     tried = 0
     largest = max((len(block.rows) for block in prover.system.blocks), default=1)
     most = _MOST_RANGES.get(largest, _MOST_RANGES_OF_MORE)
@@ -203,20 +205,20 @@ def over_range(
             if count is None and b - a > resolution:
                 following += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]
             else:
-                pieces.append(Piece(a, b, count))
+                pieces.append(RangePiece(a, b, count))
         tried += len(waiting)
         if tried > most:
-            pieces += [Piece(a, b, None) for a, b in following]
+            pieces += [RangePiece(a, b, None) for a, b in following]
             break
         waiting = following
     return _merged(sorted(pieces, key=lambda piece: piece.lower))
 
 
-def _merged(pieces: list[Piece]) -> tuple[Piece, ...]:
-    merged: list[Piece] = []
+def _merged(pieces: list[RangePiece]) -> tuple[RangePiece, ...]:
+    merged: list[RangePiece] = []
     for piece in pieces:
         if merged and merged[-1].count == piece.count:
-            merged[-1] = Piece(merged[-1].lower, piece.upper, piece.count)
+            merged[-1] = RangePiece(merged[-1].lower, piece.upper, piece.count)
         else:
             merged.append(piece)
     return tuple(merged)

@@ -1,7 +1,7 @@
 """The equations of rest of a model as a square system, in blocks that are solved one by one.
 
 Three identities take out of them what can be taken out exactly: states that follow linearly from
-others (:func:`eliminated`), inertias that two accelerations have in common (:func:`torques`), and
+others (:func:`reduce`), inertias that two accelerations have in common (:func:`torques`), and
 factors that are nowhere zero (:func:`without_factors`). What is left are a few equations
 ``g(z, v) = 0`` in unknowns z, given the inputs and constant torques v. A matching of equations to
 unknowns tells what the structure allows:
@@ -35,7 +35,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Block:
+class EquationBlock:
     """Equations that are solved together, after the blocks before."""
 
     rows: tuple[int, ...]  #: Positions in g and in z, equally many
@@ -50,7 +50,7 @@ class RestSystem:
     unknowns: tuple[Signal, ...]  #: z: states and released inputs
     #: v: all inputs, then all disturbances; what is released or without effect is not read
     given: tuple[Signal, ...]
-    blocks: tuple[Block, ...]  #: In the order in which they are solved
+    blocks: tuple[EquationBlock, ...]  #: In the order in which they are solved
     free: tuple[str, ...]  #: States that nothing determines; they stay as in :meth:`Model.rest`
     released: tuple[str, ...]  #: Inputs among the unknowns
     idle: tuple[str, ...]  #: Inputs that rest does not depend on
@@ -173,12 +173,12 @@ def _reduced(
     others: tuple[ca.SX, ca.SX, ca.SX],
     lasting: list[int],
     torques_too: bool,
-) -> tuple[Eliminated, list[ca.SX]]:
+) -> tuple[ReducedEquations, list[ca.SX]]:
     """The equations that are left, and what must not be zero for them."""
     u, p, w = others
     variables, everything = ca.vertcat(s, u, w), ca.vertcat(s, u, p, w)
     values = ca.DM(model.parameters.values)
-    reduced = eliminated(residual, s, ca.vertcat(u, w), p, values, lasting)
+    reduced = reduce(residual, s, ca.vertcat(u, w), p, values, lasting)
     places = [index_of(model.disturbances, a.moment, "a torque") for a in model.axes.values()]
     balances, mobility = torques(reduced.rows, [w[i] for i in places], everything)
     nonzero: list[ca.SX] = []
@@ -190,7 +190,7 @@ def _reduced(
         if mobility is None:
             quiet = ca.cse(ca.substitute(residual, w, none))
             rows, nonzero = _stripped(ca.vertsplit(quiet), variables)
-            reduced = eliminated(ca.vertcat(*rows), s, u, p, values, lasting)
+            reduced = reduce(ca.vertcat(*rows), s, u, p, values, lasting)
         else:
             whole = ca.cse(ca.substitute(ca.vertcat(*reduced.rows, reduced.state), w, none))
             count = len(reduced.rows)
@@ -236,7 +236,7 @@ def _matched(pattern: npt.NDArray[np.bool_], worth: list[float]) -> dict[int, in
     }
 
 
-def _blocks(pattern: npt.NDArray[np.bool_]) -> tuple[Block, ...]:
+def _blocks(pattern: npt.NDArray[np.bool_]) -> tuple[EquationBlock, ...]:
     """Strongly connected components, each after those that it needs; row i belongs to unknown i."""
     n = len(pattern)
     if n == 0:
@@ -244,13 +244,13 @@ def _blocks(pattern: npt.NDArray[np.bool_]) -> tuple[Block, ...]:
     count, label = connected_components(csr_array(pattern), directed=True, connection="strong")
     members = [tuple(np.flatnonzero(label == k).tolist()) for k in range(count)]
     done: set[int] = set()
-    ordered: list[Block] = []
+    ordered: list[EquationBlock] = []
     while len(ordered) < count:
         for k, own in enumerate(members):
             needed = {int(label[j]) for i in own for j in np.flatnonzero(pattern[i])} - {k}
             if k not in done and needed <= done:
                 done.add(k)
-                ordered.append(Block(own, own))
+                ordered.append(EquationBlock(own, own))
                 break
     return tuple(ordered)
 
@@ -267,7 +267,7 @@ def _refuse(model: Model, varied: Collection[str], held: Mapping[str, float], mi
 
 
 @dataclass(frozen=True)
-class Eliminated:
+class ReducedEquations:
     """Equations after elimination."""
 
     rows: list[ca.SX]  #: What must be zero, one expression each
@@ -275,9 +275,9 @@ class Eliminated:
     state: ca.SX  #: All symbols by those that are left, (n, 1)
 
 
-def eliminated(
+def reduce(
     f: ca.SX, x: ca.SX, others: ca.SX, p: ca.SX, values: ca.DM, keep: Collection[int]
-) -> Eliminated:
+) -> ReducedEquations:
     """Solve linear equations of ``f(x, others, p) = 0`` for symbols of x, one after the other.
 
     Parameters
@@ -296,10 +296,10 @@ def eliminated(
     state, left = x, [j for j in range(x.numel()) if j not in keep]
     variables = ca.vertcat(x, others)
     while True:
-        found = _linear(rows, x, variables, p, values, left)
-        if found is None:
+        linear = _linear(rows, x, variables, p, values, left)
+        if linear is None:
             break
-        i, j, factor = found
+        i, j, factor = linear
         rest = ca.substitute(rows[i], x[j], ca.SX(0))
         # A division by one would stay in the expression, and keep it from cancelling.
         value = rest if factor.is_minus_one() else -rest if factor.is_one() else -rest / factor
@@ -310,7 +310,7 @@ def eliminated(
     kept = [j for j in range(x.numel()) if j in keep or j in left]
     # A row that has become identically zero asks for nothing.
     rows = [row for row in rows if not (row.is_constant() and float(row) == 0.0)]
-    return Eliminated(rows, kept, state)
+    return ReducedEquations(rows, kept, state)
 
 
 def _linear(
@@ -381,20 +381,20 @@ def _balance(rows: list[ca.SX], square: ca.SX, symbols: ca.SX) -> list[ca.SX] | 
     replaced = _run(program, symbols, entries)[:count]
     own = ca.vertcat(*entries.values())
     matrix = [[sign * entries[place] for place, sign in places[i::2]] for i in range(2)]
-    found = []
+    torques = []
     for place, sign in places[::2]:
         share = sign * ca.jacobian(replaced[0], entries[place])
         if ca.depends_on(share, own):
             return None
-        found.append(share)
+        torques.append(share)
     # rows − W b must vanish: linear in the entries, with these factors, and nothing else.
     for i in range(2):
-        difference = replaced[i] - matrix[i][0] * found[0] - matrix[i][1] * found[1]
+        difference = replaced[i] - matrix[i][0] * torques[0] - matrix[i][1] * torques[1]
         slopes = ca.cse(ca.jacobian(difference, own))
         at_zero = ca.cse(ca.substitute(replaced[i], own, ca.SX.zeros(own.numel())))
         if not _vanishes(slopes) or not _vanishes(at_zero):
             return None
-    return found
+    return torques
 
 
 def _vanishes(expression: ca.SX) -> bool:

@@ -18,7 +18,7 @@ from trms_cli.models.continuation import SolutionCurve
 from trms_cli.models.model import Model, names
 from trms_cli.stability.equilibria.curves import CurveEquations, EquilibriumPoint
 from trms_cli.stability.equilibria.landmarks import Landmark, landmarks
-from trms_cli.stability.equilibria.proof import Piece, Proof, Prover, over_range
+from trms_cli.stability.equilibria.proof import Proof, Prover, RangePiece, over_range
 from trms_cli.stability.equilibria.rest_system import RestSystem, rest_system
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
@@ -35,7 +35,7 @@ _SAME = 1e-6
 
 
 @dataclass(frozen=True)
-class Setting:
+class SurveySetting:
     """What is varied, and what the rest is."""
 
     over: str  #: The varied input
@@ -45,7 +45,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class JudgedCurve:
+class SurveyCurve:
     """A curve with the stability of its points."""
 
     curve: SolutionCurve
@@ -54,7 +54,7 @@ class JudgedCurve:
 
 
 @dataclass(frozen=True)
-class Checked:
+class ProofCheck:
     """A proof and the points of the curves at the same input."""
 
     input: float
@@ -70,13 +70,13 @@ class Checked:
 class Survey:
     """All equilibria over one input."""
 
-    setting: Setting
+    setting: SurveySetting
     system: RestSystem
     equations: CurveEquations
     box: Interval  #: (n,), of the unknowns
-    curves: tuple[JudgedCurve, ...]
-    checks: tuple[Checked, ...]
-    pieces: tuple[Piece, ...]  #: Numbers over the whole range; empty if not asked for
+    curves: tuple[SurveyCurve, ...]
+    checks: tuple[ProofCheck, ...]
+    pieces: tuple[RangePiece, ...]  #: Numbers over the whole range; empty if not asked for
     late: int  #: Curves that only the proof led to
 
     @property
@@ -86,7 +86,7 @@ class Survey:
 
 def survey(
     model: Model,
-    setting: Setting,
+    setting: SurveySetting,
     box: Mapping[str, Sequence[float]],
     proof_inputs: FloatArray,
     whole_range: bool,
@@ -127,12 +127,12 @@ def survey(
     given = np.tile(v, (len(proof_inputs), 1))
     given[:, index] = proof_inputs
     proofs = prover.at(given)
-    curves, late = completed(equations, curves, proofs)
+    curves, late = complete_curves(equations, curves, proofs)
     checks = tuple(
         _check(linear, equations, curves, float(value), proof)
         for value, proof in zip(proof_inputs, proofs, strict=True)
     )
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[RangePiece, ...] = ()
     if whole_range:
         tell(f"proof for every {setting.over}")
         width = setting.bounds[1] - setting.bounds[0]
@@ -142,14 +142,14 @@ def survey(
         system=system,
         equations=equations,
         box=bounds,
-        curves=tuple(_judged_curve(linear, equations, curve) for curve in curves),
+        curves=tuple(_curve_of(linear, equations, curve) for curve in curves),
         checks=checks,
         pieces=pieces,
         late=late,
     )
 
 
-def completed(
+def complete_curves(
     equations: CurveEquations, curves: list[SolutionCurve], proofs: Sequence[Proof]
 ) -> tuple[list[SolutionCurve], int]:
     """The curves with those through proved equilibria that are on none, and how many those are."""
@@ -178,7 +178,7 @@ def _check(
     curves: Sequence[SolutionCurve],
     value: float,
     proof: Proof,
-) -> Checked:
+) -> ProofCheck:
     known = [y for curve in curves for y in equations.crossings_of(curve, value)]
     ordered: list[FloatArray] = []
     agree = True
@@ -188,12 +188,12 @@ def _check(
         ordered += inside
     agree &= all(any(_within(equations, y, one.z) for one in proof.enclosed) for y in known)
     points = tuple(equations.stability(linear, y) for y in (ordered if agree else known))
-    return Checked(value, proof, points, agree)
+    return ProofCheck(value, proof, points, agree)
 
 
-def _judged_curve(linear: Linear, equations: CurveEquations, curve: SolutionCurve) -> JudgedCurve:
+def _curve_of(linear: Linear, equations: CurveEquations, curve: SolutionCurve) -> SurveyCurve:
     points = tuple(equations.stability(linear, y) for y in curve.y)
-    return JudgedCurve(curve, points, tuple(landmarks(linear, equations, curve, points)))
+    return SurveyCurve(curve, points, tuple(landmarks(linear, equations, curve, points)))
 
 
 def setting_of(
@@ -201,7 +201,7 @@ def setting_of(
     over: str,
     bounds: tuple[float, float],
     at: Mapping[str, float],
-) -> Setting:
+) -> SurveySetting:
     """The other inputs of a survey.
 
     Inputs of ``at`` have their value, the others zero. An angle of ``at`` is held by the input of
@@ -224,7 +224,7 @@ def setting_of(
     others = [name for name in names(model.inputs) if name not in (over, *released)]
     free = rest_system(model, {over}, held)
     inputs = {n: float(asked.get(n, 0.0)) for n in others if n not in free.released}
-    return Setting(over, bounds, inputs, held)
+    return SurveySetting(over, bounds, inputs, held)
 
 
 #: rad, just within ±π/2: with the beam upright the yaw of some models answers to nothing at all.

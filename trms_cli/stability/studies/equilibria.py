@@ -19,8 +19,8 @@ from trms_cli.stability.equilibria.findings import EquilibriaResult, findings_of
 from trms_cli.stability.equilibria.named_points import NamedPoint, named_points
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import (
-    Setting,
     Survey,
+    SurveySetting,
     equilibrium_map,
     setting_of,
     survey,
@@ -100,9 +100,9 @@ class Equilibria:
 
     def _named(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
         """The named points; rest and hover only within the box, and why one is missing."""
-        found, missing = named_points(model, self.special)
+        points, missing = named_points(model, self.special)
         kept = []
-        for point in found:
+        for point in points:
             out = [
                 name
                 for name, (low, high) in self.box.items()
@@ -149,7 +149,7 @@ class Equilibria:
             )
         return chosen
 
-    def _setting(self, model: Model, over: str) -> Setting:
+    def _setting(self, model: Model, over: str) -> SurveySetting:
         limit = model.input_limits[over]
         low, high = self.range.get(over, (-limit, limit))
         if not (math.isfinite(low) and math.isfinite(high)):

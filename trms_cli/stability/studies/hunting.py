@@ -23,7 +23,7 @@ from trms_cli.stability.cycles.friction_loop import (
     frictions_of,
 )
 from trms_cli.stability.cycles.hunting_findings import HuntingResult, findings_of
-from trms_cli.stability.cycles.hunting_prediction import harmonics, predicted, swings
+from trms_cli.stability.cycles.hunting_prediction import harmonics, predict, swings
 from trms_cli.stability.cycles.hunting_runs import (
     AxisRun,
     HuntingLevel,
@@ -92,7 +92,7 @@ class Hunting:
             linear = friction_loop(model, loop, pid, point, friction.axis)
             if linear.stable():
                 events = StickSlip(linear, friction.law)
-                prediction = predicted(events)
+                prediction = predict(events)
                 tell("describing functions")
                 one = harmonics(linear, friction.law)
             else:
@@ -160,14 +160,14 @@ class Hunting:
         )
 
     def _friction(self, model: Model) -> Friction:
-        found = frictions_of(model)
+        frictions = frictions_of(model)
         if self.axis is not None:
-            found = tuple(one for one in found if one.axis == self.axis)
-        if len(found) == 1 and found[0].law.torque > 0:
-            return found[0]
-        if len(found) > 1:
+            frictions = tuple(one for one in frictions if one.axis == self.axis)
+        if len(frictions) == 1 and frictions[0].law.torque > 0:
+            return frictions[0]
+        if len(frictions) > 1:
             raise ConfigurationError(
-                f"dry friction by {', '.join(one.effect for one in found)}",
+                f"dry friction by {', '.join(one.effect for one in frictions)}",
                 where="axis",
                 remedy="choose an axis with one of them: study.axis=pitch",
             )

@@ -19,7 +19,7 @@ from trms_cli.stability.cycles.search import (
     different,
     half_widths,
     has_impulses,
-    searched,
+    search_orbits,
     starts_in,
 )
 from trms_cli.stability.cycles.shooting import Shooting
@@ -78,7 +78,7 @@ class LimitCycles:
         proof = absence(model, point.x, point.u, widths)
         tell(f"{self.starts} motions of {self.duration:g} s")
         shooting = Shooting(model) if smooth and not (proof.proved and proof.everywhere) else None
-        search = searched(
+        search = search_orbits(
             model,
             starts_in(point.x, widths, self.starts),
             point.u,
