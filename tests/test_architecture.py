@@ -42,8 +42,18 @@ LEVELS = [
     {"library"},
     {"cli", "__main__"},
 ]
-# `recordings` stands beside the levels: it knows files and the core, and these may use it.
-READERS_OF_RECORDINGS = {"commands", "library", "plants", "references", "runs", "scoring"}
+# `recordings` stands beside the levels: it knows files, the core and what a model's signals are,
+# and these may use it.
+READERS_OF_RECORDINGS = {
+    "commands",
+    "identification",
+    "library",
+    "plants",
+    "references",
+    "runs",
+    "scoring",
+    "simulation",
+}
 
 # Who may import what, everywhere in a module, inside functions too.
 RESTRICTED = {
@@ -108,7 +118,7 @@ def _upward_imports(module: Path) -> set[str]:
         return _rooms_imported(module, at_run_time=True)
     imported = _rooms_imported(module)
     if room == "recordings":
-        return imported - {"recordings", "core"}
+        return imported - {"recordings", "core", "models"}
     if room in READERS_OF_RECORDINGS:
         imported -= {"recordings"}
     if room == "commands":  # a command may ask the dispatcher which commands there are

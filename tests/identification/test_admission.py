@@ -16,7 +16,7 @@ from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
-from trms_cli.plants.replay import RecordedRig
+from trms_cli.recordings.for_model import Selection
 from trms_cli.recordings.recording import Recording
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
@@ -33,7 +33,7 @@ def dataset(recording: Recording, change: Change = lambda channels: None, model=
     channels = {name: values.copy() for name, values in recording.channels.items()}
     change(channels)
     spoilt = Recording(recording.time, channels, recording.units, {}, recording.source)
-    run = RecordedRig(file="played.csv", sensors=BENCH).take(spoilt, model)
+    run = Selection(sensors=BENCH).take(spoilt, model)
     noise = np.array([run.noise_sd[signal.name] for signal in run.outputs])
     return Dataset(
         "played", "played.csv", "", run.sample_time, run.time, run.inputs, run.outputs,

@@ -14,7 +14,7 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
-from trms_cli.plants.replay import RecordedRig
+from trms_cli.recordings.for_model import Selection
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 from played_rig import BENCH, play
@@ -23,9 +23,7 @@ MODEL = Newtonian()
 
 
 def moved(kind: str, by: float, model: Model = MODEL, **options: object) -> Dataset:
-    run = RecordedRig(file="played.csv", sensors=BENCH).take(
-        play(kind, model=model, **options), model
-    )
+    run = Selection(sensors=BENCH).take(play(kind, model=model, **options), model)
     noise = np.array([run.noise_sd[signal.name] for signal in run.outputs])
     dataset = Dataset(
         "played", "played.csv", "", run.sample_time, run.time, run.inputs, run.outputs,

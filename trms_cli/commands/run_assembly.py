@@ -25,7 +25,7 @@ from trms_cli.scoring.score import LIMITS_KEY
 from trms_cli.simulation.closed_loop import Experiment
 
 if TYPE_CHECKING:
-    from trms_cli.plants.replay import RecordedRun
+    from trms_cli.recordings.for_model import RecordedRun
 
 #: Keys of the log's ``trms.run`` record, each with JSON: what ``trms run --from LOG`` reads.
 OVERRIDES_KEY, CONFIG_DIRS_KEY, VERSIONS_KEY = "overrides", "config_dirs", "versions"

@@ -19,7 +19,8 @@ from trms_cli.core.invocation import program
 from trms_cli.core.plugin_contract import check_contract, plugin_failure
 from trms_cli.core.plugins import TARGET, build, locate
 from trms_cli.models.model import Model, Signal
-from trms_cli.plants.replay import RecordedRig, RecordedRun
+from trms_cli.plants.replay import RecordedRig
+from trms_cli.recordings.for_model import RecordedRun
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
 from trms_cli.runs.place import note_run
@@ -126,11 +127,9 @@ def _topics(model: Model, rig: RecordedRun) -> list[Topic]:
 
 def _about(rig: RecordedRun) -> dict[str, str]:
     """What the log says of the recording."""
-    from trms_cli.recordings.mcap_recording import sha256_of
-
     source = rig.recording.source
     about = {f"recording.{key}": text for key, text in rig.recording.metadata.items()}
-    about |= {"recording.file": str(source), "recording.sha256": sha256_of(source)}
+    about |= {"recording.file": str(source), "recording.sha256": rig.sha256}
     offset = time_offset(rig)
     return about | ({"time_offset_s": repr(offset)} if offset else {})
 

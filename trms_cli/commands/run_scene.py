@@ -15,7 +15,7 @@ from trms_cli.recordings.topics import EncodedTopic, Topic
 
 if TYPE_CHECKING:
     from trms_cli.plants.plant import PlantRun
-    from trms_cli.plants.replay import RecordedRun
+    from trms_cli.recordings.for_model import RecordedRun
     from trms_cli.recordings.run_log import RunLog
 
 #: What is said of a log that has no angle.

@@ -1,7 +1,7 @@
 """From files to datasets: what ``real=[FILE, …]`` and the keys of ``data`` mean.
 
-The recordings are read, cut, and checked against the model by the room of plants, as a replay
-does it; here they become plain arrays.
+The recordings are read, cut, and checked against the model as a replay does it; here they become
+plain arrays.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.identification.admission_by_model import require_sample_time
 from trms_cli.identification.dataset import Dataset, FloatArray
 from trms_cli.models.model import Model, Signal, names
-from trms_cli.plants.recorded import read_runs
-from trms_cli.plants.replay import RecordedRig
 from trms_cli.plants.sensors import Sensors
+from trms_cli.recordings.for_model import Selection
+from trms_cli.recordings.preparation import Preparation
 
 #: The word of ``noise_sd`` that asks for an estimate.
 ESTIMATE: Literal["estimate"] = "estimate"
@@ -69,18 +69,27 @@ class DataOptions:
     #: s by which a channel is recorded late; negative for one that is early
     delays: Mapping[str, float] = field(default_factory=dict)
 
-    def rig(self, file: str) -> RecordedRig:
-        """The recording in ``file`` as a rig that can be replayed."""
+    def selection(self) -> Selection:
+        """What of a recording a model takes."""
         noise = {} if self.noise_sd == ESTIMATE else self.noise_sd
         assert isinstance(noise, Mapping)
-        return RecordedRig(
-            file=file,
+        return Selection(
             start=self.start,
             end=self.end,
             input_scale=self.input_scale,
             command_delay=self.command_delay,
             jitter=self.jitter,
             sensors=Sensors(channels=self.channels, noise_sd=noise, quantum=self.quantum),
+        )
+
+    def preparation(self) -> Preparation:
+        """How the part that is taken is made ready."""
+        return Preparation(
+            resample=self.resample,
+            outliers=self.outliers,
+            gaps=self.gaps,
+            delays=self.delays,
+            jitter=self.jitter,
         )
 
 
@@ -115,14 +124,8 @@ def load_datasets(
     datasets: list[Dataset] = []
     for file in files_of(real):
         with _in_words_of_data():
-            runs, sha256 = read_runs(
-                options.rig(file),
-                model,
-                resample=options.resample,
-                outliers=options.outliers,
-                gaps=options.gaps,
-                delays=options.delays,
-            )
+            runs = options.selection().read(file, model, options.preparation())
+            sha256 = runs[0].sha256
         for run in runs:
             remarks = [*run.remarks]
             measurements = _offset(run.measurements, run.outputs, options.offset, remarks)
@@ -226,12 +229,12 @@ def files_of(real: Sequence[str] | str) -> list[str]:
         elif path.exists() or not any(sign in name for sign in "*?["):
             files.append(str(path))
         else:
-            found = sorted(glob.glob(str(path), recursive=True))
-            if not found:
+            fitting = sorted(glob.glob(str(path), recursive=True))
+            if not fitting:
                 raise ConfigurationError(
                     f"no file fits the pattern {name!r}", where="real", remedy="look at the folder"
                 )
-            files += found
+            files += fitting
     if not files:
         raise ConfigurationError(
             "no recording is given", where="real", remedy="real=FILE, or 'real=[FILE, FILE]'"

@@ -1,71 +1,21 @@
 """A recording in the place of a rig: for observers, since no command can change what was measured.
 
-A row's command acts from the row's time until the next one, as in this program's own logs; a
-recorder that writes down what it is about to send has it act some samples later. The recording
-brings its sample time; what it lacks is missing for the observer too, and reported.
+What it holds for a model is read as everywhere: see :mod:`trms_cli.recordings.for_model`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Annotated, NamedTuple, NoReturn
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, NoReturn
 
-import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.models.model import Model, Signal, names
+from trms_cli.models.model import Model
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
-from trms_cli.recordings.channels import CHANNELS, REFERENCE_OF_AXIS
-from trms_cli.recordings.recording import GriddedRecording, Recording, on_grid, read_recording
-
-FloatArray = npt.NDArray[np.float64]
-
-#: A channel with more runs of missing samples than this gets one event instead of one each.
-_MOST_EVENTS = 20
-
-
-class Happening(NamedTuple):
-    """Something in the recording that a reader of the log should know."""
-
-    sample: int  #: index of the sample
-    kind: str  #: gap, missing
-    source: str  #: the channel, or ``recording``
-    message: str
-    value: float  #: how long it lasts, s
-
-
-@dataclass(frozen=True)
-class RecordedRun:
-    """What a recording holds, in the order of a model's signals."""
-
-    sample_time: float  #: s
-    time: FloatArray  #: (n,) array; s, the rig's own
-    #: ``inputs``, ``outputs``: Outputs are those that the model has and the recording measured
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
-    #: (n, n_u) array; as they act from each sample on, in the model's units; the last one is held
-    #: where the recording has none
-    commands: FloatArray
-    measurements: FloatArray  #: (n, n_y) array; NaN where missing
-    #: dict of str to (n,) arrays; recorded references by the angle they are for, rad; empty if
-    #: there are none
-    references: Mapping[str, FloatArray]
-    noise_sd: Mapping[str, float]  #: Declared noise of each output, quantum included
-    input_limits: tuple[FloatArray, FloatArray]  #: Lower and upper bounds of the model's inputs
-    happenings: tuple[Happening, ...]
-    remarks: tuple[str, ...]  #: Sentences for the user: what was found, what has no part in it
-    recording: Recording  #: As it was read
-
-    #: A recording does not tell what was true.
-    states: tuple[Signal, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.time)
+from trms_cli.recordings.for_model import RecordedRun, Selection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,13 +41,7 @@ class RecordedRig:
                 where="sensors.loss_probability",
                 remedy="a recording has lost what it has lost; leave this out",
             )
-        for name, scale in self.input_scale.items():
-            if not (np.isfinite(scale) and scale != 0):
-                raise ConfigurationError(
-                    f"{scale!r} given",
-                    where=f"input_scale.{name}",
-                    remedy="what a recorded 1 is in the model's unit, not 0",
-                )
+        self.selection()
 
     def init(self, setup: PlantSetup) -> NoReturn:
         """Refuse to be controlled.
@@ -120,184 +64,15 @@ class RecordedRig:
         ConfigurationError
             If its channels or units are not those of the model; it tells what to do.
         """
-        return self.take(self.part_of(read_recording(Path(self.file).expanduser())), model)
+        return self.selection().read(self.file, model)[0]
 
-    def take(self, recording: Recording, model: Model) -> RecordedRun:
-        """Check a recording in memory, all of it, against the model.
-
-        ``file``, ``start`` and ``end`` have no part in it: see :meth:`part_of`.
-
-        Raises RecordingError, ConfigurationError as :meth:`load` does.
-        """
-        inputs = self._inputs(recording, model)
-        available = tuple(name for name in names(model.outputs) if name in recording.channels)
-        if not available:
-            raise ConfigurationError(
-                f"the recording measures {_listed(recording.names('output'))}, the model "
-                f"{model.name!r} {_listed(names(model.outputs))}",
-                where="plant.file",
-                remedy="choose a model that has one of the recorded channels",
-            )
-        channels = self.sensors.measured(available)
-        outputs = tuple(s for name in channels for s in model.outputs if s.name == name)
-        gridded = on_grid(recording, self.jitter)
-        commands = np.column_stack(
-            [gridded.channels[s.name] * self.input_scale.get(s.name, 1.0) for s in inputs]
+    def selection(self) -> Selection:
+        """What of the file a model takes."""
+        return Selection(
+            sensors=self.sensors,
+            start=self.start,
+            end=self.end,
+            input_scale=self.input_scale,
+            command_delay=self.command_delay,
+            jitter=self.jitter,
         )
-        references = {
-            angle: gridded.channels[name]
-            for angle, name in REFERENCE_OF_AXIS.items()
-            if angle in model.controlled and name in gridded.channels
-        }
-        return RecordedRun(
-            gridded.sample_time,
-            gridded.time,
-            inputs,
-            outputs,
-            _delayed(_held(commands, names(inputs), gridded), self.command_delay),
-            np.column_stack([gridded.channels[name] for name in channels]),
-            references,
-            self.sensors.declared_noise(channels),
-            model.input_bounds(),
-            tuple(_happenings(gridded, channels, names(inputs))),
-            (*recording.notes(), *_left_out(recording, model, channels)),
-            recording,
-        )
-
-    def part_of(self, recording: Recording) -> Recording:
-        """The rows from ``start`` to ``end``.
-
-        Raises ConfigurationError if fewer than two are left.
-        """
-        start = -np.inf if self.start is None else self.start
-        end = np.inf if self.end is None else self.end
-        chosen = (recording.time >= start) & (recording.time <= end)
-        if np.count_nonzero(chosen) < 2:
-            raise ConfigurationError(
-                f"fewer than two samples lie from {start:g} to {end:g} s",
-                where="plant.start" if self.start is not None else "plant.end",
-                remedy=f"the recording goes from {recording.time[0]:g} to {recording.time[-1]:g} s",
-            )
-        if chosen.all():
-            return recording
-        channels = {name: values[chosen] for name, values in recording.channels.items()}
-        return replace(recording, time=recording.time[chosen], channels=channels)
-
-    def _inputs(self, recording: Recording, model: Model) -> tuple[Signal, ...]:
-        """The model's inputs, all recorded, all in the model's unit or scaled to it."""
-        wanted = names(model.inputs)
-        missing = [name for name in wanted if name not in recording.channels]
-        if missing:
-            raise ConfigurationError(
-                f"the recording has no {_listed(missing)}; its inputs are "
-                f"{_listed(recording.names('input'))}",
-                where="plant.file",
-                remedy=f"model {model.name!r} needs {_listed(wanted)}; with one rotor at rest "
-                "choose a model of one axis, as model=newtonian_vertical",
-            )
-        unknown = [name for name in self.input_scale if name not in wanted]
-        if unknown:
-            raise ConfigurationError(
-                f"the model has no input {unknown[0]!r}",
-                where=f"plant.input_scale.{unknown[0]}",
-                remedy=f"its inputs are {_listed(wanted)}",
-            )
-        differing = [
-            signal
-            for signal in model.inputs
-            if recording.units[signal.name] != signal.unit and signal.name not in self.input_scale
-        ]
-        if differing:
-            recorded, own = recording.units[differing[0].name], differing[0].unit
-            other = {"1": "model=tras takes 1", "V": "model=newtonian takes V"}.get(recorded, "")
-            # A normalised record's full scale is likely the model's; volts, likely the TRAS's 24.
-            scale = ", ".join(
-                f"{s.name}: {1 / 24 if own == '1' else model.input_limits[s.name]:.4g}"
-                for s in differing
-            )
-            raise ConfigurationError(
-                f"{recording.source} gives {_listed(names(differing))} in [{recorded}]"
-                f"{' (share of the full command)' if recorded == '1' else ''}, the model "
-                f"{model.name!r} takes [{own}]",
-                where="plant.file",
-                remedy=f"choose the model of that rig ({other}), or tell what a recorded "
-                f"1 is in {own}, as 'plant.input_scale={{{scale}}}'",
-            )
-        return model.inputs
-
-
-def _listed(items: Sequence[str]) -> str:
-    return ", ".join(items) or "nothing"
-
-
-def _held(commands: FloatArray, inputs: Sequence[str], gridded: GriddedRecording) -> FloatArray:
-    """Commands with the last value held where none is recorded."""
-    held = commands.copy()
-    for column, name in zip(held.T, inputs, strict=True):
-        present = ~np.isnan(column)
-        if not present[0]:
-            first = float(gridded.time[int(np.argmax(present))]) if present.any() else np.nan
-            raise ConfigurationError(
-                f"the recording begins without a value of {name}",
-                where="plant.file",
-                remedy=f"begin where it has one: plant.start={first:g}"
-                if present.any()
-                else f"{name} is empty throughout; choose a model without this input",
-            )
-        latest = np.maximum.accumulate(np.where(present, np.arange(len(column)), 0))
-        column[:] = column[latest]
-    return held
-
-
-def _delayed(commands: FloatArray, samples: int) -> FloatArray:
-    """Commands some samples later; the first one acts until then."""
-    latest = np.maximum(np.arange(len(commands)) - samples, 0)
-    return commands[latest]
-
-
-def _happenings(
-    gridded: GriddedRecording, channels: Sequence[str], inputs: Sequence[str]
-) -> list[Happening]:
-    """Gaps and missing samples in order of time."""
-    step = gridded.sample_time
-    found = [
-        Happening(
-            index,
-            "gap",
-            "recording",
-            f"{count} samples are missing, the commands of the last one held (value in s)",
-            count * step,
-        )
-        for index, count in gridded.gaps
-    ]
-    for name in (*channels, *inputs):
-        meaning = ", the last one held" if name in inputs else ""
-        missing = gridded.runs_without(gridded.channels[name])
-        total = sum(count for _, count in missing)
-        if len(missing) > _MOST_EVENTS:
-            missing = [(missing[0][0], total)]
-        found += [
-            Happening(
-                index,
-                "missing",
-                name,
-                f"{count} samples of {name} are missing{meaning} (value in s)",
-                count * step,
-            )
-            for index, count in missing
-        ]
-    return sorted(found)
-
-
-def _left_out(recording: Recording, model: Model, channels: Sequence[str]) -> list[str]:
-    """What of the recording the observer does not see."""
-    used = {*channels, *names(model.inputs), *REFERENCE_OF_AXIS.values()}
-    unused = [name for name in recording.channels if name not in used]
-    absent = [name for name in names(model.outputs) if name not in channels]
-    remarks = []
-    if unused:
-        remarks.append(f"not used: {', '.join(unused)}")
-    if absent:
-        described = ", ".join(f"{name} ({CHANNELS[name].description})" for name in absent)
-        remarks.append(f"not measured: {described}")
-    return remarks

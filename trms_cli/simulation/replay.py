@@ -14,7 +14,7 @@ import numpy as np
 
 from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import Observer, ObserverSetup
-from trms_cli.plants.replay import RecordedRun
+from trms_cli.recordings.for_model import RecordedRun
 from trms_cli.simulation.closed_loop import Progress, estimate_row, tell_rejected
 from trms_cli.simulation.history import History
 
