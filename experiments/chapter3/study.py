@@ -21,7 +21,7 @@ from experiments.chapter3.trainings import (
     run_job,
     settings,
 )
-from trms_cli.identification.blackbox.structure_selection import Assessed, Candidate
+from trms_cli.identification.blackbox.structure_selection import AssessedCandidate, Candidate
 from trms_cli.identification.blackbox.structure_selection import assess as assess_candidate
 from trms_cli.identification.method import Unwatched
 from trms_cli.identification.problem import FitProblem
@@ -39,7 +39,7 @@ class Study:
     tables: dict[str, list[Trained]]  #: The trainings of each system
     members: dict[str, list[Trained]]  #: The members of each system
     excitations: list[Trained]  #: The same network fitted to two kinds of commands
-    structures: list[Assessed]
+    structures: list[AssessedCandidate]
     seconds: dict[str, float]  #: Wall time of each part
 
 
@@ -110,7 +110,7 @@ def _excitation_jobs(seeds: Sequence[int] | None) -> list[Job]:
     ]
 
 
-def _assess(candidate: Candidate, seeds: Sequence[int], short: float) -> Assessed:
+def _assess(candidate: Candidate, seeds: Sequence[int], short: float) -> AssessedCandidate:
     system = settings()["structure"]["system"]
     problem = FitProblem(
         model=model_of(system),

@@ -19,7 +19,7 @@ from experiments.chapter3.tables import markdown, plain
 from experiments.chapter3.trainings import PARTS, Job, model_of, recorded, run_job, settings
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.resources import config_folder
-from trms_cli.identification.blackbox.structure_selection import Assessed, Candidate
+from trms_cli.identification.blackbox.structure_selection import AssessedCandidate, Candidate
 from trms_cli.models.model import names
 from trms_cli.models.narx_file import read_narx_file
 
@@ -54,10 +54,10 @@ def study() -> Study:
     }  # fmt: skip
     excitations = [run_job(quick("vertical", "multilevel"), SHORT)]
     structures = [
-        Assessed(Candidate(1, 2), 12, (0.01, 0.02), (0.4, 0.5)),
-        Assessed(Candidate(2, 4), 38, (0.01, 0.02), (0.1, np.inf)),
-        Assessed(Candidate(1, 4), 22, (0.01, 0.02), (0.3, 0.3)),
-        Assessed(Candidate(2, 2), 20, (0.01, 0.02), (0.2, 0.21)),
+        AssessedCandidate(Candidate(1, 2), 12, (0.01, 0.02), (0.4, 0.5)),
+        AssessedCandidate(Candidate(2, 4), 38, (0.01, 0.02), (0.1, np.inf)),
+        AssessedCandidate(Candidate(1, 4), 22, (0.01, 0.02), (0.3, 0.3)),
+        AssessedCandidate(Candidate(2, 2), 20, (0.01, 0.02), (0.2, 0.21)),
     ]
     return Study(tables, members, excitations, structures, dict.fromkeys(tables, 1.0))
 

@@ -62,9 +62,11 @@ def test_what_the_priors_allow_is_no_zero():
 
 
 def test_weight_at_rest_vanishes_where_the_beam_hangs():
-    from trms_cli.identification.admission_by_model import Motions
+    from trms_cli.identification.admission_by_model import RecordedMotions
 
     rest = MODEL.rest()[MODEL.state_index("alpha_v")]
-    left, there, right = Motions(MODEL).at_rest("alpha_v", rest + np.array([-0.2, 0.0, 0.2]))
+    left, there, right = RecordedMotions(MODEL).at_rest(
+        "alpha_v", rest + np.array([-0.2, 0.0, 0.2])
+    )
     assert left > 0 > right
     assert there == pytest.approx(0, abs=0.05 * left)

@@ -10,7 +10,7 @@ import pytest
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.excitation.band import band_of, linearised
 from trms_cli.identification.excitation.chirp import ChirpExcitation
-from trms_cli.identification.excitation.design import Design, Request, design
+from trms_cli.identification.excitation.design import ExcitationDesign, ExcitationRequest, design
 from trms_cli.identification.excitation.excitation import Plan, crest_factor
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import (
@@ -134,11 +134,11 @@ class TestBand:
         np.testing.assert_allclose(steady.real, direct, rtol=1e-6, atol=1e-9)
 
 
-QUICK = Request(duration=30.0, lead_in=10.0, rigs=0)
+QUICK = ExcitationRequest(duration=30.0, lead_in=10.0, rigs=0)
 
 
 @lru_cache
-def quick(kind: str) -> Design:
+def quick(kind: str) -> ExcitationDesign:
     """The quick design of a kind, made once."""
     return design(Newtonian(), KINDS[kind], QUICK)
 
@@ -158,7 +158,7 @@ class TestDesign:
 
     def test_smaller_bounds_give_smaller_amplitudes(self):
         model, wide = Newtonian(), quick("prbs")
-        request = Request(
+        request = ExcitationRequest(
             duration=30.0, lead_in=10.0, rigs=0, bounds={"alpha_v": 0.7, "alpha_h": 0.5}
         )
         narrow = design(model, KINDS["prbs"], request)
@@ -166,14 +166,16 @@ class TestDesign:
         assert max(map(abs, narrow.ranges["alpha_h"])) <= 0.5
 
     def test_reversals_turn_both_rotors_round(self):
-        request = Request(duration=40.0, lead_in=0.0, rigs=0, reversals=True)
+        request = ExcitationRequest(duration=40.0, lead_in=0.0, rigs=0, reversals=True)
         found = design(Newtonian(), KINDS["multilevel"], request)
         for name in ("omega_v", "omega_h"):
             low, high = found.ranges[name]
             assert low < -20 and high > 20
 
     def test_given_amplitudes_stand(self):
-        request = Request(duration=40.0, lead_in=10.0, rigs=0, amplitude={"u_v": 0.1, "u_h": 0.3})
+        request = ExcitationRequest(
+            duration=40.0, lead_in=10.0, rigs=0, amplitude={"u_v": 0.1, "u_h": 0.3}
+        )
         found = design(Newtonian(), KINDS["prbs"], request)
         assert found.amplitude.tolist() == [0.1, 0.3]
 
@@ -184,15 +186,17 @@ class TestDesign:
     @pytest.mark.parametrize(
         "request_",
         [
-            Request(duration=40.0, rigs=0, bounds={"alpha_v": 0.1}),
-            Request(duration=40.0, rigs=0, lead_in=0.0, bounds={"alpha_v": 0.5}),
-            Request(duration=40.0, rigs=0, bounds={"alpha": 0.1}),
-            Request(duration=40.0, rigs=0, operating_point={"alpha_v": 2.0}),
-            Request(duration=40.0, rigs=0, operating_point={"alpha": 0.0}),
-            Request(duration=40.0, rigs=0, operating_point={"alpha_v": 0.0}, reversals=True),
-            Request(duration=40.0, rigs=0, amplitude={"u_v": 2.4}),
-            Request(duration=40.0, rigs=0, amplitude={"u_x": 0.1}),
-            Request(duration=40.0, rigs=0, share=0.2),
+            ExcitationRequest(duration=40.0, rigs=0, bounds={"alpha_v": 0.1}),
+            ExcitationRequest(duration=40.0, rigs=0, lead_in=0.0, bounds={"alpha_v": 0.5}),
+            ExcitationRequest(duration=40.0, rigs=0, bounds={"alpha": 0.1}),
+            ExcitationRequest(duration=40.0, rigs=0, operating_point={"alpha_v": 2.0}),
+            ExcitationRequest(duration=40.0, rigs=0, operating_point={"alpha": 0.0}),
+            ExcitationRequest(
+                duration=40.0, rigs=0, operating_point={"alpha_v": 0.0}, reversals=True
+            ),
+            ExcitationRequest(duration=40.0, rigs=0, amplitude={"u_v": 2.4}),
+            ExcitationRequest(duration=40.0, rigs=0, amplitude={"u_x": 0.1}),
+            ExcitationRequest(duration=40.0, rigs=0, share=0.2),
         ],
     )
     def test_what_does_not_fit_is_refused_with_what_would(self, request_):
@@ -202,11 +206,11 @@ class TestDesign:
 
     def test_an_axis_that_drifts_has_an_answer(self):
         with pytest.raises(ConfigurationError, match="no amplitude") as error:
-            design(Tras(), KINDS["chirp"], Request(duration=300.0, rigs=0))
+            design(Tras(), KINDS["chirp"], ExcitationRequest(duration=300.0, rigs=0))
         assert "under control" in error.value.remedy
 
     def test_rigs_drawn_from_the_priors_have_wider_ranges(self):
-        request = Request(duration=40.0, lead_in=10.0, rigs=3)
+        request = ExcitationRequest(duration=40.0, lead_in=10.0, rigs=3)
         found = design(Newtonian(), KINDS["multisine"], request)
         assert found.drawn == 3 and 0 <= found.lost <= 3
         low, high = found.drawn_ranges["omega_h"]

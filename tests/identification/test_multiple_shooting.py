@@ -15,7 +15,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import FitResult, Outcome, Unwatched
+from trms_cli.identification.method import FitOutcome, FitResult, Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.problem import FitProblem, free_parameters
 from trms_cli.models.driven import DrivenModel
@@ -60,7 +60,7 @@ def fitted(measured: Dataset) -> FitResult:
 
 
 def test_recovers_hidden_parameters_within_their_intervals(fitted: FitResult) -> None:
-    assert fitted.outcome is Outcome.CONVERGED
+    assert fitted.outcome is FitOutcome.CONVERGED
     assert np.all(np.abs(errors(fitted, HIDDEN)) < 4)
     assert fitted.values["k_fvp"] == pytest.approx(HIDDEN["k_fvp"], rel=0.01)
     assert fitted.values["k_ov"] == pytest.approx(HIDDEN["k_ov"], rel=0.01)
@@ -198,7 +198,7 @@ class Impatient(Unwatched):
 def test_an_interrupted_fit_keeps_the_best_so_far(measured: Dataset) -> None:
     progress = Impatient()
     result = MultipleShooting().fit(problem(vertical(), measured), progress)
-    assert result.outcome is Outcome.INTERRUPTED
+    assert result.outcome is FitOutcome.INTERRUPTED
     assert np.isfinite(result.theta).all()
     assert len(progress.fractions) == 3
     assert all(0 <= fraction <= 1 for fraction in progress.fractions)
@@ -227,7 +227,7 @@ def test_an_interrupted_fit_goes_on_where_it_was(measured: Dataset, fitted: FitR
     MultipleShooting(starts=1).fit(problem(vertical(), measured), first)
     second = Remembering(first.kept)
     result = MultipleShooting(starts=1).fit(problem(vertical(), measured), second)
-    assert result.outcome is Outcome.CONVERGED
+    assert result.outcome is FitOutcome.CONVERGED
     np.testing.assert_allclose(result.theta, fitted.theta, rtol=1e-4)
     assert len(second.fractions) < len(fitted.history) + len(first.fractions)
 
@@ -246,5 +246,5 @@ def test_recordings_of_different_sample_times_are_refused(measured: Dataset) -> 
 def test_a_model_that_diverges_is_told(measured: Dataset) -> None:
     y = replace(measured, commands=np.full_like(measured.commands, 1e200))
     result = fit(problem(vertical(), y))
-    assert result.outcome is Outcome.FAILED
+    assert result.outcome is FitOutcome.FAILED
     assert result.covariance is None

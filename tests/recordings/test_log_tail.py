@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.log_reader import LoggedRun, Table, read_log
-from trms_cli.recordings.log_tail import LogTail, Piece
+from trms_cli.recordings.log_reader import LoggedRun, TopicTable, read_log
+from trms_cli.recordings.log_tail import LogPiece, LogTail
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Topic
 
@@ -31,9 +31,9 @@ def write_sample(log: RunLog, k: int) -> None:
         log.event(t, "note", "person", "pushed the beam")
 
 
-def joined(pieces: list[Piece]) -> dict[str, Table]:
+def joined(pieces: list[LogPiece]) -> dict[str, TopicTable]:
     """The pieces of each topic as one table."""
-    found: dict[str, Table] = {}
+    found: dict[str, TopicTable] = {}
     for topic in {topic for piece in pieces for topic in piece.tables}:
         parts = [piece.tables[topic] for piece in pieces if topic in piece.tables]
         columns = {
@@ -42,18 +42,18 @@ def joined(pieces: list[Piece]) -> dict[str, Table]:
         }
         time_ns = np.concatenate([part.time_ns for part in parts])
         time = np.concatenate([part.time for part in parts])
-        found[topic] = Table(time, time_ns, columns, parts[0].units)
+        found[topic] = TopicTable(time, time_ns, columns, parts[0].units)
     return found
 
 
-def read_all(tail: LogTail, at_once: int = 1 << 20) -> list[Piece]:
+def read_all(tail: LogTail, at_once: int = 1 << 20) -> list[LogPiece]:
     pieces = []
     while (piece := tail.read(at_once)) is not None:
         pieces.append(piece)
     return pieces
 
 
-def check_same(tables: dict[str, Table], log: LoggedRun) -> None:
+def check_same(tables: dict[str, TopicTable], log: LoggedRun) -> None:
     assert set(tables) == {topic for topic, table in log.tables.items() if len(table)}
     for topic, table in tables.items():
         whole = log.tables[topic]

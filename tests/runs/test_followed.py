@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.log_reader import Table, read_log
+from trms_cli.recordings.log_reader import TopicTable, read_log
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, standard_topics
 from trms_cli.runs.follower import RunFollower
@@ -79,10 +79,10 @@ def followed(path: Path) -> RunFollower:
     return run
 
 
-def until(table: Table, time: float) -> Table:
+def until(table: TopicTable, time: float) -> TopicTable:
     n = int(np.sum(table.time <= time + 1e-9))
     columns = {name: column[:n] for name, column in table.columns.items()}
-    return Table(table.time[:n], table.time_ns[:n], columns, table.units)
+    return TopicTable(table.time[:n], table.time_ns[:n], columns, table.units)
 
 
 @pytest.mark.parametrize("time", [0.0, 0.5, 3.33, 5.98])

@@ -136,7 +136,7 @@ def _request(config: Mapping[str, Any]) -> Any:
             f"{samples:.3g} samples", where="duration", remedy=f"at most {_MOST_SAMPLES} samples"
         )
     node = {
-        "_target_": "trms_cli.identification.excitation.design.Request",
+        "_target_": "trms_cli.identification.excitation.design.ExcitationRequest",
         "duration": config["duration"],
         "sample_time": config["sample_time"],
         "lowest": config["band"]["lowest"],

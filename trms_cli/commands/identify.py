@@ -106,7 +106,7 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
 
 def _require_simulated(result: FitResult) -> None:
     """A fit that could simulate nothing has no model to write."""
-    from trms_cli.identification.method import Outcome as Ended
+    from trms_cli.identification.method import FitOutcome as Ended
 
     if result.outcome is Ended.FAILED:
         problem, _, remedy = result.outcome.value.partition(": ")

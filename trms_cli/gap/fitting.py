@@ -16,7 +16,7 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.map_fit import Point, minimise
 from trms_cli.identification.greybox.objective import Quadratic, triangles
 from trms_cli.identification.greybox.windows import Residuals, Windows
-from trms_cli.identification.method import Outcome
+from trms_cli.identification.method import FitOutcome
 from trms_cli.identification.problem import FitProblem, FreeParameter
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
@@ -244,7 +244,7 @@ class Fit:
     theta: FloatArray  #: (n_f,) array; nominal parameters, then the effects' sizes
     starts: FloatArray  #: (m, n_x) array
     cost: float  #: Nats
-    outcome: Outcome
+    outcome: FitOutcome
     evidence: Evidence | None = None  #: Where it was asked for
 
     @property

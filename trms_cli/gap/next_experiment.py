@@ -21,7 +21,7 @@ from trms_cli.gap.fitting import Fit, Metric, ModelStructure
 from trms_cli.gap.refit import Refit
 from trms_cli.gap.separability import Signatures, effect_traces, projected
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import Outcome
+from trms_cli.identification.method import FitOutcome
 from trms_cli.simulation.rollout import Rollout
 
 FloatArray = npt.NDArray[np.float64]
@@ -261,7 +261,7 @@ def predicted_recordings(
             refit.metric.discrepancy.channels,
             start_share=0.0,
         )
-        fit = Fit(theta, starts, 0.0, Outcome.CONVERGED)
+        fit = Fit(theta, starts, 0.0, FitOutcome.CONVERGED)
         try:
             metric = Metric(discrepancy, shares, None)
         except FloatingPointError:  # along this motion the equations say too little

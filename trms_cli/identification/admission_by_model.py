@@ -33,7 +33,7 @@ _OF_ROTOR = {"main": ("pitch", "omega_v"), "tail": ("yaw", "omega_h")}
 
 
 @dataclass(frozen=True)
-class Motion:
+class RecordedMotion:
     """Measured and modelled motion of a dataset, on its time grid."""
 
     #: dict of str to (n,) array; rotor speeds that the model gives for the recorded commands, by
@@ -46,7 +46,7 @@ class Motion:
     thrust: dict[str, FloatArray]  #: dict of str to (n,) array; what its own rotor adds, rad/s²
 
 
-class Motions:
+class RecordedMotions:
     """Motions of datasets under one model.
 
     Parameters
@@ -114,14 +114,14 @@ class Motions:
         ]
 
     @staticmethod
-    def possible(model: Model) -> Motions | None:
+    def possible(model: Model) -> RecordedMotions | None:
         """For a model of the right kind; None for one that only steps or has no axes."""
         try:
-            return Motions(model)
+            return RecordedMotions(model)
         except ValueError:
             return None
 
-    def of(self, dataset: Dataset, speeds: dict[str, FloatArray] | None = None) -> Motion:
+    def of(self, dataset: Dataset, speeds: dict[str, FloatArray] | None = None) -> RecordedMotion:
         """The motion of a dataset.
 
         Parameters
@@ -169,7 +169,7 @@ class Motions:
             for _, speed in _OF_ROTOR.values()
             if speed in model.state_names
         }
-        return Motion(modelled, measured, passive, thrust)
+        return RecordedMotion(modelled, measured, passive, thrust)
 
     def _driven(self, dataset: Dataset, angle: FloatArray, rate: FloatArray) -> FloatArray:
         """States (n_x, n) with the rotors simulated and the axes where they were measured."""
@@ -297,7 +297,7 @@ class _Thrust:
 
 def findings_by_model(dataset: Dataset, model: Model) -> list[Finding]:
     """What does not fit; empty where the model has no accelerations or the data are too few."""
-    motions = Motions.possible(model)
+    motions = RecordedMotions.possible(model)
     if motions is None or len(dataset) < _LEAST_SAMPLES:
         return []
     motion = motions.of(dataset)
@@ -334,7 +334,7 @@ def time_scales(dataset: Dataset, model: Model) -> TimeScales | None:
     return TimeScales(2 * np.pi / float(sizes.min()), 2 * np.pi / float(sizes.max()))
 
 
-def _speeds(dataset: Dataset, motion: Motion) -> Iterator[Finding]:
+def _speeds(dataset: Dataset, motion: RecordedMotion) -> Iterator[Finding]:
     for name, (correlation, ratio) in _followed(dataset, motion).items():
         command = f"u{name[-2:]}"
         if abs(correlation) < _NONE:
@@ -369,7 +369,7 @@ def _speeds(dataset: Dataset, motion: Motion) -> Iterator[Finding]:
 
 
 def _angles(
-    dataset: Dataset, motions: Motions, thrusts: dict[str, _Thrust], told: set[str]
+    dataset: Dataset, motions: RecordedMotions, thrusts: dict[str, _Thrust], told: set[str]
 ) -> Iterator[Finding]:
     for name, thrust in thrusts.items():
         if name[-2:] in told:
@@ -392,7 +392,7 @@ def _angles(
             )  # fmt: skip
 
 
-def _zero(dataset: Dataset, motions: Motions, motion: Motion) -> Iterator[Finding]:
+def _zero(dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion) -> Iterator[Finding]:
     """Whether pitch is counted from another zero than the level beam.
 
     Over a recording pitch goes nowhere, so its mean acceleration is that of weight and thrust
@@ -440,7 +440,7 @@ def _zero(dataset: Dataset, motions: Motions, motion: Motion) -> Iterator[Findin
     )  # fmt: skip
 
 
-def _imbalance(dataset: Dataset, motion: Motion, name: str) -> FloatArray | None:
+def _imbalance(dataset: Dataset, motion: RecordedMotion, name: str) -> FloatArray | None:
     """Measured acceleration less the model's, rad/s², where it can be told."""
     measured, modelled = motion.accelerations[name], motion.passive[name] + motion.thrust[name]
     rows = np.isfinite(measured)
@@ -449,7 +449,7 @@ def _imbalance(dataset: Dataset, motion: Motion, name: str) -> FloatArray | None
     return np.asarray(measured - smoothed(modelled, dataset.sample_time))[rows]
 
 
-def _turned_round(dataset: Dataset, motions: Motions, name: str, thrust: _Thrust) -> bool:
+def _turned_round(dataset: Dataset, motions: RecordedMotions, name: str, thrust: _Thrust) -> bool:
     """Whether an angle is explained well with its sign turned round, and poorly as it is."""
     measurements = dataset.measurements.copy()
     measurements[:, names(dataset.outputs).index(name)] *= -1
@@ -461,7 +461,7 @@ def _turned_round(dataset: Dataset, motions: Motions, name: str, thrust: _Thrust
 
 
 def _swapped(
-    dataset: Dataset, motions: Motions, motion: Motion, thrusts: dict[str, _Thrust]
+    dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion, thrusts: dict[str, _Thrust]
 ) -> Iterator[Finding]:
     """Whether two inputs, or the two angles, are in each other's place."""
     inputs = names(dataset.inputs)
@@ -505,7 +505,7 @@ def _swapped(
             )  # fmt: skip
 
 
-def _followed(dataset: Dataset, motion: Motion) -> dict[str, tuple[float, float]]:
+def _followed(dataset: Dataset, motion: RecordedMotion) -> dict[str, tuple[float, float]]:
     """Correlation and ratio of each measured speed to the model's, where the rotor turns."""
     found = {}
     for name, modelled in motion.speeds.items():
@@ -522,7 +522,7 @@ def _followed(dataset: Dataset, motion: Motion) -> dict[str, tuple[float, float]
     return found
 
 
-def _thrusts(dataset: Dataset, motion: Motion) -> dict[str, _Thrust]:
+def _thrusts(dataset: Dataset, motion: RecordedMotion) -> dict[str, _Thrust]:
     found = {}
     for name, acceleration in motion.accelerations.items():
         rows = np.isfinite(acceleration)

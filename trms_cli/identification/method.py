@@ -15,7 +15,7 @@ from trms_cli.identification.problem import FitProblem
 FloatArray = npt.NDArray[np.float64]
 
 
-class Outcome(Enum):
+class FitOutcome(Enum):
     """How a fit ended; the value is the sentence for the user."""
 
     CONVERGED = "converged"
@@ -27,7 +27,7 @@ class Outcome(Enum):
     @property
     def settled(self) -> bool:
         """Whether the result is what the method was after."""
-        return self is Outcome.CONVERGED
+        return self is FitOutcome.CONVERGED
 
 
 class HistoryPoint(NamedTuple):
@@ -45,7 +45,7 @@ class FitResult:
     """What a fit found."""
 
     method: str
-    outcome: Outcome
+    outcome: FitOutcome
     #: At the end: half the sum of squared whitened residuals, robust and with the priors, for
     #: parameters of equations; a network's own training loss
     cost: float

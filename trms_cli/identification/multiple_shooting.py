@@ -23,7 +23,7 @@ from trms_cli.identification.greybox.information import identifiability
 from trms_cli.identification.greybox.map_fit import MapFit, MapSettings, Point, fit_from, profile
 from trms_cli.identification.greybox.objective import sizes
 from trms_cli.identification.greybox.windows import Windows
-from trms_cli.identification.method import FitResult, HistoryPoint, Outcome, Progress
+from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
 from trms_cli.identification.problem import FitProblem
 from trms_cli.models.model import names
 
@@ -78,7 +78,7 @@ class MultipleShooting:
             details["profiles"] = _profiles(best, wanted, watcher)
         return FitResult(
             method="multiple_shooting",
-            outcome=Outcome.INTERRUPTED if watcher.stopped else best.outcome,
+            outcome=FitOutcome.INTERRUPTED if watcher.stopped else best.outcome,
             cost=best.point.cost,
             values=dict(zip(problem.names, best.point.theta.tolist(), strict=True)),
             covariance=_covariance(best, problem),

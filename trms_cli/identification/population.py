@@ -39,7 +39,7 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.greybox.windows import Residuals, Windows
-from trms_cli.identification.method import FitResult, HistoryPoint, Outcome, Progress
+from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
 from trms_cli.identification.problem import FitProblem
 
 FloatArray = npt.NDArray[np.float64]
@@ -117,21 +117,21 @@ class SimulationCost:
 _WHERE = "resume"
 
 
-class Entry(msgspec.Struct, frozen=True):
+class Generation(msgspec.Struct, frozen=True):
     """One generation."""
 
     points: str  #: Digest of the points that were asked for
     costs: list[float | None]  #: Of each point; None where the simulation failed
     seconds: float  #: Of computing up to the end of this generation
 
-    def told(self) -> FloatArray:
+    def finite_or_infinite(self) -> FloatArray:
         """The costs, infinite where a simulation failed."""
         return np.array([np.inf if cost is None else cost for cost in self.costs])
 
 
 class _State(msgspec.Struct):
     about: dict[str, Any]
-    generations: list[Entry]
+    generations: list[Generation]
 
 
 class Journal:
@@ -155,7 +155,7 @@ class Journal:
     ) -> None:
         # As JSON reads it back: a tuple is a list there.
         self._about = msgspec.json.decode(msgspec.json.encode(dict(about or {})))
-        self._entries: list[Entry] = []
+        self._entries: list[Generation] = []
         if saved is not None:
             self._entries = self._of_this_search(saved).generations
 
@@ -166,7 +166,7 @@ class Journal:
         assert isinstance(found, dict)
         return found
 
-    def recorded(self, number: int, points: FloatArray) -> Entry | None:
+    def recorded(self, number: int, points: FloatArray) -> Generation | None:
         """The generation `number` (from 0 on) if it stands here.
 
         Raises ConfigurationError if other points were asked for then.
@@ -186,7 +186,7 @@ class Journal:
     def keep(self, points: FloatArray, costs: FloatArray, seconds: float) -> None:
         """Add a generation."""
         values = [float(cost) if np.isfinite(cost) else None for cost in costs]
-        self._entries.append(Entry(digest(points), values, seconds))
+        self._entries.append(Generation(digest(points), values, seconds))
 
     def _of_this_search(self, saved: Mapping[str, Any]) -> _State:
         try:
@@ -214,7 +214,7 @@ def digest(points: FloatArray) -> str:
     return hashlib.sha256(np.ascontiguousarray(points, dtype=float).tobytes()).hexdigest()[:16]
 
 
-class Search(Protocol):
+class PopulationSearch(Protocol):
     """An optimiser that is asked and told. A pure function of its seed and of the costs."""
 
     def ask(self) -> FloatArray:
@@ -232,7 +232,7 @@ class Search(Protocol):
 
 
 @dataclass
-class Evolved:
+class SearchResult:
     """What a search has found."""
 
     best: FloatArray  #: (n,) array; the point of least cost so far
@@ -246,18 +246,18 @@ class Evolved:
 
 
 #: Called after each generation with what has been found; False asks to stop.
-Watch = Callable[[Evolved], bool]
+Watch = Callable[[SearchResult], bool]
 
 
 def evolve(
-    search: Search,
+    search: PopulationSearch,
     evaluate: Callable[[FloatArray], FloatArray],
     *,
     evaluations: int,
     dimension: int,
     journal: Journal | None = None,
     watch: Watch | None = None,
-) -> Evolved:
+) -> SearchResult:
     """Run a search to its end.
 
     Parameters
@@ -274,7 +274,7 @@ def evolve(
     watch : callable or None
     """
     journal = journal or Journal()
-    found = Evolved(np.full(dimension, 0.5))
+    found = SearchResult(np.full(dimension, 0.5))
     while found.evaluations < evaluations and not (found.ended or found.stopped):
         begin = perf_counter()
         points = search.ask()
@@ -283,7 +283,7 @@ def evolve(
             costs = np.asarray(evaluate(points), dtype=float)
             costs = np.where(np.isfinite(costs), costs, np.inf)
         else:
-            costs = known.told()
+            costs = known.finite_or_infinite()
         search.tell(points, costs)
         _note(found, points, costs)
         if known is None:
@@ -297,7 +297,7 @@ def evolve(
     return found
 
 
-def _note(found: Evolved, points: FloatArray, costs: FloatArray) -> None:
+def _note(found: SearchResult, points: FloatArray, costs: FloatArray) -> None:
     first = int(np.argmin(costs))
     if costs[first] < found.cost:
         found.best, found.cost = points[first].copy(), float(costs[first])
@@ -391,7 +391,7 @@ def search_fit(
     method: str,
     problem: FitProblem,
     progress: Progress,
-    search: Callable[[Box, int], Search],
+    search: Callable[[Box, int], PopulationSearch],
     *,
     box: Box,
     evaluations: int,
@@ -415,7 +415,7 @@ def search_fit(
     evaluate = on_threads(lambda point: cost(box.values(point)), problem.jobs)
     journal = Journal(_about(method, problem, box, settings), progress.saved())
 
-    def watch(found: Evolved) -> bool:
+    def watch(found: SearchResult) -> bool:
         progress.save(journal.state)
         message = f"{unit} {len(found.costs)}, {found.evaluations} simulations"
         return progress.update(found.evaluations / evaluations, found.cost, message)
@@ -451,12 +451,12 @@ def search_fit(
     )
 
 
-def _outcome(found: Evolved) -> Outcome:
+def _outcome(found: SearchResult) -> FitOutcome:
     if not np.isfinite(found.cost):
-        return Outcome.FAILED
+        return FitOutcome.FAILED
     if found.stopped:
-        return Outcome.INTERRUPTED
-    return Outcome.CONVERGED if found.ended else Outcome.BUDGET_SPENT
+        return FitOutcome.INTERRUPTED
+    return FitOutcome.CONVERGED if found.ended else FitOutcome.BUDGET_SPENT
 
 
 def _about(

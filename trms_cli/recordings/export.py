@@ -11,7 +11,7 @@ import orjson
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.recordings.csv_recording import write_csv
-from trms_cli.recordings.log_reader import LoggedRun, Table
+from trms_cli.recordings.log_reader import LoggedRun, TopicTable
 from trms_cli.recordings.mcap_recording import recording_of
 from trms_cli.recordings.output_file import whole_file
 
@@ -143,7 +143,7 @@ def _write_mat(log: LoggedRun, path: Path) -> None:
         savemat(file, content, oned_as="column", long_field_names=True, do_compression=True)
 
 
-def _matlab_struct(table: Table) -> dict[str, Any]:
+def _matlab_struct(table: TopicTable) -> dict[str, Any]:
     struct: dict[str, Any] = {"time": table.time}
     units = {"time": "s"}
     for key, column in table.columns.items():

@@ -28,7 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 _MOST_EVENTS = 20
 
 
-class Happening(NamedTuple):
+class RecordingEvent(NamedTuple):
     """Something in the recording that a reader of the log should know."""
 
     sample: int  #: index of the sample
@@ -56,7 +56,7 @@ class RecordedRun:
     references: Mapping[str, FloatArray]
     noise_sd: Mapping[str, float]  #: Declared noise of each output, quantum included
     input_limits: tuple[FloatArray, FloatArray]  #: Lower and upper bounds of the model's inputs
-    happenings: tuple[Happening, ...]
+    happenings: tuple[RecordingEvent, ...]
     remarks: tuple[str, ...]  #: Sentences for the user: what was found, what has no part in it
     recording: Recording  #: As it was read
 
@@ -267,11 +267,11 @@ def _delayed(commands: FloatArray, samples: int) -> FloatArray:
 
 def _happenings(
     gridded: GriddedRecording, channels: Sequence[str], inputs: Sequence[str]
-) -> list[Happening]:
+) -> list[RecordingEvent]:
     """Gaps and missing samples in order of time."""
     step = gridded.sample_time
     happenings = [
-        Happening(
+        RecordingEvent(
             index,
             "gap",
             "recording",
@@ -287,7 +287,7 @@ def _happenings(
         if len(missing) > _MOST_EVENTS:
             missing = [(missing[0][0], total)]
         happenings += [
-            Happening(
+            RecordingEvent(
                 index,
                 "missing",
                 name,

@@ -131,7 +131,7 @@ _EMPTY_RUN = "it holds no sample: the run ended before its first flush"
 
 
 @dataclass(frozen=True)
-class Table:
+class TopicTable:
     """The messages of a topic as columns."""
 
     time: np.ndarray  #: (n,) float array [s]; log time
@@ -152,7 +152,7 @@ class LoggedRun:
     path: Path  #: The file
     complete: bool  #: The file was finished and is undamaged. False for a run that died.
     outcome: str  #: "completed", "interrupted" or "failed"; "died" when the run left no last word
-    tables: dict[str, Table]  #: By topic
+    tables: dict[str, TopicTable]  #: By topic
     run: dict[str, str]  #: The last ``trms.run`` record
     #: dict of str to anything; the last ``trms.score`` record; empty when the run was not scored
     score: dict[str, Any]
@@ -179,7 +179,7 @@ class LoggedRun:
         interval = int(np.median(np.diff(densest.time_ns))) if len(densest) > 1 else 0
         return (end - start + interval) / 1e9
 
-    def table(self, topic: str) -> Table:
+    def table(self, topic: str) -> TopicTable:
         """Return a topic's table, or raise RecordingError naming the topics there are."""
         if topic not in self.tables:
             raise RecordingError(
@@ -367,8 +367,8 @@ def _take(opcode: int, body: memoryview, content: _Content) -> None:
             content.messages.setdefault(channel.id, [])
 
 
-def _tables(content: _Content, path: Path, room: int) -> dict[str, Table]:
-    tables: dict[str, Table] = {}
+def _tables(content: _Content, path: Path, room: int) -> dict[str, TopicTable]:
+    tables: dict[str, TopicTable] = {}
     for channel_id, times in content.times.items():
         channel = content.channels[channel_id]
         try:
@@ -392,7 +392,7 @@ def table_of(
     messages: Sequence[bytes],
     kinds: Mapping[str, str],
     units: Mapping[str, str],
-) -> Table:
+) -> TopicTable:
     """Messages as columns, in the order of time.
 
     Parameters
@@ -419,7 +419,7 @@ def table_of(
         time_ns = time_ns[order]
         columns = {name: column[order] for name, column in columns.items()}
     # Division, not a product with 1e-9: decimal times then come back exactly.
-    return Table(time_ns / 1e9, time_ns, columns, dict(units))
+    return TopicTable(time_ns / 1e9, time_ns, columns, dict(units))
 
 
 def _column(values: list[Any], json_type: str) -> np.ndarray:

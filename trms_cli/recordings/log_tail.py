@@ -26,7 +26,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import (
     MESSAGE,
     RECORD,
-    Table,
+    TopicTable,
     content_of,
     is_damaged,
     most_cells,
@@ -46,10 +46,10 @@ Wanted = Callable[[str, str], bool]
 
 
 @dataclass(frozen=True)
-class Piece:
+class LogPiece:
     """What one look has found."""
 
-    tables: dict[str, Table]  #: New messages by topic; topics without new ones are absent
+    tables: dict[str, TopicTable]  #: New messages by topic; topics without new ones are absent
     #: For each chunk its latest log time and publish time [ns]: how far the run was by when
     written: tuple[tuple[int, int], ...] = ()
 
@@ -110,7 +110,7 @@ class LogTail:
         """The resolved config as YAML; empty when the log has none (yet)."""
         return self.attachments.get(CONFIG_ATTACHMENT, b"").decode(errors="replace")
 
-    def read(self, at_once: int = _AT_ONCE) -> Piece | None:
+    def read(self, at_once: int = _AT_ONCE) -> LogPiece | None:
         """Take the next whole records, some `at_once` bytes of them; None if there are none yet.
 
         A piece may be without tables: words of the run alone.
@@ -130,7 +130,7 @@ class LogTail:
         if not taken:
             return None
         written, self._written = tuple(self._written), []
-        return Piece(self._tables(), written)
+        return LogPiece(self._tables(), written)
 
     def has_writer(self) -> bool | None:
         """Whether a program has the file open for writing; None where the system does not tell.
@@ -261,7 +261,7 @@ class LogTail:
             rows.messages.append(bytes(body[MESSAGE.size :]))
             self._published = max(self._published, publish_time)
 
-    def _tables(self) -> dict[str, Table]:
+    def _tables(self) -> dict[str, TopicTable]:
         """Decode what has been gathered, and forget it."""
         tables = {}
         for channel_id, rows in self._rows.items():

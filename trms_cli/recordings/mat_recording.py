@@ -33,7 +33,7 @@ from trms_cli.recordings.channels import REFERENCE_OF_AXIS, find_channel, to_si
 from trms_cli.recordings.recording import Recording, require_channels, require_values
 
 if TYPE_CHECKING:
-    from trms_cli.recordings.log_reader import Table
+    from trms_cli.recordings.log_reader import TopicTable
 
 
 #: Of a file, and of what it unpacks to.
@@ -309,8 +309,8 @@ def _of_topics(path: Path, content: dict[str, Any]) -> Recording:
     return recording
 
 
-def _table(path: Path, topic: str, struct: Any) -> Table:
-    from trms_cli.recordings.log_reader import Table
+def _table(path: Path, topic: str, struct: Any) -> TopicTable:
+    from trms_cli.recordings.log_reader import TopicTable
 
     if not isinstance(struct, dict) or "time" not in struct:
         raise RecordingError(
@@ -341,7 +341,7 @@ def _table(path: Path, topic: str, struct: Any) -> Table:
             vector, unit, channel.units, where=str(path), name=f"{topic}.{name}"
         )
     # to the nanosecond, as logs have it
-    return Table(time, np.round(time * 1e9).astype(np.int64), columns, si_units)
+    return TopicTable(time, np.round(time * 1e9).astype(np.int64), columns, si_units)
 
 
 def _variables(path: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.channels import AXIS_OF_REFERENCE, REFERENCE_OF_AXIS, find_channel
-from trms_cli.recordings.log_reader import LoggedRun, Table, read_log
+from trms_cli.recordings.log_reader import LoggedRun, TopicTable, read_log
 from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import Recording
 from trms_cli.recordings.run_log import RunLog
@@ -124,7 +124,7 @@ def sha256_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _held(table: Table, times_ns: np.ndarray) -> dict[str, np.ndarray]:
+def _held(table: TopicTable, times_ns: np.ndarray) -> dict[str, np.ndarray]:
     """Sample each column at the times, holding the last value."""
     latest = np.searchsorted(table.time_ns, times_ns, side="right") - 1
     before = latest < 0

@@ -147,7 +147,7 @@ _OPEN_WORDS, _CLOSED_WORDS = ("open", "open loop"), ("closed", "closed loop")
 
 
 @dataclass(frozen=True)
-class Loop:
+class LoopState:
     """What is known of the loop."""
 
     state: str  #: "open", "closed" or "unknown"
@@ -166,18 +166,18 @@ class Loop:
         return f"loop: {self.state}, estimated{told}"
 
 
-def find_loop(recording: Recording, jitter: float = 0.2) -> Loop:
+def find_loop(recording: Recording, jitter: float = 0.2) -> LoopState:
     """Open or closed; what the recording says of itself wins over the estimate."""
     said = recording.metadata.get("loop", "").strip().lower()
     answered = _answered(recording, jitter)
     if said in _OPEN_WORDS or said in _CLOSED_WORDS:
-        return Loop("open" if said in _OPEN_WORDS else "closed", True, answered)
+        return LoopState("open" if said in _OPEN_WORDS else "closed", True, answered)
     if not answered:
-        return Loop("unknown", False, answered)
+        return LoopState("unknown", False, answered)
     largest = max(answered.values())
     if largest >= _CLOSED_SHARE:
-        return Loop("closed", False, answered)
-    return Loop("open" if largest <= _OPEN_SHARE else "unknown", False, answered)
+        return LoopState("closed", False, answered)
+    return LoopState("open" if largest <= _OPEN_SHARE else "unknown", False, answered)
 
 
 def _answered(recording: Recording, jitter: float) -> dict[str, float]:
@@ -307,7 +307,7 @@ class RecordingSummary:
 
     channels: dict[str, ChannelSummary]
     delays: list[Delay]
-    loop: Loop
+    loop: LoopState
     sentences: list[str]  #: For people: faults first, then what is worth knowing
 
     def as_data(self) -> dict[str, Any]:

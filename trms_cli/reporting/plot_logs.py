@@ -22,7 +22,7 @@ _IMPLIED = ("@", "experiment")
 
 
 class Table(Protocol):
-    """The messages of a topic: :class:`trms_cli.recordings.log_reader.Table` is one."""
+    """The messages of a topic: :class:`trms_cli.recordings.log_reader.TopicTable` is one."""
 
     @property
     def time(self) -> Any:

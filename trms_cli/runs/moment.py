@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.recordings.log_tail import Piece
+from trms_cli.recordings.log_tail import LogPiece
 
 FloatArray = npt.NDArray[np.float64]
 NAN = float("nan")
@@ -259,7 +259,7 @@ class RunSamples:
             event_count=self._forgotten + happened,
         )
 
-    def add(self, piece: Piece, run: dict[str, str]) -> None:
+    def add(self, piece: LogPiece, run: dict[str, str]) -> None:
         """Take what is new, and what the run says of itself."""
         self._run = run
         for topic, table in piece.tables.items():

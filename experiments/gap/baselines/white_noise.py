@@ -27,7 +27,7 @@ from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.dataset import FloatArray
 from trms_cli.identification.greybox.information import information
 from trms_cli.identification.greybox.map_fit import Point, minimise, with_fitted_starts
-from trms_cli.identification.greybox.objective import Objective, Weights
+from trms_cli.identification.greybox.objective import MapObjective, ResidualWeights
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem, with_values
 
@@ -153,13 +153,13 @@ def _search(
     return _likelihood(windows, point)
 
 
-def _objective(windows: Windows, theta: FloatArray, sd: FloatArray) -> Objective:
+def _objective(windows: Windows, theta: FloatArray, sd: FloatArray) -> MapObjective:
     """Residuals over one standard deviation an output."""
     n_y = windows.declared.shape[1]
-    weights = Weights(
+    weights = ResidualWeights(
         np.maximum(windows.declared, sd), np.ones(n_y), windows.share, windows.problem.robust
     )
-    return Objective(windows, weights, windows.starts(windows.problem.all_values(theta)))
+    return MapObjective(windows, weights, windows.starts(windows.problem.all_values(theta)))
 
 
 def _likelihood(windows: Windows, point: Point) -> tuple[float, Point, FloatArray]:

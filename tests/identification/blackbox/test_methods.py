@@ -10,9 +10,13 @@ from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.identification.blackbox.regressors import free_run, predicted, rms, sampled, simulated
-from trms_cli.identification.blackbox.structure_selection import Assessed, Candidate, selected
+from trms_cli.identification.blackbox.structure_selection import (
+    AssessedCandidate,
+    Candidate,
+    selected,
+)
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import Method, Outcome, Unwatched
+from trms_cli.identification.method import FitOutcome, Method, Unwatched
 from trms_cli.identification.problem import FitProblem
 from trms_cli.models.narx_file import read_narx_file, write_narx_file
 from trms_cli.models.network import NarxStructure, Network
@@ -140,7 +144,7 @@ def test_an_interrupted_fit_keeps_the_best_so_far(problem):
             return self.calls < 6
 
     result = method("nnoe").fit(problem, Impatient())
-    assert result.outcome is Outcome.INTERRUPTED
+    assert result.outcome is FitOutcome.INTERRUPTED
     assert len(result.details["stages"]) == 1
     network_of(result)
 
@@ -181,8 +185,8 @@ class TestWhatCannotBeFitted:
 
 
 def test_the_smallest_structure_within_the_spread_of_the_best_is_selected():
-    def assessed(lags: int, hidden: int, weights: int, *errors: float) -> Assessed:
-        return Assessed(Candidate(lags, hidden), weights, errors, errors)
+    def assessed(lags: int, hidden: int, weights: int, *errors: float) -> AssessedCandidate:
+        return AssessedCandidate(Candidate(lags, hidden), weights, errors, errors)
 
     large = assessed(3, 16, 200, 0.10, 0.11, 0.14)
     small = assessed(2, 4, 40, 0.12, 0.13, 0.13)

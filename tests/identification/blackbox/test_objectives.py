@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.blackbox.prediction_error import OneStepError, SimulationError
+from trms_cli.identification.blackbox.prediction_error import MultiStepError, OneStepError
 from trms_cli.identification.blackbox.regressors import Samples, placed_rows, rows, scaling
 from trms_cli.identification.blackbox.trainable import Mlp
 from trms_cli.models.network import NarxStructure
@@ -91,7 +91,7 @@ def test_simulation_slopes_are_those_of_differences(samples, form):
     shape, scale, network, theta = parts(samples, form)
     outputs = samples.outputs.copy()
     outputs[25:27, 1] = np.nan  # a gap inside a window
-    objective = SimulationError(
+    objective = MultiStepError(
         network, shape, scale, [Samples(outputs, samples.inputs)], steps=9, stride=5
     )
     check_slopes(objective, theta)
@@ -117,7 +117,7 @@ def check_slopes(objective, theta):
 
 def test_the_curvature_of_a_simulation_is_that_of_its_jacobian(samples):
     shape, scale, network, theta = parts(samples)
-    objective = SimulationError(network, shape, scale, [samples], steps=9)
+    objective = MultiStepError(network, shape, scale, [samples], steps=9)
 
     def errors(t):
         targets = np.stack([samples.outputs[f : f + 9] for f in range(3, 52, 9)], axis=1)
@@ -136,7 +136,7 @@ def test_the_curvature_of_a_simulation_is_that_of_its_jacobian(samples):
 
 def test_a_window_of_one_step_is_the_one_step_error(samples):
     shape, scale, network, theta = parts(samples)
-    simulated = SimulationError(network, shape, scale, [samples], steps=1, stride=1)
+    simulated = MultiStepError(network, shape, scale, [samples], steps=1, stride=1)
     predicted, _ = one_step(samples)
     # the same errors, in units of the levels and of the increments
     residuals = predicted.residuals(theta).reshape(-1, 2) * scale.output_sd / scale.level_sd
@@ -159,4 +159,4 @@ class TestWhatCannotBeFitted:
     def test_windows_longer_than_the_recording(self, samples):
         shape, scale, network, _ = parts(samples)
         with pytest.raises(RecordingError, match="shorter horizon"):
-            SimulationError(network, shape, scale, [samples], steps=100)
+            MultiStepError(network, shape, scale, [samples], steps=100)

@@ -26,8 +26,8 @@ from trms_cli.identification.blackbox.training.scaled_conjugate_gradient import 
     ScaledConjugateGradient,
 )
 from trms_cli.identification.blackbox.training.training import (
-    Outcome,
     Stopping,
+    TrainingOutcome,
     TrainingStopped,
     train,
 )
@@ -208,7 +208,7 @@ class TestGradientDescent:
         training = train(
             GradientDescent(learning_rate=50.0), quadratic, np.ones(6), Stopping(epochs=10_000)
         )
-        assert training.outcome is Outcome.NO_PROGRESS
+        assert training.outcome is TrainingOutcome.NO_PROGRESS
 
 
 class TestResilient:
@@ -313,7 +313,7 @@ class TestLevenbergMarquardt:
                 return np.inf
 
         training = train(LevenbergMarquardt(), Stuck(), np.ones(6), Stopping())
-        assert training.outcome is Outcome.NO_PROGRESS
+        assert training.outcome is TrainingOutcome.NO_PROGRESS
         assert np.array_equal(training.theta, np.ones(6))
 
 
@@ -371,7 +371,7 @@ class TestStopping:
             validation=validation,
         )
         errors = training.history.validation
-        assert training.outcome is Outcome.VALIDATION
+        assert training.outcome is TrainingOutcome.VALIDATION
         assert training.best_epoch == int(np.argmin(errors)) == len(errors) - 1 - 6
         assert validation.loss(training.theta) == min(errors)
 
@@ -379,10 +379,10 @@ class TestStopping:
         def outcome(**keys):
             return train(LevenbergMarquardt(), sine, start, Stopping(**keys)).outcome
 
-        assert outcome(epochs=2) is Outcome.EPOCHS
-        assert outcome(goal=0.05) is Outcome.GOAL
-        assert outcome(gradient=0.05) is Outcome.GRADIENT
-        assert outcome(progress=0.9, gradient=0.0) is Outcome.SETTLED
+        assert outcome(epochs=2) is TrainingOutcome.EPOCHS
+        assert outcome(goal=0.05) is TrainingOutcome.GOAL
+        assert outcome(gradient=0.05) is TrainingOutcome.GRADIENT
+        assert outcome(progress=0.9, gradient=0.0) is TrainingOutcome.SETTLED
 
     def test_an_interruption_keeps_what_there_is(self, sine, start):
         def impatient(epoch, loss, validation):
@@ -390,7 +390,7 @@ class TestStopping:
                 raise KeyboardInterrupt
 
         training = train(LevenbergMarquardt(), sine, start, Stopping(), watcher=impatient)
-        assert training.outcome is Outcome.INTERRUPTED
+        assert training.outcome is TrainingOutcome.INTERRUPTED
         assert training.history.epochs == 5
         assert sine.loss(training.theta) == training.history.losses[5]
 

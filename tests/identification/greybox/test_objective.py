@@ -13,7 +13,7 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.objective import Objective, Weights
+from trms_cli.identification.greybox.objective import MapObjective, ResidualWeights
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem, free_parameters
 from trms_cli.models.model import Model
@@ -39,7 +39,7 @@ def remembering() -> Model:
 
 def objective(
     model: Model, dataset: Dataset, free: list[str], joined: float | None = None, **settings: float
-) -> tuple[Objective, np.ndarray, np.ndarray]:
+) -> tuple[MapObjective, np.ndarray, np.ndarray]:
     problem = FitProblem(
         model=model,
         datasets=(dataset,),
@@ -50,13 +50,13 @@ def objective(
     )
     windows = Windows(problem)
     n_y = windows.declared.shape[1]
-    own = Weights(10 * windows.declared, np.ones(n_y), windows.share, 3.0)
+    own = ResidualWeights(10 * windows.declared, np.ones(n_y), windows.share, 3.0)
     theta = problem.starts
     starts = windows.starts(problem.all_values(theta))
-    return Objective(windows, own, starts, joined), theta, starts
+    return MapObjective(windows, own, starts, joined), theta, starts
 
 
-def largest_slope_error(own: Objective, theta: np.ndarray, starts: np.ndarray) -> float:
+def largest_slope_error(own: MapObjective, theta: np.ndarray, starts: np.ndarray) -> float:
     """Of the parabola in each scaled variable against central differences, relative."""
     _, quadratic, _ = own.parabola(theta, starts)
     spread, zero_x, zero = own.windows.spread, np.zeros_like(starts), np.zeros_like(theta)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.identification.greybox.objective import Weights, sizes
+from trms_cli.identification.greybox.objective import ResidualWeights, sizes
 
 
-def weights(robust: float | None) -> Weights:
-    return Weights(np.full((2, 3), 0.5), np.array([1.0, 2.0, 8.0]), 0.5, robust)
+def weights(robust: float | None) -> ResidualWeights:
+    return ResidualWeights(np.full((2, 3), 0.5), np.array([1.0, 2.0, 8.0]), 0.5, robust)
 
 
 @pytest.mark.parametrize("robust", [None, 1.5])

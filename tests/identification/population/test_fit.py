@@ -10,7 +10,7 @@ import pytest
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.cma_es import CmaEs
 from trms_cli.identification.genetic import Genetic
-from trms_cli.identification.method import Outcome, Unwatched
+from trms_cli.identification.method import FitOutcome, Unwatched
 from trms_cli.identification.population import Box, SimulationCost
 
 SMALL = Genetic(individuals=12, generations=8)
@@ -102,7 +102,7 @@ class TestBox:
 class TestFit:
     def test_cma_finds_the_parameters(self, rig):
         result = CmaEs(evaluations=600).fit(rig.problem(), Unwatched())
-        assert result.outcome is Outcome.CONVERGED
+        assert result.outcome is FitOutcome.CONVERGED
         for name, true in rig.true.items():
             assert result.values[name] == pytest.approx(true, rel=0.02)
 
@@ -111,7 +111,7 @@ class TestFit:
         cost = SimulationCost(problem)
         progress = Kept()
         result = SMALL.fit(problem, progress)
-        assert result.outcome is Outcome.BUDGET_SPENT
+        assert result.outcome is FitOutcome.BUDGET_SPENT
         true = cost(truth(rig))
         # The cost is logarithmic in the misfit: half of it is the greater part of the error.
         assert result.cost - true < 0.5 * (cost(problem.starts) - true)
@@ -130,7 +130,7 @@ class TestFit:
         whole = method.fit(rig.problem(), Unwatched())
         stopped = Kept(after=3)
         first = method.fit(rig.problem(), stopped)
-        assert first.outcome is Outcome.INTERRUPTED and first.evaluations < whole.evaluations
+        assert first.outcome is FitOutcome.INTERRUPTED and first.evaluations < whole.evaluations
         resumed = method.fit(rig.problem(), Kept(state=stopped.state))
         assert resumed.values == whole.values
         assert [p.cost for p in resumed.history] == [p.cost for p in whole.history]

@@ -14,13 +14,13 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.blackbox.network_fit import (
-    Prepared,
+    NetworkData,
     Regressors,
     Stage,
     fit_result,
     interrupted,
     prepared_problem,
-    told,
+    training_watcher,
 )
 from trms_cli.identification.blackbox.trainable import Mlp
 from trms_cli.identification.blackbox.training.levenberg_marquardt import LevenbergMarquardt
@@ -38,7 +38,7 @@ Units = Annotated[int, Meta(ge=1, le=1000)]
 
 
 def one_step_training(
-    data: Prepared,
+    data: NetworkData,
     network: Mlp,
     training: TrainingAlgorithm,
     stopping: Stopping,
@@ -86,7 +86,7 @@ class NarxFit:
         for start in range(self.starts):
             name = "one step" if self.starts == 1 else f"start {start + 1} of {self.starts}"
             share = 1.0 / self.starts
-            watcher = told(progress, start * share, share, self.stopping, name)
+            watcher = training_watcher(progress, start * share, share, self.stopping, name)
             found = one_step_training(
                 data, network, self.training, self.stopping, problem.seed + start, watcher
             )
@@ -136,7 +136,7 @@ class NnoeFit:
         network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
         share = 1.0 / (1 + len(self.horizons))
         first = Stopping(epochs=self.first_epochs, patience=0)
-        watcher = told(progress, 0.0, share, first, "one step")
+        watcher = training_watcher(progress, 0.0, share, first, "one step")
         found = one_step_training(
             data, network, LevenbergMarquardt(), first, problem.seed, watcher, self.every
         )
@@ -156,7 +156,7 @@ class NnoeFit:
                 stages[-1].training.theta,
                 self.stopping,
                 validation=checked,
-                watcher=told(progress, number * share, share, self.stopping, name),
+                watcher=training_watcher(progress, number * share, share, self.stopping, name),
             )
             stages.append(Stage(name, found))
         return fit_result("nnoe", problem, data, network, stages)

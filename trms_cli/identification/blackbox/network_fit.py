@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.identification.blackbox.prediction_error import OneStepError, SimulationError
+from trms_cli.identification.blackbox.prediction_error import MultiStepError, OneStepError
 from trms_cli.identification.blackbox.regressors import (
     Samples,
     Scaling,
@@ -22,10 +22,10 @@ from trms_cli.identification.blackbox.regressors import (
     simulated,
 )
 from trms_cli.identification.blackbox.trainable import FloatArray, TrainableNetwork
-from trms_cli.identification.blackbox.training.training import Outcome as Ending
 from trms_cli.identification.blackbox.training.training import Stopping, Training, Watcher
+from trms_cli.identification.blackbox.training.training import TrainingOutcome as Ending
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import FitResult, HistoryPoint, Outcome, Progress
+from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
 from trms_cli.identification.problem import FitProblem
 from trms_cli.models.model import Signal, names
 from trms_cli.models.narx_file import NarxFile
@@ -73,7 +73,7 @@ class Regressors:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class NetworkData:
     """Recordings at a network's sample time."""
 
     structure: NarxStructure
@@ -111,9 +111,9 @@ class Prepared:
         part: Literal["fitted", "validation"] = "fitted",
         stride: int | None = None,
         every: int = 1,
-    ) -> SimulationError:
+    ) -> MultiStepError:
         """The simulation error over windows; they start from smoothed samples."""
-        return SimulationError(
+        return MultiStepError(
             network,
             self.structure,
             self.scaling,
@@ -139,7 +139,7 @@ class Prepared:
 
 def prepared(
     regressors: Regressors, fitted: Sequence[Dataset], validation: Sequence[Dataset]
-) -> Prepared:
+) -> NetworkData:
     """Bring recordings to the form that networks are fitted to.
 
     Raises RecordingError for sample times without a whole ratio, missing channels, inputs or
@@ -157,22 +157,22 @@ def prepared(
         smooth = taken(fitted, regressors.smoothing)
         smooth_validation = taken(validation, regressors.smoothing)
     scale = scaling(structure, smooth)
-    return Prepared(structure, scale, raw, raw_validation, smooth, smooth_validation)
+    return NetworkData(structure, scale, raw, raw_validation, smooth, smooth_validation)
 
 
-def prepared_problem(regressors: Regressors, problem: FitProblem) -> Prepared:
+def prepared_problem(regressors: Regressors, problem: FitProblem) -> NetworkData:
     """:func:`prepared` for the recordings of a fit."""
     return prepared(regressors, problem.datasets, problem.validation)
 
 
 _OUTCOMES = {
-    Ending.GRADIENT: Outcome.CONVERGED,
-    Ending.VALIDATION: Outcome.CONVERGED,
-    Ending.GOAL: Outcome.CONVERGED,
-    Ending.SETTLED: Outcome.CONVERGED,
-    Ending.EPOCHS: Outcome.BUDGET_SPENT,
-    Ending.NO_PROGRESS: Outcome.STUCK,
-    Ending.INTERRUPTED: Outcome.INTERRUPTED,
+    Ending.GRADIENT: FitOutcome.CONVERGED,
+    Ending.VALIDATION: FitOutcome.CONVERGED,
+    Ending.GOAL: FitOutcome.CONVERGED,
+    Ending.SETTLED: FitOutcome.CONVERGED,
+    Ending.EPOCHS: FitOutcome.BUDGET_SPENT,
+    Ending.NO_PROGRESS: FitOutcome.STUCK,
+    Ending.INTERRUPTED: FitOutcome.INTERRUPTED,
 }
 
 
@@ -190,7 +190,9 @@ class Stage:
         return self.prepared + float(self.training.history.seconds[-1])
 
 
-def told(progress: Progress, begin: float, share: float, stopping: Stopping, name: str) -> Watcher:
+def training_watcher(
+    progress: Progress, begin: float, share: float, stopping: Stopping, name: str
+) -> Watcher:
     """A watcher that shows a training as a share of a fit's work from ``begin`` on.
 
     It raises KeyboardInterrupt when somebody asks to stop.
@@ -215,7 +217,7 @@ def interrupted(stages: Sequence[Stage]) -> bool:
 def fit_result(
     method: str,
     problem: FitProblem,
-    data: Prepared,
+    data: NetworkData,
     network: TrainableNetwork,
     stages: Sequence[Stage],
 ) -> FitResult:
@@ -262,7 +264,7 @@ def fit_result(
     )
 
 
-def errors_of(data: Prepared, network: Network) -> dict[str, float | None]:
+def errors_of(data: NetworkData, network: Network) -> dict[str, float | None]:
     """Normalised RMS errors one step ahead and in free run, over the fitted and held-out data.
 
     1 is as good as the mean of each output; None where there are no data or the run diverged.
@@ -275,7 +277,7 @@ def errors_of(data: Prepared, network: Network) -> dict[str, float | None]:
 
 
 def error_over(
-    data: Prepared,
+    data: NetworkData,
     network: Network,
     recordings: Sequence[Samples],
     play: Callable[..., FloatArray],

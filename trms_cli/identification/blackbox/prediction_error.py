@@ -29,7 +29,7 @@ class NormalEquations(NamedTuple):
     slope: FloatArray  #: (P,) array; jᵀr
 
 
-class Objective(Protocol):
+class TrainingObjective(Protocol):
     """What a training algorithm minimises: the mean of squared residuals r(θ).
 
     Residuals are normalised, so that a loss of 1 is that of a network that gives the mean.
@@ -105,7 +105,7 @@ class OneStepError:
         return NormalEquations(squares / self.n_residuals, curvature, slope)
 
 
-class SimulationError:
+class MultiStepError:
     """Residuals ``(ŷ − y) / level_sd`` of all windows, steps and outputs.
 
     Parameters

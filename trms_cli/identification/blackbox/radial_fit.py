@@ -36,20 +36,20 @@ from msgspec import Meta
 
 from trms_cli.identification.blackbox.narx import check_training
 from trms_cli.identification.blackbox.network_fit import (
-    Prepared,
+    NetworkData,
     Regressors,
     Stage,
     fit_result,
     prepared_problem,
-    told,
+    training_watcher,
 )
-from trms_cli.identification.blackbox.prediction_error import Objective
+from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray, layout_of
 from trms_cli.identification.blackbox.training.training import (
-    Outcome,
-    Report,
+    EpochReport,
     Stopping,
     TrainingAlgorithm,
+    TrainingOutcome,
     train,
 )
 from trms_cli.identification.method import FitResult, Progress
@@ -305,13 +305,13 @@ class RadialFit:
             theta,
             stopping,
             validation=data.one_step(network, "validation") if data.validation else None,
-            watcher=told(progress, 0.0, 1.0, stopping, "one step"),
+            watcher=training_watcher(progress, 0.0, 1.0, stopping, "one step"),
         )
         if not self.tune:
-            training = replace(training, outcome=Outcome.GOAL)
+            training = replace(training, outcome=TrainingOutcome.GOAL)
         return fit_result(self.kind, problem, data, network, [Stage("one step", training, placing)])
 
-    def placed(self, data: Prepared, seed: int) -> tuple[Radial, FloatArray]:
+    def placed(self, data: NetworkData, seed: int) -> tuple[Radial, FloatArray]:
         """The network with its units placed and its linear weights solved for."""
         generator = np.random.default_rng(np.random.SeedSequence([seed, 0x52414449]))
         z, targets = data.normalised(data.fitted_smooth)
@@ -341,7 +341,9 @@ class _AsPlaced:
 
     regularised: ClassVar[bool] = True
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         return
 
 

@@ -28,7 +28,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Assessed:
+class AssessedCandidate:
     """A structure with the errors of its trainings, one entry a start."""
 
     candidate: Candidate
@@ -66,14 +66,14 @@ def assess(
     problem: FitProblem,
     seeds: Sequence[int],
     progress: Progress,
-) -> Assessed:
+) -> AssessedCandidate:
     """Train a candidate from several starts.
 
     Raises RecordingError if the recordings cannot be fitted, or nothing is held out.
     """
     chosen = candidate_method(method, candidate)
     results = [chosen.fit(replace(problem, seed=seed), progress) for seed in seeds]
-    return Assessed(
+    return AssessedCandidate(
         candidate,
         int(results[0].details["weights"]),
         tuple(_error(result, "validation_one_step") for result in results),
@@ -81,7 +81,7 @@ def assess(
     )
 
 
-def selected(assessed: Sequence[Assessed]) -> Assessed:
+def selected(assessed: Sequence[AssessedCandidate]) -> AssessedCandidate:
     """The candidate with the fewest weights within one standard error of the best."""
     best = min(assessed, key=lambda one: one.level)
     if not np.isfinite(best.level):  # every one has diverged at least once

@@ -25,7 +25,7 @@ from trms_cli.models.steady_state import SteadyState
 
 
 @dataclass(frozen=True, kw_only=True)
-class Request:
+class ExcitationRequest:
     """What an excitation is to be."""
 
     duration: float = 120.0  #: s, of the excitation itself
@@ -132,7 +132,7 @@ class Trial:
 
 def largest_amplitudes(
     model: Model,
-    request: Request,
+    request: ExcitationRequest,
     trial: Trial,
     commands: Callable[[FloatArray], FloatArray],
     room: FloatArray,
@@ -232,7 +232,7 @@ _RISE = 0.5
 
 
 @dataclass(frozen=True)
-class Design:
+class ExcitationDesign:
     """An excitation and what it is expected to do."""
 
     model: Model
@@ -261,9 +261,9 @@ class Design:
 def design(
     model: Model,
     excitation: Excitation,
-    request: Request,
+    request: ExcitationRequest,
     progress: Callable[[str], None] = lambda words: None,
-) -> Design:
+) -> ExcitationDesign:
     """Design an excitation.
 
     Parameters
@@ -323,7 +323,7 @@ def design(
     first = len(head)
     progress("rigs drawn from the priors")
     drawn, lost = _drawn(model, request, whole, first)
-    return Design(
+    return ExcitationDesign(
         model,
         np.arange(len(whole), dtype=np.float64) * request.sample_time,
         whole,
@@ -345,7 +345,7 @@ def design(
     )
 
 
-def _bounds(model: Model, request: Request) -> dict[str, float]:
+def _bounds(model: Model, request: ExcitationRequest) -> dict[str, float]:
     # A rotor's speed has no stop: its command alone limits it.
     angles = [name for name in model.controlled if _unit(model, name) == "rad"]
     for name in request.bounds:
@@ -374,7 +374,7 @@ def _unit(model: Model, state: str) -> str:
 
 
 def _operating_point(
-    model: Model, request: Request, bounds: Mapping[str, float]
+    model: Model, request: ExcitationRequest, bounds: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Command and state about which the excitation is."""
     rest = model.rest()
@@ -418,7 +418,7 @@ def _operating_point(
     return np.array(target.u), np.array(target.x)
 
 
-def _lead_in(centre: FloatArray, request: Request) -> FloatArray:
+def _lead_in(centre: FloatArray, request: ExcitationRequest) -> FloatArray:
     """From rest to the operating point, smoothly, and some time there."""
     count = round(request.lead_in / request.sample_time)
     share = np.clip(np.arange(count) / max(_RISE * count, 1.0), 0.0, 1.0)
@@ -426,7 +426,7 @@ def _lead_in(centre: FloatArray, request: Request) -> FloatArray:
 
 
 def _drawn(
-    model: Model, request: Request, commands: FloatArray, first: int
+    model: Model, request: ExcitationRequest, commands: FloatArray, first: int
 ) -> tuple[dict[str, tuple[float, float]], int]:
     """Ranges over rigs drawn from the priors, and how many of them pass a stop."""
     stops = {

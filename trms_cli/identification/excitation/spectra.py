@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.identification.dataset import FloatArray
-from trms_cli.identification.excitation.design import Design
+from trms_cli.identification.excitation.design import ExcitationDesign
 from trms_cli.models.model import names
 
 #: Bands an octave in which spectra are averaged.
@@ -36,7 +36,7 @@ class Spectra:
         return self.outputs / self.noise
 
 
-def spectra_of(design: Design, noise_sd: Mapping[str, float]) -> Spectra:
+def spectra_of(design: ExcitationDesign, noise_sd: Mapping[str, float]) -> Spectra:
     """Spectra of a design.
 
     Parameters
@@ -77,7 +77,7 @@ def spectra_of(design: Design, noise_sd: Mapping[str, float]) -> Spectra:
     )
 
 
-def summary(design: Design, spectra: Spectra) -> dict[str, Any]:
+def summary(design: ExcitationDesign, spectra: Spectra) -> dict[str, Any]:
     """The design as plain data, SI: the body of ``trms.excitation/1``."""
     model, plan = design.model, design.plan
     inside = (spectra.frequencies >= plan.lowest * 0.99) & (

@@ -26,7 +26,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.identification.greybox.objective import Objective, reduced
+from trms_cli.identification.greybox.objective import MapObjective, reduced
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -152,7 +152,7 @@ class Information:
         return ratios
 
 
-def information(objective: Objective, theta: FloatArray, starts: FloatArray) -> Information:
+def information(objective: MapObjective, theta: FloatArray, starts: FloatArray) -> Information:
     """Information at a point, by one simulation with slopes.
 
     Windows that lie end to end have residuals of their own, and the covariances of their slopes
@@ -230,7 +230,7 @@ _LARGEST_SET = 4
 
 
 @dataclass(frozen=True)
-class Confounded:
+class CollinearSet:
     """Parameters whose effects on these data imitate each other."""
 
     names: tuple[str, ...]  #: A smallest set: without any one of them the others can be told apart
@@ -246,7 +246,7 @@ class Identifiability:
     #: γ of each parameter against all others: how many times its own effect is larger than what of
     #: it the others cannot imitate
     collinearity: dict[str, float]
-    confounded: tuple[Confounded, ...]  #: The worst first
+    confounded: tuple[CollinearSet, ...]  #: The worst first
     silent: tuple[str, ...]  #: Parameters that these data do not depend on at all
     #: Parameters of which the data say next to nothing, so that the prior decided: those of whose
     #: prior's deviation more than nine tenths remain, and the silent ones
@@ -302,7 +302,7 @@ def _against_all(gram: FloatArray) -> FloatArray:
     return inflation
 
 
-def _confounded(gram: FloatArray, names: Sequence[str]) -> list[Confounded]:
+def _confounded(gram: FloatArray, names: Sequence[str]) -> list[CollinearSet]:
     found: list[tuple[tuple[int, ...], float]] = []
     for size in range(2, min(_LARGEST_SET, len(names)) + 1):
         sets = np.array(list(combinations(range(len(names)), size)))
@@ -316,4 +316,4 @@ def _confounded(gram: FloatArray, names: Sequence[str]) -> list[Confounded]:
         bad = np.flatnonzero(index > COLLINEAR)
         found += [(tuple(sets[k].tolist()), float(index[k])) for k in bad]
     found.sort(key=lambda item: -item[1])
-    return [Confounded(tuple(names[i] for i in rows), index) for rows, index in found]
+    return [CollinearSet(tuple(names[i] for i in rows), index) for rows, index in found]

@@ -26,9 +26,15 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.identification.greybox.information import Information, information
-from trms_cli.identification.greybox.objective import Objective, Quadratic, Weights, reduced, sizes
+from trms_cli.identification.greybox.objective import (
+    MapObjective,
+    Quadratic,
+    ResidualWeights,
+    reduced,
+    sizes,
+)
 from trms_cli.identification.greybox.windows import Windows
-from trms_cli.identification.method import Outcome
+from trms_cli.identification.method import FitOutcome
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -47,23 +53,23 @@ class Point(NamedTuple):
     cost: float
 
 
-class Search(NamedTuple):
+class SearchEnd(NamedTuple):
     """Where a search ended, and why."""
 
     point: Point
-    outcome: Outcome
+    outcome: FitOutcome
     iterations: int
 
 
 def minimise(
-    objective: Objective,
+    objective: MapObjective,
     point: Point,
     *,
     bounds: tuple[FloatArray, FloatArray],
     iterations: int,
     tolerance: float,
     watch: Callable[[int, Point], bool] = lambda k, point: True,
-) -> Search:
+) -> SearchEnd:
     """Lower the cost until no step promises more than the tolerance.
 
     Parameters
@@ -85,17 +91,17 @@ def minimise(
     cost, quadratic, _ = objective.parabola(theta, point.starts)
     best = Point(theta, point.starts, cost)
     if not np.isfinite(cost):
-        return Search(best, Outcome.FAILED, 0)
+        return SearchEnd(best, FitOutcome.FAILED, 0)
     damping, growth, small = _FIRST_DAMPING, 2.0, 0
     for k in range(iterations):
         if not watch(k, best):
-            return Search(best, Outcome.INTERRUPTED, k)
+            return SearchEnd(best, FitOutcome.INTERRUPTED, k)
         dx, dtheta = step(quadratic, damping, best.theta, bounds, objective.scales)
         promised = quadratic.cost(np.zeros_like(dx), np.zeros_like(dtheta)) - quadratic.cost(
             dx, dtheta
         )
         if promised < tolerance and damping <= _FIRST_DAMPING:
-            return Search(best, Outcome.CONVERGED, k)
+            return SearchEnd(best, FitOutcome.CONVERGED, k)
         theta = np.clip(best.theta + dtheta * objective.scales, *bounds)
         moved = best.starts + dx * objective.windows.spread
         cost, starts = objective.better_starts(theta, moved, best.starts)
@@ -105,16 +111,16 @@ def minimise(
             cost, quadratic, _ = objective.parabola(theta, starts)
             best = Point(theta, starts, cost)
             if small >= _SMALL_STEPS:
-                return Search(best, Outcome.CONVERGED, k + 1)
+                return SearchEnd(best, FitOutcome.CONVERGED, k + 1)
             quality = min(gained / promised, 1.0) if promised > 0 else 0.0
             damping = max(damping * max(1 / 5, 1 - (2 * quality - 1) ** 3), _LEAST_DAMPING)
             growth = 2.0
         else:
             damping, growth = damping * growth, growth * 2
             if damping > _MOST_DAMPING or promised < 0.01 * tolerance:
-                outcome = Outcome.CONVERGED if promised < tolerance else Outcome.STUCK
-                return Search(best, outcome, k + 1)
-    return Search(best, Outcome.BUDGET_SPENT, iterations)
+                outcome = FitOutcome.CONVERGED if promised < tolerance else FitOutcome.STUCK
+                return SearchEnd(best, outcome, k + 1)
+    return SearchEnd(best, FitOutcome.BUDGET_SPENT, iterations)
 
 
 def step(
@@ -173,15 +179,15 @@ class MapSettings:
 
     iterations: int = 100  #: Least-squares steps in the last round at most
     tolerance: float = 1e-3  #: Reduction of the cost that ends it, nats
-    joined: float | None = None  #: See :class:`Objective`
+    joined: float | None = None  #: See :class:`MapObjective`
 
 
 class MapFit(NamedTuple):
     """Where a fit ended."""
 
     point: Point
-    outcome: Outcome
-    objective: Objective  #: With the weights of the last round
+    outcome: FitOutcome
+    objective: MapObjective  #: With the weights of the last round
     information: Information | None  #: None where nothing could be simulated
     iterations: int
 
@@ -212,12 +218,12 @@ def fit_from(
         bounds = (np.where(held, theta, bounds[0]), np.where(held, theta, bounds[1]))
     centres = windows.starts(problem.all_values(theta))
     joints = _joints(settings.joined)
-    objective = Objective(windows, _declared(windows), centres, joints[0])
+    objective = MapObjective(windows, _declared(windows), centres, joints[0])
     point = with_fitted_starts(objective, theta, centres)
     if not np.isfinite(point.cost):
-        return MapFit(point, Outcome.FAILED, objective, None, 0)
+        return MapFit(point, FitOutcome.FAILED, objective, None, 0)
     objective.weights = weighed(objective, point, None)
-    known, done, outcome = None, 0, Outcome.CONVERGED
+    known, done, outcome = None, 0, FitOutcome.CONVERGED
     for round_ in range(_ROUNDS):
         objective.joined = joints[min(round_, len(joints) - 1)]
         search = minimise(
@@ -229,7 +235,7 @@ def fit_from(
             watch=lambda k, at, done=done: watch(done + k, at),  # type: ignore[misc]
         )
         point, done = search.point, done + search.iterations
-        if search.outcome is Outcome.INTERRUPTED:
+        if search.outcome is FitOutcome.INTERRUPTED:
             outcome = search.outcome
             break
         known = information(objective, point.theta, point.starts)
@@ -238,7 +244,7 @@ def fit_from(
         objective.weights = weights
         if change < _SETTLED and round_ + 1 >= len(joints):
             break
-    if outcome is not Outcome.INTERRUPTED:
+    if outcome is not FitOutcome.INTERRUPTED:
         search = minimise(
             objective,
             point,
@@ -262,7 +268,7 @@ def _joints(last: float | None) -> list[float | None]:
     return joints
 
 
-def with_fitted_starts(objective: Objective, theta: FloatArray, starts: FloatArray) -> Point:
+def with_fitted_starts(objective: MapObjective, theta: FloatArray, starts: FloatArray) -> Point:
     """The parameters as they are, with the starts that fit best to them."""
     held = (theta, theta)
     best = Point(theta, starts, objective.cost(theta, starts))
@@ -281,8 +287,8 @@ def with_fitted_starts(objective: Objective, theta: FloatArray, starts: FloatArr
     return best
 
 
-def weighed(objective: Objective, point: Point, known: Information | None) -> Weights:
-    """Weights that fit the residuals at a point; see :class:`Weights`."""
+def weighed(objective: MapObjective, point: Point, known: Information | None) -> ResidualWeights:
+    """Weights that fit the residuals at a point; see :class:`ResidualWeights`."""
     windows, problem = objective.windows, objective.windows.problem
     if problem.discrepancy == "none" and known is not None:
         return _declared(windows)
@@ -292,15 +298,15 @@ def weighed(objective: Objective, point: Point, known: Information | None) -> We
     samples = objective.weights.samples
     if known is not None:
         samples = np.maximum(1.0, known.samples_per_sample())
-    return Weights(windows.declared * size, samples, windows.share, problem.robust)
+    return ResidualWeights(windows.declared * size, samples, windows.share, problem.robust)
 
 
-def _declared(windows: Windows) -> Weights:
+def _declared(windows: Windows) -> ResidualWeights:
     n_y = windows.declared.shape[1]
-    return Weights(windows.declared, np.ones(n_y), windows.share, windows.problem.robust)
+    return ResidualWeights(windows.declared, np.ones(n_y), windows.share, windows.problem.robust)
 
 
-def _change(before: Weights, after: Weights) -> float:
+def _change(before: ResidualWeights, after: ResidualWeights) -> float:
     """Largest relative change of the weight of any output."""
     scale = before.sd / after.sd * np.sqrt(before.samples / after.samples)
     return float(np.max(np.abs(np.log(scale))))
@@ -328,7 +334,7 @@ class Profile:
 
 
 def profile(
-    objective: Objective,
+    objective: MapObjective,
     best: Point,
     name: str,
     sd: float,

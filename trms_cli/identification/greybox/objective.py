@@ -39,7 +39,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Weights:
+class ResidualWeights:
     """Scales of the residuals."""
 
     sd: FloatArray  #: (m, n_y) array; by window and output
@@ -282,11 +282,11 @@ def _gaps(joint: Joint, dx: FloatArray, dtheta: FloatArray) -> FloatArray:
 
 
 @dataclass
-class Objective:
+class MapObjective:
     """Maximum a posteriori: half the sum of squares of residuals and of deviations from priors."""
 
     windows: Windows
-    weights: Weights
+    weights: ResidualWeights
     centres: FloatArray  #: (m, n_x) array; of the starts' priors
     #: Standard deviation of the gaps between windows, as a share of the starts' spread; None:
     #: windows know nothing of each other

@@ -15,7 +15,7 @@ from trms_cli.identification.validation.characteristics import (
 )
 from trms_cli.identification.validation.metrics import (
     BlockSums,
-    Interval,
+    BootstrapInterval,
     fit_percent,
     largest,
     mean_log_ratio,
@@ -279,7 +279,7 @@ def _ratios(
     return found
 
 
-def _ends(interval: Interval) -> list[float]:
+def _ends(interval: BootstrapInterval) -> list[float]:
     return [interval.lower, interval.upper]
 
 

@@ -93,7 +93,7 @@ class BlockSums:
 
 
 @dataclass(frozen=True)
-class Interval:
+class BootstrapInterval:
     """An estimate with its 95 % interval."""
 
     value: float  #: the estimate
@@ -129,12 +129,12 @@ def block_sums(
     return BlockSums(np.array(squares), np.array(counts))
 
 
-def rms_interval(sums: BlockSums, seed: int) -> Interval:
+def rms_interval(sums: BlockSums, seed: int) -> BootstrapInterval:
     """The RMS with its interval; without one for fewer than four blocks."""
     return _interval(sums.rms, [sums], lambda rms: rms[0], seed)
 
 
-def ratio_interval(one: BlockSums, other: BlockSums, seed: int) -> Interval:
+def ratio_interval(one: BlockSums, other: BlockSums, seed: int) -> BootstrapInterval:
     """RMS of the one over RMS of the other, paired by blocks."""
     value = one.rms / other.rms if other.rms > 0 else np.nan
     return _interval(value, [one, other], lambda rms: rms[0] / rms[1], seed)
@@ -144,19 +144,19 @@ def mean_log_ratio(
     one: Mapping[tuple[str, float], BlockSums],
     other: Mapping[tuple[str, float], BlockSums],
     seed: int,
-) -> Interval:
+) -> BootstrapInterval:
     """Geometric mean over channels and horizons of the ratios of RMS, paired by blocks.
 
     Horizons have different numbers of windows; a draw takes the same share of each.
     """
     keys = [key for key in one if key in other and one[key].rms > 0 and other[key].rms > 0]
     if not keys:
-        return Interval(np.nan, np.nan, np.nan)
+        return BootstrapInterval(np.nan, np.nan, np.nan)
     value = float(np.exp(np.mean([np.log(one[k].rms / other[k].rms) for k in keys])))
     blocks = {key: min(len(one[key].squares), len(other[key].squares)) for key in keys}
     most = max(blocks.values())
     if most < 4:
-        return Interval(value, np.nan, np.nan)
+        return BootstrapInterval(value, np.nan, np.nan)
     draws = _draws(most, seed)
     logs = np.zeros(len(draws))
     for key in keys:
@@ -166,7 +166,7 @@ def mean_log_ratio(
         with np.errstate(divide="ignore", invalid="ignore"):
             logs += np.log(a / b) / len(keys)
     lower, upper = np.exp(np.nanquantile(logs, [0.025, 0.975]))
-    return Interval(value, float(lower), float(upper))
+    return BootstrapInterval(value, float(lower), float(upper))
 
 
 def _interval(
@@ -174,18 +174,18 @@ def _interval(
     sums: Sequence[BlockSums],
     figure: Callable[[list[FloatArray]], FloatArray],
     seed: int,
-) -> Interval:
+) -> BootstrapInterval:
     blocks = len(sums[0].squares)
     if blocks < 4 or not np.isfinite(value):
-        return Interval(value, np.nan, np.nan)
+        return BootstrapInterval(value, np.nan, np.nan)
     draws = _draws(blocks, seed)
     with np.errstate(divide="ignore", invalid="ignore"):
         drawn = figure([_rms_of_draws(each, draws) for each in sums])
     drawn = drawn[np.isfinite(drawn)]
     if not drawn.size:
-        return Interval(value, np.nan, np.nan)
+        return BootstrapInterval(value, np.nan, np.nan)
     lower, upper = np.quantile(drawn, [0.025, 0.975])
-    return Interval(value, float(lower), float(upper))
+    return BootstrapInterval(value, float(lower), float(upper))
 
 
 def _draws(blocks: int, seed: int) -> np.ndarray:

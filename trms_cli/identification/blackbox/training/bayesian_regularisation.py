@@ -18,10 +18,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.prediction_error import Objective
+from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.levenberg_marquardt import damped_step, slope_norm
-from trms_cli.identification.blackbox.training.training import Report
+from trms_cli.identification.blackbox.training.training import EpochReport
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-20, 1e10
 _LEAST = 1e-300
@@ -38,7 +38,9 @@ class BayesianRegularisation:
 
     regularised: ClassVar[bool] = True
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         theta, n, damping = start, objective.n_residuals, self.damping
         equations = objective.normal_equations(theta)
         gamma = float(theta.size)

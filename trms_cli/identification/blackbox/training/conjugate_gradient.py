@@ -21,10 +21,10 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.prediction_error import Objective
+from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.line_search import DECREASE, LineSearch
-from trms_cli.identification.blackbox.training.training import Report
+from trms_cli.identification.blackbox.training.training import EpochReport
 
 Update = Literal["fletcher_reeves", "polak_ribiere", "powell_beale"]
 #: Powell's constants.
@@ -42,7 +42,9 @@ class ConjugateGradient:
 
     regularised: ClassVar[bool] = False
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         if self.update == "polak_ribiere":
             options = {"c1": min(DECREASE, self.curvature / 2), "c2": self.curvature}
             minimise_by_scipy("CG", options, objective, start, report)
@@ -126,7 +128,11 @@ class _Directions:
 
 
 def minimise_by_scipy(
-    method: str, options: dict[str, Any], objective: Objective, start: FloatArray, report: Report
+    method: str,
+    options: dict[str, Any],
+    objective: TrainingObjective,
+    start: FloatArray,
+    report: EpochReport,
 ) -> None:
     """One of ``scipy.optimize.minimize``'s methods behind the interface of this package."""
     from scipy.optimize import OptimizeResult, minimize

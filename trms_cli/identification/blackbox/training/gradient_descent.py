@@ -16,9 +16,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.prediction_error import Objective
+from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray
-from trms_cli.identification.blackbox.training.training import Report
+from trms_cli.identification.blackbox.training.training import EpochReport
 
 #: A rate that fell this low moves no weight any more.
 _LEAST_RATE = 1e-12
@@ -38,7 +38,9 @@ class GradientDescent:
 
     regularised: ClassVar[bool] = False
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         theta, rate = start, self.learning_rate
         change, momentum = np.zeros_like(theta), self.momentum
         loss, slope = objective.gradient(theta)

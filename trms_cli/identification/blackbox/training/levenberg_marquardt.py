@@ -17,9 +17,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.prediction_error import NormalEquations, Objective
+from trms_cli.identification.blackbox.prediction_error import NormalEquations, TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray
-from trms_cli.identification.blackbox.training.training import Report
+from trms_cli.identification.blackbox.training.training import EpochReport
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-20, 1e10
 
@@ -35,7 +35,9 @@ class LevenbergMarquardt:
 
     regularised: ClassVar[bool] = False
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         theta, n, damping = start, objective.n_residuals, self.damping
         equations = objective.normal_equations(theta)
         while damping <= _MOST_DAMPING:

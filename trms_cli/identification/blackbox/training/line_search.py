@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trms_cli.identification.blackbox.prediction_error import Objective
+from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray
 
 #: Armijo's constant.
@@ -21,7 +21,7 @@ class LineSearch:
         Largest remaining share of the slope along the line; conjugate directions need 0.1.
     """
 
-    def __init__(self, objective: Objective, curvature: float) -> None:
+    def __init__(self, objective: TrainingObjective, curvature: float) -> None:
         self._objective, self._curvature = objective, curvature
         self._at: FloatArray | None = None
         self._known: tuple[float, FloatArray] | None = None

@@ -15,14 +15,14 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.prediction_error import Objective
+from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.conjugate_gradient import (
     minimise_by_scipy,
     quiet_step,
 )
 from trms_cli.identification.blackbox.training.line_search import LineSearch
-from trms_cli.identification.blackbox.training.training import Report
+from trms_cli.identification.blackbox.training.training import EpochReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,9 @@ class Bfgs:
 
     regularised: ClassVar[bool] = False
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         minimise_by_scipy("BFGS", {}, objective, start, report)
 
 
@@ -44,7 +46,9 @@ class OneStepSecant:
 
     regularised: ClassVar[bool] = False
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         search = LineSearch(objective, self.curvature)
         theta, (loss, slope) = start, search.evaluate(start)
         direction, before, fresh = -slope, None, True

@@ -14,9 +14,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.blackbox.prediction_error import Objective
+from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray
-from trms_cli.identification.blackbox.training.training import Report
+from trms_cli.identification.blackbox.training.training import EpochReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,9 @@ class Resilient:
 
     regularised: ClassVar[bool] = False
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         theta, step = start, np.full_like(start, self.first_step)
         before, change = np.zeros_like(theta), np.zeros_like(theta)
         _, slope = objective.gradient(theta)

@@ -1,6 +1,6 @@
 """What is common to all training algorithms: when to stop, what is kept, what is told.
 
-An algorithm minimises an :class:`Objective` from a start and reports after each epoch; the
+An algorithm minimises an :class:`TrainingObjective` from a start and reports after each epoch; the
 report raises :class:`TrainingStopped` when it is time to end, which no algorithm catches. So an
 algorithm is nothing but its published steps, and a library's minimiser fits the same interface.
 """
@@ -17,11 +17,11 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.blackbox.prediction_error import Objective
+from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import FloatArray
 
 
-class Outcome(enum.Enum):
+class TrainingOutcome(enum.Enum):
     """How a training ended: a sentence and what to do."""
 
     GRADIENT = "the gradient vanished: a minimum"
@@ -41,7 +41,7 @@ class TrainingStopped(Exception):
     """Raised by the report to end an algorithm."""
 
 
-class Report(Protocol):
+class EpochReport(Protocol):
     """Called by an algorithm after each epoch."""
 
     def __call__(
@@ -61,7 +61,9 @@ class TrainingAlgorithm(Protocol):
     #: Whether the training guards against over-fitting itself and needs no early stopping.
     regularised: ClassVar[bool]
 
-    def minimise(self, objective: Objective, start: FloatArray, report: Report) -> None:
+    def minimise(
+        self, objective: TrainingObjective, start: FloatArray, report: EpochReport
+    ) -> None:
         """Reduce the loss epoch by epoch; return when nothing reduces it any more."""
         ...
 
@@ -80,7 +82,7 @@ class Stopping:
 
 
 @dataclass(frozen=True)
-class History:
+class TrainingHistory:
     """A training epoch by epoch; entry 0 is the start."""
 
     #: ``seconds``, ``losses``, ``validation``, ``slopes``, ``effective``: lists of float; processor
@@ -106,8 +108,8 @@ class Training:
     #: smallest loss where it is not; of a training that regularises itself the last, for its loss
     #: alone is not what it reduces
     theta: FloatArray
-    history: History
-    outcome: Outcome
+    history: TrainingHistory
+    outcome: TrainingOutcome
     best_epoch: int  #: The epoch whose weights are kept
 
 
@@ -122,13 +124,13 @@ class _Recorder:
         self,
         start: FloatArray,
         stopping: Stopping,
-        validation: Objective | None,
+        validation: TrainingObjective | None,
         *,
         early: bool,
         regularised: bool,
     ) -> None:
-        self.history = History()
-        self.outcome = Outcome.NO_PROGRESS
+        self.history = TrainingHistory()
+        self.outcome = TrainingOutcome.NO_PROGRESS
         self.kept, self.best, self.best_epoch = start.copy(), np.inf, 0
         self._stopping, self._validation = stopping, validation
         self._early, self._regularised = early, regularised
@@ -170,11 +172,12 @@ class _Recorder:
     def _end_if_due(self, epoch: int, loss: float, slope: float) -> None:
         stopping = self._stopping
         reasons = {
-            Outcome.GOAL: loss <= stopping.goal,
-            Outcome.GRADIENT: slope <= stopping.gradient,
-            Outcome.SETTLED: self.settled(),
-            Outcome.VALIDATION: self._early and epoch - self.best_epoch >= stopping.patience,
-            Outcome.EPOCHS: epoch >= stopping.epochs,
+            TrainingOutcome.GOAL: loss <= stopping.goal,
+            TrainingOutcome.GRADIENT: slope <= stopping.gradient,
+            TrainingOutcome.SETTLED: self.settled(),
+            TrainingOutcome.VALIDATION: self._early
+            and epoch - self.best_epoch >= stopping.patience,
+            TrainingOutcome.EPOCHS: epoch >= stopping.epochs,
         }
         for outcome, due in reasons.items():
             if due:
@@ -184,11 +187,11 @@ class _Recorder:
 
 def train(
     algorithm: TrainingAlgorithm,
-    objective: Objective,
+    objective: TrainingObjective,
     start: FloatArray,
     stopping: Stopping,
     *,
-    validation: Objective | None = None,
+    validation: TrainingObjective | None = None,
     watcher: Watcher | None = None,
 ) -> Training:
     """Train from a start until the algorithm or the stopping rule ends it.
@@ -227,5 +230,5 @@ def train(
     except TrainingStopped:
         pass
     except KeyboardInterrupt:
-        recorder.outcome = Outcome.INTERRUPTED
+        recorder.outcome = TrainingOutcome.INTERRUPTED
     return Training(recorder.kept, recorder.history, recorder.outcome, recorder.best_epoch)
