@@ -1,4 +1,9 @@
-"""Modes: check values, names, switches, multiple and zero eigenvalues, black boxes, tracking."""
+"""Modes: check values, names, switches, multiple and zero eigenvalues, black boxes, tracking.
+
+What is varied and over which range: commands in `at`, clashes, reversed ranges.
+
+Modes that become others along a range: what a crossing is called.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +12,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from trms_cli.core.chart import Line, Points
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import TrimSolver
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.vector_field import VectorField
+from trms_cli.stability.local.charts import colours_of, points_alone, styles_of
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.local.modes import RigPart, modes_of, modes_of_matrix, parts_of
+from trms_cli.stability.local.modes import (
+    EigenMode,
+    Modes,
+    RigPart,
+    modes_of,
+    modes_of_matrix,
+    parts_of,
+)
+from trms_cli.stability.local.stability_map import StabilityMap, map_section
 from trms_cli.stability.local.sweep import OperatingPath, matched, spectrum_of, swept
-from trms_cli.stability.local.tracks import tracks_of
+from trms_cli.stability.local.tracks import Track, tracks_of
+from trms_cli.stability.studies.controllability import Controllability
 from trms_cli.stability.studies.local import Local
+from trms_cli.stability.studies.root_locus import RootLocus
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
 
@@ -334,3 +351,95 @@ def test_the_yaw_swing_across_the_switch_has_nearly_the_frequency_of_the_mean():
     crossings = 0.005 * (k + angle[k] / (angle[k] - angle[k + 1]))
     found = 2 * np.pi / np.diff(crossings)
     assert found == pytest.approx(yaw.imag, rel=0.02)
+
+
+STUDIES = (Local, RootLocus, Controllability)
+NEWTONIAN = Subject(Newtonian(), "newtonian")
+
+
+@pytest.mark.parametrize("study", STUDIES)
+@pytest.mark.parametrize("at", [{"u_v": 1.0}, {"u_v": 1.0, "u_h": 0.0}])
+def test_the_first_command_in_at_is_varied_if_nothing_is_said(study, at):
+    results = study(at=at, points=5, range=(0.5, 1.5)).run(NEWTONIAN, silent).results
+    line = results["locus" if study is RootLocus else "range"]
+    assert line["over"] == "u_v"
+    assert line["values"][0] == 0.5 and line["values"][-1] == 1.5
+    if study is not RootLocus:
+        assert results["at"]["u"]["u_v"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("study", STUDIES)
+@pytest.mark.parametrize(
+    ("at", "over", "says", "use"),
+    [
+        ({"u_v": 1.0}, "alpha_v", "over=alpha_v varies an angle; at holds commands", "u_v"),
+        ({"alpha_v": 0.1}, "u_h", "over=u_h varies a command; at holds angles", "alpha_v"),
+    ],
+)
+def test_a_line_that_does_not_go_with_at_is_refused_with_one_that_does(study, at, over, says, use):
+    with pytest.raises(ConfigurationError) as refused:
+        study(at=at, over=over, points=5).run(NEWTONIAN, silent)
+    assert says in refused.value.problem
+    assert f"study.over={use}" in refused.value.remedy
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_reversed_range_is_refused(study):
+    with pytest.raises(ConfigurationError, match="upper end comes first") as refused:
+        study(over="alpha_v", range=(0.2, -0.2), points=5).run(NEWTONIAN, silent)
+    assert "study.range=[-0.2,0.2]" in refused.value.remedy
+
+
+def test_a_reversed_range_of_the_map_is_refused_by_its_own_name():
+    asked = RootLocus(over="alpha_v", against="k_g", against_range=(0.2, 0.1), points=5)
+    with pytest.raises(ConfigurationError) as refused:
+        asked.run(NEWTONIAN, silent)
+    assert "study.against_range=[0.1,0.2]" in refused.value.remedy
+
+
+def test_beyond_the_fold_it_is_the_pitch_that_diverges():
+    model = Newtonian(parameter_set="rahideh")
+    findings = Local(points=41).run(Subject(model, "rahideh"), silent)
+    hopf, fold, back = findings.results["crossings"]
+    assert hopf["mode"] == "pitch swing" and hopf["value"] == pytest.approx(0.3468, abs=5e-4)
+    # The fold is a real eigenvalue of the pitch; the pair beside it is by then mostly of yaw.
+    assert fold["mode"] == "pitch divergence" and fold["value"] == pytest.approx(0.9514, abs=5e-4)
+    assert fold["unstable_above"] and fold["frequency_rad_s"] == 0.0
+    assert back["mode"] == "yaw and pitch swing" and not back["unstable_above"]
+    sentences = " ".join(findings.sections[-1].text)
+    assert "“yaw swing” is mostly of the pitch" in sentences
+    # The same by the modes of a point beyond it, which know nothing of tracks.
+    beyond = Local(at={"alpha_v": 1.0}, over="alpha_v", range=(0.99, 1.01), points=3)
+    modes = {
+        m["name"]: m for m in beyond.run(Subject(model, "rahideh"), silent).results["at"]["modes"]
+    }
+    assert modes["pitch divergence"]["real"] > 0 > modes["yaw swing"]["real"]
+
+
+def test_no_two_modes_look_alike_in_a_figure():
+    def mode(name: str, value: complex) -> EigenMode:
+        return EigenMode(name, value, np.ones(1), np.ones(1, complex), np.ones(1, complex))
+
+    names = ["yaw swing", "yaw and main rotor together", *(f"thing {k}" for k in range(8))]
+    modes = Modes(tuple(mode(name, complex(-1.0 - k)) for k, name in enumerate(names)))
+    points = [m for m in points_alone("modes", modes).panels[0].marks if isinstance(m, Points)]
+    assert len({(m.colour, m.marker) for m in points}) == len(names)
+    tracks = [Track(n, n, (k,), np.zeros((2, 1), complex), False) for k, n in enumerate(names)]
+    colours = colours_of(tracks)
+    styles = styles_of(colours)
+    assert len({(colours[name], styles[name]) for name in names}) == len(names)
+
+
+def test_the_models_own_value_is_not_drawn_on_the_frame_of_a_map():
+    def lines(span: tuple[float, float]) -> list[Line]:
+        path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
+        over, against = np.linspace(*span, 3), np.array([0.3, 0.5])
+        growth = np.array([[-0.1, 0.0, 0.1], [-0.1, 0.0, 0.2]])
+        mapped = StabilityMap(over, against, growth, np.empty((0, 2)))
+        (chart,) = map_section(path, "alpha_v", mapped, []).blocks
+        return [mark for mark in chart.panels[0].marks if isinstance(mark, Line)]
+
+    own = Newtonian().parameters["k_g"].value
+    assert not lines((0.5 * own, own))
+    (line,) = lines((0.5 * own, 2 * own))
+    assert line.x == own and line.style == "dashed"
