@@ -22,7 +22,7 @@ from trms_cli.stability.attraction.inclusion import (
     Ellipsoid,
     from_lyapunov_equation,
     largest_level,
-    optimised,
+    optimise_ellipsoid,
     proved,
 )
 from trms_cli.stability.attraction.level_set import Rays, sampled_level
@@ -141,7 +141,7 @@ def test_all_of_a_linear_systems_box_is_proved():
     shape = largest_level(system, P, walls)
     touching = (shape.extents / limits).max()
     assert 0.98 < touching <= 1.0
-    best = optimised(system, walls, first=shape)
+    best = optimise_ellipsoid(system, walls, first=shape)
     # The largest ellipse in a box touches all of its sides, if the flow allows; it may not leave.
     assert np.all(best.extents <= limits * (1.0 + 1e-6))
     assert best.log_volume >= shape.log_volume - 1e-6

@@ -30,7 +30,12 @@ from trms_cli.stability.local.modes import (
     parts_of,
 )
 from trms_cli.stability.local.stability_map import StabilityMap, map_section
-from trms_cli.stability.local.sweep import OperatingPath, matched, spectrum_of, swept
+from trms_cli.stability.local.sweep import (
+    OperatingPath,
+    match_spectra,
+    spectrum_of,
+    sweep_eigenvalues,
+)
 from trms_cli.stability.local.tracks import Track, tracks_of
 from trms_cli.stability.studies.controllability import Controllability
 from trms_cli.stability.studies.local import Local
@@ -108,7 +113,7 @@ def test_damping_and_frequencies_of_a_pair():
 def test_currents_are_modes_of_their_own_and_kept_apart():
     model = Newtonian(currents="dynamic")
     path = OperatingPath(model, {}, "alpha_v")
-    tracks = tracks_of(model, swept(path, -0.2, 0.2, 5))
+    tracks = tracks_of(model, sweep_eigenvalues(path, -0.2, 0.2, 5))
     fast = {track.name for track in tracks if track.fast}
     assert fast == {
         "armature current of the main motor",
@@ -219,7 +224,7 @@ def test_participation_does_not_depend_on_units(entries, unit):
 def test_tracks_keep_their_mode_where_eigenvalues_pass_each_other():
     # Two decoupled lags whose rates cross.
     before, after = (spectrum_of(np.diag([-1.0 - s, -1.05])) for s in (0.0, 0.1))
-    found, sure = matched(before, after)
+    found, sure = match_spectra(before, after)
     assert sure > 0.8
     rows = [int(np.argmax(np.abs(s.right[:, 0]))) for s in (before, found)]
     assert rows[0] == rows[1]
@@ -227,7 +232,7 @@ def test_tracks_keep_their_mode_where_eigenvalues_pass_each_other():
 
 def test_the_sweep_ends_where_the_equilibrium_does():
     model = Newtonian(freedom="vertical")
-    sweep = swept(OperatingPath(model, {}, "u_v"), -1.0, 2.5, 15)
+    sweep = sweep_eigenvalues(OperatingPath(model, {}, "u_v"), -1.0, 2.5, 15)
     assert sweep.values[-1] == pytest.approx(2.23, abs=5e-3)
     assert "ends" in sweep.high and not sweep.low
     # At the fold the stiffness of pitch, the product of its two eigenvalues, goes to zero.
@@ -236,7 +241,7 @@ def test_the_sweep_ends_where_the_equilibrium_does():
 
 
 def test_a_sweep_passes_a_rotor_at_standstill():
-    sweep = swept(OperatingPath(Newtonian(), {}, "alpha_v"), -0.8, 0.2, 11)
+    sweep = sweep_eigenvalues(OperatingPath(Newtonian(), {}, "alpha_v"), -0.8, 0.2, 11)
     assert len(sweep.places) >= 11 and not sweep.low and not sweep.high
     rest = min(sweep.places, key=lambda place: abs(place.value + 0.6194))
     assert abs(rest.point.u[0]) < 0.5

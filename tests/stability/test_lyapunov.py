@@ -25,7 +25,7 @@ from trms_cli.stability.lyapunov import report
 from trms_cli.stability.lyapunov.certificate import (
     LyapunovCertificate,
     StabilityClaim,
-    certified,
+    certify,
     identity_residual,
     rig_of,
 )
@@ -51,7 +51,7 @@ def certificate_of(
 ) -> LyapunovCertificate:
     rig = rig_of(Subject(MODELS[name](), name))
     point = operating_point(rig.model, dict(at))
-    return certified(rig, point, function, budget, 0, silent)
+    return certify(rig, point, function, budget, 0, silent)
 
 
 def run(model: Model, **options: object) -> Findings:

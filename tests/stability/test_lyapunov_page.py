@@ -11,7 +11,7 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.twin_rotor import TwinRotor
-from trms_cli.stability.lyapunov.certificate import certified, rig_of
+from trms_cli.stability.lyapunov.certificate import certify, rig_of
 from trms_cli.stability.studies.lyapunov import Lyapunov
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
@@ -75,7 +75,7 @@ def test_a_row_is_what_is_found(row: list[str]) -> None:
     kind, options, at = ROWS[row[0]]
     model: TwinRotor = kind(**options)
     function = row[1].split(",")[0]
-    found = certified(
+    found = certify(
         rig_of(Subject(model, "model")),
         operating_point(model, at),
         function,

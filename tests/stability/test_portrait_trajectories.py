@@ -16,7 +16,7 @@ from trms_cli.stability.portraits.rest_points import search
 from trms_cli.stability.portraits.section import StateSection, section_of
 from trms_cli.stability.portraits.separatrices import separatrices
 from trms_cli.stability.portraits.sticking import has_dry_friction, sticking_sets
-from trms_cli.stability.portraits.trajectories import NEAR, ends_of, spaced, trajectories
+from trms_cli.stability.portraits.trajectories import NEAR, drawn_points, ends_of, trajectories
 from trms_cli.stability.portraits.window import (
     checked_window,
     default_starts,
@@ -150,7 +150,7 @@ def test_a_fall_within_a_step_is_drawn_as_it_is():
 
 def test_what_is_drawn_is_evenly_spaced_and_cut_at_the_window(hover):
     (trajectory,) = trajectories(hover, hover.place([[2.3, 1.0]]), 3.0, 0.01)
-    points, _ = spaced(trajectory, WINDOW, 0.01, 2.0)
+    points, _ = drawn_points(trajectory, WINDOW, 0.01, 2.0)
     seen = points[np.isfinite(points).all(axis=1)]
     assert len(seen) > 5
     assert np.sum(np.any(np.abs(seen) > 2.5, axis=1)) <= 1  # one point to reach the edge

@@ -21,7 +21,7 @@ from trms_cli.stability.local.sensitivity import (
     state_words,
 )
 from trms_cli.stability.local.stability_map import stability_map
-from trms_cli.stability.local.sweep import OperatingPath, swept
+from trms_cli.stability.local.sweep import OperatingPath, sweep_eigenvalues
 from trms_cli.stability.local.tracks import crossings, tracks_of
 from trms_cli.stability.studies.root_locus import RootLocus
 from trms_cli.stability.study import silent
@@ -32,7 +32,7 @@ RANGE = (0.0123, 0.2)
 
 def locus(at, over, span, side="mean", points=21, model=None):
     path = OperatingPath(model or Newtonian(), at, over, side)
-    sweep = swept(path, *span, points)
+    sweep = sweep_eigenvalues(path, *span, points)
     return path, sweep, crossings(path, sweep)
 
 
@@ -259,7 +259,7 @@ def test_a_number_that_moves_nothing_is_told_as_such():
 
 def test_the_chart_of_a_jump_breaks_its_curves_there():
     path = OperatingPath(Newtonian(freedom="horizontal"), {}, "alpha_h")
-    sweep = swept(path, -1.0, 1.0, 41)
+    sweep = sweep_eigenvalues(path, -1.0, 1.0, 41)
     tracks = tracks_of(path.model, sweep)
     rotor = next(t for t in tracks if t.name == "tail rotor")
     chart = share_chart("why", path, sweep, rotor.members[0], rotor.name)

@@ -29,7 +29,7 @@ from trms_cli.stability.loops.tolerance import (
     ImpairmentLimits,
     RunVerdict,
     TrialRun,
-    searched,
+    find_failure,
 )
 from trms_cli.stability.loops.tolerance_findings import _sentence
 from trms_cli.stability.studies.margins import Margins
@@ -96,7 +96,7 @@ def tried(size: float, good: bool) -> TrialRun:
 
 
 def search(sizes, stood, precision=1.1, nothing=0.0):
-    return searched(
+    return find_failure(
         sizes,
         tried(nothing, True),
         lambda size: tried(size, stood(size)),

@@ -16,9 +16,14 @@ from trms_cli.stability.attraction.inclusion import (
     Ellipsoid,
     from_lyapunov_equation,
     largest_level,
-    optimised,
+    optimise_ellipsoid,
 )
-from trms_cli.stability.attraction.level_set import Rays, SampledLevel, expanded, sampled_level
+from trms_cli.stability.attraction.level_set import (
+    Rays,
+    SampledLevel,
+    expand_level_set,
+    sampled_level,
+)
 from trms_cli.stability.attraction.proof import LevelProof, frame, proved_level
 from trms_cli.stability.attraction.system import ReducedSystem
 from trms_cli.stability.study import Tell
@@ -145,7 +150,7 @@ def estimates(
     best = None
     if set(methods) - {"lyapunov"}:
         tell("linear matrix inequalities over a box")
-        best = optimised(simple, walls, first=first)
+        best = optimise_ellipsoid(simple, walls, first=first)
     found: list[RegionEstimate] = []
     for method, shape in (("lyapunov", first), ("inclusion", best)):
         if method in methods and shape is not None:
@@ -191,7 +196,7 @@ def _by_level_set(
             continue
         basis = basis_of(system, 4) if method == "quartic" else basis_of(system, 2, integrals=True)
         if len(basis.names) > len(start.candidate.weights):
-            reached.append(expanded(start.candidate, start.level, basis, start.rays, 0))
+            reached.append(expand_level_set(start.candidate, start.level, basis, start.rays, 0))
     if not reached:
         return []
     candidate, level = max(reached, key=lambda pair: pair[1].log_volume)

@@ -115,7 +115,7 @@ def largest_level(
     return None if level is None else Ellipsoid(P, level)
 
 
-def optimised(
+def optimise_ellipsoid(
     system: ReducedSystem,
     slabs: FloatArray | None = None,
     *,

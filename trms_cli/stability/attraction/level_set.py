@@ -180,7 +180,7 @@ _STEEP = 0.1
 _HEAVIEST = 20.0
 
 
-def expanded(
+def expand_level_set(
     first: LyapunovCandidate, level: SampledLevel, basis: Basis, rays: Rays, seed: int
 ) -> tuple[LyapunovCandidate, SampledLevel]:
     """The candidate of a richer basis with the largest level set that sampling finds.

@@ -17,7 +17,7 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import Column, Section, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.modes import STILL, rate_of
-from trms_cli.stability.local.sweep import OperatingPath, headed, swept, unit_of
+from trms_cli.stability.local.sweep import OperatingPath, headed, sweep_eigenvalues, unit_of
 from trms_cli.stability.local.tables import amount_words, crossing_data
 from trms_cli.stability.local.tracks import locus_of
 from trms_cli.stability.results import rounded
@@ -144,7 +144,7 @@ def boundary_along(
         tell(f"along {against} at {amount_words(path.model, path.over, value, 4)}")
         line = OperatingPath(path.model, path.at, against, path.side).moved(path.over, value)
         try:
-            run = swept(line, *span_2, 41)
+            run = sweep_eigenvalues(line, *span_2, 41)
         except TrmsError:
             continue  # no operating point there: the map has a hole
         locus = locus_of(line, run)

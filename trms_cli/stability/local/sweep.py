@@ -67,7 +67,7 @@ def spectrum_of(a: FloatArray) -> EigenSpectrum:
     return EigenSpectrum(*spectrum(a))
 
 
-def matched(before: EigenSpectrum, after: EigenSpectrum) -> tuple[EigenSpectrum, float]:
+def match_spectra(before: EigenSpectrum, after: EigenSpectrum) -> tuple[EigenSpectrum, float]:
     """``after`` in the order of ``before``, and how sure the worst match is (1: certain).
 
     Sureness is how much better the match is than the best one that exchanges a mode, where the
@@ -296,7 +296,7 @@ class OperatingPath:
         if point is None or not self._within(point):
             return None
         place = self.place(value, point)
-        return replace(place, spectrum=matched(last.spectrum, place.spectrum)[0])
+        return replace(place, spectrum=match_spectra(last.spectrum, place.spectrum)[0])
 
     def range(
         self, given: tuple[float, float] | None, where: str = "study.range"
@@ -358,7 +358,7 @@ class OperatingPath:
         return self.kind != "angle" or self.balance.within_limits(point)
 
 
-def swept(
+def sweep_eigenvalues(
     path: OperatingPath, low: float, high: float, points: int, also: tuple[float, ...] = ()
 ) -> EigenvalueSweep:
     """Go through a range, by way of further values where they lie within.
@@ -397,7 +397,7 @@ def _filled(
     if point is None or not path._within(point):
         return None
     place = path.place(value, point)
-    spectrum, sure = matched(last.spectrum, place.spectrum)
+    spectrum, sure = match_spectra(last.spectrum, place.spectrum)
     if (sure < _SURE or _leaps(last.spectrum, spectrum)) and depth < _DEEPEST:
         first = _filled(path, last, 0.5 * (last.value + value), depth + 1)
         second = None if first is None else _filled(path, first[-1], value, depth + 1)

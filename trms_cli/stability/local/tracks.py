@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from trms_cli.core.arrays import ComplexArray
 from trms_cli.models.model import Model
 from trms_cli.stability.local.modes import STILL, mode_name, parts_of, rate_of, shares_of_parts
-from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath, SweepPoint, matched
+from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath, SweepPoint, match_spectra
 
 #: Modes this many times as fast as the fastest motion of an axis have no room in a plane with it.
 _FAR = 8.0
@@ -216,7 +216,7 @@ def _located(
             return None
         # The far end settles which of two modes that meet in between is which.
         if abs(value - after.value) < abs(value - before.value):
-            place = replace(place, spectrum=matched(after.spectrum, place.spectrum)[0])
+            place = replace(place, spectrum=match_spectra(after.spectrum, place.spectrum)[0])
         return place
 
     def growth(value: float) -> float:

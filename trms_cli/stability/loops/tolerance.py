@@ -154,7 +154,7 @@ class FailureBracket:
         return _between(self.below.size, self.above.size)
 
 
-def searched(
+def find_failure(
     sizes: Sequence[float],
     nothing: TrialRun,
     attempt: Callable[[float], TrialRun],
@@ -267,7 +267,7 @@ def limits_of(
         return runs[size]
 
     def found(fails: Callable[[TrialRun], bool]) -> FailureBracket:
-        return searched(sizes, runs[impairment.none], attempt, precision, fails)
+        return find_failure(sizes, runs[impairment.none], attempt, precision, fails)
 
     calm = found(lambda tried: not tried.verdict.calm)
     back = found(lambda tried: not tried.verdict.back)

@@ -33,7 +33,7 @@ _STEPS, _AWAY = 5, 1e-6
 _WIDTHS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 
 
-def enclosed_rest(energy: Energy, x: FloatArray) -> Interval:
+def enclose_rest(energy: Energy, x: FloatArray) -> Interval:
     """Bounds of the equilibrium near a numerical solution x, as a state of motion, (3k,).
 
     Raises ModelError if no change of sign is found.
@@ -188,7 +188,7 @@ class EnergyCandidate:
     def __init__(self, energy: Energy, x: FloatArray, weights: EnergyWeights) -> None:
         self.energy, self.x = energy, np.asarray(x, dtype=float)
         self.weights = weights
-        self.rest = enclosed_rest(energy, self.x)
+        self.rest = enclose_rest(energy, self.x)
         self.slopes = Slopes(energy, self.rest)
         self._moving = Enclosure(energy.moving)
         self._well = {a: Enclosure(energy.alone(energy.well(a), "alpha", a)) for a in energy.axes}

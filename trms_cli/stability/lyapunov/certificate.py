@@ -44,7 +44,7 @@ from trms_cli.stability.lyapunov.level_search import (
     Wells,
     definite,
     rays,
-    searched,
+    search_levels,
     stop_level,
 )
 from trms_cli.stability.study import Tell
@@ -488,7 +488,7 @@ def wants_cross_terms(energy: Energy) -> bool:
     return bool(abs(command) > 0.0)
 
 
-def certified(
+def certify(
     rig: EnergyRig, point: OperatingPoint, function: str, budget: int, seed: int, tell: Tell
 ) -> LyapunovCertificate:
     """Choose a function, and check every claim about it.
@@ -506,7 +506,7 @@ def certified(
             "or leave the effect out",
         )
     tell("weights of V")
-    found = searched(energy, point.x, strict, budget)
+    found = search_levels(energy, point.x, strict, budget)
     everywhere = global_falling_claim(found.candidate)
     whole = everywhere is not None and everywhere.holds and found.wells.saddles is None
     outer = found.level if not whole else math.inf

@@ -255,7 +255,7 @@ class LevelSearchResult:
         return min(self.decay_level.level, self.asked)
 
 
-def searched(energy: Energy, x: FloatArray, strict: bool, budget: int) -> LevelSearchResult:
+def search_levels(energy: Energy, x: FloatArray, strict: bool, budget: int) -> LevelSearchResult:
     """The function with the largest proved set, with cross terms if it is to be strict."""
     first = EnergyCandidate(energy, x, rotor_weights(energy, 1.05))
     wells = wells_of(first)

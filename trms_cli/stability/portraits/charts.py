@@ -25,7 +25,7 @@ from trms_cli.stability.portraits.rest_points import RestPoint, grid
 from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.separatrices import Separatrix
 from trms_cli.stability.portraits.sticking import StickingSet
-from trms_cli.stability.portraits.trajectories import Trajectory, TrajectoryEnd, spaced
+from trms_cli.stability.portraits.trajectories import Trajectory, TrajectoryEnd, drawn_points
 
 #: Points between two drawn points, and the length up to which trajectories are drawn, in shares of
 #: the window's width: a lightly damped spiral drawn to its end hides the plane.
@@ -94,7 +94,11 @@ def portrait(
     if not in_space:
         marks += _stops(result)
     marks += [
-        _curve(spaced(trajectory, result.window, _APART, _LONGEST)[0], "without controller", "grey")
+        _curve(
+            drawn_points(trajectory, result.window, _APART, _LONGEST)[0],
+            "without controller",
+            "grey",
+        )
         for trajectory in result.beside
     ]
     marks += _trajectories(result, ends, labels)
@@ -177,7 +181,9 @@ def _trajectories(
         for place, number in enumerate(end.members):
             # Where friction holds them is what matters: some are drawn to their end.
             longest = np.inf if end.what == "held" and place < _TO_THE_END else usual
-            points, saturated = spaced(result.trajectories[number], result.window, _APART, longest)
+            points, saturated = drawn_points(
+                result.trajectories[number], result.window, _APART, longest
+            )
             marks.append(_curve(points, label, colour, width=1.1, arrow=True))
             if saturated.any():
                 at_bound = points.copy()

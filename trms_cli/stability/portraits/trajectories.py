@@ -82,7 +82,7 @@ def _fine_step(section: StateSection, step: float) -> float:
     return _FINE / fastest if fastest * step > 1.0 else 0.0
 
 
-def spaced(
+def drawn_points(
     trajectory: Trajectory, window: FloatArray, apart: float, longest: float = np.inf
 ) -> tuple[FloatArray, BoolArray]:
     """A trajectory for drawing: points some distance apart, up to a length, within the window.

@@ -26,7 +26,7 @@ from trms_cli.stability.local.controllability_findings import (
 )
 from trms_cli.stability.local.linear import Side
 from trms_cli.stability.local.modes import STILL
-from trms_cli.stability.local.sweep import OperatingPath, line_of, swept, usual_line
+from trms_cli.stability.local.sweep import OperatingPath, line_of, sweep_eigenvalues, usual_line
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -101,7 +101,7 @@ class Controllability:
         span = self.range
         if span is None and path.kind == "angle":
             span = (-_USUAL_SPAN, _USUAL_SPAN)
-        sweep = swept(path, *path.range(span), self.points, _standstill(path))
+        sweep = sweep_eigenvalues(path, *path.range(span), self.points, _standstill(path))
         return controllability_findings(
             ControllabilityResult(
                 point=point,

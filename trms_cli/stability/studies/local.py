@@ -15,7 +15,7 @@ from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.charts import locus_charts, points_alone
 from trms_cli.stability.local.linear import Side, Switch
 from trms_cli.stability.local.modes import EigenMode, Modes, modes_of
-from trms_cli.stability.local.sweep import OperatingPath, line_of, swept, usual_line
+from trms_cli.stability.local.sweep import OperatingPath, line_of, sweep_eigenvalues, usual_line
 from trms_cli.stability.local.tables import (
     amount_words,
     crossing_data,
@@ -68,7 +68,9 @@ class Local:
         switches = linear.switches(point.x, point.u)
         tell(f"over {over}")
         value, words = _value_of(path, point), point.words(model)
-        locus = locus_of(path, swept(path, *path.range(self.range), self.points, (value,)))
+        locus = locus_of(
+            path, sweep_eigenvalues(path, *path.range(self.range), self.points, (value,))
+        )
         return Findings(
             "Local stability",
             (*_lead(model, words, sides, switches), *_lead_range(locus)),

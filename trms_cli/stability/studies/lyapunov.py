@@ -19,7 +19,7 @@ from trms_cli.stability.lyapunov.certificate import (
     EnergyRig,
     LyapunovCertificate,
     StabilityClaim,
-    certified,
+    certify,
     rig_of,
 )
 from trms_cli.stability.lyapunov.motions import (
@@ -69,7 +69,7 @@ class Lyapunov:
         )
         rig = rig_of(subject)
         point = operating_point(rig.model, self.at, "study.at")
-        certificate = certified(rig, point, self.function, self.budget, self.seed, tell)
+        certificate = certify(rig, point, self.function, self.budget, self.seed, tell)
         found = certificate.found
         candidate, wells = found.candidate, found.wells
         shown = certificate.inner or _SHOWN * (min(wells.depth, 1.0) if wells.depth > 0.0 else 1e-9)

@@ -30,7 +30,7 @@ from trms_cli.stability.local.stability_map import (
     map_section,
     stability_map,
 )
-from trms_cli.stability.local.sweep import OperatingPath, line_of, swept, usual_line
+from trms_cli.stability.local.sweep import OperatingPath, line_of, sweep_eigenvalues, usual_line
 from trms_cli.stability.local.tables import (
     amount_words,
     crossing_data,
@@ -85,7 +85,7 @@ class RootLocus:
         path = OperatingPath(model, at, over, self.side)
         low, high = path.range(span)
         tell(f"over {over}")
-        locus = locus_of(path, swept(path, low, high, self.points))
+        locus = locus_of(path, sweep_eigenvalues(path, low, high, self.points))
         sides = _sides(locus, (low, high), self.points, tell)
         tell("why")
         reasons = [
@@ -146,7 +146,7 @@ def _sides(
             continue
         tell(f"with the slopes of the {side} side")
         other = OperatingPath(path.model, path.at, path.over, side)
-        crossed = crossings(other, swept(other, *span, points))
+        crossed = crossings(other, sweep_eigenvalues(other, *span, points))
         values[side] = [c.value for c in crossed if not c.jumps]
     return values
 
