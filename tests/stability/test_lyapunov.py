@@ -73,7 +73,7 @@ def test_vertical_well_ends_at_the_saddle_that_the_balance_gives() -> None:
     found = certificate_of("vertical", HOVER)
     assert found.holds and not found.everywhere
     # docs/model.md: G sin(α + 0.6194) = l_m F, so that the other side of the crest is α_s.
-    below, above = found.found.wells.saddles or (0.0, 0.0)
+    below, above = found.search.wells.saddles or (0.0, 0.0)
     assert above == pytest.approx(math.pi - 2 * 0.6194, abs=2e-4)
     assert below == pytest.approx(-math.pi - 2 * 0.6194, abs=2e-4)
     G, tilt = 0.2646, 0.6194
@@ -93,7 +93,7 @@ def test_well_of_a_hanging_beam_is_as_deep_as_it_is_high() -> None:
 def test_lagrangian_energy_falls_in_the_whole_well_and_newtonian_in_a_part() -> None:
     whole, part = certificate_of("lagrangian", HOVER), certificate_of("newtonian", HOVER)
     assert whole.holds and part.holds
-    assert whole.outer == pytest.approx(whole.found.wells.depth)
+    assert whole.outer == pytest.approx(whole.search.wells.depth)
     assert whole.rising is None
     assert 0.002 < part.outer < 0.1 * whole.outer
     assert part.rising is not None and part.rising.value > part.outer
@@ -102,7 +102,7 @@ def test_lagrangian_energy_falls_in_the_whole_well_and_newtonian_in_a_part() -> 
 def test_strict_function_where_the_tail_rotor_holds_yaw() -> None:
     # The proof takes some 600 boxes: how many just, rounding decides.
     found = certificate_of("lagrangian", (("alpha_v", 0.0), ("alpha_h", 0.3)), budget=2000)
-    assert found.found.candidate.weights.strict and found.holds
+    assert found.search.candidate.weights.strict and found.holds
     plain = certificate_of("lagrangian", (("alpha_v", 0.0), ("alpha_h", 0.3)), "energy")
     assert not plain.holds and plain.outer == 0.0
     assert plain.rising is not None
@@ -113,7 +113,7 @@ def test_thesis_values_fail_at_a_high_pitch_and_the_counterexample_is_one() -> N
     assert not found.holds and found.outer == 0.0 and found.rising is not None
     falls = next(claim for claim in found.claims if claim.name == "falls")
     assert falls.how == "failed"
-    candidate = found.found.candidate
+    candidate = found.search.candidate
     # By the model's own equations and differences of V, not by the derivative that was searched.
     field = VectorField(candidate.energy.model)
     rates = field.rates(found.rising.x, candidate.energy.u)
@@ -132,7 +132,7 @@ def test_thesis_values_fail_at_a_high_pitch_and_the_counterexample_is_one() -> N
 )
 def test_no_motion_leaves_the_inner_set(name: str, at: tuple[tuple[str, float], ...]) -> None:
     found = certificate_of(name, at)
-    candidate, wells = found.found.candidate, found.found.wells
+    candidate, wells = found.search.candidate, found.search.wells
     starts = on_level(candidate, wells, found.inner, random_directions(candidate, 6, 7))
     assert len(starts) >= 5
     assert candidate.value(starts) == pytest.approx(found.inner, rel=1e-6)
@@ -147,7 +147,7 @@ def test_no_motion_leaves_the_inner_set(name: str, at: tuple[tuple[str, float], 
 def test_v_falls_at_random_states_of_the_outer_set() -> None:
     for name in ("newtonian", "lagrangian", "vertical"):
         found = certificate_of(name, HOVER)
-        candidate, wells = found.found.candidate, found.found.wells
+        candidate, wells = found.search.candidate, found.search.wells
         directions = random_directions(candidate, 150, 2)
         places = [
             on_level(candidate, wells, share * found.outer, directions[i::3])
@@ -236,7 +236,7 @@ def test_beside_the_fold_the_saddle_ends_the_sets_and_not_a_stop_beyond_it(pitch
     assert found.holds and found.bounded_by == "the saddle"
     assert 0.0 < found.inner < found.outer
     # G [cos β − cos(β + d) − sin β d] at the crest, β = ᾱ + δ, d = π − 2β.
-    gravity = found.found.candidate.energy.gravity
+    gravity = found.search.candidate.energy.gravity
     beta = pitch + math.atan2(-gravity[0], -gravity[1])
     d = math.pi - 2 * beta
     barrier = math.hypot(*gravity) * (2 * math.cos(beta) - math.sin(beta) * d)
@@ -248,7 +248,7 @@ def test_beside_the_fold_the_saddle_ends_the_sets_and_not_a_stop_beyond_it(pitch
 def test_the_derivation_is_checked_at_rest_and_a_wrong_one_fails() -> None:
     found = certificate_of("vertical", ())
     assert found.holds
-    candidate = found.found.candidate
+    candidate = found.search.candidate
     assert identity_residual(candidate, 0) < 1e-10
     other = candidate.weighted(candidate.weights)
     wrong = replace(candidate.weights, rotor_v=candidate.weights.rotor_v * (1 + 1e-6))

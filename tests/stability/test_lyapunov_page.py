@@ -83,13 +83,13 @@ def test_a_row_is_what_is_found(row: list[str]) -> None:
         0,
         silent,
     )
-    assert (found.found.candidate.weights.strict) == (function == "strict")
+    assert (found.search.candidate.weights.strict) == (function == "strict")
     if "γ" in row[1]:
-        assert found.found.candidate.weights.yaw == float(row[1].split("=")[1])
+        assert found.search.candidate.weights.yaw == float(row[1].split("=")[1])
     depth, outer, inner = (cell.strip("*") for cell in row[2:5])
     assert found.everywhere == (outer == "all states")
     for cell, value in (
-        (depth, found.found.wells.depth),
+        (depth, found.search.wells.depth),
         (outer, found.outer),
         (inner, found.inner),
     ):

@@ -462,7 +462,7 @@ _DEEPEST = 1.0
 class LyapunovCertificate:
     """What is known of a function."""
 
-    found: LevelSearchResult
+    search: LevelSearchResult
     everywhere: bool  #: Whether N is the whole space
     outer: float  #: N is the part of {V < outer} about the equilibrium, J; 0: none is proved
     inner: float  #: N′ is the part of {V <= inner} about it, J; 0: there is none

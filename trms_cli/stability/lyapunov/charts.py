@@ -32,7 +32,7 @@ _UNIT = {"Omega": "rad/s", "omega": "rad/s", "alpha": "rad"}
 
 def well_chart(certificate: LyapunovCertificate) -> Chart:
     """U of each axis with its equilibria, levels and stops."""
-    candidate = certificate.found.candidate
+    candidate = certificate.search.candidate
     panels = [_well(certificate, a) for a in candidate.energy.axes]
     return Chart(
         "lyapunov_well",
@@ -44,7 +44,7 @@ def well_chart(certificate: LyapunovCertificate) -> Chart:
 
 
 def _well(certificate: LyapunovCertificate, axis: str) -> Panel:
-    candidate, wells = certificate.found.candidate, certificate.found.wells
+    candidate, wells = certificate.search.candidate, certificate.search.wells
     energy = candidate.energy
     rest = float(candidate.centre[energy.index("alpha", axis)])
     stop = energy.model.stops[f"alpha_{axis}"]
@@ -93,7 +93,7 @@ def plane_chart(
     certificate: LyapunovCertificate, paths: dict[str, LevelMotions], display: float
 ) -> Chart:
     """N and N′ in the plane of each angle and its rate, and where the decay is not proved."""
-    candidate = certificate.found.candidate
+    candidate = certificate.search.candidate
     panels = [_plane(certificate, a, paths.get(a), display) for a in candidate.energy.axes]
     if candidate.energy.k == 2:
         panels.append(_limits(certificate, ("alpha", "v"), ("Omega", "h"), display))
@@ -114,9 +114,9 @@ def _grid(
     certificate: LyapunovCertificate, first: tuple[str, str], second: tuple[str, str], level: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Grid lines around {V <= level}, and states of motion (rows, columns, 3k)."""
-    candidate = certificate.found.candidate
+    candidate = certificate.search.candidate
     energy, rest = candidate.energy, candidate.centre
-    box = candidate.extent(level, certificate.found.wells.ends)
+    box = candidate.extent(level, certificate.search.wells.ends)
     lines = []
     for what, axis in (first, second):
         j = energy.index(what, axis)
@@ -137,7 +137,7 @@ def _grid(
 def _plane(
     certificate: LyapunovCertificate, axis: str, seen: LevelMotions | None, display: float
 ) -> Panel:
-    candidate, wells = certificate.found.candidate, certificate.found.wells
+    candidate, wells = certificate.search.candidate, certificate.search.wells
     energy = candidate.energy
     x, y, places = _grid(certificate, ("alpha", axis), ("Omega", axis), display)
     value = candidate.value(places.reshape(-1, places.shape[2])).reshape(_GRID, _GRID)
@@ -197,8 +197,8 @@ def _limits(
     display: float,
 ) -> Panel:
     """Where Q is not definite, beside N."""
-    candidate = certificate.found.candidate
-    whole = certificate.outer >= certificate.found.wells.depth * (1.0 - 1e-6)
+    candidate = certificate.search.candidate
+    whole = certificate.outer >= certificate.search.wells.depth * (1.0 - 1e-6)
     x, y, places = _grid(certificate, first, second, display if whole else 1.6 * display)
     flat = places.reshape(-1, places.shape[2])
     value = candidate.value(flat).reshape(_GRID, _GRID)
@@ -220,7 +220,7 @@ def _limits(
 
 def _rates(certificate: LyapunovCertificate, axis: str, display: float) -> Panel:
     """V̇ over rotor speed and rate."""
-    candidate = certificate.found.candidate
+    candidate = certificate.search.candidate
     first, second = ("omega", axis), ("Omega", axis)
     x, y, places = _grid(certificate, first, second, display)
     flat = places.reshape(-1, places.shape[2])

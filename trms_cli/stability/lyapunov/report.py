@@ -80,7 +80,7 @@ def lead(
     further: tuple[StabilityClaim, ...] = (),
 ) -> tuple[str, ...]:
     """The answer; what is not shown comes first, and nothing is said that rests on it."""
-    found, words = certificate.found, point.words(rig.model)
+    found, words = certificate.search, point.words(rig.model)
     kind = "strict function" if found.candidate.weights.strict else "energy"
     if certificate.outer <= 0.0:
         if certificate.rising is None:
@@ -153,7 +153,7 @@ def _level(certificate: LyapunovCertificate) -> str:
 
 
 def _end_of_outer(certificate: LyapunovCertificate) -> str:
-    found = certificate.found
+    found = certificate.search
     if certificate.outer >= found.wells.depth * (1.0 - 1e-6):
         assert found.wells.saddles is not None
         low, high = (found.candidate.well_at("v", end) for end in found.wells.ends_of_pitch)
@@ -177,15 +177,15 @@ def claims_table(certificate: LyapunovCertificate, further: tuple[StabilityClaim
 
 def extent(certificate: LyapunovCertificate) -> dict[str, tuple[float, float]]:
     """How far N′ reaches in each state of motion."""
-    candidate = certificate.found.candidate
-    box = candidate.extent(certificate.inner, certificate.found.wells.ends)
+    candidate = certificate.search.candidate
+    box = candidate.extent(certificate.inner, certificate.search.wells.ends)
     pairs = zip(candidate.energy.names(), box.lower, box.upper, strict=True)
     return {name: (float(low), float(high)) for name, low, high in pairs}
 
 
 def extent_table(certificate: LyapunovCertificate) -> Table:
     """The box around N′."""
-    rest = certificate.found.candidate.centre
+    rest = certificate.search.candidate.centre
     return Table(
         ("state", "from", "equilibrium", "to"),
         [
@@ -201,7 +201,7 @@ def rising_table(certificate: LyapunovCertificate) -> Table | None:
     rising = certificate.rising
     if rising is None:
         return None
-    names = certificate.found.candidate.energy.names()
+    names = certificate.search.candidate.energy.names()
     rows = [
         *((_head(name), rounded(value, 6)) for name, value in zip(names, rising.y, strict=True)),
         ("V [J]", rounded(rising.value)),
@@ -223,7 +223,7 @@ def data(
     further: tuple[StabilityClaim, ...],
 ) -> dict[str, Any]:
     """The figures as JSON data."""
-    found, rising = certificate.found, certificate.rising
+    found, rising = certificate.search, certificate.rising
     names, depth = found.candidate.energy.names(), found.wells.depth
     return as_json(
         {

@@ -70,7 +70,7 @@ class Lyapunov:
         rig = rig_of(subject)
         point = operating_point(rig.model, self.at, "study.at")
         certificate = certify(rig, point, self.function, self.budget, self.seed, tell)
-        found = certificate.found
+        found = certificate.search
         candidate, wells = found.candidate, found.wells
         shown = certificate.inner or _SHOWN * (min(wells.depth, 1.0) if wells.depth > 0.0 else 1e-9)
         tell("motions")
@@ -114,7 +114,7 @@ def _sections(
     shown: float,
 ) -> list[Section]:
     outer = certificate.outer if np.isfinite(certificate.outer) else 0.0
-    display = max(shown, min(outer, certificate.found.wells.depth))
+    display = max(shown, min(outer, certificate.search.wells.depth))
     tables: list[Table | Chart] = [report.claims_table(certificate, further)]
     rising = report.rising_table(certificate)
     sets: list[Table | Chart] = []
@@ -128,7 +128,7 @@ def _sections(
         Section(
             "The function",
             (
-                *report.formula(certificate.found.candidate),
+                *report.formula(certificate.search.candidate),
                 "s is how fast a rotor settles, ω̇ = −s(ω). The function is a reconstruction: those "
                 "of the thesis are not public.",
             ),
@@ -168,7 +168,7 @@ def _warnings(certificate: LyapunovCertificate, rig: EnergyRig) -> tuple[str, ..
             f"{', '.join(rig.resisting)}: the power of friction, −F|Ω|, only adds to the decay; "
             "the proofs are of the equations without it."
         )
-    found = certificate.found
+    found = certificate.search
     if 0.0 < certificate.outer < 0.999 * found.wells.depth and not certificate.everywhere:
         said.append(
             "N is what is proved with this function and this budget of boxes, not the region of "
