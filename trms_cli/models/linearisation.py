@@ -12,16 +12,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model
 from trms_cli.models.steady_state import SteadyState, Target
 from trms_cli.models.vector_field import without_impulses
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Longest explicit integration step over which the rig's dynamics are smooth, s.
 _LONGEST_SUBSTEP = 0.02

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.continuation import follow
@@ -21,8 +21,6 @@ from trms_cli.models.model import Model, names
 from trms_cli.models.rest import rest_equations
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.vector_field import VectorField
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Rates (in the states' units per s) and errors of what is held (rad, V) below this are none.
 TOLERANCE = 1e-9

@@ -29,15 +29,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.core.process_cache import kept
 from trms_cli.models.model import Model
 from trms_cli.models.rest import RestEquations, arriving, rest_equations
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Largest residual of the dynamics (in the states' units per s) and of the reference (rad).
 TOLERANCE = 1e-8

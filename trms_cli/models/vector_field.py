@@ -10,11 +10,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model
-
-FloatArray = npt.NDArray[np.float64]
 
 #: s. Longest integration step: a tenth of the fastest time constant that is of interest.
 LONGEST_STEP = 0.005

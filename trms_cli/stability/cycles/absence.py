@@ -40,15 +40,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Boxes that a region is cut into, along each of a block's two states and the ones that drive it.
 _CUTS = 8

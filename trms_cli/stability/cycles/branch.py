@@ -22,14 +22,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.models.continuation import follow
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, refined
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.cycles.shooting import MARGIN, BranchCondition, Orbit, Shooting, packed
 from trms_cli.stability.local.linear import Linear
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Growth below this is rounding, 1/s.
 _NO_GROWTH = 1e-9

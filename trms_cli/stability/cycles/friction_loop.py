@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.pid import AxisState, Pid
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.dry_friction import moment_index
@@ -35,9 +36,6 @@ from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.subject import LoopParts, effects_of
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

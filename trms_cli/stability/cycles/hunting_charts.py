@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 from trms_cli.stability.cycles.hunting_prediction import Harmonics, HuntingPrediction
 from trms_cli.stability.cycles.hunting_runs import AxisRun, LevelSweep
 from trms_cli.stability.cycles.stick_slip import StickSlip
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Periods that a history shows, and s of one without a period.
 _PERIODS, _SHOWN = 3.0, 60.0

@@ -31,11 +31,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.stability.cycles.friction_loop import FrictionLaw, FrictionLoop
 from trms_cli.stability.cycles.stick_slip import Cycle, StickSlip
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Errors at a stick at which the map is looked at, over what F_s moves; see :func:`errors_of`.
 _LEAST, _MOST, _COUNT = 1e-3, 4.0, 28
@@ -199,8 +198,6 @@ def harmonics(loop: FrictionLoop, law: FrictionLaw) -> Harmonics:
         moments,
     )
 
-
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Steps of a period; periods until the block's answer repeats itself.
 _OF_A_PERIOD, _REPEATED = 1000, 4

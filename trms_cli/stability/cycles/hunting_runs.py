@@ -16,13 +16,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.closed_loop import LoopRun, run_loop
 from trms_cli.stability.subject import LoopParts
 
-FloatArray = npt.NDArray[np.float64]
 Verdict = Literal["hunting", "rest", "dying out", "undecided", "oscillating", "unstable"]
 
 #: rad/s: slower than this the axis sticks.

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import (
     Axis,
     Chart,
@@ -24,8 +25,6 @@ from trms_cli.models.model import Model
 from trms_cli.stability.cycles.branch import Branch, EquilibriumBranch, Hopf
 from trms_cli.stability.cycles.search import OrbitSearch
 from trms_cli.stability.cycles.shooting import Orbit
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Motions drawn beside the orbits, and how long, s.
 _DRAWN, _SHOWN = 5, 40.0

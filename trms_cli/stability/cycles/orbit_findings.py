@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Chart
 from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.core.wording import symbol, titled
@@ -20,8 +20,6 @@ from trms_cli.stability.cycles.orbit_charts import diagram, multipliers, plane
 from trms_cli.stability.cycles.search import FATES, Fate, OrbitSearch
 from trms_cli.stability.cycles.shooting import Orbit
 from trms_cli.stability.local.linear import Linear
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Orbits with a multiplier along themselves that is further from 1 are told with a warning.
 _DOUBTFUL = 1e-3

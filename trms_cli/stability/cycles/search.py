@@ -27,11 +27,11 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.models.model import Model
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.cycles.shooting import Orbit, Shooting
 
-FloatArray = npt.NDArray[np.float64]
 Fate = Literal["rest", "settling", "cycle", "moves on", "leaves"]
 FATES: tuple[Fate, ...] = ("rest", "settling", "cycle", "moves on", "leaves")
 

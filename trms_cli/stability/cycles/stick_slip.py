@@ -28,10 +28,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.stability.cycles.friction_loop import FrictionLaw, FrictionLoop
-
-FloatArray = npt.NDArray[np.float64]
 
 #: s. Steps in which a stick is looked at, first and later; how long one may last.
 _FINE, _FINE_UNTIL, _COARSE, LONGEST_STICK = 0.02, 4.0, 0.5, 3000.0

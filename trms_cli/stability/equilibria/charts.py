@@ -6,17 +6,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.core import chart as draw
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.wording import symbol
 from trms_cli.core.wording import unit as written_unit
 from trms_cli.models.model import Model, Signal
 from trms_cli.stability.equilibria.landmarks import Kind
 from trms_cli.stability.equilibria.named_points import NamedPoint
 from trms_cli.stability.equilibria.survey import EquilibriumMap, Survey, SurveyCurve
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Name, marker and colour of what is special on a curve.
 MARKS: dict[Kind, tuple[str, draw.Marker, draw.Colour]] = {

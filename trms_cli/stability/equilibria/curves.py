@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import qmc
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.models.continuation import ImplicitCurve
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
@@ -21,9 +21,6 @@ from trms_cli.stability.equilibria.rest_system import RestSystem
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.local.modes import Verdict, modes_of_matrix, parts_of
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: 1/s: growth below this is rounding (a free yaw neither grows nor returns).
 GROWTH = 1e-7

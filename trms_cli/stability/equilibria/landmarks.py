@@ -9,13 +9,12 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.models.continuation import SolutionCurve
 from trms_cli.stability.equilibria.curves import CurveEquations, EquilibriumPoint
 from trms_cli.stability.local.linear import Linear
 
-FloatArray = npt.NDArray[np.float64]
 Kind = Literal["fold", "kink", "oscillation", "exchange", "crossing", "level", "zero"]
 
 _BISECTIONS = 40

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint, operating_point, refined
@@ -29,8 +29,6 @@ from trms_cli.stability.equilibria.curves import CurveEquations, EquilibriumPoin
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import bounds_of
 from trms_cli.stability.local.linear import Linear
-
-FloatArray = npt.NDArray[np.float64]
 
 _NEAR_ZERO = 1e-3  # V
 _SAME_ANGLE = 1e-6  # rad

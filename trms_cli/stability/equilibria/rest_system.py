@@ -31,8 +31,6 @@ from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model, Signal, index_of, names
 from trms_cli.models.rest import arriving, rest_equations
 
-FloatArray = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class EquationBlock:

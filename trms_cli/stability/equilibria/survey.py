@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.continuation import SolutionCurve
@@ -23,8 +23,6 @@ from trms_cli.stability.equilibria.rest_system import RestSystem, rest_system
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.study import Tell
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Inputs at which equilibria are looked for from many starts, and how many starts.
 _INPUTS, _STARTS = 9, 16
