@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from experiments.chapter3.methods import option
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.plugins import build
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import names
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors

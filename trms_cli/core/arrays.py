@@ -7,4 +7,6 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
+#: Whole numbers, of 64 bits.
+IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]

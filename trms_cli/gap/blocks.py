@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.data import noise_estimate
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.dataset import Dataset
 
 #: s. Recordings that are sampled faster are thinned: no effect of the library needs more, and a
 #: filter's cost goes with the number of samples.

@@ -20,8 +20,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.problem import HORIZONS
-from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
 from trms_cli.identification.greybox.starts import estimated_starts, spreads
 from trms_cli.models.model import Model, names

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.blocks import Parts
 from trms_cli.gap.diagnosis import Gap, Shrink
 from trms_cli.gap.free_runs import Errors, expected_errors, free_run_errors
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race import Race
-from trms_cli.identification.dataset import FloatArray, IntArray
 from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout

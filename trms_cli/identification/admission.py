@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.admission_by_model import (
     SAMPLES_A_PERIOD,
@@ -20,7 +21,7 @@ from trms_cli.identification.admission_by_model import (
     findings_by_model,
     time_scales,
 )
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, names
 
 Severity = Literal["error", "warning"]

@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Axis, Model, names
 

@@ -12,14 +12,12 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.method import FitResult, Progress
 from trms_cli.identification.population import Box, search_fit
 from trms_cli.identification.problem import FitProblem
-
-FloatArray = npt.NDArray[np.float64]
 
 #: pycma takes no infinite costs; this is worse than any simulation that did not fail.
 _FAILED = 1e30

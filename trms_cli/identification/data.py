@@ -16,9 +16,10 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.identification.admission_by_model import require_sample_time
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.plants.sensors import Sensors
 from trms_cli.recordings.for_model import Selection

@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Signal, index_of, names
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.starts import estimated_starts
 from trms_cli.identification.validation.metrics import fit_percent, largest, rms
 from trms_cli.models.model import Model, Signal, index_of, names

@@ -15,14 +15,12 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.method import FitResult, Progress
 from trms_cli.identification.population import Box, search_fit
 from trms_cli.identification.problem import FitProblem
-
-FloatArray = npt.NDArray[np.float64]
 
 Crossover = Literal["simulated_binary", "uniform", "two_point"]
 Mutation = Literal["polynomial", "gaussian"]

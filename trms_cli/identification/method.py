@@ -8,11 +8,9 @@ from enum import Enum
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.problem import FitProblem
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class FitOutcome(Enum):

@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.identification.greybox.information import identifiability
@@ -26,8 +26,6 @@ from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
 from trms_cli.identification.problem import FitProblem
 from trms_cli.models.model import names
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Gaps between windows as a share of the starts' spread: a few mrad and 10 mrad/s when joined
 #: softly; when joined hard the gaps are below what any sensor sees.

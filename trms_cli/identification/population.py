@@ -35,14 +35,12 @@ from typing import Any, Protocol
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.greybox.windows import Residuals, Windows
 from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
 from trms_cli.identification.problem import FitProblem
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class SimulationCost:

@@ -9,18 +9,15 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter, ParameterSet
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 #: The word of ``free`` for all parameters that have a prior.
 PRIORS = "priors"

@@ -13,16 +13,14 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.recordings.channels import CHANNELS, REFERENCE_OF_AXIS
 from trms_cli.recordings.mcap_recording import sha256_of
 from trms_cli.recordings.preparation import Preparation
 from trms_cli.recordings.recording import GriddedRecording, Recording, on_grid, read_recording
-
-FloatArray = npt.NDArray[np.float64]
 
 #: A channel with more runs of missing samples than this gets one event instead of one each.
 _MOST_EVENTS = 20

@@ -33,6 +33,7 @@ from experiments.gap.baselines.fits import (
 from experiments.gap.baselines.force_terms import columns
 from experiments.gap.baselines.restoring_force import motion
 from experiments.gap.baselines.white_noise import compete
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import cache_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
@@ -41,7 +42,7 @@ from trms_cli.gap.diagnosis import Cause, Diagnosis
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.data import noise_estimate
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, index_of, names
 from trms_cli.models.parameters import Parameter
 from trms_cli.models.rest import resting_state

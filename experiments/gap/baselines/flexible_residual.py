@@ -20,12 +20,12 @@ import numpy as np
 from experiments.gap.baselines.baseline import diagnosis
 from experiments.gap.baselines.fits import parts_of, refit
 from experiments.gap.baselines.restoring_force import Motion, motion
+from trms_cli.core.arrays import FloatArray
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import extended
 from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
-from trms_cli.identification.dataset import FloatArray
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter

@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 
 from experiments.gap.baselines.restoring_force import Motion
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import compiled
 from trms_cli.effects.effect import Effect, EffectContext
-from trms_cli.identification.dataset import FloatArray
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.models.parameters import Parameter

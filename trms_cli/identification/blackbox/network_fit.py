@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.identification.blackbox.prediction_error import MultiStepError, OneStepError
 from trms_cli.identification.blackbox.regressors import (
@@ -21,7 +22,7 @@ from trms_cli.identification.blackbox.regressors import (
     scaling,
     simulated,
 )
-from trms_cli.identification.blackbox.trainable import FloatArray, TrainableNetwork
+from trms_cli.identification.blackbox.trainable import TrainableNetwork
 from trms_cli.identification.blackbox.training.training import Stopping, Training, Watcher
 from trms_cli.identification.blackbox.training.training import TrainingOutcome as Ending
 from trms_cli.identification.dataset import Dataset

@@ -12,9 +12,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.blackbox.regressors import Samples, Scaling
-from trms_cli.identification.blackbox.trainable import FloatArray, TrainableNetwork
+from trms_cli.identification.blackbox.trainable import TrainableNetwork
 from trms_cli.models.network import NarxStructure
 
 #: Numbers in the Jacobian that is held at once: 32 MB.

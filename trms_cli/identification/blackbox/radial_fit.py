@@ -34,6 +34,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.narx import check_training
 from trms_cli.identification.blackbox.network_fit import (
     NetworkData,
@@ -44,7 +45,7 @@ from trms_cli.identification.blackbox.network_fit import (
     training_watcher,
 )
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.trainable import FloatArray, layout_of
+from trms_cli.identification.blackbox.trainable import layout_of
 from trms_cli.identification.blackbox.training.training import (
     EpochReport,
     Stopping,

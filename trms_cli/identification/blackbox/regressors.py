@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import names
 from trms_cli.models.network import NarxStructure, Network
 

@@ -13,11 +13,9 @@ from itertools import pairwise
 from typing import ClassVar, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.models.network import Kind
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class TrainableNetwork(Protocol):

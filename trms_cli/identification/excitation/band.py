@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.dataset import FloatArray
 from trms_cli.models.model import Model
 
 #: What is excited beyond the slowest and the fastest pole.

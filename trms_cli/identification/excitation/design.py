@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.identification.dataset import FloatArray
 from trms_cli.identification.excitation.band import Linearised, band_of, linearised, pole_range
 from trms_cli.identification.excitation.excitation import Excitation, Plan, Shape, crest_factor
 from trms_cli.models.discretisation import discretise

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.dataset import FloatArray
 
 
 @dataclass(frozen=True)

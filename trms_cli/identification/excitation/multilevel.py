@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.dataset import FloatArray
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.excitation.excitation import (
     Plan,
     Shape,

@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.dataset import FloatArray, IntArray
 from trms_cli.identification.excitation.excitation import (
     Plan,
     Shape,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.identification.dataset import FloatArray
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.excitation.design import ExcitationDesign
 from trms_cli.models.model import names
 

@@ -26,10 +26,8 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.identification.greybox.objective import MapObjective, reduced
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 def autocovariance(z: FloatArray, measured: BoolArray, lags: int) -> FloatArray:

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.greybox.information import Information, information
 from trms_cli.identification.greybox.objective import (
     MapObjective,
@@ -35,8 +36,6 @@ from trms_cli.identification.greybox.objective import (
 )
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.method import FitOutcome
-
-FloatArray = npt.NDArray[np.float64]
 
 #: First damping, in the scaled units: as strong as the priors.
 _FIRST_DAMPING = 1.0

@@ -32,10 +32,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.identification.greybox.windows import Residuals, Windows
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

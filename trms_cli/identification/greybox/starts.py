@@ -13,16 +13,13 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.models.rest import resting_state
 from trms_cli.models.state_kinds import Kind, kinds_of_states
 from trms_cli.simulation.rollout import Rollout
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 #: s, to either side of a start: the samples that its estimate uses.
 _REACH = 0.2

@@ -7,15 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.starts import StartEstimator, Starts, spreads
 from trms_cli.identification.problem import FitProblem
 from trms_cli.models.model import names
 from trms_cli.simulation.rollout import Rollout
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 #: No residual is divided by less than this (in the output's unit).
 _LEAST_SD = 1e-9

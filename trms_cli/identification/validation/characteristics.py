@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.core.arrays import FloatArray
+from trms_cli.identification.dataset import Dataset
 
 _OVERLAP_CORRELATION = 1.0 / 36.0
 

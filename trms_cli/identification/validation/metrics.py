@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trms_cli.identification.dataset import FloatArray, IntArray
+from trms_cli.core.arrays import FloatArray, IntArray
 
 
 def rms(errors: FloatArray) -> float:

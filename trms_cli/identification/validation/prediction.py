@@ -20,7 +20,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trms_cli.identification.dataset import Dataset, FloatArray
+from trms_cli.core.arrays import FloatArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import output_columns
 from trms_cli.identification.validation.options import PredictorOptions
 from trms_cli.models.discrete import copied_states

@@ -46,7 +46,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from trms_cli.core.arrays import FloatArray
 
 #: Directions of the instruments with less than this share of the mean variance are left out: lags
 #: of a smooth input are nearly one another's copies, and what little differs says nothing.

@@ -19,8 +19,9 @@ from functools import cached_property
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.dataset import Dataset, FloatArray, IntArray
+from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import (
     fitted_starts,
     simulated_windows,

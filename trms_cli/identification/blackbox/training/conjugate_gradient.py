@@ -21,8 +21,8 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.line_search import DECREASE, LineSearch
 from trms_cli.identification.blackbox.training.training import EpochReport
 

@@ -17,8 +17,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import NormalEquations, TrainingObjective
-from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.training import EpochReport
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-20, 1e10

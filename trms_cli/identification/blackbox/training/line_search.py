@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.trainable import FloatArray
 
 #: Armijo's constant.
 DECREASE = 1e-4

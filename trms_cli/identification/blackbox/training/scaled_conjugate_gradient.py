@@ -15,8 +15,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.trainable import FloatArray
 from trms_cli.identification.blackbox.training.training import EpochReport
 
 _MOST_SCALE = 1e15

@@ -16,9 +16,9 @@ from typing import Annotated, ClassVar, Protocol
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.trainable import FloatArray
 
 
 class TrainingOutcome(enum.Enum):
