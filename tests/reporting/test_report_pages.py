@@ -147,7 +147,7 @@ class TestRun:
     def test_lead_tells_tracking_misses_and_faults(self, run):
         lead = run_page(run).lead[0]
         assert "**newton_mpc** followed pitch to 0.1 rad and yaw to 0.1 rad" in lead
-        assert "1 deadlines missed" in lead and "1 fault injected" in lead and "10 %" in lead
+        assert "**1 deadline missed**" in lead and "1 fault injected" in lead and "10 %" in lead
 
     def test_all_plots_of_the_time_share_group_and_range(self, run):
         timed = [spec for spec in plots_of(run_page(run)).values() if spec["group"] == "time"]

@@ -45,15 +45,21 @@ _OPTIONS = (
 )
 #: Keys that tell where files go, and what is drawn: nothing of what was run.
 _NO_KEYS = frozenset({"out", "picture", "sim.prediction_every"})
-#: Figures of a page, those that say most first.
-_FIGURES = (
-    "rmse", "rmse_yaw", "rmse_pitch", "max_abs_error_yaw", "max_abs_error_pitch", "overshoot_yaw",
-    "overshoot_pitch", "settling_time_yaw", "settling_time_pitch", "steady_state_error_yaw",
-    "steady_state_error_pitch", "effort", "total_variation", "saturation", "solve_median",
-    "solve_p99", "solve_max", "iterations", "deadline_misses", "failures", "violations",
-    "degraded", "landings", "nees", "nis", "duration",
-)  # fmt: skip
 _NUMBERS = "number", "whole"
+
+
+def _page_figures() -> list[str]:
+    """Figures of a page, those that say most first, by the names of ``trms runs``."""
+    from trms_cli.scoring.figures import of_group
+
+    short = [f for f in of_group("channels") if f.short]
+    names = [f.column_name for f in short[:1]]
+    names += [f"{f.column_name}_{axis}" for f in short for axis in ("yaw", "pitch")]
+    names += [f.column_name for f in of_group("inputs") if f.total]
+    names += [f.column_name for f in of_group("solver") if f.key != "objective_total"]
+    names += [f.column_name for f in of_group("run")]
+    names += [f.column_name for f in of_group("estimate") if f.short]
+    return [*names, "duration"]
 
 
 def rows_of(folders: Sequence[Path]) -> QueryResult:
@@ -123,14 +129,14 @@ def from_scores(gathered: Gathered, folders: Sequence[Path]) -> ReportedSweep:
     told = list(gathered.runs)
     keys = differing(told)[:_MOST_KEYS]
     by = usual_entrants(keys)
-    units = {name: COLUMNS[ALIASES.get(name, name)].unit for name in _FIGURES}
+    units = {name: COLUMNS[ALIASES.get(name, name)].unit for name in _page_figures()}
     root = folders[0].resolve() if len(folders) == 1 else Path.cwd()
     runs = []
     for run in told:
         all_figures = figures_of(run.score or {})
         figures = {
             name: value
-            for name in _FIGURES
+            for name in units
             if (value := all_figures.get(ALIASES.get(name, name))) is not None
         }
         runs.append(
@@ -179,7 +185,7 @@ def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective])
     """Figures that some run has, with their units."""
     from trms_cli.runs.columns import ALIASES, COLUMNS
 
-    wanted = dict.fromkeys([*(o.figure for o in objectives), *_FIGURES])
+    wanted = dict.fromkeys([*(o.figure for o in objectives), *_page_figures()])
     found = {}
     for name in wanted:
         column = ALIASES.get(name, name)

@@ -29,10 +29,11 @@ from trms_cli.reporting.interactive import (
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.report_phase import phase_plots
 from trms_cli.reporting.report_run import HOW_TO_TURN, THINNED, ended
-from trms_cli.reporting.report_scores import compared_rows, figure
 from trms_cli.reporting.report_signals import axis_title, label_of, whole_time
 from trms_cli.reporting.report_solver import solver_overlay
 from trms_cli.reporting.reported import FloatArray, ReportedRun, numbers
+from trms_cli.scoring.figures import finite, part
+from trms_cli.scoring.findings import compared_rows
 
 _MOST_POINTS = 1_500
 _NEAR = 2.5
@@ -97,7 +98,7 @@ def comparison_page(
     if commands:
         page.section("Commands")
         page.plots(commands)
-    rows = compared_rows(runs)
+    rows = compared_rows([run.score for run in runs])
     if rows:
         page.section("Score")
         page.table(["", *names], rows, "A star: the best, where it differs by more than 0.1 %.")
@@ -106,13 +107,13 @@ def comparison_page(
         page.plots(solver)
     phases = phase_plots(runs)
     if phases:
-        page.section("Phase plots")
+        page.section("Phase plots", folded=True)
         page.plots(phases)
     add_ranking(page, ranking, rule)
     if left_out:
         page.section("Not read")
         page.table(["file", "why"], [list(each) for each in left_out])
-    page.section("How this page was made", THINNED)
+    page.section("How this page was made", THINNED, folded=True)
     return page
 
 
@@ -286,8 +287,8 @@ def _curve(
 def _lead(runs: Sequence[ReportedRun]) -> list[str]:
     sums = {}
     for run in runs:
-        channels = run.score.get("channels") or {}
-        values = [figure(run.score, "channels", name, "rmse") for name in channels]
+        channels = part(run.score, "channels").values()
+        values = [finite(part({"": own}, "").get("rmse")) for own in channels]
         if values and all(value is not None for value in values):
             sums[run.name] = sum(value for value in values if value is not None)
     sentences = []

@@ -10,25 +10,24 @@ From a notebook, with a log's path: :func:`trms_cli.commands.report_pages.report
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 
+from trms_cli.core import wording
 from trms_cli.reporting.interactive import MOST_POINTS
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.page_rows import RowCell, RowColumn
 from trms_cli.reporting.report_phase import fan_plots, phase_plots
-from trms_cli.reporting.report_scores import figure, score_tables
 from trms_cli.reporting.report_signals import (
     angle_plots,
     command_plot,
     innovation_plots,
-    label_of,
     state_plots,
     torque_plots,
     whole_time,
 )
 from trms_cli.reporting.report_solver import solver_plots
 from trms_cli.reporting.reported import ReportedRun
+from trms_cli.scoring.findings import answer, measures_of, tables_of, warnings_of
 
 _MOST_EVENTS = 500
 _LONGEST_CONFIG = 200_000  # characters
@@ -59,7 +58,7 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
     title : str
         Default: what ran against what, and the run's name.
     """
-    page = Page(title or title_of(run), _lead(run), _facts(run))
+    page = Page(title or title_of(run), _lead(run), _facts(run), measures_of(run.score))
     first = angle_plots(run) + command_plot(run)
     inner = state_plots(run) + torque_plots(run)
     innovations = innovation_plots(run)
@@ -75,6 +74,11 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
             HOW_TO_TURN,
         )
         page.plots(first)
+    tables = tables_of(run.score)
+    if tables:
+        page.section("Score", [f"{words}." for words in warnings_of(run.score)])
+        for table in tables:
+            page.table(table.columns, table.rows, table.caption, heads=table.heads)
     if inner:
         page.section("Speeds, rates and torques")
         page.plots(inner)
@@ -83,27 +87,26 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
             "Innovations",
             "Measured minus foretold by the observer. Those of a consistent observer stay within "
             "the band for 95 % of the samples, without a pattern.",
+            folded=True,
         )
         page.plots(innovations)
     phases = phase_plots([run])
     if phases:
-        page.section("Phase plots")
+        page.section("Phase plots", folded=True)
         page.plots(phases)
     if predictions:
         page.section(
             "Predictions",
             "What the controller expected, each from the moment it was made. The slider chooses "
             "the bold one.",
+            folded=True,
         )
         page.plots(predictions)
     if solver:
         page.section("Solver")
         page.plots(solver)
-    if run.score:
-        page.section("Score")
-        score_tables(page, run)
     _events(page, run)
-    page.section("How this page was made", THINNED)
+    page.section("How this page was made", THINNED, folded=True)
     if run.command:
         page.text("What was typed:")
         page.command(run.command)
@@ -127,39 +130,15 @@ def ended(run: ReportedRun) -> str:
 
 
 def _lead(run: ReportedRun) -> list[str]:
-    parts = []
-    for name, told in (run.score.get("channels") or {}).items():
-        value = figure(run.score, "channels", name, "rmse")
-        if value is not None:
-            parts.append(f"{label_of(name)} to {value:.3g} {told.get('unit', 'rad')}")
     who = run.choices.get("controller") or "The run"
-    if parts:
-        sentence = f"**{who}** followed {' and '.join(parts)} (RMSE) over {run.duration:g} s"
-    else:
-        sentence = f"**{who}**: {run.duration:g} s without a reference to follow"
-    sentence += f", {_trouble(run)}."
-    return [sentence, *_problems(run)]
-
-
-def _trouble(run: ReportedRun) -> str:
-    misses = figure(run.score, "solver", "deadline_misses")
-    failures = figure(run.score, "solver", "failures")
-    words = []
-    if misses is not None:
-        words.append("no deadline missed" if not misses else f"**{misses:g} deadlines missed**")
-    if failures:
-        words.append(f"**{failures:g} fall-backs**")
+    score = {"duration_s": run.duration} | dict(run.score)
     injected = sum(event.kind == "fault_injected" for event in run.events)
-    if injected:
-        words.append(f"{injected} fault{'s' if injected > 1 else ''} injected")
     held = sum(event.kind == "fault" for event in run.events)
+    more = [f"{wording.count(injected, 'fault')} injected"] if injected else []
     if held:
-        words.append(f"**{held} commands that were no numbers**")
-    share = (run.score.get("degraded") or {}).get("share") or {}
-    unwell = sum(value for value in share.values() if isinstance(value, (int, float)))
-    if unwell and math.isfinite(unwell):
-        words.append(f"not normal for {100 * unwell:.3g} % of the time")
-    return ", ".join(words) or "nothing to report of a solver"
+        more.append(f"**{wording.count(held, 'command')} that were no numbers**")
+    sentence = answer(score, who)
+    return [", ".join([sentence[:-1], *more]) + ".", *_problems(run)]
 
 
 def _problems(run: ReportedRun) -> list[str]:
@@ -187,6 +166,7 @@ def _events(page: Page, run: ReportedRun) -> None:
     page.section(
         "Events",
         "; ".join(f"{kind} {count}" for kind, count in counts.most_common(20)) + ".",
+        folded=True,
     )
     columns = [
         RowColumn("time [s]", "time", number=True, decimals=2),

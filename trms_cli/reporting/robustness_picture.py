@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from trms_cli.reporting.figure_labels import figure_label
 from trms_cli.reporting.style import (
     ALARM,
     GREY,
@@ -20,6 +19,7 @@ from trms_cli.reporting.style import (
     new_figure,
     save_png,
 )
+from trms_cli.scoring.figures import column_title
 from trms_cli.sweeps.short_keys import short_keys
 
 _SHARES = np.linspace(0, 1, 101)
@@ -83,7 +83,7 @@ def _spread(panel: Axes, summary: Mapping[str, Any], name: str) -> None:
             textcoords="offset points",
         )  # fmt: skip
     panel.set_ylim(0, 101)
-    panel.set_xlabel(figure_label(name, summary["figures"][name]["unit"]))
+    panel.set_xlabel(column_title(name, summary["figures"][name]["unit"]))
 
 
 def draw_sensitivity(summary: Mapping[str, Any], path: Path) -> bool:
@@ -114,7 +114,7 @@ def draw_sensitivity(summary: Mapping[str, Any], path: Path) -> bool:
             _bars(panel, groups, name, shown[name])
             panel.set_yticks(range(len(shown[name])), [short[key] for key in shown[name]])
             panel.set_ylim(rows - 0.5, -0.5)
-            panel.set_title(figure_label(name))
+            panel.set_title(column_title(name))
             panel.set_xlabel("rank correlation")
         squares = [
             Line2D([], [], ls="none", marker="s", ms=7, color=curve_look(i)["color"])

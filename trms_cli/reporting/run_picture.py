@@ -14,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from trms_cli.core import wording
 from trms_cli.reporting.notebook_figure import NotebookFigure
 from trms_cli.reporting.style import (
     ALARM,
@@ -28,6 +29,7 @@ from trms_cli.reporting.style import (
     thinned,
 )
 from trms_cli.reporting.torques import draw_torques, estimated_torques
+from trms_cli.scoring.figures import of_group
 
 Columns = Mapping[str, Any]
 
@@ -316,18 +318,13 @@ def _faults(history: Drawable) -> Iterator[float]:
 
 
 def _score_line(score: Mapping[str, Any]) -> str:
-    if not score:
-        return ""
-    own = score.get("unit", "rad")
-    parts = [f"RMSE {_digits(score['rmse'])} {own}"]
-    for key, words, unit in (
-        ("overshoot_percent", "overshoot", " %"),
-        ("settling_time_s", "settles in", " s"),
-        ("steady_state_error", "steady-state error", f" {own}"),
-    ):
-        if score.get(key) is not None:
-            parts.append(f"{words} {_digits(score[key])}{unit}")
-    return " · ".join(parts)
+    """The figures of a channel that tell most: ``RMSE 0.134 rad · overshoot 4 %``."""
+    unit = str(score.get("unit", "rad"))
+    return " · ".join(
+        f"{figure.label.partition(',')[0]} {wording.quantity(value, figure.unit_of(unit))}"
+        for figure in of_group("channels")
+        if figure.short and (value := figure.value(score)) is not None
+    )
 
 
 def _digits(value: float | None) -> str:

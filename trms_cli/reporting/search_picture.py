@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from trms_cli.reporting.figure_labels import figure_label
 from trms_cli.reporting.style import (
     ALARM,
     FAINT,
@@ -24,6 +23,7 @@ from trms_cli.reporting.style import (
     new_figure,
     save_png,
 )
+from trms_cli.scoring.figures import column_title
 
 #: Pairs of objectives that are drawn: of three all, of more the first.
 _MOST_PANELS = 3
@@ -143,8 +143,8 @@ def _front(panel: Axes, summary: Mapping[str, Any], pair: Sequence[Mapping[str, 
             panel.plot([then[x], now[x]], [then[y], now[y]], color=GREY, lw=0.6, zorder=1.5)
             panel.plot(now[x], now[y], "D", ms=6, mfc=PAPER, mec=PALETTE["vermilion"], ls="none")
     _stay_near(panel, front + before, x, y)
-    panel.set_xlabel(figure_label(x, pair[0]["unit"]))
-    panel.set_ylabel(figure_label(y, pair[1]["unit"]))
+    panel.set_xlabel(column_title(x, pair[0]["unit"]))
+    panel.set_ylabel(column_title(y, pair[1]["unit"]))
 
 
 def _again(panel: Axes, trials: Sequence[Mapping[str, Any]], x: str, y: str) -> None:
@@ -225,7 +225,7 @@ def draw_search(summary: Mapping[str, Any], path: Path) -> bool:
         shown = sum(_is_inside(panel, t["trial"], t["figures"][name]) for t in _ran(summary))
         _title(figure, summary, (), len(values) - shown)
         panel.set_xlabel("trial")
-        panel.set_ylabel(figure_label(name, objective["unit"]))
+        panel.set_ylabel(column_title(name, objective["unit"]))
         legend_above(panel, 4)
         save_png(figure, path)
     return True

@@ -199,6 +199,17 @@ def of_group(*groups: Group) -> list[Figure]:
     return [figure for figure in FIGURES if figure.group in groups]
 
 
+def column_title(name: str, unit: str = "") -> str:
+    """A column of ``trms runs`` on an axis: ``rmse_alpha_h`` is *yaw RMSE [rad]*."""
+    for figure in FIGURES:
+        if name == figure.column_name:
+            return wording.titled(figure.label, unit)
+        channel = name.removeprefix(f"{figure.column_name}_")
+        if channel in wording.SIGNALS and figure.group in ("channels", "inputs", "states"):
+            return wording.titled(f"{wording.signal(channel)} {figure.label}", unit)
+    return wording.titled({"merit": "figure of merit"}.get(name, name.replace("_", " ")), unit)
+
+
 def metrics() -> dict[str, str]:
     """Figures that a comparison ranks by, summed over the channels, with their units."""
     return {f.key: f.unit for f in of_group("channels") if f.total == "sum"}
