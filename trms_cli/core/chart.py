@@ -52,6 +52,7 @@ class Axis:
     unit: str = ""  #: an empty unit shows none
     limits: tuple[float, float] | None = None  #: None: as the marks need
     log: bool = False
+    linked: str = ""  #: Axes of one name are zoomed together where a reader can; "" for alone
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class Curve:
     style: Style = "solid"
     width: float = 1.4  #: Points
     arrow: bool = False  #: Whether an arrowhead on it tells its direction
+    held: bool = False  #: Whether each value holds until the next, as a command does
     z: Values | None = None  #: (n,) or None; in a panel of three axes
 
 
@@ -134,6 +136,17 @@ class Band:
 
 
 @dataclass(frozen=True)
+class Span:
+    """A shaded stretch of the horizontal axis: a time in which something was so."""
+
+    begin: float
+    end: float
+    label: str = ""
+    colour: Colour = "pale"
+    opacity: float = 0.35  #: 0 to 1
+
+
+@dataclass(frozen=True)
 class Line:
     """A line across the panel, at one value of x or of y."""
 
@@ -154,7 +167,7 @@ class Note:
     colour: Colour = "ink"
 
 
-Mark = Curve | Points | Flow | Contour | Region | Band | Line | Note
+Mark = Curve | Points | Flow | Contour | Region | Band | Span | Line | Note
 
 
 @dataclass(frozen=True)
@@ -189,8 +202,13 @@ def as_data(chart: Chart) -> dict[str, Any]:
 
 #: What a mark is called in JSON.
 _KINDS = {
-    kind: kind.__name__.lower() for kind in (Curve, Points, Flow, Contour, Region, Band, Line, Note)
+    kind: kind.__name__.lower()
+    for kind in (Curve, Points, Flow, Contour, Region, Band, Span, Line, Note)
 }
+
+
+#: Left out of the document where they are not set.
+_SILENT = ("held", "linked")
 
 
 def _plain(value: Any) -> Any:
@@ -202,5 +220,7 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if hasattr(value, "__dataclass_fields__"):
         kind = {"kind": _KINDS[type(value)]} if type(value) in _KINDS else {}
-        return kind | {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+        named = [f.name for f in fields(value)]
+        told = [name for name in named if name not in _SILENT or getattr(value, name)]
+        return kind | {name: _plain(getattr(value, name)) for name in told}
     return value

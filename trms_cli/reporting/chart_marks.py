@@ -20,6 +20,7 @@ from trms_cli.core.chart import (
     Note,
     Points,
     Region,
+    Span,
 )
 from trms_cli.reporting.style import ALARM, GREY, INK, PALE, PALETTE, thinned
 
@@ -62,6 +63,10 @@ def draw_mark(axes: Any, mark: Mark) -> Handle | None:
             return _region(axes, mark)
         case Band():
             return _band(axes, mark)
+        case Span():
+            colour = to_rgba(_colour(mark.colour), mark.opacity)
+            axes.axvspan(mark.begin, mark.end, color=colour, linewidth=0, zorder=0)
+            return Handle(Patch(facecolor=colour), ("patch", mark.colour, round(mark.opacity, 2)))
         case Line():
             return _line(axes, mark)
         case Note():
@@ -88,7 +93,7 @@ def _curve(axes: Any, mark: Curve) -> Handle:
         axes.plot(mark.x, mark.y, mark.z, **look)
     else:
         x, y = thinned(mark.x, mark.y)
-        axes.plot(x, y, **look)
+        axes.plot(x, y, drawstyle="steps-post" if mark.held else "default", **look)
         if mark.arrow:
             _arrowhead(axes, np.asarray(mark.x, float), np.asarray(mark.y, float), mark)
     return _line_handle(mark.colour, mark.style, mark.width)

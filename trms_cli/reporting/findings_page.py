@@ -12,6 +12,7 @@ from pathlib import Path
 from trms_cli.core.chart import Chart
 from trms_cli.core.findings import Block, Command, Details, Findings, Judged, Table
 from trms_cli.reporting.chart_picture import picture_of
+from trms_cli.reporting.chart_plot import plots_of
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.style import house_style, save_png
 
@@ -63,7 +64,11 @@ def _add(page: Page, block: Block, pictures: Path | None) -> None:
             figure = picture_of(block)
             if pictures is not None:
                 save_png(figure, pictures / f"{block.name}.png", colours=256)
-            page.figure(figure, block.caption)
+            plots = plots_of(block)
+            if plots is None:
+                page.figure(figure, block.caption)
+            else:
+                page.plots(plots)
         case Command():
             page.text(block.why)
             page.command(block.text)

@@ -1,0 +1,145 @@
+"""The registry of figures: one entry is a figure everywhere."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from trms_cli.commands import score as score_command
+from trms_cli.core import wording
+from trms_cli.core.findings import plain
+from trms_cli.reporting.screen import show_table
+from trms_cli.runs.columns import COLUMNS, figures_of
+from trms_cli.scoring import figures, findings
+from trms_cli.scoring.baseline import Baseline, compare
+from trms_cli.scoring.comparison.compared_run import ComparedRun
+from trms_cli.scoring.comparison.findings import pair_findings, ranking_tables
+from trms_cli.scoring.comparison.grouping import group
+from trms_cli.scoring.comparison.pair import pair
+from trms_cli.scoring.comparison.ranking import rank
+from trms_cli.scoring.figures import Figure, Tolerance
+from trms_cli.scoring.score import score_tables
+
+from .conftest import LIMITS, MakeLog, MakeTables
+
+
+@pytest.fixture
+def ninth(monkeypatch: pytest.MonkeyPatch) -> Figure:
+    """A figure more than the program has."""
+    more = Figure(
+        "channels", "error_p95", "error, 95th percentile", "{}", Tolerance(absolute=1e-3),
+        of=lambda m, channel: m.quantile(np.abs(channel.error), 0.95),
+    )  # fmt: skip
+    monkeypatch.setattr(figures, "FIGURES", [*figures.FIGURES, more])
+    return more
+
+
+def test_one_entry_is_a_figure_everywhere(
+    ninth: Figure, make_log: MakeLog, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(make_log())
+    score_command.main([log, "--json"])
+    document = json.loads(capsys.readouterr().out)
+    value = document["channels"]["alpha_h"]["error_p95"]
+    assert 0 < value < document["channels"]["alpha_h"]["max_abs_error"]
+    # the screen, and the page, which has the same tables
+    score_command.main([log])
+    printed = capsys.readouterr().out
+    assert "error, 95th percentile [rad]" in printed and wording.number(value) in printed
+    tables = findings.tables_of(document)
+    assert any("error, 95th percentile [rad]" in map(plain, row) for row in tables[0].rows)
+    # `trms runs`, comparisons and baselines
+    assert figures_of(document)["error_p95_alpha_h"] == value
+    runs = [ComparedRun(path=p, coordinates={"controller": p}, score=document) for p in "ab"]
+    assert any(row.key == "channels.alpha_h.error_p95" for row in pair(*runs).rows)
+    moved = json.loads(json.dumps(document))
+    moved["channels"]["alpha_h"]["error_p95"] += 0.01
+    (worse,) = [row for row in compare(moved, Baseline(document)) if row.regressed]
+    assert worse.key == "channels.alpha_h.error_p95" and worse.unit == "rad"
+
+
+def test_keys_and_columns_are_told_once(make_tables: MakeTables) -> None:
+    keys = [(figure.group, figure.key) for figure in figures.FIGURES]
+    assert len(set(keys)) == len(keys)
+    score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0)
+    columns = figures_of(score)
+    for name, column in COLUMNS.items():
+        if column.about and column.is_number and name not in ("seed", "sample_time", "took"):
+            assert name in columns, name
+
+
+def test_a_strangers_score_has_the_figures_that_are_numbers() -> None:
+    odd = {"channels": {"alpha_v": {"rmse": "low", "iae": 1.0}, "x": 3}, "inputs": [], "solver": 0}
+    found = {entry.key: entry.value for entry in figures.entries(odd)}
+    assert found["channels.alpha_v.rmse"] is None and found["channels.alpha_v.iae"] == 1.0
+    assert found["violations"] is None
+    assert findings.measures_of(odd)[0].value is None
+    assert [table.columns[0] for table in findings.tables_of(odd)] == ["tracking"]
+
+
+NAMES = [f"newton_mpc + state_dependent_ekf + fits_of_november_{i}" for i in range(3)]
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_a_comparison_of_long_names_loses_no_figure(width: int) -> None:
+    score = {
+        "channels": {"alpha_v": {"rmse": 0.1234, "unit": "rad"}},
+        "inputs": {"u_v": {"effort": 123.4, "total_variation": 56.7, "unit": "V"}},
+        "solver": {"time_ms": {"median": 1.23, "p99": 4.56, "max": 7.89}, "deadline_misses": 2},
+    }
+    runs = [
+        ComparedRun(path=name, coordinates={"controller": name, "seed": str(seed)}, score=score)
+        for name in NAMES
+        for seed in range(6)
+    ]
+    ranking = rank(group(runs))
+    stream = io.StringIO()
+    for table in ranking_tables(ranking, ranking.standings):
+        show_table(Console(file=stream, width=width), table)
+    text = stream.getvalue()
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= width and "…" not in text
+    for shown in ("0.123", "1.000 ★", "1.000–1.000", "123", "56.7", "1.23", "4.56", "7.89"):
+        assert text.count(shown) >= 1, shown
+    assert text.count("7.89") == 3
+    assert "fits_of_november_2" in text.replace("\n", "").replace(" ", "")
+
+
+def test_two_runs_are_told_with_what_differs() -> None:
+    one, other = (
+        ComparedRun(
+            path=who, coordinates={"controller": who},
+            score={"channels": {"alpha_v": {"rmse": rmse, "unit": "rad"}}},
+        )
+        for who, rmse in (("pid", 0.2), ("lqr", 0.1))
+    )  # fmt: skip
+    told = pair_findings(pair(one, other))
+    given, compared = told.tables
+    assert given.rows == [["controller", "pid", "lqr"]]
+    assert [plain(cell) for cell in compared.rows[0]] == [
+        "alpha_v RMSE [rad]",
+        0.2,
+        0.1,
+        -0.1,
+        "−50.0 %",
+    ]
+    assert told.results["schema"] == "trms.compare_pair/1"
+
+
+@pytest.mark.parametrize(
+    ("path", "name"),
+    [
+        ("fit/model.yaml", "fit"),
+        ("outputs/d/corrected_model.yaml", "d corrected"),
+        ("rig.yaml", "rig"),
+        ("model.yaml", "model"),
+        ("a/b/tuned.yaml", "tuned"),
+    ],
+)
+def test_a_fitted_model_is_called_by_its_file_or_fit(path: str, name: str) -> None:
+    assert wording.option("from_file", {"path": path}) == name
+    assert wording.option("newtonian", {"path": path}) == "newtonian"
