@@ -80,7 +80,7 @@ class _Drawing:
     def plot(self, half: bool, height: float) -> Plot:
         for mark in self.panel.marks:
             self._draw(mark)
-        layout = {
+        layout: dict[str, Any] = {
             "xaxis": _axis(self.panel.x),
             "yaxis": _axis(self.panel.y),
             "shapes": self.shapes,
