@@ -139,8 +139,8 @@ class Band:
 class Span:
     """A shaded stretch of the horizontal axis: a time in which something was so."""
 
-    begin: float
-    end: float
+    begin: float  #: in the axis' unit
+    end: float  #: in the axis' unit
     label: str = ""
     colour: Colour = "pale"
     opacity: float = 0.35  #: 0 to 1
