@@ -31,7 +31,7 @@ from trms_cli.core.findings import Column, Table, table
 from trms_cli.core.wording import listing
 from trms_cli.models.model import Model
 from trms_cli.stability.local.modes import RigPart, parts_of, rate_of
-from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath, SweepPoint
+from trms_cli.stability.local.sweep import EigenvalueSweep, LocusPoint, OperatingPath
 from trms_cli.stability.local.tables import amount_words
 from trms_cli.stability.results import rounded
 
@@ -104,7 +104,7 @@ class Sensitivity:
     shares: tuple[EntryShare, ...]  #: By the size of their real parts, largest first
 
 
-def sensitivity(path: OperatingPath, place: SweepPoint, track: int) -> Sensitivity:
+def sensitivity(path: OperatingPath, place: LocusPoint, track: int) -> Sensitivity:
     """dλ/dp and its shares for one eigenvalue of a place."""
     direction = path.direction()
     moved = path.balance.tangent(place.held, place.point, direction)
@@ -220,7 +220,7 @@ def growth_trend(path: OperatingPath, sweep: EigenvalueSweep, k: int, track: int
 
 
 def mode_sensitivity(
-    path: OperatingPath, place: SweepPoint, track: int, mode: str
+    path: OperatingPath, place: LocusPoint, track: int, mode: str
 ) -> ModeSensitivity:
     """The shares of dλ/dp at a place, and the loops through the largest."""
     found = sensitivity(path, place, track)

@@ -140,7 +140,7 @@ _WIDE = 1.0
 
 
 @dataclass(frozen=True)
-class SweepPoint:
+class LocusPoint:
     """An operating point of a sweep."""
 
     value: float  #: Of what is varied
@@ -153,7 +153,7 @@ class SweepPoint:
 class EigenvalueSweep:
     """What was found along a line."""
 
-    places: tuple[SweepPoint, ...]  #: By rising value; eigenvalue i of each belongs to track i
+    places: tuple[LocusPoint, ...]  #: By rising value; eigenvalue i of each belongs to track i
     low: str = ""  #: Why it ended before the range did, on either side
     high: str = ""  #: empty if it did not
 
@@ -259,7 +259,7 @@ class OperatingPath:
             self._base.by_angle, values + one.values - zero.values, p + one.p - zero.p
         )
 
-    def first(self, low: float, high: float) -> SweepPoint:
+    def first(self, low: float, high: float) -> LocusPoint:
         """The place where a sweep begins: where the request stands, or the end next to it.
 
         Raises TrmsError where there is none.
@@ -281,15 +281,15 @@ class OperatingPath:
             )
         return self.place(value, point)
 
-    def place(self, value: float, point: OperatingPoint) -> SweepPoint:
+    def place(self, value: float, point: OperatingPoint) -> LocusPoint:
         """A place at a known operating point."""
         held = self.held(value)
         a = self.linear.a(point.x, point.u, self.side, held.p)
-        return SweepPoint(value, held, point, spectrum_of(a))
+        return LocusPoint(value, held, point, spectrum_of(a))
 
     def following(
-        self, last: SweepPoint, value: float, shortest: float = 1e-3
-    ) -> SweepPoint | None:
+        self, last: LocusPoint, value: float, shortest: float = 1e-3
+    ) -> LocusPoint | None:
         """The place at another value on the same branch, its eigenvalues matched."""
         held = self.held(value)
         point = self.balance.advance(last.held, held, last.point, shortest)
@@ -374,9 +374,9 @@ def sweep_eigenvalues(
 
 
 def _one_way(
-    path: OperatingPath, begin: SweepPoint, values: FloatArray
-) -> tuple[list[SweepPoint], str]:
-    found: list[SweepPoint] = []
+    path: OperatingPath, begin: LocusPoint, values: FloatArray
+) -> tuple[list[LocusPoint], str]:
+    found: list[LocusPoint] = []
     last = begin
     for value in values:
         between = _filled(path, last, float(value), 0)
@@ -389,8 +389,8 @@ def _one_way(
 
 
 def _filled(
-    path: OperatingPath, last: SweepPoint, value: float, depth: int
-) -> list[SweepPoint] | None:
+    path: OperatingPath, last: LocusPoint, value: float, depth: int
+) -> list[LocusPoint] | None:
     """Places up to a value, with further ones between where the matching is unsure."""
     held = path.held(value)
     point = path.balance.advance(last.held, held, last.point)
@@ -415,7 +415,7 @@ def _leaps(before: EigenSpectrum, after: EigenSpectrum) -> bool:
     return bool(moves.max(initial=0.0) > _CORNER * typical)
 
 
-def _end(path: OperatingPath, last: SweepPoint, value: float) -> tuple[SweepPoint | None, str]:
+def _end(path: OperatingPath, last: LocusPoint, value: float) -> tuple[LocusPoint | None, str]:
     """The last place before a value that is not reached, and why."""
     good, bad, span = last, value, abs(value - last.value)
     while abs(bad - good.value) > _END * span:

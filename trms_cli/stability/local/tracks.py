@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from trms_cli.core.arrays import ComplexArray
 from trms_cli.models.model import Model
 from trms_cli.stability.local.modes import STILL, mode_name, parts_of, rate_of, shares_of_parts
-from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath, SweepPoint, match_spectra
+from trms_cli.stability.local.sweep import EigenvalueSweep, LocusPoint, OperatingPath, match_spectra
 
 #: Modes this many times as fast as the fastest motion of an axis have no room in a plane with it.
 _FAR = 8.0
@@ -175,7 +175,7 @@ class Crossing:
     frequency: float  #: Im λ there, rad/s; 0 for a real eigenvalue
     unstable_above: bool  #: Whether the mode is unstable for larger values
     jumps: bool  #: Whether Re λ jumps there (a switch is passed) instead of going through zero
-    place: SweepPoint
+    place: LocusPoint
 
     @property
     def kind(self) -> str:
@@ -206,11 +206,11 @@ def crossings(path: OperatingPath, sweep: EigenvalueSweep) -> tuple[Crossing, ..
 
 
 def _located(
-    path: OperatingPath, before: SweepPoint, after: SweepPoint, track: int
+    path: OperatingPath, before: LocusPoint, after: LocusPoint, track: int
 ) -> Crossing | None:
     T = path.model.sample_time
 
-    def place_at(value: float) -> SweepPoint | None:
+    def place_at(value: float) -> LocusPoint | None:
         place = path.following(before, value)
         if place is None:
             return None

@@ -45,7 +45,7 @@ from trms_cli.stability.subject import LoopParts
 
 
 @dataclass(frozen=True)
-class Multisine:
+class ExcitationPeriod:
     """One period of a multisine of rms 1."""
 
     step: float  #: Control period over which each value is held, s
@@ -85,7 +85,7 @@ def harmonics_of(step: float, lowest: float) -> int:
     return round(math.pi / (lowest * step))
 
 
-def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> Multisine:
+def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> ExcitationPeriod:
     """A multisine of a controller's band.
 
     Parameters
@@ -115,7 +115,7 @@ def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> Multis
     spectrum[chosen] = np.exp(1j * phases)
     spectrum[half] = 1.0
     values = np.fft.irfft(spectrum, 2 * half)
-    return Multisine(step, chosen, values / np.sqrt(np.mean(values**2)))
+    return ExcitationPeriod(step, chosen, values / np.sqrt(np.mean(values**2)))
 
 
 #: Part of the response by which it may still differ from one period to the next: settled.

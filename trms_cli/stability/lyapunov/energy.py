@@ -128,7 +128,7 @@ def _ratio(thrust: float, drag: float, resisting: float, inertia: float, size: c
 
 
 @dataclass(frozen=True)
-class BeamMotion:
+class BeamSymbols:
     """Symbols of the beam's motion; zero for what is locked."""
 
     rate_h: ca.SX  #: Ω, rad/s
@@ -150,7 +150,7 @@ class Beam:
     reaction: ca.SX  #: Moments by the rotors' accelerations, kg m²
 
 
-def beam_of(model: TwinRotor, c: Mapping[str, float], at: BeamMotion, yaw_weight: ca.SX) -> Beam:
+def beam_of(model: TwinRotor, c: Mapping[str, float], at: BeamSymbols, yaw_weight: ca.SX) -> Beam:
     """The form of a model's beam; γ is of the Newtonian model only, whose M is diagonal."""
     cosine = ca.cos(at.alpha_v)
     cross = c["k_g"] * at.thrust_v * cosine
@@ -363,7 +363,7 @@ class Energy:
     def _beam(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
         """M, Γ(N + ½Ṁ), N + Ṁ, arms and reaction, of the axes that move."""
         omega_v = self.part("omega", "v")
-        place = BeamMotion(
+        place = BeamSymbols(
             self.part("Omega", "h"),
             self.part("Omega", "v"),
             omega_v,

@@ -25,7 +25,11 @@ from trms_cli.stability.portraits.rest_points import RestPoint, grid
 from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.separatrices import Separatrix
 from trms_cli.stability.portraits.sticking import StickingSet
-from trms_cli.stability.portraits.trajectories import Trajectory, TrajectoryEnd, drawn_points
+from trms_cli.stability.portraits.trajectories import (
+    PortraitTrajectory,
+    TrajectoryEnd,
+    drawn_points,
+)
 
 #: Points between two drawn points, and the length up to which trajectories are drawn, in shares of
 #: the window's width: a lightly damped spiral drawn to its end hides the plane.
@@ -63,14 +67,14 @@ class PortraitResult:
     section: StateSection
     window: FloatArray  #: (n_c, 2) array
     rests: Sequence[RestPoint]
-    trajectories: Sequence[Trajectory]
+    trajectories: Sequence[PortraitTrajectory]
     ends: Sequence[TrajectoryEnd]  #: Of the trajectories
     duration: float  #: s of each trajectory
     invariant: bool = False  #: Whether no motion leaves the section
     separatrices: Sequence[Separatrix] = ()
     sticking: Sequence[StickingSet] = ()
     #: Drawn faintly: the model alone, beside its loop
-    beside: Sequence[Trajectory] = ()
+    beside: Sequence[PortraitTrajectory] = ()
     loop: str = ""  #: The controller of a closed loop; empty for the model alone
 
 

@@ -18,7 +18,7 @@ from trms_cli.stability.portraits.section import StateSection
 from trms_cli.stability.portraits.separatrices import separatrices
 from trms_cli.stability.portraits.sticking import StickingSet, has_dry_friction, sticking_sets
 from trms_cli.stability.portraits.trajectories import (
-    Trajectory,
+    PortraitTrajectory,
     TrajectoryEnd,
     ends_of,
     loop_trajectories,
@@ -185,7 +185,7 @@ def _ended(
     duration: float,
     sticking: tuple[StickingSet, ...],
     rubs: bool,
-) -> tuple[tuple[Trajectory, ...], tuple[TrajectoryEnd, ...]]:
+) -> tuple[tuple[PortraitTrajectory, ...], tuple[TrajectoryEnd, ...]]:
     """Trajectories and their ends; longer ones where some are still on their way.
 
     Away from the operating point a model may be slower than its slowest mode there.

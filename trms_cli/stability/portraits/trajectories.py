@@ -32,7 +32,7 @@ _MOST_AT_ONCE = 64
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class PortraitTrajectory:
     """A trajectory."""
 
     time: FloatArray  #: (n,) array; s
@@ -47,7 +47,7 @@ def trajectories(
     starts: FloatArray,
     duration: float,
     step: float,
-) -> tuple[Trajectory, ...]:
+) -> tuple[PortraitTrajectory, ...]:
     """Motions of the whole model from starts (m, n_x) with the section's command held.
 
     Where a mode is over within a step (an armature's current: 0.1 ms), finer points come first: a
@@ -59,7 +59,7 @@ def trajectories(
     if fine:
         early = np.arange(_FINE_STEPS + 1) * fine
         time = np.concatenate([early, early[-1] + time[1:]])
-    found: list[Trajectory] = []
+    found: list[PortraitTrajectory] = []
     for first in range(0, len(starts), _MOST_AT_ONCE):
         part = starts[first : first + _MOST_AT_ONCE]
         if fine:
@@ -71,7 +71,7 @@ def trajectories(
         never = np.zeros(len(time), dtype=bool)
         for i in range(len(part)):
             c = coordinates.values(x[:, i], u)
-            found.append(Trajectory(time, x[:, i], c, never))
+            found.append(PortraitTrajectory(time, x[:, i], c, never))
     return tuple(found)
 
 
@@ -83,7 +83,7 @@ def _fine_step(section: StateSection, step: float) -> float:
 
 
 def drawn_points(
-    trajectory: Trajectory, window: FloatArray, apart: float, longest: float = np.inf
+    trajectory: PortraitTrajectory, window: FloatArray, apart: float, longest: float = np.inf
 ) -> tuple[FloatArray, BoolArray]:
     """A trajectory for drawing: points some distance apart, up to a length, within the window.
 
@@ -115,7 +115,7 @@ _AT_BOUND = 1e-6
 class LoopTrajectories:
     """Trajectories of a loop."""
 
-    trajectories: tuple[Trajectory, ...]
+    trajectories: tuple[PortraitTrajectory, ...]
     failures: int  #: Control samples whose solve failed, of all runs
     ended: tuple[str, ...]  #: Why runs ended early
 
@@ -135,7 +135,7 @@ def loop_trajectories(
         # What is held back is the command as given: a loop's path to the motors bounds it too.
         saturated = np.any(np.abs(run.applied) >= bound, axis=1)
         c = coordinates.values(run.x, run.applied)
-        found.append(Trajectory(run.time, run.x, c, saturated))
+        found.append(PortraitTrajectory(run.time, run.x, c, saturated))
         failures += run.failures
         if run.ended:
             ended.append(run.ended)
@@ -180,7 +180,7 @@ def ends_of(
     section: StateSection,
     window: FloatArray,
     rests: Sequence[RestPoint],
-    found: Sequence[Trajectory],
+    found: Sequence[PortraitTrajectory],
     sticking: Sequence[StickingSet] = (),
     *,
     dry_friction: bool = False,
@@ -224,7 +224,7 @@ def _verdict(
     section: StateSection,
     window: FloatArray,
     known: list[RestPoint],
-    trajectory: Trajectory,
+    trajectory: PortraitTrajectory,
     sticking: Sequence[StickingSet],
     dry_friction: bool,
     search_beyond: bool,
@@ -256,7 +256,7 @@ def _verdict(
     return _Verdict("moving" if inside else "gone")
 
 
-def _arrival(trajectory: Trajectory, goal: FloatArray, near: FloatArray) -> float:
+def _arrival(trajectory: PortraitTrajectory, goal: FloatArray, near: FloatArray) -> float:
     """s after which it stays near."""
     away = np.flatnonzero(~np.all(np.abs(trajectory.c - goal) <= near, axis=1))
     return float(trajectory.time[min(away[-1] + 1, len(trajectory.time) - 1)]) if len(away) else 0.0
