@@ -22,6 +22,7 @@ from trms_cli.reporting.style import (
     legend_above,
     new_figure,
     save_png,
+    signal_place,
     thinned,
 )
 from trms_cli.reporting.torques import draw_torques, estimated_torques
@@ -117,7 +118,8 @@ def _draw_innovation(panel: Axes, name: str, figures: Mapping[str, Any], history
 
 
 def _draw_commands(panel: Axes, history: Drawable) -> None:
-    for colour, (name, values) in zip(COLOURS, history.columns("/command").items(), strict=False):
+    for number, (name, values) in enumerate(history.columns("/command").items()):
+        colour = COLOURS[signal_place(name, number) % len(COLOURS)]
         time, held = thinned(history.times("/command"), values)
         label = f"{LABELS.get(name, name)} {name}"
         panel.plot(time, held, color=colour, lw=0.6, alpha=0.7, drawstyle="steps-post", label=label)

@@ -27,7 +27,7 @@ from trms_cli.reporting.interactive import (
     time_plot,
 )
 from trms_cli.reporting.reported import FloatArray, ReportedRun, RunEvent, numbers
-from trms_cli.reporting.style import LABELS
+from trms_cli.reporting.style import LABELS, signal_place
 
 #: Marks and shaded times of a plot at most: more say no more than that there are many.
 MOST_MARKS = 60
@@ -79,7 +79,8 @@ def command_plot(run: ReportedRun) -> list[Plot]:
     unit = run.unit("/command", names[0])
     plot = time_plot("commands", axis_title("command", unit), height=240)
     time, seen = run.time("/command"), []
-    for colour, name in zip(CURVES, names, strict=False):
+    for number, name in enumerate(names):
+        colour = CURVES[signal_place(name, number) % len(CURVES)]
         values = numbers(run.topic("/command")[name])
         label = name if label_of(name) == name else f"{label_of(name)} {name}"
         plot.traces.append(line(time, values, label, colour, steps=True))
@@ -111,7 +112,8 @@ def state_plots(run: ReportedRun) -> list[Plot]:
         unit = _unit_anywhere(run, members[0])
         plot = time_plot(words, axis_title(words, unit), half=True, height=240)
         seen: list[FloatArray] = []
-        for colour, name in zip(CURVES, members, strict=False):
+        for number, name in enumerate(members[: len(CURVES)]):
+            colour = CURVES[signal_place(name, number) % len(CURVES)]
             seen += _draw_state(plot, run, name, colour)
         if any(trace["mode"] == "lines" for trace in plot.traces):
             _frame(plot, seen)
@@ -131,7 +133,7 @@ def torque_plots(run: ReportedRun) -> list[Plot]:
             deviation = numbers(estimate.get(f"sd_{name}", np.zeros(len(time))))
             if not np.any(deviation > 0):
                 continue
-            colour = CURVES[len(plot.traces) // 2 % len(CURVES)]
+            colour = CURVES[signal_place(name, len(plot.traces) // 2) % len(CURVES)]
             unit = run.unit("/estimate", name)
             factor = 1e3 if unit == "N m" else 1.0  # shown in mN m
             values, deviation = factor * numbers(estimate[name]), factor * deviation

@@ -26,6 +26,7 @@ from trms_cli.reporting.style import (
     PALE,
     house_style,
     legend_above,
+    signal_place,
     thinned,
 )
 from trms_cli.reporting.torques import draw_torques, estimated_torques
@@ -226,10 +227,11 @@ def _draw_commands(
 ) -> None:
     time, commands = history.times("/command"), history.columns("/command")
     seen = []
-    for colour, (name, values) in zip(COLOURS, commands.items(), strict=False):
+    colours = {name: COLOURS[signal_place(name, i) % 4] for i, name in enumerate(commands)}
+    for name, values in commands.items():
         drawn, held = thinned(time, values)
         label = f"{LABELS.get(name, name)} {name}"
-        panel.plot(drawn, held, color=colour, lw=1.0, drawstyle="steps-post", label=label)
+        panel.plot(drawn, held, color=colours[name], lw=1.0, drawstyle="steps-post", label=label)
         seen.append(held)
     bounds = {abs(b) for name in commands for b in limits.get(name, ()) if np.isfinite(b)}
     reach = max((float(np.nanmax(np.abs(v))) for v in seen if len(v)), default=1.0)
@@ -237,9 +239,9 @@ def _draw_commands(
         if bound < 2.5 * reach:
             panel.axhline(bound, color=ALARM, lw=0.8, ls=":")
             panel.axhline(-bound, color=ALARM, lw=0.8, ls=":")
-    for colour, name in zip(COLOURS, commands, strict=False):
+    for name in commands:
         for begin, end in _saturated(history, name):
-            panel.axvspan(begin, end, color=colour, alpha=0.18, lw=0, zorder=0)
+            panel.axvspan(begin, end, color=colours[name], alpha=0.18, lw=0, zorder=0)
     panel.set_ylabel("command [V]")
     legend_above(panel)
 

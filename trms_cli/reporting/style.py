@@ -62,6 +62,19 @@ LINE_STYLES: tuple[Any, ...] = (
 #: Of limits, faults and missed deadlines.
 ALARM = "#c1272d"
 
+#: What belongs to pitch and the main rotor has the first colour in every figure, yaw and the tail
+#: rotor the second.
+_PLACES = (("pitch", "main", "_v"), ("yaw", "tail", "_h"))
+
+
+def signal_place(name: str, number: int = 0) -> int:
+    """Place of a signal's colour: that of its axis, else the one that its number gives."""
+    for place, parts in enumerate(_PLACES):
+        if name.startswith(parts[:2]) or name.endswith(parts[2]):
+            return place
+    return number + len(_PLACES)
+
+
 LABELS = MappingProxyType(
     {
         "alpha_v": "pitch",

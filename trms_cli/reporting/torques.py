@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from trms_cli.reporting.style import COLOURS, PALE, legend_above, thinned
+from trms_cli.reporting.style import COLOURS, PALE, legend_above, signal_place, thinned
 
 #: Ending of a torque's name by where it acts.
 _ENDINGS = {"axes": "_moment", "rotors": "_motor"}
@@ -47,7 +47,8 @@ def draw_torques(
     """
     reach: list[tuple[float, float]] = []
     settled = len(times) // 20
-    for colour, name in zip(COLOURS, names, strict=False):
+    for number, name in enumerate(names):
+        colour = COLOURS[signal_place(name, number) % len(COLOURS)]
         time, values = thinned(times, 1e3 * np.asarray(estimate[name], dtype=float))
         _, band = thinned(times, 2e3 * np.asarray(estimate[f"sd_{name}"], dtype=float))
         panel.fill_between(

@@ -67,7 +67,8 @@
     };
     const base = {
       height: plot.spec.height,
-      margin: { l: 52, r: 14, t: 8, b: 34 },
+      // linked axes stand in one line: the numbers beside them take no room of their own
+      margin: { l: plot.spec.group ? 66 : 52, r: 14, t: 8, b: 34 },
       paper_bgcolor: "rgba(0,0,0,0)",
       plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: "system-ui, sans-serif", size: 12, color: colours.ink },
@@ -77,7 +78,7 @@
       legend: { orientation: "h", x: 0, y: 1, xanchor: "left", yanchor: "bottom" },
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colours.grey, activecolor: colours.blue },
       xaxis: axis,
-      yaxis: axis,
+      yaxis: plot.spec.group ? { ...axis, automargin: false } : axis,
       yaxis2: axis,
     };
     const layout = merged(base, coloured(plot.spec.layout, colours, ""));
