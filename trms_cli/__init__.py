@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from trms_cli.core.errors import ConfigurationError as ConfigurationError
     from trms_cli.core.errors import RecordingError as RecordingError
     from trms_cli.core.errors import TrmsError as TrmsError
-    from trms_cli.library.calling import Interrupted as Interrupted
     from trms_cli.library.calling import TrmsNote as TrmsNote
     from trms_cli.library.choosing import build as build
     from trms_cli.library.choosing import options as options
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from trms_cli.library.studying import validate as validate
     from trms_cli.library.sweeping import Sweep as Sweep
     from trms_cli.library.sweeping import sweep as sweep
+    from trms_cli.library.tasks.task import Interrupted as Interrupted
     from trms_cli.simulation.closed_loop import Experiment as Experiment
 
 #: Module of each name.
@@ -48,7 +48,7 @@ _HOMES = {
     "ConfigurationError": "core.errors",
     "RecordingError": "core.errors",
     "TrmsError": "core.errors",
-    "Interrupted": "library.calling",
+    "Interrupted": "library.tasks.task",
     "TrmsNote": "library.calling",
     "build": "library.choosing",
     "options": "library.choosing",

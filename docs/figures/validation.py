@@ -5,15 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
-from trms_cli.commands.validate_pictures import correlation_rows, error_growths, free_run_traces
-from trms_cli.commands.validate_request import validation_of
 from trms_cli.composition.composer import compose
+from trms_cli.identification.validation import charts
 from trms_cli.identification.validation.validate import validate_all
-from trms_cli.reporting.style import save_png
-from trms_cli.reporting.validation_figures import free_run_figure, growth_figure, region_figure
-from trms_cli.reporting.validation_spectra import correlation_figure
+from trms_cli.library.tasks.validation_request import validation_of
+from trms_cli.reporting.chart_picture import picture_of
+from trms_cli.reporting.style import house_style, save_png
 
 #: The rig of the page: two effects that `newtonian` does not know.
 RIG = (
@@ -36,18 +36,18 @@ def draw(folder: Path) -> None:
             composed, ("newtonian", "with both effects"), strict=True
         )]  # fmt: skip
         (nominal,), (right,) = (validate_all(a.models, a.datasets, a.options) for a in asked)
-    units = {s.name: s.unit for s in (*nominal.model.inputs, *nominal.model.outputs)}
-    _, traces = free_run_traces([nominal, right])
-    save_png(free_run_figure(traces[:2]), folder / "validation_free_runs.png")
-    save_png(growth_figure(error_growths([nominal, right])), folder / "validation_growth.png")
-    save_png(
-        region_figure({nominal.name: nominal.regions}, units, nominal.region_horizon),
-        folder / "validation_regions.png",
-    )
-    rows = {
-        channel: row for channel, row in correlation_rows(nominal).items() if "alpha" in channel
+    both = [nominal, right]
+    runs = charts.free_run_chart(both)
+    drawn = {
+        "free_runs": replace(runs, panels=runs.panels[:4]),
+        "growth": charts.growth_chart(both),
+        "regions": charts.region_chart([nominal]),
+        "tests": charts.correlation_chart(nominal, ["alpha_v", "alpha_h"]),
     }
-    save_png(correlation_figure(rows), folder / "validation_tests.png")
+    with house_style():
+        for name, chart in drawn.items():
+            assert chart is not None
+            save_png(picture_of(chart), folder / f"validation_{name}.png")
 
 
 if __name__ == "__main__":

@@ -78,9 +78,9 @@ def recorded(words: Sequence[str], folder: Path) -> Path:
 def _fit(
     outcome: CaseOutcome, method: str, words: Sequence[str], fit: Path, held_out: Path
 ) -> None:
-    from trms_cli.commands.identify_request import identification_of
     from trms_cli.composition.composer import compose
     from trms_cli.identification.population import SimulationCost
+    from trms_cli.library.tasks.identification_request import identification_of
 
     overrides = [f"real='{fit}'", f"validation.real='{held_out}'", "jobs=1"]
     asked = identification_of(compose([*overrides, *outcome.case.identify, *words], "identify"))

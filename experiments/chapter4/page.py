@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from experiments.chapter4.fitting import CaseOutcome, Fitted
-from trms_cli.commands.identify_document import as_json
+from trms_cli.library.tasks.identify import as_json
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "chapter4.md", ROOT / "docs" / "figures" / "chapter4"

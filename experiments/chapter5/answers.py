@@ -24,8 +24,9 @@ COUNT = "#"
 
 def answer(question: Question, pictures: str | None) -> dict[str, Any]:
     """The document of one question; its pictures are kept in a folder, if there is one."""
-    from trms_cli.commands import stability
     from trms_cli.composition.composer import compose
+    from trms_cli.library.tasks import stability
+    from trms_cli.library.tasks.task import Listener
 
     with tempfile.TemporaryDirectory(prefix="trms-chapter5-") as scratch:
         folder = Path(scratch, "answer")
@@ -33,7 +34,7 @@ def answer(question: Question, pictures: str | None) -> dict[str, Any]:
         if pictures is None:
             words.append("page=false")
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            stability.perform(compose(words, stability.COMPOSES))
+            stability.perform(compose(words, "stability"), Listener("stability"))
         document: dict[str, Any] = json.loads(
             (folder / stability.DOCUMENT_NAME).read_text(encoding="utf-8")
         )

@@ -22,8 +22,9 @@ def identified(recording: Path, out: Path, effect: str = "") -> Path:
     Path
         Of the fitted model; an earlier fit in the same folder is taken.
     """
-    from trms_cli.commands import identify
     from trms_cli.composition.composer import compose
+    from trms_cli.library.tasks import identify
+    from trms_cli.library.tasks.task import Listener
 
     model = out / identify.MODEL_NAME
     if not model.exists():
@@ -31,7 +32,7 @@ def identified(recording: Path, out: Path, effect: str = "") -> Path:
         if effect:
             words += [f"effect={effect}", f"free=[priors,'{effect}.*']"]
         with _silence():
-            identify.perform(compose(words, "identify"))
+            identify.perform(compose(words, "identify"), Listener("identify"))
     return model
 
 

@@ -158,10 +158,11 @@ def commands_of(command: str, scratch: Path, sample_time: float) -> FloatArray:
 
 
 def _designed(words: Sequence[str], scratch: Path) -> tuple[FloatArray, FloatArray]:
-    from trms_cli.commands import excite
     from trms_cli.composition.composer import compose
+    from trms_cli.library.tasks import excite
+    from trms_cli.library.tasks.task import Listener
 
-    excite.perform(compose(words, "excite"))
+    excite.perform(compose(words, "excite"), Listener("excite"))
     lines = (scratch / excite.TABLE_NAME).read_text(encoding="utf-8").splitlines()
     lines = [line for line in lines if line and not line.startswith("#")]
     names = [cell.split("[")[0] for cell in lines[0].split(",")]

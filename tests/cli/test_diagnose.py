@@ -121,12 +121,12 @@ class TestDiagnosis:
     def test_screen_says_what_the_file_says(self, found, trms, lab):
         found(diagnosis())
         done = trms("diagnose", "real=rig.csv", "out=screen", "page=false")
-        assert len(done.stdout.splitlines()) <= 40
+        assert len(done.stdout.splitlines()) <= 45
         document = read(lab / "screen" / "diagnosis.json")
         for cause in document["causes"][:3]:
             assert f"{100 * cause['probability']:.0f} %" in done.stdout
         refit = document["gap"]["alpha_h"]["2.0"]["refit"]
-        assert re.search(rf"alpha_h \[mrad\] .* {1e3 * refit:.3g} ", done.stdout)
+        assert re.search(rf"yaw \[mrad\] .* {1e3 * refit:.3g} ", done.stdout)
         assert document["next_experiment"]["command"] in done.stdout
         assert not (lab / "screen" / "report.html").exists()
 
@@ -526,7 +526,7 @@ class TestWhole:
         assert errors["corrected_model"]["2.0"] < 0.3 * errors["refit_model"]["2.0"]
 
     def test_stopped_and_resumed_it_says_the_same(self, done, trms, lab, monkeypatch):
-        from trms_cli.commands.diagnose_progress import DiagnoseProgress
+        from trms_cli.reporting.progress import DiagnoseProgress
 
         told = DiagnoseProgress.update
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from trms_cli.cli import main
-from trms_cli.commands.validate_models import model_list, named_sets, one_of, shown_names
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.library.tasks.validated_models import model_list, named_sets, one_of, shown_names
 
 HEADER = "t[s],u_v[V],alpha_v[deg],omega_v[rpm]\n"
 

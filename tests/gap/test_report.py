@@ -1,4 +1,4 @@
-"""The report: it says what the document says, and it is one file."""
+"""What a diagnosis has to tell: its findings say what the document says; the page is one file."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from trms_cli.core.chart import Bars, RigDiagram
+from trms_cli.core.findings import Findings, Judged, Table, plain
 from trms_cli.gap.diagnosis import (
     LOCATIONS,
     Cause,
+    Diagnosis,
     Gap,
     LocationShare,
+    NotTestable,
     RaceEntry,
     RegionShare,
     Shrink,
 )
-from trms_cli.reporting import diagnosis_figures as figures
-from trms_cli.reporting.diagnosis_diagram import diagram
-from trms_cli.reporting.diagnosis_page import diagnosis_page
-from trms_cli.reporting.diagnosis_words import confidence_words, race_words, where_words
-from trms_cli.reporting.diagnosis_words import tests_words as words_of_tests
+from trms_cli.gap.findings import findings, force_chart, gap_chart, race_chart, run_chart
+from trms_cli.reporting.findings_page import page_of
+from trms_cli.reporting.rig_diagram import diagram
 
 from .diagnosis_case import FRICTION, diagnosis, traces
 
@@ -41,9 +43,20 @@ def drawn(figure) -> list[str]:
     return [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
-def test_says_what_was_found_in_one_file() -> None:
+def section(told: Findings, heading: str):
+    return next(section for section in told.sections if section.heading == heading)
+
+
+def rows(told: Findings, head: str) -> list[list]:
+    """Of the first table with a column of that head, without judgements."""
+    table = next(t for t in told.tables if head in t.columns)
+    return [[plain(cell) for cell in row] for row in table.rows]
+
+
+def test_says_what_was_found_in_one_file(tmp_path) -> None:
     case = diagnosis()
-    text = diagnosis_page(case, remarks=["12 samples of alpha_h are missing"]).html()
+    told = findings(case, ["12 samples of alpha_h are missing"], tmp_path)
+    text = page_of(told, interactive=False).html()
     said = words_of(text)
     for expected in (
         case.sentence,
@@ -57,18 +70,23 @@ def test_says_what_was_found_in_one_file() -> None:
         "91 %",
         "monday.csv",
         "+4.9 sd",
+        f"validate model={tmp_path}/corrected_model.yaml",
     ):
         assert expected in said, expected
+    assert told.title == "Diagnosis: yaw Coulomb friction is what the model lacks"
     assert not re.search(r"https?:", re.sub(r"data:[^\"]+", "", text))
-    assert text.count("<img ") == 5
+    assert text.count("<img ") == 5 and "█" not in text
 
 
 def test_the_gap_is_told_in_numbers_of_the_document() -> None:
     case = diagnosis(**PLAIN)
-    said = words_of(diagnosis_page(case).html())
     row = case.gap["alpha_h"]["10.0"]
-    shown = " ".join(f"{1e3 * v:.3g}" for v in (row.raw, row.refit, row.corrected, row.floor))
-    assert f"yaw 10 {shown} mrad 91 % 87 % to 94 %" in said
+    whole = section(findings(case), "Before and after").blocks[-1]
+    assert isinstance(whole, Table)
+    shown = next([plain(c) for c in r] for r in whole.rows if r[:2] == ["yaw [mrad]", "10"])
+    figures = (row.raw, row.refit, row.corrected, row.floor)
+    assert shown[2:6] == pytest.approx([1e3 * value for value in figures])
+    assert shown[6:] == ["91 %", "87 to 94 %"]
 
 
 @pytest.mark.parametrize(
@@ -85,11 +103,12 @@ def test_the_gap_is_told_in_numbers_of_the_document() -> None:
 )  # fmt: skip
 def test_every_verdict_has_a_page(changes: dict) -> None:
     case = diagnosis(**changes)
-    said = words_of(diagnosis_page(case).html())
+    told = findings(case)
+    said = words_of(page_of(told, interactive=False).html())
     assert case.sentence in said
     for line in case.description:
         assert (line in said) == (case.verdict in ("none_of_these", "undecided"))
-    assert ("The next experiment" in said) == (case.next_experiment is not None)
+    assert bool(told.next) == (case.next_experiment is not None)
 
 
 def test_what_could_not_be_told_is_a_dash() -> None:
@@ -99,25 +118,56 @@ def test_what_could_not_be_told_is_a_dash() -> None:
         shrink={"alpha_v": {"2.0": Shrink(fraction=None, ci95=None)}},
         **PLAIN,
     )
-    assert "pitch 2 – ∞ – 1 mrad –" in words_of(diagnosis_page(case).html())
+    assert "pitch [mrad] 2 – ∞ – 1 –" in words_of(page_of(findings(case), interactive=False).html())
 
 
 def test_nothing_corrected_is_not_called_closed() -> None:
     row = diagnosis().gap["alpha_h"]["2.0"]
     same = {"alpha_h": {"2.0": replace(row, corrected=row.refit)}}
     case = diagnosis(gap=same, verdict="none_of_these", **PLAIN)
-    said = words_of(diagnosis_page(case).html())
-    assert "No cause was added" in said and "the correction closes" not in said
-    panel = figures.gap_figure(same, corrected=False).axes[0]
-    assert [line.get_label() for line in panel.lines] == ["as it was", "refitted", "floor"]
+    told = findings(case)
+    assert "No cause was added" in section(told, "Before and after").text[0]
+    assert not any("closed" in table.columns for table in told.tables)
+    chart = gap_chart(case)
+    labels = [mark.label for mark in chart.panels[0].marks if getattr(mark, "label", "")]
+    assert labels == ["as it was", "refitted", "floor"]
 
 
 def test_a_channel_that_got_worse_is_not_hidden() -> None:
     row = diagnosis().gap["omega_v"]["2.0"]
     worse = {"omega_v": {"2.0": replace(row, corrected=1.2 * row.refit)}}
-    text = diagnosis_page(diagnosis(gap=worse, worse=("omega_v",), **PLAIN)).html()
-    assert "made main rotor worse" in words_of(text)
-    assert re.search(r'<td class="bad number">2\.', text)
+    told = findings(diagnosis(gap=worse, worse=("omega_v",), **PLAIN))
+    assert "made main rotor worse" in told.warnings[0]
+    cells = [cell for table in told.tables for row in table.rows for cell in row]
+    assert any(isinstance(c, Judged) and c.judgement == "bad" and c.value > 2 for c in cells
+               if isinstance(getattr(c, "value", None), float))  # fmt: skip
+
+
+class TestNothingContradicts:
+    def test_a_share_is_never_more_than_all(self) -> None:
+        beyond = LocationShare(location="yaw_moment", share=4.56, ci95=(1.82, 4.56))
+        shrink = {"all": {"2.0": Shrink(fraction=1.3, ci95=(-9.0, 1.4))}}
+        told = findings(diagnosis(where=(beyond,), region=(), shrink=shrink, **PLAIN))
+        said = words_of(page_of(told, interactive=False).html())
+        assert not re.search(r"[1-9]\d\d %|[−-]\d+ %", said.replace("100 %", ""))
+        assert rows(told, "share of the gap")[0][1] == "all"
+
+    def test_what_has_no_probability_is_not_confusable(self) -> None:
+        case = diagnosis(confusable=((FRICTION, "yaw_stribeck_friction", "yaw_tangling_cable"),))
+        (first, *_) = rows(findings(case), "not told apart from")
+        assert first[-1] == "yaw Stribeck friction"
+
+    def test_a_cause_is_not_called_untestable(self) -> None:
+        untested = (NotTestable(effect=FRICTION, reason="x"), NotTestable(effect="y", reason="z"))
+        told = findings(diagnosis(not_testable=untested, **PLAIN))
+        assert [row[0] for row in rows(told, "not testable")] == ["y"]
+
+    def test_only_the_advice_says_what_an_experiment_tells(self) -> None:
+        assert not any("experiment" in sentence for sentence in findings(diagnosis()).lead)
+
+
+def shown(where, channels=()) -> RigDiagram:
+    return RigDiagram("places", {p.location: (p.share, *p.ci95) for p in where}, channels)
 
 
 class TestDiagram:
@@ -126,21 +176,22 @@ class TestDiagram:
             LocationShare(location=name, share=0.07 * i, ci95=(0.05 * i, 0.08 * i))
             for i, name in enumerate(LOCATIONS)
         ]
-        said = drawn(diagram(where))
+        said = drawn(diagram(shown(where)))
         for i, name in enumerate(LOCATIONS):
             assert name.replace("_", " ") in said and f"{7 * i:.0f} %" in said
 
     def test_a_place_with_nothing_has_no_figure(self) -> None:
-        said = drawn(diagram([LocationShare(location="yaw_moment", share=1.0, ci95=(1.0, 1.0))]))
+        whole = LocationShare(location="yaw_moment", share=1.0, ci95=(1.0, 1.0))
+        said = drawn(diagram(shown([whole])))
         assert sum("%" in text for text in said) == 2 and "main tacho" in said
 
     def test_a_sensor_that_was_not_recorded_is_dashed(self) -> None:
-        panel = diagram([], ["u_v", "u_h", "alpha_v", "alpha_h", "omega_v"]).axes[0]
+        panel = diagram(shown([], ["u_v", "u_h", "alpha_v", "alpha_h", "omega_v"])).axes[0]
         dashed = [patch for patch in panel.patches if patch.get_linestyle() != "-"]
         assert len(panel.patches) == 12 and len(dashed) == 1
 
     def test_a_rig_of_one_axis_has_one_row(self) -> None:
-        said = drawn(diagram([], ["u_h", "alpha_h", "omega_h"]))
+        said = drawn(diagram(shown([], ["u_h", "alpha_h", "omega_h"])))
         assert "yaw moment" in said and "pitch moment" not in said and "main tacho" not in said
 
     def test_the_larger_the_share_the_darker(self) -> None:
@@ -149,93 +200,90 @@ class TestDiagram:
             LocationShare(location="tail_thrust", share=0.2, ci95=(0.1, 0.3)),
             LocationShare(location="tail_motor", share=0.0, ci95=(0.0, 0.1)),
         ]
-        panel = diagram(where).axes[0]
+        panel = diagram(shown(where)).axes[0]
         light = sorted(sum(patch.get_facecolor()[:3]) for patch in panel.patches)
         assert light[0] < light[1] < light[2] == 3.0
 
 
 class TestRace:
+    def bars(self, case: Diagnosis) -> Bars:
+        (bars,) = race_chart(case).panels[0].marks
+        assert isinstance(bars, Bars)
+        return bars
+
     def test_bars_are_the_scores_from_the_best(self) -> None:
         case = diagnosis()
-        panel = figures.race_figure(case.race, case.confusable).axes[0]
-        names = [tick.get_text() for tick in panel.get_yticklabels()]
-        assert names[:2] == ["yaw Coulomb friction", "yaw Stribeck friction"]
-        widths = [patch.get_width() for patch in panel.patches]
-        assert widths == sorted((e.score for e in case.race), reverse=True)
-        assert [t for t in drawn(panel.figure) if "confusable" in t] == ["96 %   confusable"]
+        bars = self.bars(case)
+        assert list(bars.names[:2]) == ["yaw Coulomb friction", "yaw Stribeck friction"]
+        assert list(bars.values) == sorted((e.score for e in case.race), reverse=True)
+        assert list(bars.colours[:2]) == ["blue", "sky"]
+        assert [n for n in bars.notes if n] == ["not told from the best"]
 
     def test_one_that_fails_does_not_flatten_the_others(self) -> None:
-        race = (
-            *diagnosis().race,
-            RaceEntry(effects=("x",), score=-1e6, se=1, explained=0, moved=0),
-        )
-        low, high = figures.race_figure(race, ()).axes[0].get_xlim()
+        failed = RaceEntry(effects=("x",), score=-1e6, se=1, explained=0, moved=0)
+        low, high = race_chart(diagnosis(race=(*diagnosis().race, failed))).panels[0].x.limits
         assert low > -0.3 * high
 
-    def test_the_likeliest_cause_is_the_one_in_bold(self) -> None:
+    def test_the_likeliest_cause_is_the_winner(self) -> None:
         case = diagnosis()
         best = ("yaw_stribeck_friction",)
-        panel = figures.race_figure(case.race, case.confusable, best).axes[0]
-        bold = [t.get_text() for t in panel.get_yticklabels() if t.get_fontweight() == "bold"]
-        assert bold == ["yaw Stribeck friction"]
         nameless = diagnosis(causes=(Cause(effects=("none_of_these",), probability=0.9),))
-        assert race_words(nameless).startswith("Yaw Coulomb friction foretells")
+        (words,) = section(findings(nameless), "The race of the candidates").text
+        assert words.startswith("Yaw Coulomb friction foretells")
         swapped = diagnosis(causes=(Cause(effects=best, probability=0.9), *case.causes[:1]))
-        assert race_words(swapped).startswith("Yaw Stribeck friction foretells")
-        assert "Above it is yaw Coulomb friction by 30 nats" in race_words(swapped)
+        assert list(self.bars(swapped).colours[:2]) == ["sky", "blue"]
+        (words,) = section(findings(swapped), "The race of the candidates").text
+        assert "Above it is yaw Coulomb friction by 30 nats" in words
 
     def test_words_warn_of_something_that_has_no_name(self) -> None:
         entries = [replace(e, score=9000.0) if e.effects == ("flexible",) else e
                    for e in diagnosis().race]  # fmt: skip
-        assert "something else is missing" in race_words(diagnosis(race=tuple(entries)))
-        assert "does no better" in race_words(diagnosis())
+        for race, words in ((entries, "something else is missing"), ((), "does no better")):
+            case = diagnosis(race=tuple(race)) if race else diagnosis()
+            assert words in section(findings(case), "The race of the candidates").text[0]
 
 
-class TestWords:
-    def test_confidence(self) -> None:
-        first, second = confidence_words(diagnosis())
-        assert first.startswith("**Sure**")
-        assert "**88 %**, **96 %** together with yaw Stribeck friction" in first
-        assert "next is none of these with 3 %" in first
-        assert "yaw Coulomb friction and yaw Stribeck friction apart" in second
-
-    def test_a_pair_that_is_not_the_answer_is_not_brought_up(self) -> None:
-        pair = (("main_input_delay", "main_actuator_lag"),)
-        (words,) = confidence_words(diagnosis(confusable=pair))
-        assert words.startswith("**Likely**") and "next is yaw Stribeck friction with 8 %" in words
-
-    def test_a_place_that_is_not_certain(self) -> None:
-        near = (
-            LocationShare(location="yaw_moment", share=0.5, ci95=(0.3, 0.7)),
-            LocationShare(location="tail_thrust", share=0.4, ci95=(0.2, 0.6)),
-        )
-        assert "tail thrust reach as far" in where_words(diagnosis(where=near))
-        assert "reach" not in where_words(diagnosis())
-
-    def test_tests(self) -> None:
-        assert "1 of 2 tests" in words_of_tests(diagnosis())
-        assert "in yaw" in words_of_tests(diagnosis())
+def test_confidence() -> None:
+    words = findings(diagnosis()).lead[1]
+    assert words.startswith("**Sure**: yaw Coulomb friction, 88 %; 96 % together with yaw Stribeck")
+    assert "next is none of these with 3 %" in words
+    pair = (("main_input_delay", "main_actuator_lag"),)
+    words = findings(diagnosis(confusable=pair)).lead[1]
+    assert words.startswith("**Likely**") and "next is yaw Stribeck friction with 8 %" in words
 
 
-class TestForce:
-    def test_the_enlarged_part_is_where_the_cause_acts(self) -> None:
-        case = traces()
-        late = np.where(case.force_time > 80, 1.0, 0.0)
-        case = replace(case, explained={"yaw_moment": late})
-        panels = figures.force_figure(case, ["yaw_moment"]).axes
-        assert panels[1].get_xlim()[0] > 79
+def test_a_place_that_is_not_certain() -> None:
+    near = (
+        LocationShare(location="yaw_moment", share=0.5, ci95=(0.3, 0.7)),
+        LocationShare(location="tail_thrust", share=0.4, ci95=(0.2, 0.6)),
+    )
+    (text,) = section(findings(diagnosis(where=near)), "Where the gap lies").text
+    assert "interval of tail thrust reaches as far" in text
+    assert "reach" not in section(findings(diagnosis()), "Where the gap lies").text[0]
 
-    def test_nothing_smoothed_is_no_figure(self) -> None:
-        assert figures.force_figure(replace(traces(), force={}), ["yaw_moment"]) is None
-        assert figures.run_figure(replace(traces(), runs={})) is None
-        assert figures.gap_figure({}) is None
+
+def test_tests_that_see_a_gap_are_counted() -> None:
+    (text,) = section(findings(diagnosis()), "Is there a gap at all?").text
+    assert "1 of 2 tests" in text and "in yaw" in text
+
+
+def test_the_enlarged_part_is_where_the_cause_acts() -> None:
+    case = traces()
+    late = np.where(case.force_time > 80, 1.0, 0.0)
+    chart = force_chart(replace(case, explained={"yaw_moment": late}), ["yaw_moment"])
+    assert chart.panels[1].x.limits[0] > 79
+
+
+def test_nothing_smoothed_is_no_chart() -> None:
+    assert force_chart(replace(traces(), force={}), ["yaw_moment"]) is None
+    assert run_chart(replace(traces(), runs={})) is None
+    assert gap_chart(diagnosis(gap={})) is None
 
 
 def test_a_region_is_told() -> None:
     region = (RegionShare(location="yaw_moment", condition="|alpha_h| > 0.5 rad", share=0.6),)
-    assert "|alpha_h| > 0.5 rad 60 %" in words_of(
-        diagnosis_page(diagnosis(region=region, **PLAIN)).html()
-    )
+    told = findings(diagnosis(region=region, **PLAIN))
+    assert rows(told, "of its energy")[0][-1] == "60 % where |alpha_h| > 0.5 rad"
 
 
 def test_the_case_names_an_effect_of_the_library() -> None:

@@ -8,7 +8,6 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from trms_cli.commands.recording_request import model_of
 from trms_cli.composition.composer import compose
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.open_loop import OpenLoop
@@ -19,6 +18,7 @@ from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.supply_derating import SupplyDerating
+from trms_cli.library.tasks.subject import model_of
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor

@@ -99,8 +99,8 @@ def _with_controller(argv: Sequence[str]) -> list[str]:
 
 
 def _check(config: Mapping[str, Any]) -> None:
-    from trms_cli.commands.run_assembly import check_files
     from trms_cli.commands.run_replay import is_replay
+    from trms_cli.composition.plain_values import check_files
 
     check_files({**config, "picture": False})
     out = config["out"]

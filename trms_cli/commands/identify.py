@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from time import perf_counter
-from typing import TYPE_CHECKING
 
 from trms_cli.commands.execution import execute
+from trms_cli.commands.resume import Resumption
 from trms_cli.composition.composer import Composition, Outcome
-from trms_cli.core.errors import EXIT_OK, SimulationError
-
-if TYPE_CHECKING:
-    from trms_cli.identification.method import FitResult
+from trms_cli.core.errors import ConfigurationError
 
 SUMMARY = "fit a model's parameters, or a network, to recordings"
 COMPOSES = "identify"
-
-#: Files of a fit in its folder.
-MODEL_NAME, DOCUMENT_NAME = "model.yaml", "identification.json"
 
 HELP = """\
 usage: trms identify real=FILE [GROUP=OPTION]… [KEY=VALUE]… [-m] [--cfg job] [--config-dir DIR]…
@@ -54,60 +47,40 @@ options
 
 def main(argv: Sequence[str]) -> int:
     """Compose and fit."""
-    from trms_cli.commands.identify_resume import RESUMPTION
-
-    folder, rest = RESUMPTION.take_folder(argv)
+    resumption = _resumption()
+    folder, rest = resumption.take_folder(argv)
     if folder is not None:
-        return RESUMPTION.go_on(folder, rest, perform)
+        return resumption.go_on(folder, rest, perform)
     return execute(rest, COMPOSES, perform)
 
 
 def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     """Fit what a configuration asks for; in the folder of an earlier fit, go on with that."""
-    begin = perf_counter()
-    from trms_cli.commands import identify_assessment as assessment
-    from trms_cli.commands import identify_files as files
-    from trms_cli.commands.identify_document import document_of
-    from trms_cli.commands.identify_pictures import draw_all
-    from trms_cli.commands.identify_progress import STATE_NAME, FitProgress
-    from trms_cli.commands.identify_request import identification_of
-    from trms_cli.commands.identify_screen import IdentifyScreen
-    from trms_cli.runs.run_folder import write_document
+    from trms_cli.commands.study import study
+    from trms_cli.library.tasks.identify import perform as task
 
-    asked = identification_of(composition)
-    origin = files.origin_of(composition) if asked.problem.free else None
-    again = folder is not None
-    folder = folder or composition.folder("identify")
-    if not again:
-        files.write_config(composition, folder)
-    screen = IdentifyScreen(composition, asked, folder)
-    screen.say_begin()
-    progress = FitProgress(folder / STATE_NAME, resume=again, quiet=composition.job is not None)
-    with progress:
-        result = asked.method.fit(asked.problem, progress)
-    if again:  # now that it is known to be the same search
-        files.write_config(composition, folder)
-    screen.say_fitted(result)
-    _require_simulated(result)
-    fitted = assessment.assess(asked, result)
-    model = files.write_fitted_model(
-        asked, fitted.result, fitted.deviations, origin, folder / MODEL_NAME
+    return study("identify", composition, task, folder=folder)
+
+
+def _resumption() -> Resumption:
+    return Resumption(
+        noun="fit",
+        verb="fit",
+        command="identify",
+        may_change=("method.", "jobs=", "picture=", "--cfg", "job"),
+        only="its budget (method.…), jobs and picture",
+        check=_has_state,
     )
-    assessment.judge(asked, fitted, files.network_of(result, model))
-    document = document_of(composition, asked, fitted, perf_counter() - begin)
-    write_document(document, folder / DOCUMENT_NAME)
-    page = draw_all(fitted, document, folder) if composition.config["picture"] else None
-    screen.say_finished(document, model, page, perf_counter() - begin)
-    if progress.exit_code is not None and composition.job is not None:
-        raise KeyboardInterrupt  # the sweep ends too
-    code = EXIT_OK if progress.exit_code is None else progress.exit_code
-    return Outcome(code, result.cost, folder)
 
 
-def _require_simulated(result: FitResult) -> None:
-    """A fit that could simulate nothing has no model to write."""
-    from trms_cli.identification.method import FitOutcome as Ended
+def _has_state(folder: Path, text: str) -> None:
+    from trms_cli.reporting.progress import STATE_NAME
 
-    if result.outcome is Ended.FAILED:
-        problem, _, remedy = result.outcome.value.partition(": ")
-        raise SimulationError(problem, where="model", remedy=remedy)
+    if not (folder / STATE_NAME).is_file():
+        raise ConfigurationError(
+            f"{text!r} holds no state to go on from (no {STATE_NAME}): this fit was over before "
+            "one was kept, or its method keeps none",
+            where="resume",
+            remedy="fit anew: such methods take seconds; or begin with model="
+            f"{folder / 'model.yaml'}",
+        )

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.commands.execution import execute
-from trms_cli.commands.identify_files import REQUEST_NAME
 from trms_cli.composition.composer import Task
 from trms_cli.core.data_file import read_json
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.held_folder import hold
+from trms_cli.library.tasks.files import REQUEST_NAME
 from trms_cli.runs.run_folder import in_use
 
 _KEY = "resume="

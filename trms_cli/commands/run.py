@@ -16,6 +16,7 @@ from typing import Any
 from trms_cli.commands.execution import execute
 from trms_cli.commands.run_score import limits_of, score_of, units_of
 from trms_cli.composition.composer import Composition, Outcome
+from trms_cli.composition.plain_values import check_files
 from trms_cli.core.errors import EXIT_OK, Terminated, interrupted_code
 from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 
@@ -92,7 +93,7 @@ def perform(composition: Composition) -> Outcome:
     from trms_cli.simulation.history import History
 
     begin = perf_counter()
-    assembly.check_files(composition.config)
+    check_files(composition.config)
     experiment = assembly.experiment_of(composition.config)
     _tell_of_missing_compiler(composition)
     tell_of_never_begun(composition, experiment)

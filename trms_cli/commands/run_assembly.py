@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Mapping
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import yaml
 
-from trms_cli import __version__
 from trms_cli.composition.composer import Composition
+from trms_cli.composition.plain_values import number, whole_number
 from trms_cli.core.invocation import command_line
 from trms_cli.core.plugin_contract import check_contract
 from trms_cli.core.plugins import build
+from trms_cli.core.versions import versions
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.plants.plant import PlantRun
@@ -33,8 +32,6 @@ OVERRIDES_KEY, CONFIG_DIRS_KEY, VERSIONS_KEY = "overrides", "config_dirs", "vers
 CHOICES_KEY = "choices"
 #: The plugins that a closed loop calls, by their keys.
 PARTS = ("plant", "observer", "controller", "ref", "supervisor")
-#: Packages whose version may change a figure of a run.
-_COMPUTING_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "hydra-core", "mcap")
 
 
 def experiment_of(config: Mapping[str, Any]) -> Experiment:
@@ -58,30 +55,6 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
         prediction_every=whole_number(simulation["prediction_every"], "sim.prediction_every"),
         supervisor=parts["supervisor"],
     )
-
-
-def check_files(config: Mapping[str, Any]) -> None:
-    """Refuse what ``out`` and ``picture`` cannot be, before any work is done.
-
-    Raises ConfigurationError for the first key that is wrong.
-    """
-    from trms_cli.core.errors import ConfigurationError
-
-    picture = config["picture"]
-    check_out(config["out"])
-    if not isinstance(picture, bool):
-        raise ConfigurationError(f"{picture!r} given", where="picture", remedy="true or false")
-
-
-def check_out(out: Any) -> None:
-    """Refuse what is neither a folder's name nor null.
-
-    Raises ConfigurationError.
-    """
-    from trms_cli.core.errors import ConfigurationError
-
-    if out is not None and not (isinstance(out, str) and out):
-        raise ConfigurationError(f"{out!r} given", where="out", remedy="name a folder, or null")
 
 
 def raise_explained(
@@ -114,32 +87,6 @@ def raise_explained(
     if failure is error:
         raise error
     raise failure from error
-
-
-def number(value: Any, where: str) -> float:
-    """A finite number from the configuration.
-
-    Raises ConfigurationError if it is none.
-    """
-    from trms_cli.core.errors import ConfigurationError
-
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
-        raise ConfigurationError(f"{value!r} given", where=where, remedy="give a number")
-    return float(value)
-
-
-def whole_number(value: Any, where: str) -> int:
-    """A whole number from zero on from the configuration.
-
-    Raises ConfigurationError if it is none.
-    """
-    from trms_cli.core.errors import ConfigurationError
-
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ConfigurationError(
-            f"{value!r} given", where=where, remedy="give a whole number from 0 on"
-        )
-    return value
 
 
 def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
@@ -200,23 +147,6 @@ def attachments(
         "config.yaml": ("application/yaml", composition.yaml.encode()),
         "parameters.yaml": ("application/yaml", text.encode()),
     }
-
-
-def versions() -> dict[str, str]:
-    """Versions of what computes, by package."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> dict[str, str]:
-    """See :func:`versions`: they stay the same while the process lives."""
-    found = {"trms": __version__, "python": platform.python_version()}
-    for package in _COMPUTING_PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
 
 
 def _field(signal: Signal) -> Field:

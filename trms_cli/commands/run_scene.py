@@ -78,7 +78,7 @@ def scene_every(config: Mapping[str, Any]) -> int:
 
     Raises ConfigurationError when ``sim.scene_every`` is no whole number.
     """
-    from trms_cli.commands.run_assembly import whole_number
+    from trms_cli.composition.plain_values import whole_number
 
     return whole_number(config["sim"]["scene_every"], "sim.scene_every")
 

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from time import perf_counter
 
 from trms_cli.commands.execution import execute
 from trms_cli.composition.composer import Composition, Outcome
-from trms_cli.core.errors import EXIT_OK
 
 SUMMARY = "equilibria, modes, phase portraits, limit cycles, Lyapunov sets, margins"
 COMPOSES = "stability"
-
-#: Files of a study in its folder.
-DOCUMENT_NAME, PAGE_NAME = "stability.json", "stability.html"
 
 HELP = """\
 usage: trms stability study=NAME [model=NAME|FILE.yaml] [effect=NAME] [controller=NAME]
@@ -56,35 +50,8 @@ def main(argv: Sequence[str]) -> int:
 
 
 def perform(composition: Composition) -> Outcome:
-    """Answer the question of a configuration.
+    """Answer the question of a configuration."""
+    from trms_cli.commands.study import study
+    from trms_cli.library.tasks.stability import perform as task
 
-    Raises TrmsError if the question makes no sense for the model; it says what is possible.
-    """
-    from trms_cli.commands import stability_request
-    from trms_cli.commands.progress_line import ProgressLine
-    from trms_cli.reporting.screen import show, show_job
-    from trms_cli.runs.run_folder import removed_if_empty, write_document
-
-    begin = perf_counter()
-    request = stability_request.request_of(composition)
-    subject = stability_request.subject_words(request.subject)
-    folder = composition.folder("stability")  # before the work, which a wrong name would lose
-    files = {"figures": folder / DOCUMENT_NAME}
-    with ProgressLine() as line, removed_if_empty(folder):
-        findings = stability_request.findings_of(request, line.tell)
-        document = stability_request.document_of(composition, request, findings)
-        write_document(document, files["figures"])
-        facts = {"model": document["model"], "command": f"`{document['command']}`"}
-        facts["versions"] = ", ".join(f"{name} {v}" for name, v in document["versions"].items())
-        if request.page:
-            from trms_cli.reporting.findings_page import write_page
-
-            line.tell("figures")
-            page = write_page(replace(findings, facts=facts), folder / PAGE_NAME, subject)
-            files |= {"page": page} if page else {}
-    spent = {"time": f"{perf_counter() - begin:.1f} s"}
-    if composition.job is not None:
-        show_job(findings, composition.job, composition.overrides)
-    else:
-        show(replace(findings, facts=spent, files=files), "stability", subject)
-    return Outcome(EXIT_OK, folder=folder)
+    return study("stability", composition, task)

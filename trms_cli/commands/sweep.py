@@ -260,8 +260,8 @@ def _plan(
     import os
 
     from trms_cli.commands.git_revision import GitRevision
-    from trms_cli.commands.run_assembly import versions
     from trms_cli.core.invocation import command_line
+    from trms_cli.core.versions import versions
     from trms_cli.sweeps.record import SweepPlan
 
     revision = GitRevision.ask()

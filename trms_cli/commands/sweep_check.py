@@ -74,15 +74,16 @@ def _check_run(config: Mapping[str, Any], seen: set[str]) -> None:
     """What a run would refuse before its first step."""
     from trms_cli.commands import run_assembly as assembly
     from trms_cli.commands.run_replay import is_replay
+    from trms_cli.composition.plain_values import check_files, number, whole_number
     from trms_cli.core.plugins import build
 
     if is_replay(config):
         return
-    assembly.check_files(config)
+    check_files(config)
     for name in _NUMBERS:
-        assembly.number(config["sim"][name], f"sim.{name}")
-    assembly.whole_number(config["seed"], "seed")
-    assembly.whole_number(config["sim"]["prediction_every"], "sim.prediction_every")
+        number(config["sim"][name], f"sim.{name}")
+    whole_number(config["seed"], "seed")
+    whole_number(config["sim"]["prediction_every"], "sim.prediction_every")
     for key in ("model", *assembly.PARTS):
         node = json.dumps([key, config[key]], default=str)
         if node in seen or not _is_ours(config[key]):

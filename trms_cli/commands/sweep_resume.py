@@ -132,8 +132,8 @@ def place_of(plan: SweepPlan) -> Iterator[None]:
 
     Raises RecordingError if the folder, or one of options, is gone.
     """
-    from trms_cli.commands.run_assembly import versions
     from trms_cli.composition.catalogue import make_importable
+    from trms_cli.core.versions import versions
 
     for place in (plan.directory, *plan.config_dirs):
         if not Path(place).is_dir():

@@ -13,10 +13,10 @@ from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from trms_cli.commands.progress_line import ProgressLine
 from trms_cli.core import wording
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.invocation import program
+from trms_cli.reporting.progress import ProgressLine
 from trms_cli.sweeps.findings import PICTURES, rate, sweep_findings
 from trms_cli.sweeps.outcome import outcome_of
 

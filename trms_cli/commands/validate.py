@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from time import perf_counter
+from typing import TYPE_CHECKING
 
 from trms_cli.commands.execution import execute
-from trms_cli.commands.validate_models import model_list, named_sets, one_of
 from trms_cli.composition.composer import Composition, Outcome, compose
 from trms_cli.core.errors import EXIT_OK
+from trms_cli.library.tasks.validated_models import model_list, named_sets, one_of
+
+if TYPE_CHECKING:
+    from trms_cli.library.tasks.task import Done, Listener
 
 SUMMARY = "how well models foretell recordings: errors, residual tests, spectra"
 COMPOSES = "validate"
-
-#: Files of a validation in its folder.
-DOCUMENT_NAME, PAGE_NAME = "validation.json", "validation.html"
 
 HELP = """\
 usage: trms validate real=FILE [model=NAME|FILE.yaml] [KEY=VALUE]… [--cfg job] [--config-dir DIR]…
@@ -74,36 +74,10 @@ def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Ou
     given : sequence of str
         What each model was called on the command line; empty for one from a configuration.
     """
-    from trms_cli.commands import validate_request as request
-    from trms_cli.commands.progress_line import ProgressLine
-    from trms_cli.commands.validate_screen import ValidateScreen
-    from trms_cli.identification.validation.document import document_of
-    from trms_cli.identification.validation.validate import validate_all
-    from trms_cli.runs.run_folder import write_document
+    from trms_cli.commands.study import study
+    from trms_cli.library.tasks.validate import perform as task
 
-    begin = perf_counter()
-    asked = request.validation_of(compositions, given)
-    screen = ValidateScreen(compositions[0], asked)
-    with ProgressLine() as line:
-        validations = validate_all(asked.models, asked.datasets, asked.options, line.tell)
-        validations, notes = request.calibrated_where_asked(validations, asked, line.tell)
-        line.tell("figures")
-        document = document_of(validations)
-        document["notes"] = [*request.notes_on(asked), *notes]
-        document["warnings"] = request.warnings_of(asked)
-        document["versions"] = request.versions()
-        folder = compositions[0].folder("validate")
-        write_document(document, folder / DOCUMENT_NAME)
-        page = None
-        if asked.page:
-            from trms_cli.commands.validate_page import page_of
+    def together(_: Composition, listener: Listener) -> Done:
+        return task(compositions, listener, given)
 
-            line.tell("page")
-            page = folder / PAGE_NAME
-            try:
-                page_of(document, validations).write(page)
-            except OSError as error:  # the figures are safe: this much may fail
-                sys.stderr.write(f"no page: {error.strerror or error}\n")
-                page = None
-    screen.say_finished(document, folder / DOCUMENT_NAME, page, perf_counter() - begin)
-    return Outcome(EXIT_OK, request.objective(document), folder)
+    return study("validate", compositions[0], together)

@@ -16,7 +16,7 @@ The same data are the figure's JSON twin.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # findings without a chart are told before NumPy is loaded
     import numpy as np
     import numpy.typing as npt
 
-    Values = Sequence[float] | npt.NDArray[np.float64]
+    Values = Sequence[float] | npt.NDArray[np.floating[Any]]
 #: Names of the house's palette (told apart with any common colour blindness), and of its inks.
 Colour = Literal[
     "blue",
@@ -50,9 +50,12 @@ class Axis:
 
     label: str  #: What and in which unit
     unit: str = ""  #: an empty unit shows none
-    limits: tuple[float, float] | None = None  #: None: as the marks need
+    #: None, the whole or an end of it: as the marks need
+    limits: tuple[float | None, float | None] | None = None
     log: bool = False
     linked: str = ""  #: Axes of one name are zoomed together where a reader can; "" for alone
+    ticks: Sequence[float] = ()  #: Where numbers stand; empty: as it looks best
+    categories: Sequence[str] = ()  #: Names of the places 0, 1, …, the first on top or on the left
 
 
 @dataclass(frozen=True)
@@ -167,7 +170,18 @@ class Note:
     colour: Colour = "ink"
 
 
-Mark = Curve | Points | Flow | Contour | Region | Band | Span | Line | Note
+@dataclass(frozen=True)
+class Bars:
+    """Horizontal bars below one another, each with its name on the left; alone in its panel."""
+
+    names: Sequence[str]
+    values: Values  #: (n,); lengths
+    colours: Sequence[Colour] = ()  #: One each; empty: all blue
+    spread: Values | None = None  #: (n,) or None; a whisker to either side of an end
+    notes: Sequence[str] = ()  #: Written on the right, one each
+
+
+Mark = Curve | Points | Flow | Contour | Region | Band | Span | Line | Note | Bars
 
 
 @dataclass(frozen=True)
@@ -180,6 +194,7 @@ class Panel:
     title: str = ""
     z: Axis | None = None  #: A third axis; curves and points only then
     equal: bool = False  #: One unit of x is as long as one of y
+    row_height: float = 0.0  #: Of its row, relative to the others'; 0: as theirs
 
 
 @dataclass(frozen=True)
@@ -192,6 +207,21 @@ class Chart:
     columns: int = 2  #: Panels in a row
     width: float = 4.4  #: Inches, of a panel
     height: float = 3.2  #: Inches, of a panel
+    together: bool = False  #: Panels share their x axis, which the last row alone labels
+
+
+#: What a place of the rig's block diagram carries: a share, and the ends of its interval.
+Share = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RigDiagram:
+    """The rig from its commands to its sensors, with a share at each place that has one."""
+
+    name: str  #: File name without its ending
+    shares: Mapping[str, Share]  #: By place: ``yaw_moment``
+    channels: Sequence[str] = ()  #: Recorded ones; a sensor of none of them is dashed
+    caption: str = ""
 
 
 def as_data(chart: Chart) -> dict[str, Any]:
@@ -203,12 +233,12 @@ def as_data(chart: Chart) -> dict[str, Any]:
 #: What a mark is called in JSON.
 _KINDS = {
     kind: kind.__name__.lower()
-    for kind in (Curve, Points, Flow, Contour, Region, Band, Span, Line, Note)
+    for kind in (Curve, Points, Flow, Contour, Region, Band, Span, Line, Note, Bars)
 }
 
 
 #: Left out of the document where they are not set.
-_SILENT = ("held", "linked")
+_SILENT = ("held", "linked", "ticks", "categories", "row_height", "together")
 
 
 def _plain(value: Any) -> Any:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import msgspec
 
 from trms_cli.core import chart
-from trms_cli.core.chart import Chart
+from trms_cli.core.chart import Chart, RigDiagram
 
 #: A judgement on a cell: coloured where there is colour, told by the text too.
 Judgement = Literal["good", "bad", "doubtful", "best", ""]
@@ -29,6 +29,7 @@ class Judged:
     value: Value  #: What is shown
     judgement: Judgement = ""  #: How it is coloured
     sd: float | None = None  #: Standard deviation, to whose second digit the value is shown
+    bar: float | None = None  #: 0 to 1: how much of the cell a bar behind the value fills
 
 
 Cell = Value | Judged
@@ -102,7 +103,15 @@ class Measure:
     note: str = ""  #: The condition: ``worst of 4 steps``
 
 
-Block = Table | Chart | Command | Details
+@dataclass(frozen=True)
+class Remarks:
+    """Sentences below one another, each with a judgement where it is ``Judged``."""
+
+    items: Sequence[str | Judged]
+    on_screen: bool = True  #: Whether the terminal shows them; a page always does
+
+
+Block = Table | Chart | RigDiagram | Command | Details | Remarks
 
 
 @dataclass(frozen=True)
@@ -135,14 +144,16 @@ class Findings:
     @property
     def charts(self) -> tuple[Chart, ...]:
         """All figures, in order."""
-        return tuple(block for block in self._blocks() if isinstance(block, Chart))
+        return tuple(block for block in self.blocks if isinstance(block, Chart))
 
     @property
     def tables(self) -> tuple[Table, ...]:
         """All tables, in order."""
-        return tuple(block for block in self._blocks() if isinstance(block, Table))
+        return tuple(block for block in self.blocks if isinstance(block, Table))
 
-    def _blocks(self) -> Iterator[Block]:
+    @property
+    def blocks(self) -> Iterator[Block]:
+        """All that stands in the sections, in order."""
         return (block for section in self.sections for block in section.blocks)
 
 

@@ -26,6 +26,8 @@ SIGNALS = MappingProxyType(
     }
 )
 _LETTERS = MappingProxyType({"alpha": "α", "omega": "ω", "tau": "τ", "psi": "ψ", "phi": "φ"})
+#: Units in which figures of this rig have few digits, and the factors to them.
+_SMALL_UNITS = {"rad": ("mrad", 1e3), "N*m": ("mN*m", 1e3), "N": ("mN", 1e3)}
 _SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _PROPER = (("coulomb", "Coulomb"), ("stribeck", "Stribeck"))
 
@@ -79,6 +81,11 @@ def unit(text: str) -> str:
         return ""
     raised = re.sub(r"(?:\^|\*\*)(-?\d+)", lambda m: m[1].translate(_SUPERSCRIPTS), text)
     return raised.replace("*", " ")
+
+
+def small_unit(text: str) -> tuple[str, float]:
+    """A unit in which errors and small forces have few digits, and the factor to it: mrad, mN m."""
+    return _SMALL_UNITS.get(text, (text, 1.0))
 
 
 def quantity(value: float | int | None, unit_text: str, digits: int = 3) -> str:
@@ -185,3 +192,13 @@ def option(choice: object, node: object = None) -> str:
     if file.stem.endswith("model") and folder not in ("", ".", ".."):
         return f"{folder} {kind}".rstrip()
     return file.stem
+
+
+def model_name(text: str) -> str:
+    """What a model is called that was asked for as `text`: an option, or a file."""
+    return option("from_file", {"path": text}) if text.endswith((".yaml", ".yml")) else text
+
+
+def file_stem(text: str) -> str:
+    """A name as part of a file's: letters, digits, ``_`` and ``-``."""
+    return re.sub(r"[^\w-]+", "_", text).strip("_")

@@ -7,13 +7,15 @@ import shlex
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from trms_cli.composition.arguments import Arguments
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED
+from trms_cli.core.notes import notes_to
+from trms_cli.library.tasks.task import Done, Interrupted, Listener, Screen
 
 if TYPE_CHECKING:
     from trms_cli.composition.composer import Composition, Outcome
@@ -24,20 +26,6 @@ _TURN = threading.RLock()
 
 class TrmsNote(UserWarning):
     """What a command remarks: a package that differs, a picture that could not be drawn."""
-
-
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, or a notebook's stop button: what was done until then is kept.
-
-    Parameters
-    ----------
-    folder : Path
-        Holds it; ``trms_cli.load(folder)`` reads it.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__(f"what was done until then is in {folder}")
-        self.folder = folder
 
 
 class Heard:
@@ -102,20 +90,91 @@ def called(words: str, objects: Sequence[Any] = (), *, verbose: bool = False) ->
     verbose : bool
         Whether what is printed is shown.
     """
-    from trms_cli.composition.given_object import given
-    from trms_cli.core.invocation import called_as
-
     heard = Heard()
-    with _TURN:
-        streams, path = (sys.stdout, sys.stderr), list(sys.path)
+    with turn(words, objects):
+        streams = (sys.stdout, sys.stderr)
         sys.stdout = _Ear(streams[0], heard.out, verbose)
         sys.stderr = _Ear(streams[1], heard.err, verbose)
         try:
-            with called_as(words), given(objects):
-                yield heard
+            yield heard
         finally:
             sys.stdout, sys.stderr = streams
+
+
+@contextmanager
+def turn(words: str, objects: Sequence[Any] = ()) -> Iterator[None]:
+    """Inside, this call alone composes and finds its objects; afterwards the process is as it was.
+
+    Parameters
+    ----------
+    words : str
+        What the records of what is written say of the call.
+    objects : sequence
+        Those that the call was given.
+    """
+    from trms_cli.composition.given_object import given
+    from trms_cli.core.invocation import called_as
+
+    with _TURN:
+        path = list(sys.path)
+        try:
+            with called_as(words), given(objects):
+                yield
+        finally:
             sys.path[:] = path
+
+
+def done(
+    command: str,
+    asked: Arguments,
+    task: Callable[[Composition, Listener], Done],
+    *,
+    verbose: bool,
+) -> Done:
+    """Compose what is asked for and let a task do it.
+
+    Parameters
+    ----------
+    command : str
+        Its name, which is also that of its configuration.
+    verbose : bool
+        Whether progress and result are shown as the command shows them.
+
+    Raises
+    ------
+    Interrupted
+        If it was stopped, and has left something.
+    """
+    from trms_cli.composition.composer import compose
+    from trms_cli.composition.given_object import with_objects
+
+    def whole(listener: Listener) -> Done:
+        return task(with_objects(compose(asked.argv, command), asked.objects), listener)
+
+    return done_by(command, words_of(command, asked), whole, asked.objects, verbose=verbose)
+
+
+def done_by(
+    command: str,
+    words: str,
+    task: Callable[[Listener], Done],
+    objects: Mapping[str, Any],
+    *,
+    verbose: bool,
+) -> Done:
+    """Let a task do its work as a call in `words`; see :func:`done`."""
+    listener = Screen(command) if verbose else Listener(command)
+    remarks: list[str] = []
+    # shown as a command shows them, or warnings of whoever called
+    heard = nullcontext() if verbose else notes_to(remarks.append)
+    with turn(words, list(objects.values())), heard:
+        result = task(listener)
+    listener.done(result)
+    for remark in remarks:
+        warnings.warn(remark.strip(), TrmsNote, stacklevel=5)
+    if result.exit_code in (EXIT_INTERRUPTED, EXIT_TERMINATED):
+        raise Interrupted(result.folder)
+    return result
 
 
 def perform(

@@ -7,9 +7,10 @@ from os import PathLike
 from typing import Any, TypeVar
 
 from trms_cli.composition.arguments import Arguments, arguments_of, text_of
-from trms_cli.library.calling import called, finished, perform, words_of
+from trms_cli.library.calling import done, done_by, words_of
 from trms_cli.library.findings import Diagnosis, Excitation, Fit, Stability, Validation
 from trms_cli.library.result import Result
+from trms_cli.library.tasks.task import Done, Listener
 
 #: A path, or several.
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
@@ -71,7 +72,7 @@ def identify(
     >>> fit = identify(real="monday.csv", free=["k_fvp", "k_ov"])
     >>> run(model=fit, controller="newton_mpc")
     """
-    from trms_cli.commands.identify import perform as task
+    from trms_cli.library.tasks.identify import perform as task
 
     given = dict(
         real=real, model=model, free=free, effect=effect, method=method, data=data,
@@ -130,9 +131,9 @@ def validate(
     >>> judged = validate(real="tuesday.csv", model=["newtonian", fit])
     >>> judged.errors.loc[("newtonian", "alpha_h"), 2.0]
     """
-    from trms_cli.commands.validate import perform as one
-    from trms_cli.commands.validate import perform_all
-    from trms_cli.commands.validate_models import named_sets, one_of
+    from trms_cli.composition.composer import compose
+    from trms_cli.library.tasks.validate import perform as task
+    from trms_cli.library.tasks.validated_models import named_sets, one_of
 
     several = list(model) if isinstance(model, list | tuple) else None
     given = dict(real=real, effect=effect, horizons=horizons, data=data, page=page, **keys)
@@ -140,17 +141,18 @@ def validate(
     asked = arguments_of("validate", overrides, given, out=out, config_dir=config_dir)
     if several is None:
         asked = Arguments(tuple(named_sets(asked.words)), asked.objects, asked.config_dirs)
-        return _performed(Validation, "validate", asked, one, verbose)
-
-    from trms_cli.composition.composer import compose
-
+        return _performed(
+            Validation, "validate", asked, lambda one, listener: task([one], listener), verbose
+        )
     names = [text_of(m, "model").strip('"') for m in several]
     whole = Arguments((*asked.words, f"model=[{','.join(names)}]"), {}, asked.config_dirs)
-    with called(words_of("validate", whole), verbose=verbose) as heard:
+
+    def together(listener: Listener) -> Done:
         compositions = [compose(one_of(asked.argv, name), "validate") for name in names]
-        outcome = perform_all(compositions, names)
-    folder, text = finished(outcome, heard, verbose=verbose)
-    return Validation(folder, text=text)
+        return task(compositions, listener, names)
+
+    words = words_of("validate", whole)
+    return _result(Validation, done_by("validate", words, together, {}, verbose=verbose))
 
 
 def stability(
@@ -198,7 +200,7 @@ def stability(
     >>> modes = stability("local", model="rahideh")
     >>> stability("margins", controller="lqr", observer="ukf").lead
     """
-    from trms_cli.commands.stability import perform as task
+    from trms_cli.library.tasks.stability import perform as task
 
     if isinstance(study, str) and "=" in study:  # an override, with the usual question
         study, overrides = None, (study, *overrides)
@@ -264,7 +266,7 @@ def diagnose(
     >>> print(diagnosis.sentence)
     >>> run(model=diagnosis, controller="newton_mpc")
     """
-    from trms_cli.commands.diagnose import perform as task
+    from trms_cli.library.tasks.diagnose import perform as task
 
     given = dict(
         real=real, model=model, candidates=candidates, effort=effort, effect=effect, data=data,
@@ -319,7 +321,7 @@ def excite(
     >>> excited = excite(duration=60)
     >>> run(controller={"played": {"u_v": {"file": excited}}})
     """
-    from trms_cli.commands.excite import perform as task
+    from trms_cli.library.tasks.excite import perform as task
 
     given = dict(excitation=excitation, model=model, duration=duration, picture=picture, **keys)
     asked = arguments_of("excite", overrides, given, out=out, config_dir=config_dir)
@@ -327,7 +329,10 @@ def excite(
 
 
 def _performed(
-    kind: type[_R], command: str, asked: Arguments, task: Callable[..., Any], verbose: bool
+    kind: type[_R], command: str, asked: Arguments, task: Callable[..., Done], verbose: bool
 ) -> _R:
-    folder, text = perform(command, asked, task, verbose=verbose)
-    return kind(folder, text=text)
+    return _result(kind, done(command, asked, task, verbose=verbose))
+
+
+def _result(kind: type[_R], result: Done) -> _R:
+    return kind(result.folder, text=result.text)

@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 
 from trms_cli.core.chart import (
     Band,
+    Bars,
     Contour,
     Curve,
     Flow,
@@ -71,6 +72,8 @@ def draw_mark(axes: Any, mark: Mark) -> Handle | None:
             return _line(axes, mark)
         case Note():
             _note(axes, mark)
+        case Bars():
+            _bars(axes, mark)
     return None
 
 
@@ -233,3 +236,19 @@ def _note(axes: Any, mark: Note) -> None:
         zorder=6,
         annotation_clip=True,
     )
+
+
+def _bars(axes: Any, mark: Bars) -> None:
+    places = np.arange(len(mark.names))
+    colours = [_colour(name) for name in mark.colours or ["blue"] * len(places)]
+    axes.barh(places, mark.values, height=0.62, color=colours, zorder=2)
+    if mark.spread is not None:
+        look = {"color": INK, "linewidth": 1.0, "capsize": 2.5, "linestyle": "none"}
+        axes.errorbar(mark.values, places, xerr=mark.spread, zorder=3, **look)
+    for place, text in zip(places, mark.notes, strict=False):
+        beside = axes.get_yaxis_transform()
+        axes.text(1.01, place, text, transform=beside, va="center", fontsize=8, color=INK)
+    axes.set_yticks(places, mark.names)
+    axes.set_ylim(len(places) - 0.5, -0.5)
+    axes.grid(axis="y", visible=False)
+    axes.axvline(0.0, color=GREY, linewidth=0.8)

@@ -21,6 +21,8 @@ _LETTERS_PER_INCH, _HANDLE_LETTERS = 15.0, 6
 _TICKS_PER_INCH = 1.4
 #: Inches from a panel down to its legend: tick labels and the axis' label lie between.
 _BENEATH = 0.45
+#: From more panels than this on a figure has small letters and margins of its own.
+_CROWDED = 12
 #: A logarithmic axis up to this ratio has room for 1, 2 and 5 of each decade.
 _PLAIN_SPAN = 150.0
 
@@ -30,16 +32,43 @@ def picture_of(chart: Chart) -> Figure:
     columns = max(1, min(chart.columns, len(chart.panels)))
     rows = math.ceil(len(chart.panels) / columns)
     width = max(chart.width * columns, 3.0)
-    figure = new_figure(width, chart.height * rows)
+    heights = [
+        max(panel.row_height or 1.0 for panel in chart.panels[columns * i : columns * (i + 1)])
+        for i in range(rows)
+    ]
+    figure = new_figure(width, chart.height * sum(heights))
+    margins: dict[str, float] = {}
+    crowded = len(chart.panels) > _CROWDED
+    if crowded:  # to arrange themselves takes such panels longer than to draw them
+        figure.set_layout_engine("none")
+        titled = any(panel.title for panel in chart.panels)
+        margins = _margins(width, chart.height * sum(heights), titled=titled)
+    grid = figure.add_gridspec(rows, columns, height_ratios=heights, **margins)
     legends: list[dict[str, Handle]] = []
     places: list[Axes] = []
-    for number, panel in enumerate(chart.panels, 1):
+    for number, panel in enumerate(chart.panels):
         projection = None if panel.z is None else "3d"
-        axes = figure.add_subplot(rows, columns, number, projection=projection)
+        shared = places[0] if chart.together and places else None
+        axes = figure.add_subplot(
+            grid[divmod(number, columns)], projection=projection, sharex=shared
+        )
         legends.append(_draw_panel(axes, panel))
-        if not panel.x.log and panel.z is None:
+        if chart.together and number + columns < len(chart.panels):
+            axes.tick_params(labelbottom=False)
+            axes.set_xlabel("")
+        if not panel.x.log and panel.z is None and not (panel.x.ticks or panel.x.categories):
             axes.locator_params(axis="x", nbins=max(4, round(_TICKS_PER_INCH * chart.width)))
+        if crowded:
+            axes.tick_params(labelsize=7)
+            axes.title.set(fontsize=7.5, fontweight="normal")
+            axes.xaxis.label.set_fontsize(8)
+            axes.yaxis.label.set_fontsize(8)
+            axes.locator_params(nbins=4)
+        if not panel.marks:
+            axes.set_visible(False)
         places.append(axes)
+    if not crowded:
+        figure.align_ylabels()
     if _one_legend_serves(legends):
         union = {label: handle for legend in legends for label, handle in legend.items()}
         _legend_beneath(figure, union, width)
@@ -47,6 +76,18 @@ def picture_of(chart: Chart) -> Figure:
         for axes, legend in zip(places, legends, strict=True):
             _legend_beneath_panel(figure, axes, legend, chart.width)
     return figure
+
+
+def _margins(width: float, height: float, *, titled: bool) -> dict[str, float]:
+    """Of a grid of many panels, as shares of the figure: room for labels and one legend."""
+    return {
+        "left": 0.75 / width,
+        "right": 1 - 0.1 / width,
+        "bottom": 0.75 / height,
+        "top": 1 - 0.4 / height,
+        "wspace": 0.36,
+        "hspace": 0.6 if titled else 0.25,
+    }
 
 
 def _draw_panel(axes: Any, panel: Panel) -> dict[str, Handle]:
@@ -74,6 +115,10 @@ def _draw_panel(axes: Any, panel: Panel) -> dict[str, Handle]:
             getattr(axes, f"set_{name}lim")(*axis.limits)
         if axis is not None and axis.log:
             _set_decades(axes, name)
+        if axis is not None:
+            _set_ticks(axes, name, axis)
+    if panel.x.log and panel.y.log:  # minor ticks cost more than all the rest
+        axes.minorticks_off()
     if panel.title:
         axes.set_title(panel.title, fontweight="bold")
     if panel.equal:
@@ -87,6 +132,16 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
     getattr(axes, f"set_{name}label")(label, **pad)
     if axis.log:
         getattr(axes, f"set_{name}scale")("log")
+
+
+def _set_ticks(axes: Any, name: str, axis: Axis) -> None:
+    side = getattr(axes, f"{name}axis")
+    if axis.ticks:
+        side.set_ticks(axis.ticks, [f"{tick:g}" for tick in axis.ticks])
+    if axis.categories:
+        side.set_ticks(range(len(axis.categories)), axis.categories)
+        ends = (-0.7, len(axis.categories) - 0.3)
+        getattr(axes, f"set_{name}lim")(*(ends[::-1] if name == "y" else ends))
 
 
 def _set_decades(axes: Any, name: str) -> None:

@@ -232,7 +232,9 @@ def _axis(axis: Axis) -> dict[str, Any]:
     if axis.log:
         told |= {"type": "log", "exponentformat": "power"}
     if axis.limits is not None:
-        told["range"] = [significant(_place(edge, axis)) for edge in axis.limits]
+        told["range"] = [
+            None if edge is None else significant(_place(edge, axis)) for edge in axis.limits
+        ]
     return told
 
 

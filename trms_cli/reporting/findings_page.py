@@ -6,29 +6,51 @@ One page for every command: who has something to tell makes
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-from trms_cli.core.chart import Chart
-from trms_cli.core.findings import Block, Command, Details, Findings, Judged, Table
+from trms_cli.core.chart import Chart, RigDiagram
+from trms_cli.core.findings import Block, Command, Details, Findings, Judged, Remarks, Table
+from trms_cli.core.notes import note
 from trms_cli.reporting.chart_picture import picture_of
 from trms_cli.reporting.chart_plot import plots_of
 from trms_cli.reporting.page import Page
+from trms_cli.reporting.rig_diagram import diagram
 from trms_cli.reporting.style import house_style, save_png
 
 
-def write_page(findings: Findings, path: Path, subject: str = "") -> Path | None:
-    """Write the page, and each chart as a PNG beside it; None, and a word on standard error, if
-    that fails: the numbers are safe, this much may."""
+def write_page(
+    findings: Findings,
+    path: Path,
+    subject: str = "",
+    *,
+    pictures: bool = True,
+    interactive: bool = True,
+) -> Path | None:
+    """Write the page; None, and a note, if that fails: the numbers are safe, this much may.
+
+    Parameters
+    ----------
+    pictures : bool
+        Whether each chart is written beside it as a PNG too.
+    interactive : bool
+        Whether a reader can zoom in; else charts are drawings, and the page carries no script.
+    """
+    folder = path.parent if pictures else None
     try:
-        page_of(findings, subject, path.parent).write(path)
+        page_of(findings, subject, folder, interactive=interactive).write(path)
     except OSError as error:
-        sys.stderr.write(f"no page: {error.strerror or error}\n")
+        note(f"no page: {error.strerror or error}")
         return None
     return path
 
 
-def page_of(findings: Findings, subject: str = "", pictures: Path | None = None) -> Page:
+def page_of(
+    findings: Findings,
+    subject: str = "",
+    pictures: Path | None = None,
+    *,
+    interactive: bool = True,
+) -> Page:
     """The page, ready to be written.
 
     Parameters
@@ -38,6 +60,8 @@ def page_of(findings: Findings, subject: str = "", pictures: Path | None = None)
         What was studied, behind the title.
     pictures : Path or None
         Folder that each chart is written into as a PNG too.
+    interactive : bool
+        Whether a reader can zoom in; else charts are drawings.
     """
     title = f"{findings.title}: {subject}" if subject else findings.title
     page = Page(title, findings.lead, findings.facts, findings.measures)
@@ -48,23 +72,27 @@ def page_of(findings: Findings, subject: str = "", pictures: Path | None = None)
         for section in findings.sections:
             page.section(section.heading, list(section.text), folded=section.folded)
             for block in section.blocks:
-                _add(page, block, pictures)
+                _add(page, block, pictures, interactive)
     if findings.next:
         page.section("Next")
         for command in findings.next:
-            _add(page, command, pictures)
+            _add(page, command, pictures, interactive)
     return page
 
 
-def _add(page: Page, block: Block, pictures: Path | None) -> None:
+def _add(page: Page, block: Block, pictures: Path | None, interactive: bool) -> None:
     match block:
         case Table():
             page.table(block.columns, block.rows, block.caption, heads=block.heads)
-        case Chart():
-            figure = picture_of(block)
+        case Remarks():
+            page.points(block.items)
+        case Chart() | RigDiagram():
+            chart = block if isinstance(block, Chart) else None
+            plots = plots_of(chart) if chart is not None and interactive else None
+            if plots is None or pictures is not None:
+                figure = diagram(block) if isinstance(block, RigDiagram) else picture_of(block)
             if pictures is not None:
                 save_png(figure, pictures / f"{block.name}.png", colours=256)
-            plots = plots_of(block)
             if plots is None:
                 page.figure(figure, block.caption)
             else:

@@ -155,6 +155,7 @@ class Page:
                         "mark": cell.judgement,
                         "number": isinstance(cell.value, (int, float)) or cell.value is None,
                         "short": len(wording.cell(cell.value, cell.sd)) <= _SHORT,
+                        "bar": None if cell.bar is None else round(100 * cell.bar, 1),
                     }
                     for cell in cells
                 ]

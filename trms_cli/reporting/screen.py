@@ -22,6 +22,7 @@ from trms_cli.core.findings import (
     Findings,
     Judged,
     Measure,
+    Remarks,
     Table,
     plain,
     table,
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 _COLOURS = {"good": "green", "bad": "red", "doubtful": "yellow", "best": "green", "": ""}
 #: What stands behind a judged cell where colours are lost.
 _SIGNS = {"best": " ★"}
+#: What stands before a judged sentence.
+_POINTS = {"good": "✓", "bad": "✗", "doubtful": "?", "best": "★", "": "·"}
 #: Columns of a file or a pipe, and of a terminal that is wider.
 WIDTH = 100
 #: Rows of a table on the screen; page and document have them all.
@@ -42,6 +45,8 @@ _MOST_ROWS = 16
 _NARROWEST = 12
 _GAP = 2
 _LABEL = 11
+#: Letters of a reason that stands behind its line.
+_LONGEST_WHY = 60
 #: Of the answer to a job of a sweep.
 _SENTENCES_OF_A_JOB = 4
 
@@ -71,7 +76,7 @@ def show(
     ----------
     findings : Findings
     command : str
-        First word of the first line: ``stability``.
+        First word of the first line: ``stability``; empty where that line stands already.
     subject : str
         What was studied: ``newtonian with pitch_coulomb_friction, under pid``.
     rows : int
@@ -81,7 +86,8 @@ def show(
     title = " · ".join(part for part in (findings.title, subject) if part)
     lead = list(findings.lead)
     # findings without a title have their answer in the first line
-    _say(out, f"{command:<{_LABEL}}{title or _plain(lead.pop(0))}")
+    if command:
+        _say(out, f"{command:<{_LABEL}}{title or _plain(lead.pop(0))}")
     _say(out)
     for sentence in lead:
         _say(out, _plain(sentence), "bold")
@@ -89,9 +95,11 @@ def show(
         _say(out)
     if findings.measures:
         show_table(out, measures_table(findings.measures), rows)
-    for one in findings.tables:
-        if one.on_screen and one.rows:
-            show_table(out, one, rows)
+    for block in findings.blocks:
+        if isinstance(block, Table) and block.on_screen and block.rows:
+            show_table(out, block, rows)
+        elif isinstance(block, Remarks) and block.on_screen and block.items:
+            show_remarks(out, block.items)
     for warning in findings.warnings:
         _say(out, f"! {_plain(warning)}", "yellow")
     if findings.warnings:
@@ -101,6 +109,23 @@ def show(
     for name, path in findings.files.items():
         print(f"{name:<{_LABEL}}{path}", file=out.file)
     show_next(findings.next, out.file)
+
+
+def say(head: str, text: str) -> None:
+    """Print a line behind its head, on standard output."""
+    print(f"{head:<{_LABEL}}{text}")
+
+
+def show_remarks(out: Console, items: Sequence[str | Judged]) -> None:
+    """Print sentences, each behind the sign of its judgement."""
+    for item in items:
+        judged = item if isinstance(item, Judged) else Judged(item)
+        style, sign = _COLOURS[judged.judgement], _POINTS[judged.judgement]
+        for line in _bold(str(judged.value)).wrap(out, out.width - 2):
+            line.rstrip()
+            out.print(Text.assemble((sign, style), " ", line), highlight=False)
+            sign = " "
+    _say(out)
 
 
 def show_job(findings: Findings, job: int, overrides: Sequence[str]) -> None:
@@ -119,8 +144,13 @@ def show_next(commands: Sequence[Command], stream: IO[str] | None = None) -> Non
     print(file=stream)
     for number, command in enumerate(commands):
         head = "next" if number == 0 else ""
-        why = f"    # {command.why}" if command.why else ""
-        print(f"{head:<{_LABEL}}{command.text}{why}", file=stream)
+        why = _plain(command.why)
+        if len(why) > _LONGEST_WHY:  # above its line, folded
+            for line in fold(why, WIDTH - _LABEL, " ").split("\n"):
+                print(f"{head:<{_LABEL}}# {line}", file=stream)
+                head = ""
+            why = ""
+        print(f"{head:<{_LABEL}}{command.text}{f'    # {why}' if why else ''}", file=stream)
 
 
 def measures_table(measures: Sequence[Measure]) -> Table:
@@ -286,6 +316,14 @@ def _grown(least: Sequence[int], most: Sequence[int], width: int) -> list[int]:
 def _plain(text: str) -> str:
     """Without the marks of a page: ``**bold**`` and ```code```."""
     return printable(re.sub(r"\*\*(.+?)\*\*|`(.+?)`", lambda m: m[1] or m[2], text))
+
+
+def _bold(text: str) -> Text:
+    """Text with ``**bold**`` as that."""
+    shown = Text()
+    for number, part in enumerate(re.sub(r"`(.+?)`", r"\1", text).split("**")):
+        shown.append(printable(part), "bold" if number % 2 else "")
+    return shown
 
 
 def _say(out: Console, text: str = "", style: str = "") -> None:

@@ -24,10 +24,10 @@ def seeds(folder: Path) -> Iterator[bytes]:
 def read(data: bytes, folder: Path) -> None:
     """Each of the readers, whatever the document is."""
     from experiments.gap.blind.sealing import open_key
-    from trms_cli.commands.identify_files import REQUEST_NAME
     from trms_cli.commands.resume import Resumption
     from trms_cli.core.allowed import allowed_file, allowed_for_good
     from trms_cli.core.errors import TrmsError
+    from trms_cli.library.tasks.files import REQUEST_NAME
 
     os.environ["XDG_CONFIG_HOME"] = str(folder)
     allowed_file().parent.mkdir(exist_ok=True)

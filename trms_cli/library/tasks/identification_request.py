@@ -9,12 +9,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from trms_cli.commands.recording_request import (
-    driven_model,
-    driven_recordings,
-    model_of,
-    several,
-)
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import TARGET, build
@@ -28,6 +22,12 @@ from trms_cli.identification.problem import (
     Prior,
     acting_parameters,
     free_parameters,
+)
+from trms_cli.library.tasks.subject import (
+    driven_model,
+    driven_recordings,
+    model_of,
+    several,
 )
 from trms_cli.models.model import Model
 

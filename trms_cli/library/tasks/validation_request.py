@@ -8,22 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trms_cli.commands.recording_request import (
-    driven_model,
-    driven_recordings,
-    model_of,
-    several,
-)
-from trms_cli.commands.run_assembly import check_out
-from trms_cli.commands.run_assembly import versions as versions
-from trms_cli.commands.validate_models import shown_names
 from trms_cli.composition.composer import Composition
+from trms_cli.composition.plain_values import check_out, model_of_choice, truth
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.identification.admission import Admission, admit, together
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.options import ValidationOptions
+from trms_cli.library.tasks.subject import (
+    driven_model,
+    driven_recordings,
+    model_of,
+    several,
+)
+from trms_cli.library.tasks.validated_models import shown_names
 from trms_cli.models.model import Model
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ _OPTION_KEYS = ("horizons", "windows", "predictor", "tests", "block", "seed")
 
 
 @dataclass(frozen=True)
-class Asked:
+class ValidationRequest:
     """What is validated."""
 
     models: Mapping[str, Model]  #: By the name that is shown
@@ -50,7 +49,7 @@ class Asked:
     admission: Admission  #: What was found in the recordings, by all models together
 
 
-def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> Asked:
+def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> ValidationRequest:
     """Build everything that was asked for.
 
     Raises TrmsError for the first key or recording that is wrong.
@@ -60,13 +59,12 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
     data = build(config["data"], "data")
     real = several(config["real"], "real")
     driven = several(config["driven"], "driven")
-    if not isinstance(config["page"], bool):
-        raise ConfigurationError(f"{config['page']!r} given", where="page", remedy="true or false")
+    truth(config["page"], "page")
     check_out(config["out"])
     models: dict[str, Model] = {}
     recordings: dict[str, Sequence[Dataset]] = {}
     admissions: dict[str, Admission] = {}
-    shown = shown_names(given) if given else [_name_of(compositions[0])]
+    shown = shown_names(given or [model_of_choice(compositions[0])])
     for name, composition in zip(shown, compositions, strict=True):
         model = model_of(composition.config)
         simulated = driven_model(model, driven)
@@ -78,7 +76,7 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
     datasets = {name: driven_recordings(loaded, driven) for name, loaded in recordings.items()}
     for driven_ones in datasets.values():
         _check_noise(driven_ones)
-    return Asked(
+    return ValidationRequest(
         models=models,
         datasets=datasets,
         options=options,
@@ -88,15 +86,6 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
         page=config["page"],
         admission=admission,
     )
-
-
-def _name_of(composition: Composition) -> str:
-    """What the one model is called: its option, or the stem of its file."""
-    node = composition.config["model"]
-    path = node.get("path") if isinstance(node, Mapping) else None
-    if composition.choices.get("model") == "from_file" and isinstance(path, str):
-        return shown_names([path])[0]
-    return str(composition.choices.get("model"))
 
 
 def _check_noise(datasets: Sequence[Dataset]) -> None:
@@ -112,22 +101,24 @@ def _check_noise(datasets: Sequence[Dataset]) -> None:
                 )
 
 
-def calibrated_where_asked(
-    validations: Sequence[ModelValidation], asked: Asked, progress: Callable[[str], None]
+def calibrated(
+    validations: Sequence[ModelValidation],
+    request: ValidationRequest,
+    progress: Callable[[str], None],
 ) -> tuple[list[ModelValidation], list[str]]:
     """p-values from simulation, where they are asked for; and what to say of it."""
-    if asked.options.tests.calibration != "simulated":
+    if request.options.tests.calibration != "simulated":
         return list(validations), []
-    from trms_cli.identification.validation.validate import calibrated
+    from trms_cli.identification.validation.validate import calibrated as simulated_p_values
 
     done, notes = [], []
-    wanted = asked.options.tests.simulations
+    wanted = request.options.tests.simulations
     for validation in validations:
 
         def tell(count: int, name: str = validation.name) -> None:
             progress(f"{name}: simulation {count} of {wanted}")
 
-        tests = calibrated(validation, asked.data.quantum, tell)
+        tests = simulated_p_values(validation, request.data.quantum, tell)
         if tests is None:
             notes.append(
                 f"{validation.name}: left alone over the recording it leaves the range of what was "
@@ -137,28 +128,28 @@ def calibrated_where_asked(
     return done, notes
 
 
-def warnings_of(asked: Asked) -> list[dict[str, str]]:
+def warnings_of(request: ValidationRequest) -> list[dict[str, str]]:
     """What the recordings are not as good for as they might be, for the document."""
-    return Admission(asked.admission.warnings).as_data()
+    return Admission(request.admission.warnings).as_data()
 
 
-def notes_on(asked: Asked) -> list[str]:
+def notes_on(request: ValidationRequest) -> list[str]:
     """What a reader should know of how the figures came about."""
-    return list(dict.fromkeys(_notes(asked)))
+    return list(dict.fromkeys(_notes(request)))
 
 
-def _notes(asked: Asked) -> Iterator[str]:
-    if asked.driven:
-        yield f"driven by the measured {', '.join(asked.driven)}: its errors have no part here"
-    if asked.effects:
-        yield f"with {', '.join(asked.effects)} added to the model"
-    if asked.options.windows.start == "fitted":
+def _notes(request: ValidationRequest) -> Iterator[str]:
+    if request.driven:
+        yield f"driven by the measured {', '.join(request.driven)}: its errors have no part here"
+    if request.effects:
+        yield f"with {', '.join(request.effects)} added to the model"
+    if request.options.windows.start == "fitted":
         yield (
             "the starts of the windows were fitted to the windows themselves: the errors flatter, "
             "most over short horizons"
         )
-    several = len(asked.models) > 1
-    for model, datasets in asked.datasets.items():
+    several = len(request.models) > 1
+    for model, datasets in request.datasets.items():
         for dataset in datasets:
             prefix = f"{model}, {dataset.name}: " if several else f"{dataset.name}: "
             for remark in dataset.remarks:

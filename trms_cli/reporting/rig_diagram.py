@@ -1,8 +1,8 @@
-"""The rig's block diagram with the shares of a gap drawn on it."""
+"""The rig's block diagram with a share at each of its places."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -11,8 +11,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from trms_cli.gap.diagnosis import LocationShare
-from trms_cli.reporting.diagnosis_words import percent
+from trms_cli.core import wording
+from trms_cli.core.chart import RigDiagram, Share
 from trms_cli.reporting.style import GREY, INK, PALE, PALETTE, PAPER, house_style, new_figure
 
 #: Size of a box, and the pitch of columns and rows, in units of the drawing.
@@ -61,21 +61,13 @@ def _boxes() -> dict[str, _Box]:
     return boxes
 
 
-def diagram(where: Sequence[LocationShare], channels: Collection[str] = ()) -> Figure:
-    """From the commands to the sensors, each place with its share of the gap.
+def diagram(chart: RigDiagram) -> Figure:
+    """From the commands to the sensors, each place with its share.
 
-    A place is filled the darker the more of the gap lies in it.
-
-    Parameters
-    ----------
-    where : sequence of LocationShare
-        A place that is not in it has next to nothing.
-    channels : collection of str
-        What was recorded; a sensor that was not is dashed, and a rotor with its axis of which
-        nothing was is left out. Empty: everything.
+    A place is filled the darker the larger its share; one without has next to nothing. A sensor
+    that was not recorded is dashed, and a rotor with its axis of which nothing was is left out.
     """
-    shares = {place.location: place for place in where}
-    known = set(channels) or set(_CHANNELS.values()) | {"u_v", "u_h"}
+    known = set(chart.channels) or set(_CHANNELS.values()) | {"u_v", "u_h"}
     sides = [side for side, letter in _SIDES.items() if any(c.endswith(letter) for c in known)]
     with house_style():
         boxes = {name: box for name, box in _boxes().items() if box.side in sides}
@@ -88,14 +80,14 @@ def diagram(where: Sequence[LocationShare], channels: Collection[str] = ()) -> F
         _wires(panel, boxes, sides)
         for name, box in boxes.items():
             seen = _CHANNELS.get(name, "") in known or name not in _CHANNELS
-            _draw(panel, box, shares.get(name), seen)
+            _draw(panel, box, chart.shares.get(name), seen)
         panel.set_xlim(-1.62, 4 * _ACROSS + 1.55)
         panel.set_ylim(low, high)
         return figure
 
 
-def _draw(panel: Axes, box: _Box, place: LocationShare | None, seen: bool) -> None:
-    share = 0.0 if place is None else max(0.0, min(1.0, place.share))
+def _draw(panel: Axes, box: _Box, place: Share | None, seen: bool) -> None:
+    share = 0.0 if place is None else max(0.0, min(1.0, place[0]))
     panel.add_patch(
         FancyBboxPatch(
             (box.x - _WIDE / 2, box.y - _HIGH / 2),
@@ -117,12 +109,12 @@ def _draw(panel: Axes, box: _Box, place: LocationShare | None, seen: bool) -> No
         box.x, box.y + 0.24, box.title, ha="center", va="center", color=ink, size=8, zorder=4
     )
     panel.text(
-        box.x, box.y - 0.02, percent(place.share), ha="center", va="center", color=ink,
-        size=11, weight="bold" if share >= 0.1 else "normal", zorder=4,
+        box.x, box.y - 0.02, wording.percent(min(place[0], 1.0)), ha="center", va="center",
+        color=ink, size=11, weight="bold" if share >= 0.1 else "normal", zorder=4,
     )  # fmt: skip
-    low, high = place.ci95
+    low, high = (min(end, 1.0) for end in place[1:])
     panel.text(
-        box.x, box.y - 0.28, f"{100 * low:.0f}–{100 * high:.0f} %", ha="center", va="center",
+        box.x, box.y - 0.28, wording.percent_interval(low, high), ha="center", va="center",
         color=ink, size=7, zorder=4,
     )  # fmt: skip
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.commands.identify_request import Identification
 from trms_cli.identification.free_runs import WindowRuns, window_runs
 from trms_cli.identification.method import FitResult
-from trms_cli.identification.problem import with_values
+from trms_cli.identification.problem import FitProblem, with_values
 from trms_cli.models.model import Model
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,34 +53,34 @@ class Assessment:
         return None if covariance is None else correlations(covariance)
 
 
-def assess(asked: Identification, result: FitResult) -> Assessment:
+def assess(problem: FitProblem, result: FitResult) -> Assessment:
     """What the data say of the fitted parameters; nothing yet of errors."""
     told = {key: result.details[key] for key in _TOLD if key in result.details}
     details = {key: value for key, value in result.details.items() if key not in told}
     result = replace(result, details={k: v for k, v in details.items() if k not in _ELSEWHERE})
     if not result.values or not np.isfinite(result.cost) or result.covariance is not None:
         return Assessment(result, told)
-    return _at_point(asked, result, told)
+    return _at_point(problem, result, told)
 
 
-def _at_point(asked: Identification, result: FitResult, told: dict[str, Any]) -> Assessment:
+def _at_point(problem: FitProblem, result: FitResult, told: dict[str, Any]) -> Assessment:
     """Covariance and identifiability, for a method that knows no slopes."""
     from trms_cli.identification.greybox.information import identifiability
     from trms_cli.identification.greybox.map_fit import MapSettings, fit_from
     from trms_cli.identification.greybox.windows import Windows
 
     every = np.ones(len(result.values), dtype=bool)
-    fit = fit_from(Windows(asked.problem), result.theta, MapSettings(), held=every)
+    fit = fit_from(Windows(problem), result.theta, MapSettings(), held=every)
     if fit.information is None:
         return Assessment(result, told)
-    covariance = fit.information.covariance(asked.problem.on_bounds(result.theta) != 0)
-    judged_so = identifiability(fit.information, asked.problem.names, covariance)
+    covariance = fit.information.covariance(problem.on_bounds(result.theta) != 0)
+    judged_so = identifiability(fit.information, problem.names, covariance)
     return Assessment(
         replace(result, covariance=covariance), told | {"identifiability": asdict(judged_so)}
     )
 
 
-def judge(asked: Identification, assessment: Assessment, fitted: Model | None = None) -> None:
+def judge(problem: FitProblem, assessment: Assessment, fitted: Model | None = None) -> None:
     """Simulate what was fitted and what was held out, with the old model and the new.
 
     Parameters
@@ -89,7 +88,6 @@ def judge(asked: Identification, assessment: Assessment, fitted: Model | None = 
     fitted : Model or None
         The model that a network was trained to; None: the problem's with the fitted values.
     """
-    problem = asked.problem
     after = fitted or with_values(problem.model, assessment.result.values)
     parts = {"fit": problem.datasets, "held_out": problem.validation}
     for part, datasets in parts.items():
@@ -101,9 +99,8 @@ def judge(asked: Identification, assessment: Assessment, fitted: Model | None = 
             )
 
 
-def at_bounds(asked: Identification, values: Mapping[str, float]) -> dict[str, str]:
+def at_bounds(problem: FitProblem, values: Mapping[str, float]) -> dict[str, str]:
     """Which fitted values lie on a bound: ``lower`` or ``upper`` by name."""
-    problem = asked.problem
     at = problem.on_bounds(np.array([values[name] for name in problem.names]))
     words = {-1: "lower", 1: "upper"}
     return {name: words[on] for name, on in zip(problem.names, at.tolist(), strict=True) if on}

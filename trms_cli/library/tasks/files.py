@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.identify_request import Identification
 from trms_cli.composition.catalogue import config_folder, read_yaml
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError, RecordingError
@@ -16,6 +15,7 @@ from trms_cli.core.plugins import TARGET
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.identification.method import FitResult
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
+from trms_cli.library.tasks.identification_request import Identification
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import ParameterFile, parameter_file
 
@@ -64,26 +64,26 @@ def origin_of(composition: Composition) -> ModelOrigin | None:
 
 
 def write_fitted_model(
-    asked: Identification,
+    request: Identification,
     result: FitResult,
     deviations: Mapping[str, float | None],
     origin: ModelOrigin | None,
     path: Path,
 ) -> Path:
     """Write the fitted model."""
-    source = source_words(asked)
+    source = source_words(request)
     if result.model_document is not None:
         document = dict(result.model_document)
         document.setdefault("source", source)
     else:
         assert origin is not None
         document = model_document(
-            asked.recordings[0].name,
-            asked.model,
+            request.recordings[0].name,
+            request.model,
             origin,
             values=result.values,
             deviations=deviations,
-            free=asked.problem.free,
+            free=request.problem.free,
             source=source,
         )
     heading = (
@@ -104,11 +104,11 @@ def network_of(result: FitResult, file: Path) -> Model | None:
     return load_model(str(file))
 
 
-def source_words(asked: Identification) -> str:
+def source_words(request: Identification) -> str:
     """What was fitted to what."""
-    files = {d.source: d.sha256 for d in asked.problem.datasets}
+    files = {d.source: d.sha256 for d in request.problem.datasets}
     words = ", ".join(f"{Path(f).name} (sha256 {digest[:16]})" for f, digest in files.items())
-    driven = f", driven by the measured {', '.join(asked.driven)}" if asked.driven else ""
+    driven = f", driven by the measured {', '.join(request.driven)}" if request.driven else ""
     return f"fitted to {words}{driven}"
 
 

@@ -1,23 +1,28 @@
-"""From a composed configuration to what is to be diagnosed: model, recordings, suspects."""
+"""From a composed configuration to what is to be diagnosed: model, recordings, candidates."""
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from trms_cli.commands.diagnose_candidates import Suspects, suspects_of
-from trms_cli.commands.recording_request import model_of, several
+from trms_cli.composition.catalogue import read_groups, read_yaml
 from trms_cli.composition.composer import Composition
-from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.core.plugins import TARGET, build
+from trms_cli.composition.plain_values import model_of_choice
+from trms_cli.core.errors import ConfigurationError, ModelError, RecordingError
+from trms_cli.core.plugins import TARGET, build, nearest
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import ExtendedModel, effect_names
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.admission import Admission, admit
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
+from trms_cli.library.tasks.subject import model_of, several
 from trms_cli.models.model import Model
 
 #: Keys of the configuration that are plugins of their own.
@@ -48,12 +53,12 @@ class DiagnoseOptions:
 
 
 @dataclass(frozen=True)
-class Asked:
+class DiagnosisRequest:
     """All that a diagnosis needs."""
 
     options: DiagnoseOptions
     problem: GapProblem
-    suspects: Suspects
+    candidates: Candidates
     remarks: tuple[str, ...]  #: What was found in the recordings and what was done to them
 
     @property
@@ -63,7 +68,7 @@ class Asked:
         parts = [
             problem.model_name,
             *(f"{p.name} {p.value!r} {p.prior_sd!r}" for p in problem.model.parameters),
-            repr(self.suspects.nodes),
+            repr(self.candidates.nodes),
             repr((problem.block, problem.sealed_share, problem.effort, problem.seed)),
         ]
         digest = sha256("\n".join(parts).encode())
@@ -73,7 +78,7 @@ class Asked:
         return digest.hexdigest()
 
 
-def diagnosis_asked(composition: Composition) -> Asked:
+def request_of(composition: Composition) -> DiagnosisRequest:
     """Build what a configuration asks for.
 
     Raises TrmsError for the first key, recording or effect that is wrong.
@@ -87,17 +92,17 @@ def diagnosis_asked(composition: Composition) -> Asked:
     model = model_of(config)
     _require_equations(model)
     words = several(options.candidates, "candidates")
-    suspects = suspects_of(words, model, composition.config_dirs)
+    candidates = candidates_of(words, model, composition.config_dirs)
     datasets = tuple(load_datasets(several(options.real, "real"), model, data))
     admission = admit(datasets, model, len(_with_prior(model)))
-    _require(admission, name_of_model(composition))
+    _require(admission, model_of_choice(composition))
     _require_one_rate(datasets)
     _require_blocks(datasets, options)
     problem = GapProblem(
         model=model,
-        model_name=name_of_model(composition),
+        model_name=model_of_choice(composition),
         datasets=datasets,
-        candidates=suspects.effects,
+        candidates=candidates.effects,
         block=_block(datasets, options),
         sealed_share=options.sealed_share,
         effort=options.effort,
@@ -106,16 +111,7 @@ def diagnosis_asked(composition: Composition) -> Asked:
         warnings=tuple(str(issue) for issue in admission.warnings),
     )
     remarks = dict.fromkeys(remark for dataset in datasets for remark in dataset.remarks)
-    return Asked(options, problem, suspects, tuple(remarks))
-
-
-def name_of_model(composition: Composition) -> str:
-    """What the nominal model is called: its option, or its file as it was typed."""
-    node: Mapping[str, Any] = composition.config["model"]
-    path = node.get("path")
-    if composition.choices.get("model") == "from_file" and isinstance(path, str):
-        return path
-    return str(composition.choices.get("model"))
+    return DiagnosisRequest(options, problem, candidates, tuple(remarks))
 
 
 def _with_prior(model: Model) -> list[str]:
@@ -185,3 +181,109 @@ def _require_blocks(datasets: tuple[Dataset, ...], options: DiagnoseOptions) -> 
                 else ""
             ),
         )
+
+
+#: The group of the effects, and the word for all of them.
+_GROUP, _ALL = "effect", "all"
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Effects that may be the cause."""
+
+    effects: Mapping[str, Effect]  #: At the sizes of their options
+    nodes: Mapping[str, Mapping[str, Any]]  #: What the options say: class and arguments
+    #: Effects that were asked for by a pattern and that the model cannot carry, and why
+    left_out: Mapping[str, str]
+
+
+def candidates_of(
+    words: Sequence[str], model: Model, config_dirs: Sequence[Path] = ()
+) -> Candidates:
+    """The effects that ``candidates`` names, as far as the model can carry them.
+
+    Parameters
+    ----------
+    words : sequence of str
+        ``all``, names, patterns, and any of these after ``!`` to leave out again.
+    model : Model
+        The nominal one; an effect that it has already is no candidate.
+    config_dirs : sequence of Path
+        The user's folders; an option there hides a built-in namesake.
+
+    Raises
+    ------
+    ConfigurationError
+        For a name or pattern that fits nothing, an option that is no effect, or a list that
+        leaves nothing.
+    ModelError
+        For an effect that is asked for by its name and that the model cannot carry.
+    """
+    library = effect_nodes(config_dirs)
+    effects: dict[str, Effect] = {}
+    left_out: dict[str, str] = {}
+    present = effect_names(model)
+    for name in _chosen(words, library):
+        if name in present:
+            left_out[name] = "the nominal model has it already"
+            continue
+        effect = build(library[name], f"{_GROUP}.{name}")
+        if not isinstance(effect, Effect):
+            raise ConfigurationError(
+                f"{library[name][TARGET]!r} is no effect",
+                where=f"{_GROUP}.{name}",
+                remedy=f"derive it from trms_cli.effects.effect.Effect, or leave it out: !{name}",
+            )
+        try:
+            ExtendedModel(model, name, effect)
+        except ModelError as error:
+            if name in words:
+                raise
+            left_out[name] = error.problem
+            continue
+        effects[name] = effect
+    if not effects:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+        raise ConfigurationError(
+            "no effect is left to be suspected" + (f" ({reasons})" if reasons else ""),
+            where="candidates",
+            remedy="candidates=[all], or names that `trms list effect` shows",
+        )
+    return Candidates(effects, {name: library[name] for name in effects}, left_out)
+
+
+def effect_nodes(config_dirs: Sequence[Path] = ()) -> dict[str, dict[str, Any]]:
+    """All effects in the search path, by the name under which a model gains them."""
+    nodes: dict[str, dict[str, Any]] = {}
+    for option in read_groups(config_dirs).get(_GROUP, {}).values():
+        content = read_yaml(option.file)
+        for name, node in content.items() if isinstance(content, dict) else ():
+            if isinstance(node, dict) and TARGET in node:
+                nodes.setdefault(str(name), node)
+    return dict(sorted(nodes.items()))
+
+
+def _chosen(words: Sequence[str], library: Mapping[str, Any]) -> list[str]:
+    """Names in the order of the library."""
+    taken: set[str] = set()
+    if words and all(word.startswith("!") for word in words):
+        taken = set(library)  # `all` goes without saying
+    for word in words:
+        if word.startswith("!"):
+            taken -= _fitting(word[1:], library)
+        else:
+            taken |= _fitting(word, library)
+    return [name for name in library if name in taken]
+
+
+def _fitting(word: str, library: Mapping[str, Any]) -> set[str]:
+    if word == _ALL:
+        return set(library)
+    found = {name for name in library if fnmatch.fnmatchcase(name, word)}
+    if not found:
+        raise ConfigurationError(
+            f"no effect is called {word!r}",
+            where="candidates",
+            remedy=nearest(word, [_ALL, *library]),
+        )
+    return found

@@ -1,23 +1,56 @@
-"""From a composed configuration to a study and its subject, and from findings to the document."""
+"""A study of stability: request, findings, document, files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from time import perf_counter
 from typing import Any
 
-from trms_cli.commands.recording_request import model_of
-from trms_cli.commands.run_assembly import check_out, number, versions
 from trms_cli.composition.composer import Composition
+from trms_cli.composition.plain_values import check_out, model_of_choice, number
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.findings import Findings, as_data
 from trms_cli.core.invocation import command_line
 from trms_cli.core.plugin_contract import check_contract
 from trms_cli.core.plugins import TARGET, build
+from trms_cli.core.versions import versions
+from trms_cli.library.tasks.subject import model_of
+from trms_cli.library.tasks.task import Done, Listener
 from trms_cli.stability.study import Study
 from trms_cli.stability.subject import LoopParts, Subject, effects_of
 
 SCHEMA = "trms.stability/1"
+#: Files of a study in its folder.
+DOCUMENT_NAME, PAGE_NAME = "stability.json", "stability.html"
+
+
+def perform(composition: Composition, listener: Listener) -> Done:
+    """Answer the question of a configuration.
+
+    Raises TrmsError if the question makes no sense for the model; it says what is possible.
+    """
+    from trms_cli.runs.run_folder import removed_if_empty, write_document
+
+    begin = perf_counter()
+    request = request_of(composition)
+    subject = subject_words(request.subject)
+    folder = composition.folder("stability")  # before the work, which a wrong name would lose
+    files = {"figures": folder / DOCUMENT_NAME}
+    with listener.progress() as line, removed_if_empty(folder):
+        findings = findings_of(request, line.tell)
+        document = document_of(composition, request, findings)
+        write_document(document, files["figures"])
+        facts = {"model": document["model"], "command": f"`{document['command']}`"}
+        facts["versions"] = ", ".join(f"{name} {v}" for name, v in document["versions"].items())
+        if request.page:
+            from trms_cli.reporting.findings_page import write_page
+
+            line.tell("figures")
+            page = write_page(replace(findings, facts=facts), folder / PAGE_NAME, subject)
+            files |= {"page": page} if page else {}
+    spent = {"time": f"{perf_counter() - begin:.1f} s"}
+    return Done(folder, replace(findings, facts=spent, files=files), subject)
 
 
 @dataclass(frozen=True)
@@ -45,9 +78,7 @@ def request_of(composition: Composition) -> StabilityRequest:
             where="study",
             remedy="choose one that `trms list study` shows",
         )
-    name = str(composition.choices.get("model"))
-    if name == "from_file":
-        name = str(config["model"].get("path", name))
+    name = model_of_choice(composition)
     return StabilityRequest(
         study, Subject(model_of(config), name, _loop_of(composition)), page=config["page"]
     )

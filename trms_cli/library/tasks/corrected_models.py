@@ -6,23 +6,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trms_cli.commands.diagnose_request import Asked
-from trms_cli.commands.identify_files import effect_arguments, origin_of
 from trms_cli.composition.catalogue import config_folder
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.invocation import command_line
 from trms_cli.effects.extended_model import extended
 from trms_cli.gap.diagnosis import NO_EFFECT, Cause, Diagnosis
+from trms_cli.gap.findings import likeliest
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import FreeParameter, free_parameters
+from trms_cli.library.tasks.diagnosis_request import DiagnosisRequest
+from trms_cli.library.tasks.files import effect_arguments, origin_of
 from trms_cli.models.model import Model
 
 CORRECTED_NAME, REFIT_NAME = "corrected_model.yaml", "refit_model.yaml"
 
 
 def write_models(
-    asked: Asked, origin: ModelOrigin, diagnosis: Diagnosis, folder: Path
+    request: DiagnosisRequest, origin: ModelOrigin, diagnosis: Diagnosis, folder: Path
 ) -> tuple[Path, Path]:
     """Write the corrected model, and the nominal one refitted without a cause.
 
@@ -37,12 +38,12 @@ def write_models(
         refit = {name: p.fitted for name, p in diagnosis.parameters.items()}
     values = refit if cause is None else {n: p.fitted for n, p in diagnosis.parameters.items()}
     corrected_path, refit_path = folder / CORRECTED_NAME, folder / REFIT_NAME
-    _write(asked, origin, cause, values, deviations, corrected_path, corrected_words(diagnosis))
+    _write(request, origin, cause, values, deviations, corrected_path, corrected_words(diagnosis))
     words = "the nominal model with its parameters refitted, and nothing added"
     if diagnosis.verdict == "no_gap":
         words = "the nominal model: there is no gap, so nothing was refitted"
     spread = deviations if cause is None else {}
-    _write(asked, origin, None, refit, spread, refit_path, words)
+    _write(request, origin, None, refit, spread, refit_path, words)
     return corrected_path, refit_path
 
 
@@ -56,11 +57,6 @@ def applied_cause(diagnosis: Diagnosis) -> Cause | None:
     if first is None or not first.parameters or set(first.effects) & set(NO_EFFECT):
         return None
     return first if diagnosis.verdict in ("effect", "undecided") else None
-
-
-def likeliest(diagnosis: Diagnosis) -> Cause | None:
-    """The cause with the largest probability."""
-    return max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
 
 
 def corrected_words(diagnosis: Diagnosis) -> str:
@@ -80,7 +76,7 @@ def corrected_words(diagnosis: Diagnosis) -> str:
     }.get(diagnosis.verdict, f"{refit}; undecided, so no effect was added")
 
 
-def model_origin(composition: Composition, asked: Asked) -> ModelOrigin:
+def model_origin(composition: Composition, request: DiagnosisRequest) -> ModelOrigin:
     """What the models' files say besides values; a model of one's own goes in as a plugin."""
     try:
         return origin_of(composition) or ModelOrigin(option="")
@@ -101,7 +97,7 @@ def _plain(value: Any) -> Any:
 
 
 def _write(
-    asked: Asked,
+    request: DiagnosisRequest,
     origin: ModelOrigin,
     cause: Cause | None,
     values: Mapping[str, float],
@@ -109,17 +105,17 @@ def _write(
     path: Path,
     words: str,
 ) -> None:
-    model, effects = asked.problem.model, dict(origin.effects)
+    model, effects = request.problem.model, dict(origin.effects)
     free = _known(model, values)
     if cause is not None:
-        suspects = asked.suspects
-        model = extended(model, {name: suspects.effects[name] for name in cause.effects})
+        candidates = request.candidates
+        model = extended(model, {name: candidates.effects[name] for name in cause.effects})
         for name in cause.effects:
-            effects[name] = effect_arguments(name, suspects.nodes[name])
+            effects[name] = effect_arguments(name, candidates.nodes[name])
         values = dict(values) | {name: size.value for name, size in cause.parameters.items()}
-    files = {d.source: d.sha256 for d in asked.problem.datasets}
+    files = {d.source: d.sha256 for d in request.problem.datasets}
     document = model_document(
-        asked.problem.datasets[0].name,
+        request.problem.datasets[0].name,
         model,
         ModelOrigin(option=origin.option, limits=origin.limits, effects=effects),
         values=values,

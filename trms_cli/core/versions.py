@@ -1,0 +1,29 @@
+"""Versions of the program and of what it computes with, for the records of what is written."""
+
+from __future__ import annotations
+
+import platform
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+
+from trms_cli import __version__
+
+#: Packages whose version may change a figure of a run.
+_COMPUTING_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "hydra-core", "mcap")
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computes, by package."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """They stay the same while the process lives."""
+    known = {"trms": __version__, "python": platform.python_version()}
+    for package in _COMPUTING_PACKAGES:
+        try:
+            known[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return known

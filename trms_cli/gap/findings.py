@@ -1,0 +1,806 @@
+"""What a diagnosis has to tell: verdict, causes, places, the race, the gap before and after."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from trms_cli.core import wording
+from trms_cli.core.chart import (
+    Axis,
+    Band,
+    Bars,
+    Chart,
+    Colour,
+    Curve,
+    Line,
+    Mark,
+    Panel,
+    Points,
+    RigDiagram,
+    Style,
+)
+from trms_cli.core.findings import (
+    Block,
+    Cell,
+    Column,
+    Command,
+    Findings,
+    Judged,
+    Judgement,
+    Measure,
+    Remarks,
+    Section,
+    Table,
+    table,
+)
+from trms_cli.core.invocation import program
+from trms_cli.gap.diagnosis import (
+    NO_EFFECT,
+    Cause,
+    Diagnosis,
+    Gap,
+    GapTest,
+    RaceEntry,
+    Shrink,
+    SizeEstimate,
+    Traces,
+    horizon_key,
+)
+
+#: s; the horizon that stands for all: this, or the longest that there is below.
+HORIZON = 2.0
+#: Probability and share below which a cause and a place are not worth a line.
+LEAST = 0.01
+#: Verdicts after which the missing force itself is described: a cause says more of it.
+_UNNAMED = ("none_of_these", "undecided")
+#: Probability from which an answer is called sure, and likely.
+_SURE, _LIKELY = 0.9, 0.7
+#: nats within which two competitors are level.
+_LEVEL = 3.0
+#: Prior standard deviations from which a parameter has moved far.
+_FAR = 2.5
+#: Rows of tables and bars of the race; the JSON has all.
+_MOST_CAUSES, _MOST_PARAMETERS, _MOST_BARS = 8, 12, 14
+#: Probabilities below which digits mean nothing.
+_SMALLEST = 1e-6
+#: s of the part of a force that is enlarged.
+_ENLARGED = 15.0
+_WIDTH = 9.2
+#: Units of sizes besides, and the factors to them.
+_SIZES = {"s": ("ms", 1e3), "kg": ("g", 1e3)}
+#: Models of the pictures: name, colour, line.
+_RUNS: Mapping[str, tuple[str, Colour, Style]] = {
+    "raw": ("as it was", "grey", "dashed"),
+    "refit": ("refitted", "vermilion", "solid"),
+    "corrected": ("corrected", "blue", "solid"),
+}
+
+
+def findings(
+    diagnosis: Diagnosis, remarks: Sequence[str] = (), folder: Path | None = None
+) -> Findings:
+    """What is worth telling of a diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    remarks : sequence of str
+        What was found in the recordings and what was done to them.
+    folder : Path or None
+        Where the corrected model lies, for what to type next.
+    """
+    sections = (
+        _causes(diagnosis),
+        _where(diagnosis),
+        _race(diagnosis),
+        _force(diagnosis),
+        _before_and_after(diagnosis),
+        _tests(diagnosis),
+        _parameters(diagnosis),
+        _not_told(diagnosis),
+        _recordings(diagnosis, remarks),
+    )
+    warnings = [text for text in diagnosis.warnings if text not in remarks]
+    if diagnosis.worse:
+        worse = wording.listing([wording.signal(name) for name in diagnosis.worse])
+        warnings.insert(0, f"the correction made {worse} worse, by over 2 % at 2 s")
+    return Findings(
+        title=f"Diagnosis: {headline(diagnosis)}",
+        lead=[text for text in (diagnosis.sentence, _confidence(diagnosis)) if text],
+        sections=[section for section in sections if section is not None],
+        warnings=warnings,
+        measures=list(_measures(diagnosis)),
+        facts=_facts(diagnosis),
+        next=_next(diagnosis, folder),
+    )
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in a few words."""
+    first = likeliest(diagnosis)
+    if diagnosis.verdict == "effect" and first is not None:
+        return f"{cause_name(first.effects)} is what the model lacks"
+    return {
+        "parameters_only": "other parameters, and no effect, explain the gap",
+        "no_gap": "no gap",
+        "none_of_these": "something that is not in the library",
+    }.get(diagnosis.verdict, "the cause stays undecided")
+
+
+def likeliest(diagnosis: Diagnosis) -> Cause | None:
+    """The cause with the largest probability."""
+    return max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
+
+
+def cause_name(effects: Sequence[str]) -> str:
+    """A cause, or a competitor of the race, as a colleague calls it."""
+    plain = {
+        (): "parameters only",
+        ("flexible",): "a force without a name",
+        ("no_gap",): "no gap",
+        ("none_of_these",): "none of these",
+    }
+    return plain.get(tuple(effects)) or " with ".join(wording.readable(name) for name in effects)
+
+
+def sizes(parameters: Mapping[str, SizeEstimate]) -> str:
+    """Sizes of a cause with their deviations; one without any was held where it is."""
+    words = []
+    for name, size in parameters.items():
+        unit, scale = _SIZES.get(size.unit) or wording.small_unit(size.unit)
+        spread = f" ± {wording.number(scale * size.sd, 2)}" if size.sd > 0 else ""
+        text = f"{name.split('.', 1)[-1]} {wording.number(scale * size.value)}{spread}"
+        words.append(f"{text} {wording.unit(unit)}".rstrip())
+    return ", ".join(words)
+
+
+def place_name(location: str) -> str:
+    """``yaw_moment`` as yaw moment."""
+    return location.replace("_", " ")
+
+
+def told_horizon(rows: Mapping[str, object]) -> str | None:
+    """The horizon that stands for all."""
+    known = sorted(rows, key=float)
+    below = [horizon for horizon in known if float(horizon) <= HORIZON]
+    return (below or known[:1])[-1] if known else None
+
+
+def _share(share: float) -> str:
+    """A share in words: an estimate beyond all of it is no more than that."""
+    return "all" if share > 1.005 else wording.percent(share)
+
+
+def _interval(ends: tuple[float, float]) -> str:
+    low, high = (min(end, 1.0) for end in ends)
+    if low < -1.0:  # the model without the correction was close to the floor by chance
+        return f"up to {wording.percent(high)}"
+    if wording.percent(low) == wording.percent(high):
+        return wording.percent(low)
+    return wording.percent_interval(low, high)
+
+
+def _confidence(diagnosis: Diagnosis) -> str:
+    """How sure the verdict is, and what comes next to it."""
+    first = likeliest(diagnosis)
+    if first is None:
+        return ""
+    alike = _alike(first, diagnosis)
+    together = first.probability + sum(cause.probability for cause in alike)
+    how = "Sure" if together >= _SURE else "Likely" if together >= _LIKELY else "Open"
+    text = f"**{how}**: {cause_name(first.effects)}, {wording.percent(first.probability)}"
+    if alike:
+        names = wording.listing([cause_name(cause.effects) for cause in alike], "or")
+        text += f"; {wording.percent(together)} together with {names}"
+    rest = [c for c in diagnosis.causes if c is not first and all(c is not a for a in alike)]
+    second = max(rest, key=lambda cause: cause.probability, default=None)
+    if second is not None and second.probability >= LEAST:
+        text += f"; next is {cause_name(second.effects)} with {wording.percent(second.probability)}"
+    return f"{text}."
+
+
+def _alike(cause: Cause, diagnosis: Diagnosis) -> list[Cause]:
+    """Causes with a probability that these recordings do not tell from one."""
+    groups = [set(group) for group in diagnosis.confusable if set(group) & set(cause.effects)]
+    names = set(cause.effects).union(*groups)
+    return [
+        other
+        for other in diagnosis.causes
+        if other is not cause and other.probability >= LEAST and set(other.effects) <= names
+    ]
+
+
+def _measures(diagnosis: Diagnosis) -> Iterator[Measure]:
+    first = likeliest(diagnosis)
+    if first is not None:
+        yield Measure(
+            "probability", wording.percent(first.probability), note=cause_name(first.effects)
+        )
+    if diagnosis.where and diagnosis.where[0].share >= 0.05:
+        place = diagnosis.where[0]
+        share, ends = _share(place.share), _interval(place.ci95)
+        note = f"{share} of the gap" + ("" if ends == share else f" ({ends})")
+        yield Measure("lies in", place_name(place.location), note=note)
+    rows = diagnosis.shrink.get("all", {})
+    horizon = told_horizon(rows)
+    shrink = _at(rows, horizon)
+    if is_corrected(diagnosis) and shrink is not None and shrink.fraction is not None:
+        ends = "" if shrink.ci95 is None else f" ({_interval(shrink.ci95)})"
+        judgement: Judgement = "good" if shrink.fraction > 0.5 else ""
+        note = f"of what the refit left over {float(horizon or 0):g} s{ends}"
+        yield Measure("gap closed", _share(shrink.fraction), judgement=judgement, note=note)
+
+
+def is_corrected(diagnosis: Diagnosis) -> bool:
+    """Whether the corrected model is another one than the refitted."""
+    rows = [row for rows in diagnosis.gap.values() for row in rows.values()]
+    return any(row.corrected != row.refit for row in rows)
+
+
+def _facts(diagnosis: Diagnosis) -> dict[str, str]:
+    files = ", ".join(recording.file for recording in diagnosis.recordings)
+    length = sum(recording.duration_s for recording in diagnosis.recordings)
+    facts = {
+        "verdict": diagnosis.verdict,
+        "model": f"`{diagnosis.model}`",
+        "recorded": f"{files}: {length:g} s",
+        "effort": f"{diagnosis.effort}, seed {diagnosis.seed}",
+    }
+    if diagnosis.seconds:
+        facts["time"] = wording.seconds(sum(diagnosis.seconds.values()))
+    if diagnosis.versions:
+        facts["versions"] = ", ".join(f"{name} {v}" for name, v in diagnosis.versions.items())
+    return facts
+
+
+def _next(diagnosis: Diagnosis, folder: Path | None) -> list[Command]:
+    commands = []
+    if diagnosis.next_experiment is not None:
+        commands.append(Command(diagnosis.next_experiment.command, diagnosis.next_experiment.why))
+    if folder is not None:
+        model = shlex.quote(str(folder / "corrected_model.yaml"))
+        commands += [
+            Command(
+                f"{program()} validate model={model} real=FILE",
+                "the corrected model on a recording that it has not seen",
+            ),
+            Command(
+                f"{program()} run model={model} controller=newton_mpc",
+                "control with the corrected model; `model=` takes it anywhere",
+            ),
+        ]
+    return commands
+
+
+def _causes(diagnosis: Diagnosis) -> Section | None:
+    kept = [cause for cause in diagnosis.causes if cause.probability >= LEAST][:_MOST_CAUSES]
+    if not kept:
+        return None
+    sure = diagnosis.verdict != "undecided"
+
+    def probability(cause: Cause) -> Judged:
+        judgement: Judgement = "good" if cause is kept[0] and sure else ""
+        return Judged(wording.percent(cause.probability), judgement, bar=cause.probability)
+
+    columns = [
+        Column("cause", lambda cause: cause_name(cause.effects)),
+        Column("probability", probability),
+        Column("size", lambda cause: sizes(cause.parameters)),
+    ]
+    if any(_alike(cause, diagnosis) for cause in kept):
+        columns.append(
+            Column(
+                "not told apart from",
+                lambda cause: ", ".join(cause_name(c.effects) for c in _alike(cause, diagnosis)),
+            )
+        )
+    return Section(
+        "Which cause" if len(kept) == 1 else "Which of the causes",
+        [
+            "Probabilities of all answers; they sum to one. How the race turns into probabilities "
+            "is set by rigs whose truth is known, built by other code than the models."
+        ],
+        [table(kept, columns)],
+    )
+
+
+def _where(diagnosis: Diagnosis) -> Section | None:
+    places = [place for place in diagnosis.where if place.share >= LEAST]
+    if not places:
+        return None
+    regions = {
+        name: [r for r in diagnosis.region if r.location == name]
+        for name in (place.location for place in places)
+    }
+
+    def when(location: str) -> str:
+        return "; ".join(f"{_share(r.share)} where {r.condition}" for r in regions[location])
+
+    columns = [
+        Column("place", lambda place: place_name(place.location)),
+        Column("share of the gap", lambda place: _share(place.share)),
+        Column("95 % interval", lambda place: _interval(place.ci95)),
+    ]
+    if any(regions.values()):
+        columns.append(Column("of its energy", lambda place: when(place.location)))
+    rows = table(places, columns)
+    return Section(
+        "Where the gap lies",
+        [_where_words(diagnosis)],
+        [
+            RigDiagram(
+                "places",
+                {p.location: (p.share, *p.ci95) for p in diagnosis.where},
+                [c for recording in diagnosis.recordings for c in recording.channels],
+                "From the commands to the sensors: the share of the gap that lies at each place, "
+                "with its 95 % interval. Without a figure: next to nothing. Dashed: was not "
+                "recorded.",
+            ),
+            rows,
+        ],
+    )
+
+
+def _where_words(diagnosis: Diagnosis) -> str:
+    first = max(diagnosis.where, key=lambda place: place.share)
+    if first.share < 0.05:
+        return "No place stands out: a free force at any of them closes next to nothing."
+    text = (
+        f"**{_share(first.share)}** of the gap lies in the {place_name(first.location)} (95 % "
+        f"interval: {_interval(first.ci95)})."
+    )
+    rivals = [
+        place_name(place.location)
+        for place in diagnosis.where
+        if place is not first and place.ci95[1] >= first.ci95[0]
+    ]
+    if rivals:
+        verb = "reaches" if len(rivals) == 1 else "reach"
+        interval = "interval" if len(rivals) == 1 else "intervals"
+        text += (
+            f" The {interval} of {wording.listing(rivals)} {verb} as far: the place is not certain."
+        )
+    return text
+
+
+def is_effect(effects: Sequence[str]) -> bool:
+    """Whether a competitor of the race consists of effects."""
+    return bool(effects) and not set(effects) & {"flexible", *NO_EFFECT}
+
+
+def winner(diagnosis: Diagnosis) -> RaceEntry | None:
+    """The competitor that is the likeliest answer; the best score where it is no effect."""
+    named = [entry for entry in diagnosis.race if is_effect(entry.effects)]
+    first = likeliest(diagnosis)
+    for entry in named:
+        if first is not None and entry.effects == first.effects:
+            return entry
+    return max(named, key=lambda entry: entry.score, default=None)
+
+
+def _race(diagnosis: Diagnosis) -> Section | None:
+    if not diagnosis.race:
+        return None
+    chart = race_chart(diagnosis)
+    return Section("The race of the candidates", [_race_words(diagnosis)], [chart])
+
+
+def _race_words(diagnosis: Diagnosis) -> str:
+    """Who won, by how much, and whether a force without a name did better."""
+    best = winner(diagnosis)
+    if best is None:
+        return "No candidate ran."
+    name = cause_name(best.effects)
+    text = (
+        f"{name[0].upper()}{name[1:]} foretells held-out blocks by {best.score:.0f} ± "
+        f"{best.se:.0f} nats better than the refitted model."
+    )
+    others = [e for e in diagnosis.race if is_effect(e.effects) and e is not best]
+    second = max(others, key=lambda entry: entry.score, default=None)
+    if second is not None:
+        name, apart = cause_name(second.effects), best.score - second.score
+        if abs(apart) < _LEVEL:
+            text += f" Level with it is {name}."
+        elif apart > 0:
+            text += f" Next is {name}, {apart:.0f} nats below."
+        else:
+            text += f" Above it is {name} by {-apart:.0f} nats, which has more to adjust."
+    flexible = next((e for e in diagnosis.race if tuple(e.effects) == ("flexible",)), None)
+    if flexible is not None:
+        if flexible.score > best.score + 2 * (flexible.se + best.se):
+            text += " **A force without a name does clearly better**: something else is missing."
+        elif flexible.score <= best.score:
+            text += " A force without a name, free to be anything, does no better."
+    return text
+
+
+def race_chart(diagnosis: Diagnosis) -> Chart:
+    """Bars of the held-out score of each competitor above the refitted model's."""
+    entries = sorted((e for e in diagnosis.race if np.isfinite(e.score)), key=lambda e: -e.score)
+    kept = entries[:_MOST_BARS]
+    kept += [e for e in entries[_MOST_BARS:] if not is_effect(e.effects)]
+    best = winner(diagnosis)
+    first = likeliest(diagnosis)
+    alike = {cause.effects for cause in _alike(first, diagnosis)} if first is not None else set()
+    top = max([e.score + (e.se if is_effect(e.effects) else 0.0) for e in kept] + [1.0])
+    low = min(0.0, max(min((e.score for e in kept), default=0.0), -0.25 * top))
+
+    def colour(entry: RaceEntry) -> Colour:
+        if not is_effect(entry.effects):
+            return "pale"
+        if best is not None and entry.effects == best.effects:
+            return "blue"
+        return "sky" if entry.effects in alike else "grey"
+
+    bars = Bars(
+        [cause_name(e.effects) if e.effects != ("no_gap",) else "as it was" for e in kept],
+        [max(e.score, low) for e in kept],
+        [colour(e) for e in kept],
+        [e.se if is_effect(e.effects) and e.score >= low else np.nan for e in kept],
+        ["not told from the best" if e.effects in alike else "" for e in kept],
+    )
+    axis = Axis("held-out log density above the refitted model", "nats", (1.05 * low, 1.04 * top))
+    return Chart(
+        "race",
+        [Panel(axis, Axis(""), [bars])],
+        "How much better each candidate, fitted together with the model's parameters, foretells "
+        "blocks that it was not fitted to, one step ahead; whiskers: one standard error.",
+        columns=1,
+        width=_WIDTH,
+        height=0.8 + 0.27 * len(kept),
+    )
+
+
+def _force(diagnosis: Diagnosis) -> Section | None:
+    blocks: list[Block] = []
+    if diagnosis.traces is not None:
+        order = [place.location for place in diagnosis.where if place.share >= 0.02]
+        order += [name for name in diagnosis.traces.explained if name not in order]
+        chart = force_chart(diagnosis.traces, order)
+        blocks += [chart] if chart is not None else []
+    if diagnosis.verdict in _UNNAMED and diagnosis.description:
+        blocks.append(Remarks(diagnosis.description))
+    if not blocks:
+        return None
+    text = (
+        "What had to act on the model, beyond its equations, for it to follow the recordings: "
+        "estimated without any candidate in mind."
+    )
+    if diagnosis.traces is not None and diagnosis.traces.explained:
+        text += " In blue, what the likeliest cause says this force is."
+    return Section("The missing force", [text], blocks)
+
+
+def force_chart(traces: Traces, locations: Sequence[str]) -> Chart | None:
+    """The smoothed missing force at some places with its band, and what the cause says it is.
+
+    None where nothing was smoothed. Of the first place a part is enlarged below.
+    """
+    shown = [name for name in locations if name in traces.force][:3]
+    if not shown:
+        return None
+    time = np.asarray(traces.force_time, dtype=float)
+    begin, end = _busiest_part(traces, shown[0])
+    whole = (float(time[0]), float(time[-1]))
+    panels = []
+    for number, name in enumerate((shown[0], *shown)):
+        enlarged = number == 1
+        unit, scale = wording.small_unit(traces.force_unit.get(name, ""))
+        force = scale * np.asarray(traces.force[name], dtype=float)
+        marks: list[Mark] = []
+        if f"{name}.sd" in traces.force:
+            sd = scale * np.asarray(traces.force[f"{name}.sd"], dtype=float)
+            marks.append(Band(time, force - 2 * sd, force + 2 * sd, "± 2 sd", "grey"))
+        marks.append(Curve(time, force, "missing", "ink", width=0.8))
+        if name in traces.explained:
+            says = scale * np.asarray(traces.explained[name], dtype=float)
+            marks.append(Curve(time, says, "what the cause says", "blue", width=1.3))
+        marks.append(Line(y=0.0))
+        if number == 0:
+            marks += [Line(x=begin, colour="ink"), Line(x=end, colour="ink")]
+        label = f"{place_name(name)}{', enlarged' if enlarged else ''}"
+        panels.append(
+            Panel(
+                Axis("time", "s", (begin, end) if enlarged else whole),
+                Axis("", wording.unit(unit)),
+                marks,
+                label,
+            )
+        )
+    return Chart(
+        "force", panels, "Second: the part between the dotted lines, enlarged.", 1, _WIDTH, 1.9
+    )
+
+
+def _busiest_part(traces: Traces, name: str) -> tuple[float, float]:
+    """The stretch in which the force (or what is said of it) has most energy."""
+    time = np.asarray(traces.force_time, dtype=float)
+    wanted = min(_ENLARGED, float(time[-1] - time[0]))
+    values = np.nan_to_num(np.asarray(traces.explained.get(name, traces.force[name]), dtype=float))
+    if not np.any(values):
+        values = np.nan_to_num(np.asarray(traces.force[name], dtype=float))
+    width = max(1, int(np.searchsorted(time - time[0], wanted)))
+    if width >= len(time):
+        return float(time[0]), float(time[-1])
+    energy = np.convolve(values**2, np.ones(width), "valid")
+    first = int(np.argmax(energy))
+    return float(time[first]), float(time[min(first + width, len(time) - 1)])
+
+
+def _before_and_after(diagnosis: Diagnosis) -> Section | None:
+    corrected = is_corrected(diagnosis)
+    chart = gap_chart(diagnosis)
+    if chart is None:
+        return None
+    blocks: list[Block] = [_gap_at_horizon(diagnosis, corrected), chart]
+    runs = None if diagnosis.traces is None else run_chart(diagnosis.traces)
+    blocks += [runs] if runs is not None else []
+    whole = Table(*_gap_table(diagnosis, corrected), heads=2, on_screen=False)
+    section = "On a part of the recordings that was sealed: nothing was fitted or chosen on it."
+    if not corrected:
+        section += " No cause was added, so the refitted model is all there is to show."
+    return Section("Before and after", [section], [*blocks, whole])
+
+
+def _gap_at_horizon(diagnosis: Diagnosis, corrected: bool) -> Table:
+    """A row a channel at the horizon that stands for all."""
+    horizon = told_horizon({h: None for rows in diagnosis.gap.values() for h in rows})
+    columns, rows, _ = _gap_table(diagnosis, corrected, horizon)
+    caption = f"RMS of the errors of free runs of {float(horizon or 0):g} s on the sealed part."
+    if corrected:
+        caption += " Closed: of what the refit left above the floor."
+    keep = [i for i in range(len(columns)) if i != 1]
+    return Table([columns[i] for i in keep], [[row[i] for i in keep] for row in rows], caption)
+
+
+def _gap_table(
+    diagnosis: Diagnosis, corrected: bool, only: str | None = None
+) -> tuple[list[str], list[list[Cell]], str]:
+    """Columns, rows and caption of the gap by channel and horizon."""
+    columns = ["output", "free run [s]", "as it was", "refitted", "corrected", "floor"]
+    columns += ["closed", "95 % interval"]
+    rows: list[list[Cell]] = []
+    for channel, by_horizon in diagnosis.gap.items():
+        for horizon, row in by_horizon.items():
+            if only is not None and horizon_key(horizon) != horizon_key(only):
+                continue
+            unit, scale = wording.small_unit(row.unit)
+            mark: Judgement = "bad" if row.corrected > 1.02 * row.refit else ""
+            shrink = _at(diagnosis.shrink.get(channel, {}), horizon)
+            rows.append(
+                [
+                    wording.titled(wording.signal(channel), unit),
+                    f"{float(horizon):g}",
+                    scale * row.raw,
+                    scale * row.refit,
+                    Judged(scale * row.corrected, mark),
+                    scale * row.floor,
+                    *_closed(shrink),
+                ]
+            )
+    for horizon in diagnosis.shrink.get("all", {}):
+        if only is None or horizon_key(horizon) == horizon_key(only):
+            shrink = _at(diagnosis.shrink["all"], horizon)
+            blank: list[Cell] = ["", "", "", ""]
+            rows.append(["all channels", f"{float(horizon):g}", *blank, *_closed(shrink)])
+    caption = "Closed: what the correction took from the gap above the floor that the refit left."
+    if not corrected:
+        keep = [0, 1, 2, 3, 5]
+        rows = [[row[i] for i in keep] for row in rows if row[0] != "all channels"]
+        return [columns[i] for i in keep], rows, ""
+    return columns, rows, caption
+
+
+def _at(rows: Mapping[str, Shrink], horizon: str | None) -> Shrink | None:
+    if horizon is None:
+        return None
+    key = horizon_key(horizon)
+    return next((shrink for h, shrink in rows.items() if horizon_key(h) == key), None)
+
+
+def _closed(shrink: Shrink | None) -> list[Cell]:
+    if shrink is None or shrink.fraction is None:
+        return [wording.MISSING, ""]
+    mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
+    text = _share(shrink.fraction) if shrink.fraction > -1 else "none: it grows"
+    return [Judged(text, mark), "" if shrink.ci95 is None else _interval(shrink.ci95)]
+
+
+def gap_chart(diagnosis: Diagnosis) -> Chart | None:
+    """The gap over the length of a free run, a panel a channel; None without any."""
+    channels = [name for name, rows in diagnosis.gap.items() if rows]
+    if not channels:
+        return None
+    corrected = is_corrected(diagnosis)
+    panels = []
+    for channel in channels:
+        rows: list[tuple[float, Gap]] = sorted(
+            ((float(h), row) for h, row in diagnosis.gap[channel].items()), key=lambda r: r[0]
+        )
+        horizons = [h for h, _ in rows]
+        unit, scale = wording.small_unit(rows[0][1].unit)
+        marks: list[Mark] = []
+        for name, (label, colour, style) in _RUNS.items():
+            if name == "corrected" and not corrected:
+                continue
+            values = [scale * getattr(row, name) for _, row in rows]
+            marks.append(Curve(horizons, values, label, colour, style))
+            marks.append(Points(horizons, values, "", "dot", colour, size=3.5))
+        marks.append(
+            Curve(horizons, [scale * row.floor for _, row in rows], "floor", "ink", "dotted")
+        )
+        title = wording.titled(wording.signal(channel), unit)
+        panels.append(
+            Panel(Axis("free run", "s", log=True, ticks=horizons), Axis("", log=True), marks, title)
+        )
+    return Chart(
+        "gap",
+        panels,
+        "RMS of the errors of free runs on the sealed part, over their length: the model as it "
+        "was, refitted, corrected, and the floor that noise sets.",
+        columns=len(panels),
+        width=_WIDTH / max(len(panels), 2),
+        height=2.6,
+    )
+
+
+def run_chart(traces: Traces) -> Chart | None:
+    """A free run over the sealed part: measured, and the models; None without one."""
+    if not traces.runs or len(traces.run_time) < 2:
+        return None
+    time = np.asarray(traces.run_time, dtype=float)
+    panels = []
+    for channel, series in traces.runs.items():
+        measured = np.asarray(series["measured"], dtype=float)
+        marks: list[Mark] = [Curve(time, measured, "measured", "pale", width=2.6)]
+        marks += [
+            Curve(time, series[name], label, colour, style, width=1.1)
+            for name, (label, colour, style) in _RUNS.items()
+            if name in series
+        ]
+        unit = "rad" if channel.startswith("alpha") else "rad/s"
+        axis = Axis("time", "s", (float(time[0]), float(time[-1])))
+        near = _near(measured, [np.asarray(series[name]) for name in _RUNS if name in series])
+        panels.append(Panel(axis, Axis(wording.signal(channel), unit, near), marks))
+    caption = "One free run over the sealed part: started once, then the model alone."
+    return Chart("free_run", panels, caption, 1, _WIDTH, 1.6, together=True)
+
+
+def _near(measured: np.ndarray, others: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """The measured range and as much again: a model that runs away shall not flatten the rest."""
+    known = measured[np.isfinite(measured)]
+    if not known.size:
+        return None
+    low, high = float(known.min()), float(known.max())
+    reach = 0.6 * (high - low) or 1.0
+    every = np.concatenate([values[np.isfinite(values)] for values in (measured, *others)])
+    edge = 0.05 * (high - low)
+    return max(float(every.min()) - edge, low - reach), min(float(every.max()) + edge, high + reach)
+
+
+def _tests(diagnosis: Diagnosis) -> Section | None:
+    """A row a test, a column an output: the probability that noise alone does that."""
+    if not diagnosis.tests:
+        return None
+    channels = list(dict.fromkeys(test.channel for test in diagnosis.tests))
+    by_place = {(test.name, test.channel): test for test in diagnosis.tests}
+
+    def cell(name: str, channel: str) -> Cell:
+        test = by_place.get((name, channel))
+        return "" if test is None else _probability(test)
+
+    rows = [
+        [name, *(cell(name, channel) for channel in channels)]
+        for name in dict.fromkeys(test.name for test in diagnosis.tests)
+    ]
+    seen = [test for test in diagnosis.tests if test.rejected]
+    text = "None of the tests on the refitted model's one-step errors sees anything in them."
+    if seen:
+        where = dict.fromkeys(wording.signal(test.channel) for test in seen)
+        text = (
+            f"{len(seen)} of {wording.count(len(diagnosis.tests), 'test')} on the refitted model's "
+            "one-step errors see something that noise does not explain, in "
+            f"{wording.listing(list(where))}."
+        )
+    caption = (
+        "Probability that noise alone does that, corrected for the number of tests; red: a gap."
+    )
+    heads = ["test", *(wording.signal(channel) for channel in channels)]
+    return Section(
+        "Is there a gap at all?",
+        [text],
+        [Table(heads, rows, caption, on_screen=False)],
+        folded=True,
+    )
+
+
+def _probability(test: GapTest) -> Judged:
+    text = "< 1e−6" if test.p_corrected < _SMALLEST else wording.number(test.p_corrected, 2)
+    return Judged(text, "bad" if test.rejected else "good")
+
+
+def _parameters(diagnosis: Diagnosis) -> Section | None:
+    if not diagnosis.parameters:
+        return None
+    names = sorted(
+        diagnosis.parameters, key=lambda name: -abs(diagnosis.parameters[name].moved or 0.0)
+    )
+    rows: list[list[Cell]] = []
+    for name in names[:_MOST_PARAMETERS]:
+        p = diagnosis.parameters[name]
+        mark: Judgement = "doubtful" if p.moved is not None and abs(p.moved) > _FAR else ""
+        moved = None if p.moved is None else f"{p.moved:+.1f} sd".replace("-", "−")
+        label = wording.titled(name, p.unit)
+        rows.append([label, p.prior, Judged(p.fitted, sd=p.sd), p.sd, Judged(moved, mark)])
+    more = len(names) - _MOST_PARAMETERS
+    caption = ""
+    if more > 0:
+        caption = f"And {wording.count(more, 'more')}, which moved less: see diagnosis.json."
+    return Section(
+        "Parameters of the model",
+        [
+            "With the cause in the model, where there is one. A parameter that had to move far "
+            "from what was known of it may stand in for something that the model lacks."
+        ],
+        [
+            Table(
+                ["parameter", "before", "fitted", "±", "moved, in sd of what was known"],
+                rows,
+                caption,
+                on_screen=False,
+            )
+        ],
+        folded=True,
+    )
+
+
+def _not_told(diagnosis: Diagnosis) -> Section | None:
+    named = {
+        name for cause in diagnosis.causes if cause.probability >= LEAST for name in cause.effects
+    }
+    # what the race was decided by was tested, whatever was foreseen of it
+    untested = [item for item in diagnosis.not_testable if item.effect not in named]
+    if not untested and not diagnosis.detectable:
+        return None
+    blocks: list[Block] = []
+    if untested:
+        columns = [
+            Column("not testable", lambda item: wording.readable(item.effect)),
+            Column("why", "reason"),
+        ]
+        blocks.append(table(untested, columns, on_screen=False))
+    if diagnosis.detectable:
+        columns = [
+            Column("effect", lambda item: wording.readable(item[0])),
+            Column("smallest size", lambda item: item[1].minimum_size),
+            Column("unit", lambda item: wording.unit(item[1].unit)),
+        ]
+        caption = (
+            "Sizes below these leave no trace in these recordings: such an effect may be there."
+        )
+        blocks.append(
+            table(sorted(diagnosis.detectable.items()), columns, caption, on_screen=False)
+        )
+    return Section(
+        "What these recordings cannot tell",
+        ["An effect that was not excited is not tested, which is not to say that it is absent."],
+        blocks,
+        folded=True,
+    )
+
+
+def _recordings(diagnosis: Diagnosis, remarks: Sequence[str]) -> Section:
+    columns = [
+        Column("file", "file"),
+        Column("length [s]", "duration_s"),
+        Column("rate [Hz]", lambda r: round(1 / r.sample_time_s, 3)),
+        Column("channels", lambda r: ", ".join(r.channels)),
+        Column("SHA-256", lambda r: r.sha256[:16]),
+    ]
+    blocks: list[Block] = [Remarks(remarks, on_screen=False)] if remarks else []
+    blocks.append(table(diagnosis.recordings, columns, on_screen=False))
+    return Section("Recordings", (), blocks, folded=True)

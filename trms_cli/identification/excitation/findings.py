@@ -1,0 +1,241 @@
+"""What an excitation has to tell: inputs, what the rig will do, what it will show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from trms_cli.core import wording
+from trms_cli.core.chart import Axis, Band, Chart, Colour, Curve, Line, Mark, Panel
+from trms_cli.core.findings import Column, Command, Findings, Section, table
+from trms_cli.identification.excitation.design import ExcitationDesign
+from trms_cli.identification.excitation.spectra import Spectra
+from trms_cli.models.model import names
+
+_COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple")
+
+
+def findings(
+    document: Mapping[str, Any],
+    designed: ExcitationDesign | None = None,
+    spectra: Spectra | None = None,
+    then: Sequence[Command] = (),
+) -> Findings:
+    """What is worth telling of an excitation.
+
+    Parameters
+    ----------
+    document : dict
+        ``trms.excitation/1``.
+    designed, spectra : ExcitationDesign, Spectra or None
+        What the chart is drawn of.
+    then : sequence of Command
+        What to type next.
+    """
+    low, high = document["band_hz"]
+    slow, fast = document["poles_hz"]
+    lost, drawn = document["drawn_rigs_beyond_stops"], document["drawn_rigs"]
+    warnings = []
+    if lost:
+        warnings.append(
+            f"{lost} of {wording.count(drawn, 'rig')} drawn from the priors reach a stop: watch "
+            "the first run, or lower share"
+        )
+    chart = None if designed is None or spectra is None else excitation_chart(designed, spectra)
+    sections = [Section("Inputs", (), [_inputs(document)]), _predicted(document)]
+    sections += [Section("Picture", (), [chart])] if chart is not None else []
+    return Findings(
+        title=f"Excitation: {document['kind']} for {document['model']}",
+        lead=[
+            f"{document['duration_s']:g} s after {document['lead_in_s']:g} s of lead-in, from "
+            f"{wording.interval(low, high, 'Hz')} (the model's poles: "
+            f"{wording.interval(slow, fast, 'Hz')})."
+        ],
+        sections=sections,
+        warnings=warnings,
+        next=then,
+    )
+
+
+def _inputs(document: Mapping[str, Any]) -> Any:
+    def centre(item: Any) -> float:
+        """What rounding of the steady state leaves is no command."""
+        small = abs(item[1]["centre"]) < 1e-4 * item[1]["limit"]
+        return 0.0 if small else float(item[1]["centre"])
+
+    columns = [
+        Column("input", lambda item: wording.titled(item[0], item[1]["unit"])),
+        Column("centre", centre),
+        Column("amplitude", lambda item: item[1]["amplitude"]),
+        Column("limit", lambda item: item[1]["limit"]),
+        Column("crest factor", lambda item: item[1]["crest_factor"]),
+    ]
+    caption = ""
+    if document["correlation_of_inputs"] is not None:
+        # adding zero takes the sign from what rounds to it
+        alike = round(document["correlation_of_inputs"], 3) + 0.0
+        caption = f"Correlation of the two: {wording.number(alike)}."
+    return table(document["inputs"].items(), columns, caption)
+
+
+def _predicted(document: Mapping[str, Any]) -> Section:
+    columns = [
+        Column("output", lambda item: wording.titled(wording.signal(item[0]), item[1]["unit"])),
+        Column("range", lambda item: _range(item[1]["range"])),
+        Column("of drawn rigs", lambda item: _range(item[1]["range_of_drawn_rigs"])),
+        Column("over the noise up to [Hz]", lambda item: item[1]["seen_up_to_hz"]),
+    ]
+    text = "Simulated with the model; beside it the range of rigs drawn from the priors."
+    return Section("What the rig will do", [text], [table(document["predicted"].items(), columns)])
+
+
+def _range(ends: Sequence[float] | None) -> str:
+    return wording.interval(ends[0], ends[1]) if ends else wording.MISSING
+
+
+def excitation_chart(designed: ExcitationDesign, spectra: Spectra) -> Chart:
+    """Commands, angles, spectra of both over the noise, responses, and where the rig goes."""
+    model = designed.model
+    inputs, outputs = names(model.inputs), names(model.outputs)
+    units = {signal.name: signal.unit for signal in (*model.inputs, *model.outputs)}
+    # of a rotor alone, which has no bound, the outputs in the unit of the first
+    alike = [name for name in outputs if units[name] == units[outputs[0]]]
+    bounded = [name for name in outputs if name in designed.bounds] or alike
+    speeds = [name for name in outputs if name not in bounded]
+    values = {name: designed.outputs[:, i] for i, name in enumerate(outputs)}
+    panels = [
+        _over_time(
+            designed, {n: designed.commands[:, i] for i, n in enumerate(inputs)}, units, True
+        ),
+        _over_time(designed, {name: values[name] for name in bounded}, units, False),
+        _input_spectra(designed, spectra, inputs, units),
+        _responses(designed, spectra, bounded, inputs, outputs, units),
+    ]
+    for chosen in (bounded, speeds):
+        if chosen:
+            panels.append(_output_spectra(designed, spectra, chosen, outputs, units))
+    for i, (angle, speed) in enumerate((("alpha_v", "omega_v"), ("alpha_h", "omega_h"))):
+        if angle in values and speed in values:
+            x, y = values[speed][designed.first :], values[angle][designed.first :]
+            bound = designed.bounds[angle]
+            limits = [Line(y=s * bound, colour="alarm", style="dashed") for s in (-1, 1)]
+            marks: list[Mark] = [Curve(x, y, "", _COLOURS[i], width=0.5), *limits]
+            x_axis = Axis(wording.signal(speed), "rad/s")
+            panels.append(Panel(x_axis, Axis(wording.signal(angle), "rad"), marks))
+    rates = [name for name in outputs if name in designed.bounds]
+    if rates:
+        panels.append(_rates(designed, {name: values[name] for name in rates}))
+    return Chart(
+        "excitation",
+        panels,
+        "Simulated with the model. The band is shaded; dashed in grey: its slowest and fastest "
+        "pole; dotted: the noise; dashed in red: the bounds.",
+        width=5.5,
+        height=2.3,
+    )
+
+
+def _over_time(
+    designed: ExcitationDesign, signals: Mapping[str, Any], units: Mapping[str, str], commands: bool
+) -> Panel:
+    marks: list[Mark] = []
+    for colour, (name, values) in zip(_COLOURS, signals.items(), strict=False):
+        label = f"{wording.signal(name)} {name}" if commands else wording.signal(name)
+        marks.append(Curve(designed.time, values, label, colour, width=0.8, held=commands))
+    if not commands:
+        for bound in {
+            round(designed.bounds[name], 6) for name in signals if name in designed.bounds
+        }:
+            marks += [Line(y=side * bound, colour="alarm", style="dashed") for side in (-1, 1)]
+    if 0 < designed.first < len(designed.time):
+        marks.append(Line(x=float(designed.time[designed.first]), label="", colour="ink"))
+    what = "command" if commands else "angle" if designed.bounds else "speed"
+    x = Axis("time", "s", (float(designed.time[0]), float(designed.time[-1])))
+    return Panel(x, Axis(what, wording.unit(units[next(iter(signals))])), marks)
+
+
+def _spectrum(
+    designed: ExcitationDesign,
+    spectra: Spectra,
+    label: str,
+    marks: Sequence[Mark],
+    values: Sequence[Any],
+) -> Panel:
+    """On logarithmic axes, with the band shaded and the poles dashed."""
+    poles = [Line(x=pole / (2 * np.pi), style="dashed") for pole in designed.poles]
+    known = np.concatenate([np.ravel(one) for one in values])
+    known = known[np.isfinite(known) & (known > 0)]
+    low, high = (0.5 * known.min(), 2 * known.max()) if known.size else (0.1, 1.0)
+    ends = [designed.plan.lowest, designed.plan.highest]
+    band = Band(ends, [low, low], [high, high], "", "grey", 0.15)
+    f = spectra.frequencies
+    x = Axis("frequency", "Hz", (0.9 * float(f[0]), 1.1 * float(f[-1])), log=True)
+    return Panel(x, Axis(label, limits=(low, high), log=True), [band, *poles, *marks])
+
+
+def _input_spectra(
+    designed: ExcitationDesign, spectra: Spectra, inputs: Sequence[str], units: Mapping[str, str]
+) -> Panel:
+    marks, shown = [], []
+    for i, (colour, name) in enumerate(zip(_COLOURS, inputs, strict=False)):
+        density = spectra.inputs[:, i]
+        # below the resolution of a multisine's lines there is nothing to be shown
+        shown.append(np.where(density > 1e-6 * density.max(), density, np.nan))
+        marks.append(Curve(spectra.frequencies, shown[-1], name, colour, held=True))
+    unit = units[inputs[0]]
+    label = f"input [{unit}²/Hz]" if unit != "1" else "input [1/Hz]"
+    return _spectrum(designed, spectra, label, marks, shown)
+
+
+def _responses(
+    designed: ExcitationDesign,
+    spectra: Spectra,
+    shown: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    units: Mapping[str, str],
+) -> Panel:
+    marks, values = [], []
+    for colour, output in zip(_COLOURS, shown, strict=False):
+        for j, name in enumerate(inputs[:2]):
+            response = spectra.response[:, outputs.index(output), j]
+            if np.any(response > 1e-9):
+                label = f"{wording.signal(output)} / {name}"
+                style: Any = "dashed" if j else "solid"
+                marks.append(Curve(spectra.frequencies, response, label, colour, style, 1.2))
+                values.append(response)
+    per = "/".join({units[name]: None for name in inputs})
+    label = f"response [{units[shown[0]]}/{per}]"
+    return _spectrum(designed, spectra, label, marks, values)
+
+
+def _output_spectra(
+    designed: ExcitationDesign,
+    spectra: Spectra,
+    chosen: Sequence[str],
+    outputs: Sequence[str],
+    units: Mapping[str, str],
+) -> Panel:
+    marks: list[Mark] = []
+    values = []
+    for colour, name in zip(_COLOURS, chosen, strict=False):
+        i = outputs.index(name)
+        noise = float(spectra.noise[i])
+        density = spectra.outputs[:, i]
+        label = wording.signal(name)
+        marks.append(Curve(spectra.frequencies, density, label, colour, held=True))
+        marks.append(Line(y=noise, colour=colour))
+        values += [density, [noise]]
+    return _spectrum(designed, spectra, f"output [({units[chosen[0]]})²/Hz]", marks, values)
+
+
+def _rates(designed: ExcitationDesign, angles: Mapping[str, Any]) -> Panel:
+    marks: list[Mark] = []
+    for colour, (name, values) in zip(_COLOURS, angles.items(), strict=False):
+        rate = np.diff(values[designed.first :]) / designed.plan.sample_time
+        share, edges = np.histogram(rate, bins=60, density=True)
+        x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
+        marks.append(Curve(x, y, wording.signal(name), colour))
+    return Panel(Axis("rate", "rad/s"), Axis("share", "s/rad"), marks)

@@ -1,0 +1,452 @@
+"""What a fit has to tell: errors before and after, parameters with their doubts, the search."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from trms_cli.core import wording
+from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
+from trms_cli.core.findings import (
+    Block,
+    Cell,
+    Column,
+    Command,
+    Findings,
+    Judged,
+    Judgement,
+    Measure,
+    Remarks,
+    Section,
+    Table,
+    table,
+)
+from trms_cli.identification.assessment import Assessment
+from trms_cli.identification.free_runs import WindowRuns
+
+#: Parts of the recordings in the document, as a person reads them.
+PARTS = {"held_out": "held out", "fit": "fitted"}
+#: Sets of parameters that imitate each other that are told.
+_MOST_SETS = 4
+#: Prior deviations from which a fitted value is worth a word.
+_FAR = 4.0
+#: Growth of a held-out error that is more than its scatter; relative change that is none.
+_WORSE, _NO_CHANGE = 1.1, 0.01
+#: s of a recording that the figure of the free runs shows at most.
+_LONGEST = 120.0
+#: Prior standard deviations to either side that the figure of the parameters shows.
+_REACH = 4.0
+_WIDTH = 5.5
+
+
+def findings(
+    document: Mapping[str, Any],
+    assessment: Assessment | None = None,
+    then: Sequence[Command] = (),
+) -> Findings:
+    """What is worth telling of a fit.
+
+    Parameters
+    ----------
+    document : dict
+        ``trms.identification/1``.
+    assessment : Assessment or None
+        Its free runs are drawn.
+    then : sequence of Command
+        What to type next.
+    """
+    sections = [_free_runs(document, assessment)]
+    if document["parameters"]:
+        sections.append(_parameters(document))
+    sections += [_search(document), _recordings(document)]
+    model = wording.model_name(str(document["model"]))
+    return Findings(
+        title=f"Fit of {model} by {wording.readable(str(document['method']))}",
+        lead=list(_lead(document)),
+        sections=sections,
+        warnings=[f"{i['problem']} ({i['remedy']})" for i in document["admission"]],
+        measures=list(_measures(document)),
+        facts=_facts(document),
+        next=then,
+    )
+
+
+def in_short(document: Mapping[str, Any]) -> str:
+    """One line for a job of a sweep."""
+    part = judged_part(document)
+    errors = document["errors"][part]["after"] or {}
+    figures = [f"{n} {wording.quantity(e['rmse'], e['unit'])}" for n, e in errors.items()]
+    return (
+        f"{wording.seconds(document['seconds']['fit'])}, cost {document['cost']:.6g}, on what was "
+        f"{PARTS[part]}: RMSE {', '.join(figures)}"
+    )
+
+
+def judged_part(document: Mapping[str, Any]) -> str:
+    """The part of the recordings that shows how good the model is."""
+    return "held_out" if document["errors"]["held_out"]["after"] else "fit"
+
+
+def _lead(document: Mapping[str, Any]) -> Iterator[str]:
+    part = judged_part(document)
+    errors = document["errors"][part]
+    words = []
+    for name, after in (errors["after"] or {}).items():
+        before = (errors["before"] or {}).get(name, {}).get("rmse")
+        unit, scale = wording.small_unit(after["unit"])
+        was = "" if before is None else f" (before: {wording.number(scale * before)})"
+        rmse = wording.quantity(_scaled(after["rmse"], scale), unit)
+        words.append(f"{wording.signal(name)} to **{rmse}**{was}")
+    data = "data that it has not seen" if part == "held_out" else "the data that it was fitted to"
+    length = document["windows"]["length_s"]
+    if words:
+        yield (
+            f"Alone over windows of up to {length:g} s, on {data}, the model foretells "
+            f"{', '.join(words)} RMS."
+        )
+    yield f"How it ended: {document['sentence']}."
+
+
+def _measures(document: Mapping[str, Any]) -> Iterator[Measure]:
+    part = judged_part(document)
+    errors = document["errors"][part]
+    for name, after in (errors["after"] or {}).items():
+        before = (errors["before"] or {}).get(name, {}).get("rmse")
+        unit, scale = wording.small_unit(after["unit"])
+        was = "" if before is None else f"; before: {wording.number(scale * before)}"
+        note = PARTS[part] + was
+        yield Measure(
+            f"RMSE {wording.signal(name)}",
+            _scaled(after["rmse"], scale),
+            unit,
+            _change(before, after["rmse"]),
+            note,
+        )
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else scale * value
+
+
+def _change(before: float | None, after: float | None) -> Judgement:
+    if before is None or after is None or not before > 0:
+        return ""
+    change = after / before - 1
+    return "" if abs(change) <= _NO_CHANGE else "good" if change < 0 else "bad"
+
+
+def _facts(document: Mapping[str, Any]) -> dict[str, str]:
+    facts = {"command": f"`{document['command']}`", "model": str(document["model"])}
+    if document["effects"]:
+        facts["effects"] = ", ".join(document["effects"])
+    if document["driven"]:
+        facts["driven by measured"] = ", ".join(document["driven"])
+    facts["simulations"] = str(document["evaluations"])
+    facts["time"] = wording.seconds(document["seconds"]["fit"])
+    facts["versions"] = ", ".join(f"{k} {v}" for k, v in document["versions"].items())
+    return facts
+
+
+def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> Section:
+    errors = document["errors"]
+    rows: list[list[Cell]] = []
+    for part, words in PARTS.items():
+        before = errors[part]["before"] or {}
+        for name, after in (errors[part]["after"] or {}).items():
+            was = before.get(name, {}).get("rmse")
+            unit, scale = wording.small_unit(after["unit"])
+            rows.append(
+                [
+                    wording.titled(wording.signal(name), unit),
+                    words,
+                    _scaled(was, scale),
+                    Judged(_scaled(after["rmse"], scale), _change(was, after["rmse"])),
+                    _scaled(after["max_abs_error"], scale),
+                    after["fit_percent"],
+                ]
+            )
+    heads = ["output", "recording", "RMSE before", "RMSE fitted", "largest error", "fit [%]"]
+    blocks: list[Block] = [Table(heads, rows, "Free runs of the model.", heads=2)]
+    chart = None if assessment is None else free_run_chart(assessment)
+    blocks += [chart] if chart is not None else []
+    return Section(
+        "Free runs",
+        [
+            "The model alone over windows, each started from what was measured in the two seconds "
+            "before it. What was held out played no part in the fit."
+        ],
+        blocks,
+    )
+
+
+def free_run_chart(assessment: Assessment) -> Chart | None:
+    """Measured against simulated over the judged part of a recording, the errors beside."""
+    part = "held_out" if assessment.after.get("held_out") else "fit"
+    if not assessment.after.get(part):
+        return None
+    after = assessment.after[part][0]
+    before = assessment.before[part][0] if assessment.before.get(part) else None
+    begin = int(after.window[0])
+    last = int(np.flatnonzero(~np.isnan(after.simulated).all(axis=1))[-1]) + 1
+    end = min(last, begin + round(_LONGEST / after.dataset.sample_time))
+    time = after.dataset.time[begin:end]
+    starts = after.dataset.time[after.window[after.window < end]]
+    x = Axis("time", "s", (float(time[0]), float(time[-1])))
+    panels = []
+    for i, signal in enumerate(after.dataset.outputs):
+        measured = after.dataset.measurements[begin:end, i]
+        runs = [("simulated, fitted", after, "blue", "solid")]
+        if before is not None:
+            runs.insert(0, ("simulated before the fit", before, "vermilion", "dashed"))
+        shown = [(label, _broken(run, i, begin, end, starts), c, s) for label, run, c, s in runs]
+        marks: list[Mark] = [Curve(time, measured, "measured", "pale", width=2.4)]
+        errors: list[Mark] = []
+        scores = []
+        for label, values, colour, style in shown:
+            marks.append(Curve(time, values, label, colour, style, 0.9))  # type: ignore[arg-type]
+            errors.append(Curve(time, measured - values, "", colour, style, 0.8))  # type: ignore[arg-type]
+            known = (measured - values)[np.isfinite(measured - values)]
+            scores.append(wording.number(float(np.sqrt(np.mean(known**2)))) if known.size else "–")
+        marks += [Line(x=float(start)) for start in starts]
+        errors.append(Line(y=0.0, style="solid"))
+        label = wording.signal(signal.name)
+        limits = near(measured, [values for _, values, _, _ in shown])
+        unit = wording.unit(signal.unit)
+        panels.append(Panel(x, Axis(label, unit, limits), marks))
+        title = f"RMSE {' → '.join(scores)} {unit}"
+        panels.append(Panel(x, Axis("error", unit), errors, title))
+    words = {"held_out": "held out from the fit", "fit": "fitted"}[part]
+    return Chart(
+        "free_runs",
+        panels,
+        f"{after.dataset.name}: free runs over what was {words}; at a dotted line a window starts "
+        "anew.",
+        width=_WIDTH,
+        height=1.75,
+        together=True,
+    )
+
+
+def _broken(run: WindowRuns, column: int, begin: int, end: int, starts: np.ndarray) -> np.ndarray:
+    """The values with the last sample of each window missing, so that no line joins two."""
+    values = run.simulated[begin:end, column]
+    broken = np.where(np.isfinite(values), values, np.nan)
+    time = run.dataset.time[begin:end]
+    for start in starts[1:]:
+        last = int(np.searchsorted(time, start - 1e-9)) - 1
+        if last >= 0:
+            broken[last] = np.nan
+    return broken
+
+
+def near(
+    measured: np.ndarray, others: Sequence[np.ndarray], reach: float = 0.5
+) -> tuple[float, float]:
+    """The measured range, and room for a simulation that strays as far again and no farther."""
+    here = measured[np.isfinite(measured)]
+    low, high = (float(here.min()), float(here.max())) if here.size else (-1.0, 1.0)
+    room = reach * (high - low) or 1.0
+    floor, roof = low - room, high + room
+    for values in others:
+        known = values[np.isfinite(values)]
+        if known.size:
+            low = max(min(low, float(known.min())), floor)
+            high = min(max(high, float(known.max())), roof)
+    margin = 0.05 * (high - low) or 0.1
+    return low - margin, high + margin
+
+
+def _parameters(document: Mapping[str, Any]) -> Section:
+    columns = [
+        Column("parameter", lambda item: wording.titled(item[0], item[1]["unit"])),
+        Column("fitted", lambda item: Judged(item[1]["value"], sd=item[1]["sd"])),
+        Column("±", lambda item: item[1]["sd"]),
+        Column("before", lambda item: item[1]["prior_mean"]),
+        Column("± before", lambda item: item[1]["prior_sd"]),
+    ]
+    if any(p["at_bound"] for p in document["parameters"].values()):
+        columns.append(
+            Column("at a bound", lambda item: Judged(item[1]["at_bound"] or "", "doubtful"))
+        )
+    doubts = [Judged(text, "doubtful") for text in doubts_of(document)]
+    return Section(
+        "Parameters",
+        [
+            "± is one standard deviation: of the estimate, with the residuals' own size and "
+            "correlation, and of what was known before."
+        ],
+        [
+            table(document["parameters"].items(), columns),
+            *([Remarks(doubts)] if doubts else []),
+            parameter_chart(document["parameters"]),
+        ],
+    )
+
+
+def doubts_of(document: Mapping[str, Any]) -> Iterator[str]:
+    """What cannot be told apart, what the data are silent on, and what is at a bound."""
+    parameters = document["parameters"]
+    known = document.get("identifiability") or {}
+    sets = known.get("confounded", [])
+    for group in sets[:_MOST_SETS]:
+        yield (
+            f"confounded: {wording.listing(group['names'])} imitate each other (collinearity "
+            f"{wording.number(float(group['index']))}); these data tell only a combination of them"
+        )
+    if len(sets) > _MOST_SETS:
+        more = wording.count(len(sets) - _MOST_SETS, "more such set")
+        yield f"{more}: see identification.json"
+    vague = known.get("uninformed", [])
+    if vague:
+        listed = wording.listing(vague)
+        yield f"unknown: of {listed} the data say next to nothing; the prior decided"
+    absent = [name for name, p in parameters.items() if _is_absent(name, p)]
+    if absent:
+        yield f"absent: {wording.listing(absent)} of size zero; these data show none of it"
+    far = {name: _moved(p) for name, p in parameters.items() if _moved(p) > _FAR}
+    if far:
+        listed = wording.listing([f"{name} ({moved:.0f})" for name, moved in far.items()])
+        yield (
+            f"far: {listed} prior deviations from what was known; it may stand for something that "
+            "the model lacks, or the recording is not what it seems"
+        )
+    bound = [name for name, p in parameters.items() if p["at_bound"] and name not in absent]
+    if bound:
+        listed = wording.listing(bound)
+        yield f"at a bound: {listed}; widen bounds.NAME, or ask what the model lacks"
+    if document["details"].get("starts_agree") is False:
+        yield "the starts did not agree: there is more than one optimum; the best is kept"
+    spread = any(p["sd"] is not None for p in parameters.values())
+    if document["outcome"] != "converged" and spread:
+        yield "the search had not settled: the ± do not tell how far it still had to go"
+    worse = _worse(document["errors"]["held_out"])
+    if worse:
+        listed = wording.listing([wording.signal(name) for name in worse])
+        yield f"worse than before on what was held out: {listed}; ask what the model lacks"
+
+
+def _worse(errors: Mapping[str, Any]) -> list[str]:
+    return [
+        name
+        for name, after in (errors["after"] or {}).items()
+        if (was := (errors["before"] or {}).get(name, {}).get("rmse"))
+        and after["rmse"] is not None
+        and after["rmse"] > _WORSE * was
+    ]
+
+
+def _moved(parameter: Mapping[str, Any]) -> float:
+    """By how many prior deviations a parameter moved, 0 where it has no prior."""
+    if parameter["prior_sd"] is None or parameter["value"] is None:
+        return 0.0
+    return abs(float(parameter["value"] - parameter["prior_mean"])) / float(parameter["prior_sd"])
+
+
+def _is_absent(name: str, parameter: Mapping[str, Any]) -> bool:
+    """Whether it is the size of an effect, and zero."""
+    return "." in name and parameter["at_bound"] == "lower" and parameter["lower"] == 0
+
+
+def parameter_chart(parameters: Mapping[str, Mapping[str, Any]]) -> Chart:
+    """Fitted values in prior standard deviations from the prior's centre."""
+    count = len(parameters)
+    ends = [-0.7, -0.7], [count - 0.3, count - 0.3]
+    starts: tuple[list[float], list[float]] = ([], [])
+    inside: tuple[list[float], list[float]] = ([], [])
+    bound: tuple[list[float], list[float]] = ([], [])
+    whiskers: tuple[list[float], list[float]] = ([], [])
+    names = []
+    for place, (name, p) in enumerate(parameters.items()):
+        scale = p["prior_sd"] or 0.3 * abs(p["prior_mean"] or p["start"]) or 1.0
+        at = (p["value"] - p["prior_mean"]) / scale
+        shown = float(np.clip(at, -_REACH + 0.1, _REACH - 0.1))
+        names.append(name if shown == at else f"{name} ({at:+.0f} sd)".replace("-", "−"))
+        _place(starts, (p["start"] - p["prior_mean"]) / scale, place)
+        _place(bound if p["at_bound"] else inside, shown, place)
+        if p["sd"] is not None:
+            whiskers[0].extend([shown - p["sd"] / scale, shown + p["sd"] / scale, np.nan])
+            whiskers[1].extend([place, place, np.nan])
+    marks: list[Mark] = [
+        Band([-2.0, 2.0], *ends, "two and one prior deviations", "grey", 0.12),
+        Band([-1.0, 1.0], *ends, "", "grey", 0.16),
+        Curve(*whiskers, "", "blue", width=1.6),
+        Points(*starts, "start", "cross", "grey", size=5.0),
+        Points(*inside, "fitted ± one standard deviation", "dot", "blue", size=4.0),
+    ]
+    if bound[0]:
+        marks.append(Points(*bound, "on a bound", "triangle", "alarm", size=5.0))
+    label = "from the prior's centre, in prior standard deviations (30 % without a prior)"
+    panel = Panel(Axis(label, limits=(-_REACH, _REACH)), Axis("", categories=names), marks)
+    return Chart(
+        "parameters",
+        [panel],
+        "Fitted values; the bands are one and two prior standard deviations.",
+        columns=1,
+        width=2 * _WIDTH,
+        height=1.2 + 0.24 * count,
+    )
+
+
+def _place(points: tuple[list[float], list[float]], x: float, y: float) -> None:
+    points[0].append(x)
+    points[1].append(y)
+
+
+def _search(document: Mapping[str, Any]) -> Section:
+    settings = ", ".join(f"{k} {v}" for k, v in document["settings"].items() if k[0] != "_")
+    text = [f"{document['method']}: {settings}."]
+    agree = document["details"].get("starts_agree")
+    if agree is not None:
+        text.append(
+            "All starts ended in the same optimum."
+            if agree
+            else "The starts ended in different optima; the best is kept."
+        )
+    many = len(document["history"]) > 1
+    blocks = [convergence_chart(document["history"])] if many else []
+    return Section("The search", text, blocks, folded=True)
+
+
+def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
+    """The search's cost above its least, over simulations and over time.
+
+    Parameters
+    ----------
+    history : sequence of (evaluations, seconds, cost)
+    """
+    points = np.array([list(row) for row in history], dtype=float).reshape(-1, 3)
+    least = float(np.nanmin(points[:, 2])) if len(points) else 0.0
+    above = np.where(points[:, 2] > least, points[:, 2] - least, np.nan)
+    known = np.isfinite(above)
+    costs = [cost for _, _, cost in history if cost is not None]
+    lowest = f"above the least of all ({wording.number(least, 6)})"
+    caption = f"The least cost so far, {lowest}."
+    if any(b > a for a, b in pairwise(costs)):
+        caption = (
+            f"The cost along the search, {lowest}. Where it rises, another start was begun or the "
+            "residuals were weighed anew."
+        )
+    y = Axis("cost above its least", log=bool(np.any(known)))
+    panels = [
+        Panel(Axis(label, unit), y, [Curve(points[:, i], above, held=True)])
+        for i, (label, unit) in enumerate((("simulations", ""), ("time", "s")))
+    ]
+    return Chart("convergence", panels, caption, width=_WIDTH, height=2.6)
+
+
+def _recordings(document: Mapping[str, Any]) -> Section:
+    columns = [
+        Column("recording", "source"),
+        Column("part", lambda r: PARTS[r["part"]]),
+        Column("from [s]", "from_s"),
+        Column("to [s]", "to_s"),
+        Column("rate [Hz]", lambda r: 1 / r["sample_time_s"]),
+        Column("SHA-256", lambda r: r["sha256"][:16]),
+    ]
+    remarks = list(dict.fromkeys(remark for r in document["recordings"] for remark in r["remarks"]))
+    blocks: list[Block] = [table(document["recordings"], columns, on_screen=False)]
+    blocks += [Remarks(remarks, on_screen=False)] if remarks else []
+    return Section("Recordings", (), blocks, folded=True)

@@ -1,0 +1,110 @@
+"""What a task gives back, and who hears what it does meanwhile."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK
+from trms_cli.core.findings import Findings
+
+if TYPE_CHECKING:
+    from trms_cli.reporting.progress import ProgressLine
+
+
+#: Rows of a table on the screen: all parameters of a model.
+_ROWS = 40
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a task has done."""
+
+    folder: Path  #: What it wrote into
+    findings: Findings  #: What it has to tell
+    subject: str = ""  #: What of: ``newtonian with pitch_coulomb_friction``
+    exit_code: int = EXIT_OK
+    objective: float | None = None  #: Smaller is better; None where a sweeper does not search
+
+    @property
+    def text(self) -> str:
+        """The findings as a terminal shows them."""
+        from trms_cli.reporting.screen import show
+
+        stream = io.StringIO()
+        show(self.findings, "", self.subject, stream=stream, rows=_ROWS)
+        return stream.getvalue()
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, or a notebook's stop button: what was done until then is kept.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds it; ``trms_cli.load(folder)`` reads it.
+    how : str
+        How to go on, to be typed.
+    exit_code : int
+        Of the process: of Ctrl-C, or of a signal to end.
+    """
+
+    def __init__(self, folder: Path, how: str = "", exit_code: int = EXIT_INTERRUPTED) -> None:
+        super().__init__(f"what was done until then is in {folder}")
+        self.folder, self.how, self.exit_code = folder, how, exit_code
+
+
+class Listener:
+    """Hears what a task is about to do; this one says nothing of it.
+
+    Parameters
+    ----------
+    command : str
+        The first word of what is shown.
+    """
+
+    quiet = True  #: Whether a bar of progress is unwelcome
+
+    def __init__(self, command: str) -> None:
+        self.command = command
+
+    def begin(self, words: str, facts: Mapping[str, str]) -> None:
+        """What is done, and to what."""
+
+    def done(self, result: Done) -> None:
+        """What came of it."""
+
+    def progress(self) -> ProgressLine:
+        """The line on which a task without a bar tells what it does."""
+        from trms_cli.reporting.progress import ProgressLine
+
+        return ProgressLine(quiet=self.quiet)
+
+
+class Screen(Listener):
+    """Shows it on standard output."""
+
+    quiet = False
+    _begun = False
+
+    def begin(self, words: str, facts: Mapping[str, str]) -> None:
+        """What is done, and to what."""
+        from trms_cli.reporting.screen import say
+
+        self._begun = True
+        say(self.command, words)
+        for name, text in facts.items():
+            for line in text.split("\n"):
+                say(name, line)
+        sys.stdout.flush()
+
+    def done(self, result: Done) -> None:
+        """What came of it."""
+        from trms_cli.reporting.screen import show
+
+        command = "" if self._begun else self.command
+        show(result.findings, command, result.subject, rows=_ROWS)

@@ -1,0 +1,289 @@
+"""What is being done: a line or a bar on standard error, and the way to stop and to go on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from time import perf_counter
+from types import FrameType, MappingProxyType, TracebackType
+from typing import Any, Self
+
+from trms_cli.core.errors import (
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    ConfigurationError,
+    Terminated,
+)
+from trms_cli.core.notes import note
+
+#: In the fit's folder: what its method has kept to go on from.
+STATE_NAME = "fit-state.json"
+#: In the folder of a diagnosis: the stages that are finished, and what was done when.
+STAGES_NAME, LOG_NAME = "diagnose-state.json", "log.txt"
+
+
+class ProgressLine:
+    """A line that is written over, and gone at the end of its ``with`` block."""
+
+    _PATIENCE = 0.5  # s, before progress is worth a line
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._visible = sys.stderr.isatty() and not quiet
+        self._begin = perf_counter()
+        self._width = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._width:
+            sys.stderr.write("\r" + " " * self._width + "\r")
+
+    def tell(self, doing: str) -> None:
+        """What is being done."""
+        if not self._visible or perf_counter() - self._begin < self._PATIENCE:
+            return
+        sys.stderr.write("\r" + doing.ljust(self._width))
+        sys.stderr.flush()
+        self._width = max(self._width, len(doing))
+
+
+class FitProgress:
+    """Progress of a fit; see :class:`trms_cli.identification.method.Progress`.
+
+    Within its ``with`` block the first Ctrl-C or SIGTERM asks the method to stop at the best so
+    far, the second one interrupts it where it stands.
+
+    Parameters
+    ----------
+    file : Path
+        Where the state is kept.
+    resume : bool
+        Whether to go on from it.
+    quiet : bool
+        No bar, as in a sweep.
+    """
+
+    #: A fit that ends before this needs no bar (s).
+    _PATIENCE = 0.5
+    #: s between two writes of the state.
+    _PAUSE = 0.5
+    _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+    _STOPPING = "stopping at the best so far (once more: at once)"
+    #: Columns of the bar, and their style.
+    _COLUMNS: Mapping[str, str] = MappingProxyType({"cost": "", "what": ""})
+
+    def __init__(self, file: Path, *, resume: bool = False, quiet: bool = False) -> None:
+        self._file, self._resume = file, resume
+        self._visible = sys.stderr.isatty() and not quiet
+        self._begin = perf_counter()
+        self._state: Mapping[str, Any] | None = None
+        self._written = 0.0
+        self._bar: Any = None
+        self._task: Any = None
+        self._before: dict[int, Any] = {}
+        self.exit_code: int | None = None  #: once somebody asked to stop
+
+    def __enter__(self) -> Self:
+        self._begin = perf_counter()
+        if threading.current_thread() is threading.main_thread():
+            for number in self._SIGNALS:
+                self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+        self._write()
+
+    def update(self, fraction: float, cost: float, message: str) -> bool:
+        """Show; False once somebody asked to stop."""
+        self._show(fraction, cost=f"cost {cost:.6g}", what=message)
+        return self.exit_code is None
+
+    def _show(self, fraction: float, **fields: str) -> None:
+        if not self._visible or perf_counter() - self._begin < self._PATIENCE:
+            return
+        if self._bar is None:
+            self._bar, self._task = _bar(self._COLUMNS)
+            self._bar.start()
+        self._bar.update(self._task, completed=fraction, **fields)
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Keep a state; it is on the disk a moment later."""
+        self._state = state
+        if perf_counter() - self._written > self._PAUSE:
+            self._write()
+
+    def saved(self) -> Mapping[str, Any] | None:
+        """The state of the fit that is to go on."""
+        if not self._resume:
+            return None
+        import msgspec
+
+        try:
+            state: dict[str, Any] = msgspec.json.decode(self._file.read_bytes(), type=dict)
+        except FileNotFoundError:
+            return None
+        except (OSError, msgspec.MsgspecError) as error:
+            raise ConfigurationError(
+                f"cannot be read: {error}", where=str(self._file), remedy="fit anew"
+            ) from error
+        return state
+
+    def _write(self) -> None:
+        """Whole or not at all; a disk that is full costs the resumption, not the fit."""
+        if self._state is None:
+            return
+        import msgspec
+
+        # One name, so that what an interruption leaves of it is written over by the next.
+        draft = self._file.with_name(f".{self._file.name}")
+        try:
+            draft.write_bytes(msgspec.json.encode(self._state))
+            os.replace(draft, self._file)
+        except OSError as error:
+            draft.unlink(missing_ok=True)
+            note(f"note   the state of the fit cannot be kept: {error}")
+        self._state, self._written = None, perf_counter()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        terminated = number == signal.SIGTERM
+        if self.exit_code is not None:
+            raise Terminated if terminated else KeyboardInterrupt
+        self.exit_code = EXIT_TERMINATED if terminated else EXIT_INTERRUPTED
+        words = self._STOPPING
+        if self._bar is not None:
+            self._bar.console.print(words)
+        else:
+            # Not sys.stderr: a signal may come while it is being written to.
+            os.write(2, f"\n{words}\n".encode())
+
+
+class DiagnoseProgress(FitProgress):
+    """Progress of a diagnosis; see :class:`trms_cli.identification.method.Progress`.
+
+    A message is the name of a stage, and after a colon what is done in it. Within the ``with``
+    block the first Ctrl-C or SIGTERM asks to stop at the next step, the second one interrupts
+    where it stands; finished stages stay on the disk either way.
+
+    Parameters
+    ----------
+    file : Path
+        Where the state is kept.
+    log : Path
+        Gets a line a stage.
+    fingerprint : str
+        Of the problem, so that a state is only gone on with for the same one.
+    resume : bool
+        Whether to go on from the state.
+    quiet : bool
+        No line, as in a sweep.
+    """
+
+    _STOPPING = "stopping; finished stages are kept (once more: at once)"
+    _COLUMNS = MappingProxyType({"stage": "bold", "step": "dim"})
+
+    def __init__(
+        self,
+        file: Path,
+        log: Path,
+        fingerprint: str,
+        *,
+        resume: bool = False,
+        quiet: bool = False,
+    ) -> None:
+        super().__init__(file, resume=resume, quiet=quiet)
+        self._log, self._fingerprint, self._stage = log, fingerprint, ""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        super().__exit__(kind, error, trace)
+        if error is not None:
+            self.note(f"ended by {type(error).__name__}" + (f": {error}" if str(error) else ""))
+
+    def update(self, fraction: float, cost: float, message: str) -> bool:
+        """Show; False once somebody asked to stop."""
+        stage, _, step = message.partition(":")
+        if stage != self._stage:
+            self._stage = stage
+            self.note(stage)
+        self._show(fraction, stage=stage, step=step.strip())
+        return self.exit_code is None
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Keep the finished stages; they are on the disk a moment later."""
+        super().save({"problem": self._fingerprint, "stages": state})
+
+    def saved(self) -> Mapping[str, Any] | None:
+        """The finished stages of the diagnosis that is to go on."""
+        content = super().saved()
+        if content is None:
+            return None
+        if content.get("problem") != self._fingerprint:
+            raise ConfigurationError(
+                "what is diagnosed has changed since: a recording, the model or the suspects",
+                where=str(self._file),
+                remedy="diagnose anew into another folder",
+            )
+        stages: Mapping[str, Any] = content["stages"]
+        return stages
+
+    def finish(self, text: str) -> None:
+        """A last line in the log; a finished diagnosis has nothing to go on with."""
+        self.note(text)
+        self._file.unlink(missing_ok=True)
+
+    def note(self, text: str) -> None:
+        """A line in the log; a disk that is full costs the line, not the diagnosis."""
+        try:
+            with self._log.open("a", encoding="utf-8") as log:
+                log.write(f"{perf_counter() - self._begin:8.1f} s  {text}\n")
+        except OSError:
+            pass
+
+
+def _bar(columns: Mapping[str, str]) -> tuple[Any, Any]:
+    """A bar on standard error with some words behind it, by their styles."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    bar = Progress(
+        TextColumn("{task.percentage:>3.0f} %"),
+        BarColumn(bar_width=20),
+        *(TextColumn(f"{{task.fields[{name}]}}", style=style) for name, style in columns.items()),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(compact=True),
+        console=Console(file=sys.stderr, force_jupyter=False),
+        transient=True,
+    )
+    fields: dict[str, Any] = dict.fromkeys(columns, "")
+    return bar, bar.add_task("", total=1.0, **fields)
