@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import importlib
+import pkgutil
 import re
 import subprocess
 import sys
@@ -134,6 +136,15 @@ def _upward_imports(module: Path) -> set[str]:
 def test_imports_point_down():
     upward = {_name(module): above for module in MODULES if (above := _upward_imports(module))}
     assert not upward
+
+
+def test_each_module_can_be_imported():
+    """A type checker says nothing of an import of a module that is not there any more."""
+    names = [info.name for info in pkgutil.walk_packages([str(PACKAGE)], "trms_cli.")]
+    assert len(names) == len(MODULES) - 1
+    for name in names:
+        if not name.endswith("__main__"):
+            importlib.import_module(name)
 
 
 def test_libraries_stay_in_their_rooms():

@@ -46,10 +46,8 @@ def example_rows(
 ) -> FloatArray:
     """A closed loop with the model itself as the rig.
 
-    Returns
-    -------
-    (samples, n) array
-        Estimate, torques, references, last command, and the command that was chosen.
+    Returns (samples, n) array; estimate, torques, references, last command, and the command that
+    was chosen.
     """
     model, period = setup.model, setup.sample_time
     preview = controller.preview(setup)
@@ -79,10 +77,7 @@ def rounding_difference(controller: NewtonMpc, setup: ControlSetup, rows: FloatA
 
     No other implementation can be expected to be nearer.
 
-    Parameters
-    ----------
-    rows : (samples, n) array
-        From :func:`example_rows`.
+    ``rows``: (samples, n) array; from :func:`example_rows`.
     """
     model, state = setup.model, controller.init(setup)
     preview = controller.preview(setup)
@@ -161,7 +156,6 @@ def export(
     ----------
     controller, observer
         As a closed loop has them; the observer goes along if it is a filter.
-    setup : ControlSetup
     reference : ReferenceTrajectory
         Followed in the samples that come with it.
     name : str

@@ -342,7 +342,6 @@ def newton_source(
 
     Parameters
     ----------
-    controller : NewtonMpc
     setup : ControlSetup
         The model that it believes and its period.
     name : str

@@ -48,10 +48,8 @@ Groups = dict[str, dict[str, Option]]
 def take_config_dirs(argv: Sequence[str]) -> tuple[tuple[Path, ...], list[str]]:
     """Take every ``--config-dir DIR`` (or ``--config-dir=DIR``) off `argv`, checked.
 
-    Returns
-    -------
-    (folders, rest)
-        The folders as absolute paths in the order given, and what is left of `argv`.
+    Returns (folders, rest); the folders as absolute paths in the order given, and what is left of
+    `argv`.
     """
     folders: list[Path] = []
     rest: list[str] = []

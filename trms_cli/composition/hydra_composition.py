@@ -175,15 +175,7 @@ def compose_by_hydra(
 def check_interpolations(config: Mapping[str, Any]) -> None:
     """Refuse references out of the configuration, in a circle, or to more than there is room for.
 
-    Parameters
-    ----------
-    config : mapping
-        Plain and unresolved.
-
-    Raises
-    ------
-    ConfigurationError
-        It names the key.
+    ``config``: plain and unresolved. Raises ConfigurationError: it names the key.
     """
     measure = _Measure(config)
     for key, text in _references(config, ()):

@@ -30,8 +30,6 @@ def fall_back(
     ----------
     who : str
         The controller, for the message that ends a run.
-    policy : {"shifted_plan", "hold", "steady_input", "stop"}
-    reason : str
     candidates : dict of str to (n_u,) array or None
         Command of each policy that there is now; ``hold`` is always there and finite.
     bounds : (lower, upper)

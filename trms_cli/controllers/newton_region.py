@@ -130,11 +130,7 @@ class RegionDesign:
     def at(self, centre: FloatArray, disturbance: FloatArray) -> TerminalRegion | None:
         """The region around a target, or None where there is none.
 
-        Parameters
-        ----------
-        centre : (n,) array
-            From :meth:`centre`.
-        disturbance : (n_w,) array
+        ``centre``: (n,) array; from :meth:`centre`. ``disturbance``: (n_w,) array.
         """
         with warnings.catch_warnings():
             # Of poor conditioning: whether the law is any good is judged by what follows.

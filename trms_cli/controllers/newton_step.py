@@ -165,14 +165,9 @@ class NewtonStep:
     ) -> NewtonResult:
         """Iterate from the present plan; the plan never gets worse in merit.
 
-        Parameters
-        ----------
-        max_iterations : int
-        tolerance : float
-            V.
-        other : (n_u, n_blocks) array, optional
-            A second plan to start from. A single iteration starts from the better of the two;
-            more are made from both, and the better end is kept.
+        ``tolerance``: V. ``other``: (n_u, n_blocks) array; a second plan to start from. A single
+        iteration starts from the better of the two; more are made from both, and the better end is
+        kept.
         """
         if other is None:
             return self._solve(max_iterations, tolerance)

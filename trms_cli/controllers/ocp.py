@@ -293,11 +293,8 @@ _PARAMETERS = tuple(name for name in ARGUMENTS if name != "z")
 def build(horizon: Horizon, largest_moves: FloatArray) -> Ocp:
     """State the problem of a horizon.
 
-    Parameters
-    ----------
-    horizon : Horizon
-    largest_moves : (n_u,) array
-        Largest change of an input in one control period, V; infinite for none.
+    ``largest_moves``: (n_u,) array; largest change of an input in one control period, V; infinite
+    for none.
     """
     return _Builder(horizon, largest_moves).build()
 

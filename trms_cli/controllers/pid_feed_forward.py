@@ -83,13 +83,8 @@ def rotor_tables(
 ) -> dict[str, RotorTables]:
     """The tables of each axis, from the cache where this model has been asked before.
 
-    Parameters
-    ----------
-    model : Model
-    channels : dict of str to int
-        Input of the rotor that holds the axis, by axis.
-    steady : SteadyState
-        Of this model, with its own parameters and equal weights.
+    ``channels``: input of the rotor that holds the axis, by axis. ``steady``: of this model, with
+    its own parameters and equal weights.
     """
 
     def computed() -> dict[str, RotorTables]:
@@ -221,12 +216,8 @@ def inverse(responses: Sequence[ComplexArray], omega: FloatArray) -> FloatArray:
     the polynomial drives the axis. For a rotor's lag before an axis with inertia, damping and
     stiffness it is exact.
 
-    Parameters
-    ----------
-    responses : sequence of (n,) arrays
-        Of the angle to the torque asked for, rad/(N m).
-    omega : (n,) array
-        rad/s.
+    ``responses``: sequence of (n,) arrays; of the angle to the torque asked for, rad/(N m).
+    ``omega``: (n,) array; rad/s.
     """
     powers = (1j * omega[:, None]) ** np.arange(4)
     rows = np.concatenate([response[:, None] * powers for response in responses])

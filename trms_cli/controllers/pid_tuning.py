@@ -318,14 +318,8 @@ def closed_loop(
 ) -> tuple[FloatArray, FloatArray]:
     """Transition of [plant state, integral, filtered derivative, last angle, lead's lag], and u.
 
-    Parameters
-    ----------
-    gains : (k, 3) array
-        k_p, k_i, k_d of k candidates.
-
-    Returns
-    -------
-    (k, n + 4, n + 4) array, (k, n + 4) array
+    ``gains``: (k, 3) array; k_p, k_i, k_d of k candidates. Returns (k, n + 4, n + 4) array, (k, n +
+    4) array.
     """
     count, n, T, c = gains.shape[0], plant.b.size, plant.step, plant.c
     keep = filters.derivative / (filters.derivative + T)
@@ -406,7 +400,6 @@ def tuned(
     ----------
     plants : sequence of AxisPlant
         The axis at each operating point.
-    filters : Filters
     peak : float
         M, above 1.
     smoothness : float

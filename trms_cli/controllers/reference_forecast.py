@@ -43,13 +43,8 @@ _NEAR = 0.5
 def smooth_rates(r: ca.MX, period: float) -> ca.MX:
     """Rates over the periods that end at each reference, (n_r, N), unit/s.
 
-    Parameters
-    ----------
-    r : (n_r, N)
-        References at the ends of N control periods. The one before them is not among them: the
-        first period is taken to move as the second.
-    period : float
-        s.
+    ``r``: (n_r, N); references at the ends of N control periods. The one before them is not among
+    them: the first period is taken to move as the second. ``period``: s.
     """
     n_r, n = r.shape
     if n < 3:
@@ -83,15 +78,8 @@ class ReferenceForecast:
     def update(self, reference: FloatArray) -> FloatArray:
         """Take in the reference of this control period, and tell the next ones.
 
-        Parameters
-        ----------
-        reference : (n_r,) array
-            rad.
-
-        Returns
-        -------
-        (horizon + 1, n_r) array
-            Row 0 is the present; (1, n_r) without a forecast of any axis.
+        ``reference``: (n_r,) array; rad. Returns (horizon + 1, n_r) array; row 0 is the present;
+        (1, n_r) without a forecast of any axis.
         """
         present = reference.tolist()
         found: dict[int, list[float]] = {}

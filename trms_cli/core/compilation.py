@@ -101,13 +101,8 @@ def compiled_library(functions: Sequence[ca.Function], driver: str) -> ctypes.CD
     A loop around a model's step costs a Python call a step; as C beside the generated functions
     it costs nothing, and it runs without the interpreter's lock.
 
-    Parameters
-    ----------
-    functions : sequence of casadi.Function
-        With dense inputs and outputs.
-    driver : str
-        C source put after them. Each function is there as
-        ``int NAME(const double** arg, double** res, long long* iw, double* w, int mem)``.
+    ``functions``: with dense inputs and outputs. ``driver``: C source put after them. Each function
+    is there as ``int NAME(const double** arg, double** res, long long* iw, double* w, int mem)``.
     """
     program = compiler()
     library = None if program is None else _library(functions, driver, program)
@@ -118,12 +113,7 @@ def compiled_library(functions: Sequence[ca.Function], driver: str) -> ctypes.CD
 def compiled_source(name: str, source: str) -> ctypes.CDLL | None:
     """C code of our own as a loaded library; None without a compiler.
 
-    Parameters
-    ----------
-    name : str
-        A valid C identifier, for the file in the cache.
-    source : str
-        Needs nothing but libm.
+    ``name``: a valid C identifier, for the file in the cache. ``source``: needs nothing but libm.
     """
     program = compiler()
     library = None if program is None else _library([], source, program, name)

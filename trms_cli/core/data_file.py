@@ -43,7 +43,6 @@ def read_bytes(path: Path, most: int) -> bytes:
 
     Parameters
     ----------
-    path : Path
     most : int
         Bytes; :func:`largest` for what a user may raise.
 

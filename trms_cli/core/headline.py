@@ -34,12 +34,8 @@ def headline(choices: Mapping[str, str], *, follows: bool = True, rig: str = "")
 def shown_choices(choices: Mapping[str, Any], config: Mapping[str, Any] | str) -> dict[str, str]:
     """The option of each group as it is called; a model of a file by its file or fit.
 
-    Parameters
-    ----------
-    choices : mapping
-        The option chosen in each group, as a log has them.
-    config : mapping or str
-        The resolved configuration, or its YAML, which is read only where it is needed.
+    ``choices``: the option chosen in each group, as a log has them. ``config``: the resolved
+    configuration, or its YAML, which is read only where it is needed.
     """
     node: Any = config
     if isinstance(config, str):

@@ -13,15 +13,7 @@ def replace_whole(path: Path, content: bytes) -> None:
     Another program sees the old content or the new, never a half; a failure or Ctrl-C leaves the
     old behind and nothing beside it. Of several that write at once the last one counts.
 
-    Parameters
-    ----------
-    path : Path
-    content : bytes
-
-    Raises
-    ------
-    OSError
-        If the disk does not take it.
+    Raises OSError if the disk does not take it.
     """
     # A name of its own for each writer, short whatever `path` is called, and made here: a link
     # that somebody has laid there is not followed.

@@ -74,7 +74,6 @@ def free_run_errors(
 
     Parameters
     ----------
-    model : Model
     datasets : sequence of Dataset
         Whole recordings of one sample time: a start may know what was before its span.
     parts : sequence of (dataset, first, last)

@@ -77,10 +77,7 @@ class Admission:
 def together(admissions: Mapping[str, Admission]) -> Admission:
     """What was found with several models; what does not hold for all names those that it is of.
 
-    Parameters
-    ----------
-    admissions : dict of str to Admission
-        By the name that the model is shown with.
+    ``admissions``: by the name that the model is shown with.
     """
     holders: dict[Issue, list[str]] = {}
     for name, admission in admissions.items():
@@ -146,10 +143,6 @@ def admit(
     purpose : {"fit", "validation"}
         A validation demands no length, and commands or axes that rest are worth a word only,
         unless nothing moves at all.
-
-    Returns
-    -------
-    Admission
     """
     issues: list[Issue] = []
     for dataset in datasets:

@@ -125,12 +125,8 @@ class RecordedMotions:
     def of(self, dataset: Dataset, speeds: dict[str, FloatArray] | None = None) -> RecordedMotion:
         """The motion of a dataset.
 
-        Parameters
-        ----------
-        dataset : Dataset
-            With the model's inputs in the model's order.
-        speeds : dict of str to (n,) array, optional
-            Measured rotor speeds that take the place of the modelled ones.
+        ``dataset``: with the model's inputs in the model's order. ``speeds``: dict of str to (n,)
+        array; measured rotor speeds that take the place of the modelled ones.
         """
         model, n = self.model, len(dataset)
         angle = np.tile(model.rest()[self._angles], (n, 1))

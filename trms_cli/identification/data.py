@@ -190,15 +190,8 @@ def noise_estimate(measurements: FloatArray) -> FloatArray:
     one have no part in it. It overestimates where the motion is fast for the sample time. A
     channel at rest on an encoder's step gives 0; the quantum's share is declared apart.
 
-    Parameters
-    ----------
-    measurements : (n, n_y) array
-        NaN where missing.
-
-    Returns
-    -------
-    (n_y,) array
-        0 for a column with fewer than eight differences.
+    ``measurements``: (n, n_y) array; NaN where missing. Returns (n_y,) array; 0 for a column with
+    fewer than eight differences.
     """
     estimates = []
     for column in measurements.T:

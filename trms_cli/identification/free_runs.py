@@ -170,12 +170,8 @@ def with_memory(
 ) -> FloatArray:
     """States completed by what the input path remembers, which follows from the commands alone.
 
-    Parameters
-    ----------
-    first : (m,) array of int
-        Samples of the states.
-    states : (m, n_x) array
-        The model's own.
+    ``first``: (m,) array of int; samples of the states. ``states``: (m, n_x) array; the model's
+    own.
     """
     n = rollout.model.n_x
     full = np.empty((len(first), rollout.n_x))
@@ -259,11 +255,8 @@ def outputs_of(runs: Sequence[WindowRuns]) -> tuple[Signal, ...]:
 def error_figures(runs: Sequence[WindowRuns]) -> dict[str, dict[str, Any]]:
     """RMS error, largest error and fit of each output over all recordings.
 
-    Returns
-    -------
-    dict
-        By output: ``rmse`` and ``max_abs_error`` in its unit, ``fit_percent``, ``unit``; None for
-        a figure that does not exist. A simulation that overflowed has none.
+    Returns by output: ``rmse`` and ``max_abs_error`` in its unit, ``fit_percent``, ``unit``; None
+    for a figure that does not exist. A simulation that overflowed has none.
     """
     table: dict[str, dict[str, Any]] = {}
     for signal in outputs_of(runs):

@@ -57,7 +57,6 @@ def model_document(
         Of the rig.
     model : Model
         With its effects.
-    origin : ModelOrigin
     values : dict of str to float
         Fitted ones; the others keep the model's.
     deviations : dict of str to float or None
@@ -98,15 +97,8 @@ def model_document(
 def write_model(document: Mapping[str, Any], path: Path, heading: str = "") -> None:
     """Write a model file, whole or not at all.
 
-    Parameters
-    ----------
-    heading : str
-        Comment lines above the content.
-
-    Raises
-    ------
-    RecordingError
-        If the disk does not take it.
+    ``heading``: comment lines above the content. Raises RecordingError if the disk does not take
+    it.
     """
     import yaml
 

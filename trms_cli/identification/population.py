@@ -260,7 +260,6 @@ def evolve(
 
     Parameters
     ----------
-    search : Search
     evaluate : callable
         Points (m, n) to costs (m,).
     evaluations : int
@@ -269,7 +268,6 @@ def evolve(
         n.
     journal : Journal or None
         Generations that stand there are not simulated again; the others are added.
-    watch : callable or None
     """
     journal = journal or Journal()
     found = SearchResult(np.full(dimension, 0.5))

@@ -298,9 +298,7 @@ class FitProblem:
         A search that knows no slopes comes near a bound without touching it: a thousandth of a
         parameter's scale, which no data tell from nothing, counts as being there.
 
-        Parameters
-        ----------
-        theta : (n_f,) array
+        ``theta``: (n_f,) array.
         """
         lower, upper = self.bounds
         near = _ON_BOUND * self.scales

@@ -40,14 +40,9 @@ def follow(
 ) -> Iterator[Place]:
     """The places of a branch after one, until steps get shorter than the shortest.
 
-    Parameters
-    ----------
-    place : Place
-    attempt : callable
-        (place, step) → the next place, or None where the step was too long; and the length of the
-        step after it.
-    step, shortest : float
-        The first step, and the shortest one that is tried.
+    ``attempt``: (place, step) → the next place, or None where the step was too long; and the length
+    of the step after it. ``step``, ``shortest``: the first step, and the shortest one that is
+    tried.
     """
     while step >= shortest:
         following, step = attempt(place, step)

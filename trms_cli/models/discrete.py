@@ -44,11 +44,8 @@ class SteppedModel(Model):
 def copied_states(model: Model) -> dict[int, tuple[str, int]]:
     """States that a step only copies, by position: their source now.
 
-    Returns
-    -------
-    dict of int to (str, int)
-        ``("x", j)`` for a state whose next value is that of state j, ``("u", j)`` of input j.
-        Empty for a model with a derivative. A state that only keeps itself is not among them.
+    Returns ``("x", j)`` for a state whose next value is that of state j, ``("u", j)`` of input j.
+    Empty for a model with a derivative. A state that only keeps itself is not among them.
     """
     if model.sample_time is None:
         return {}

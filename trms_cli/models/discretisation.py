@@ -41,11 +41,8 @@ Derivative = Callable[[ca.SX], ca.SX]
 def factorised(matrix: ca.SX) -> Callable[[ca.SX], ca.SX]:
     """Factorise once, solve many times: a function ``b → matrix⁻¹ b``.
 
-    Parameters
-    ----------
-    matrix : casadi.SX
-        Square. There is no pivoting: every leading block must be regular, as it is for the
-        ``I/(γh) − ∂f/∂x`` of a linearly implicit step.
+    ``matrix``: square. There is no pivoting: every leading block must be regular, as it is for the
+    ``I/(γh) − ∂f/∂x`` of a linearly implicit step.
     """
     n = matrix.shape[0]
     structure = matrix.sparsity()

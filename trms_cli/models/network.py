@@ -81,13 +81,7 @@ class Network:
     def expression(self, regressor: ca.SX) -> ca.SX:
         """The output as a CasADi expression, exact to rounding and with exact derivatives.
 
-        Parameters
-        ----------
-        regressor : (n_phi, 1) casadi.SX
-
-        Returns
-        -------
-        (n_out, 1) casadi.SX
+        ``regressor``: (n_phi, 1) casadi.SX. Returns (n_out, 1) casadi.SX.
         """
         z = (regressor - ca.DM(self.regressor_mean)) / ca.DM(self.regressor_sd)
         w = {name: ca.DM(value) for name, value in self.weights.items()}

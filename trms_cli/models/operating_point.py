@@ -251,7 +251,6 @@ def newton(
         Where it starts.
     flat : float
         Directions whose slope is below this share of the largest are left where they are.
-    iterations : int
     patience : int, optional
         It ends after so many iterations that do not shrink the error. A double root halves the
         error each time; what does not shrink at all has no root.

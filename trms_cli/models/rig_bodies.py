@@ -39,14 +39,10 @@ class Body:
 def bodies(c: Mapping[str, Any], shields: Shields = "rings") -> tuple[Body, ...]:
     """The rig's named bodies.
 
-    Parameters
-    ----------
-    c : mapping
-        Masses (kg) and lengths (m) by the names of the parameter sets; ``h`` among them.
-    shields : {"rings", "as_printed"}
-        The guards of the propellers: thin rings around them, the main one around an axis along ζ
-        and the tail one around an axis along η; or spread along the beam alone, so as to give the
-        published J1, J2 and J3 (see ``docs/lagrangian.md``).
+    ``c``: masses (kg) and lengths (m) by the names of the parameter sets; ``h`` among them.
+    ``shields``: the guards of the propellers: thin rings around them, the main one around an axis
+    along ζ and the tail one around an axis along η; or spread along the beam alone, so as to give
+    the published J1, J2 and J3 (see ``docs/lagrangian.md``).
     """
     h, l_t, l_m, l_b = c["h"], c["l_t"], c["l_m"], c["l_b"]
     main, tail = c["r_ms"] ** 2 / 2, c["r_ts"] ** 2 / 2
@@ -120,11 +116,7 @@ def energies(rig: Sequence[Body], g: Any) -> Energies:
     that both are written at yaw 0. The part of W that pitching gives does not change with the pitch
     either, since the beam pitches about an axis that is fixed in it.
 
-    Parameters
-    ----------
-    rig : sequence of Body
-    g : casadi.SX or float
-        m/s².
+    ``g``: m/s².
     """
     q, rates = ca.SX.sym("q", 2), ca.SX.sym("q_dot", 2)
     frame = _frame(q[0], q[1])

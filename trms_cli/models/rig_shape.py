@@ -31,13 +31,10 @@ def moves(names: Collection[str]) -> bool:
 def rig_shape(parameters: Mapping[str, float]) -> Scene:
     """The body of a rig.
 
-    Parameters
-    ----------
-    parameters : mapping of str to float
-        SI values by name. A TRMS has ``l_m, l_t`` (arms), ``l_b, l_cb`` (counterweight), ``r_ms,
-        r_ts`` (guards), ``h`` (offset of the beam); a Quanser Aero ``d_t`` (both arms), ``l_t``
-        (rod), ``d_x`` (how far the hanging mass is below), ``r_y`` (yoke). Others are not looked
-        at.
+    ``parameters``: SI values by name. A TRMS has ``l_m, l_t`` (arms), ``l_b, l_cb``
+    (counterweight), ``r_ms, r_ts`` (guards), ``h`` (offset of the beam); a Quanser Aero ``d_t``
+    (both arms), ``l_t`` (rod), ``d_x`` (how far the hanging mass is below), ``r_y`` (yoke). Others
+    are not looked at.
     """
     return _aero(parameters) if "d_t" in parameters else _twin_rotor(parameters)
 

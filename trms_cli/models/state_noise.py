@@ -12,12 +12,7 @@ from trms_cli.models.model import FloatArray, Model
 def noise_of_states(model: Model, parameters: FloatArray, step: float) -> FloatArray:
     """Standard deviations of what noise adds to each state in a step (s), shape (n_x,).
 
-    Parameters
-    ----------
-    parameters : (n_p,) array
-        Values of the model's parameters, SI.
-    step : float
-        s.
+    ``parameters``: (n_p,) array; values of the model's parameters, SI. ``step``: s.
     """
     added = BufferedFunction(kept(_noise_function, model, step), compile=False)
     return added.evaluate(parameters)[0].copy()

@@ -47,7 +47,6 @@ def read_table(
 
     Parameters
     ----------
-    path : str
     where : str
         The configuration key, for messages.
     what : str
@@ -188,10 +187,7 @@ class RisingSpline:
 def rising_spline(x: FloatArray, y: FloatArray) -> RisingSpline | None:
     """The least-squares spline of a table with the most pieces that rises; None if none does.
 
-    Parameters
-    ----------
-    x, y : (n,) arrays
-        x rising.
+    ``x``, ``y``: (n,) arrays; x rising.
     """
     from scipy.interpolate import PPoly, make_lsq_spline
 

@@ -358,10 +358,7 @@ class Mhe(FilterOptions):
 def _remember(state: MheState, memory: FloatArray) -> None:
     """Put the last sample into the window, which forgets its oldest.
 
-    Parameters
-    ----------
-    memory : (n_m,) array
-        Of the input path, before the sample.
+    ``memory``: (n_m,) array; of the input path, before the sample.
     """
     inputs, (_, covariance, _, u, y, _, _, known) = state.inputs, state.arrival.function.inputs[:8]
     believed = state.arrival.present & (state.arrival.estimate.rejected == 0)

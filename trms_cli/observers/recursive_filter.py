@@ -98,11 +98,8 @@ class Gate:
     def follow(self, present: BoolArray, innovation: FloatArray, sd: FloatArray) -> bool:
         """Take note of a sample; true if a channel is to be believed from the next one on.
 
-        Parameters
-        ----------
-        present : (n_y,) bool array
-            Channels that were measured; the others change nothing.
-        innovation, sd : (n_y,) arrays
+        ``present``: (n_y,) bool array; channels that were measured; the others change nothing.
+        ``innovation``, ``sd``: (n_y,) arrays.
         """
         within = np.abs(innovation) <= self.width * sd
         counting = np.where(self.open, within, self.rejected > 0)

@@ -81,15 +81,8 @@ class StateDependentForm:
 
         ``Δx⁺ = Φ Δx + Γ_u Δu + Γ_w w + c``, the coefficients frozen at x and u.
 
-        Parameters
-        ----------
-        step_length : float
-            s; for a model that only steps, its own sample time.
-
-        Raises
-        ------
-        ModelError
-            For another step of a model that only steps, or one that is not positive.
+        ``step_length``: s; for a model that only steps, its own sample time. Raises ModelError for
+        another step of a model that only steps, or one that is not positive.
         """
         model = self.model
         _check_step(model, step_length)

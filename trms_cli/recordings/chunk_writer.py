@@ -132,10 +132,8 @@ class ChunkWriter:
     def add_chunk(self, messages: Iterable[tuple[int, int, int, bytes]]) -> None:
         """Add messages as one chunk.
 
-        Parameters
-        ----------
-        messages : iterable of (channel id, log time [ns], publish time [ns], data)
-            In the order of log time.
+        ``messages``: iterable of (channel id, log time [ns], publish time [ns], data); in the order
+        of log time.
         """
         pack, opcode = _MESSAGE.pack, int(Opcode.MESSAGE)
         counts = self._counts

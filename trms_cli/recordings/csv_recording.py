@@ -46,15 +46,8 @@ class _Column:
 def read_csv(path: Path | str) -> Recording:
     """Read a CSV recording into SI units.
 
-    Returns
-    -------
-    Recording
-        Empty cells are NaN; gaps in ``t`` stay gaps.
-
-    Raises
-    ------
-    RecordingError
-        Whatever is wrong, at its line.
+    Returns empty cells are NaN; gaps in ``t`` stay gaps. Raises RecordingError: whatever is wrong,
+    at its line.
     """
     path = Path(path)
     lines, ends_with_newline = _lines(path)
@@ -84,12 +77,8 @@ def read_csv(path: Path | str) -> Recording:
 def write_csv(recording: Recording, path: Path | str, *, force: bool = False) -> None:
     """Write a recording so that reading it gives the same numbers, bit for bit.
 
-    Parameters
-    ----------
-    recording : Recording
-        NaN becomes an empty cell.
-    path : Path
-        Appears when it is whole; an existing file is refused unless ``force``.
+    ``recording``: NaN becomes an empty cell. ``path``: appears when it is whole; an existing file
+    is refused unless ``force``.
     """
     names = list(recording.channels)
     header = ["t[s]", *(unit_fields(recording.units)[name] for name in names)]

@@ -193,16 +193,9 @@ def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recordi
     refused for commands and references, which are held. The ends for which a channel has no
     value any more are cut.
 
-    Parameters
-    ----------
-    delays : dict of str to float
-        s, by channel; negative for one that is recorded early (a command that acts later).
-
-    Raises
-    ------
-    RecordingError
-        For an unknown channel, a delay longer than the recording, or a part of a sample for a
-        held channel.
+    ``delays``: s, by channel; negative for one that is recorded early (a command that acts later).
+    Raises RecordingError for an unknown channel, a delay longer than the recording, or a part of a
+    sample for a held channel.
     """
     step = recording.sample_time
     held = {*recording.names("input"), *recording.names("reference")}

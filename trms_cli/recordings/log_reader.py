@@ -73,7 +73,6 @@ def content_of(chunk: Chunk, room: int) -> bytes:
 
     Parameters
     ----------
-    chunk : Chunk
     room : int
         Bytes that it may have.
 

@@ -87,16 +87,9 @@ def is_level_5(data: bytes) -> bool:
 def plain_variables(data: bytes) -> list[str]:
     """Walk through a file of level 5.
 
-    Returns
-    -------
-    list of str
-        Names of the variables that hold numbers, text, cells and structs alone.
-
-    Raises
-    ------
-    Malformed
-        If a part does not lie inside of what it is a part of, is of no known type, or claims more
-        elements than there are bytes.
+    Returns names of the variables that hold numbers, text, cells and structs alone. Raises
+    Malformed if a part does not lie inside of what it is a part of, is of no known type, or claims
+    more elements than there are bytes.
     """
     order = "<" if data[126:128] == b"IM" else ">"
     names: list[str] = []

@@ -71,13 +71,8 @@ def fill_gaps(recording: Recording, longest: float, jitter: float) -> Recording:
     Measurements are joined by straight lines, commands and references held. Longer holes and
     those at either end stay.
 
-    Parameters
-    ----------
-    recording : Recording
-    longest : float
-        s from the last sample before a hole to the first after it.
-    jitter : float
-        How uneven the sampling may be, as a share of a sample: see :func:`on_grid`.
+    ``longest``: s from the last sample before a hole to the first after it. ``jitter``: how uneven
+    the sampling may be, as a share of a sample: see :func:`on_grid`.
     """
     grid = on_grid(recording, jitter)
     held = {*recording.names("input"), *recording.names("reference")}
@@ -279,15 +274,8 @@ class Preparation:
     def apply(self, recording: Recording) -> list[Recording]:
         """Make a recording ready.
 
-        Returns
-        -------
-        list of Recording
-            One, unless it is split. Their remarks tell what was found and what was done.
-
-        Raises
-        ------
-        RecordingError
-            If something asked for cannot be done.
+        Returns one, unless it is split. Their remarks tell what was found and what was done. Raises
+        RecordingError if something asked for cannot be done.
         """
         found = remarks_on(recording, {} if self.outliers == "mark" else None)
         recording = replace(recording, remarks=(*recording.remarks, *found))

@@ -167,10 +167,7 @@ def quantum(values: np.ndarray) -> float | None:
     An encoder or a rounded print-out takes few levels at equal distances. Returns None
     when the levels do not lie on one grid, or when all samples differ.
 
-    Parameters
-    ----------
-    values : (n,) float array
-        NaN allowed.
+    ``values``: (n,) float array; NaN allowed.
     """
     levels = np.unique(values[np.isfinite(values)])
     scale = float(np.max(np.abs(levels), initial=0.0))
@@ -254,15 +251,9 @@ class GriddedRecording:
 def on_grid(recording: Recording, tolerance: float) -> GriddedRecording:
     """Put a recording on the grid of its median step.
 
-    Parameters
-    ----------
-    tolerance : float
-        Largest deviation of a step from whole sample times, as a share of one, below 0.5.
-
-    Raises
-    ------
-    RecordingError
-        If the steps are uneven beyond the tolerance, or hardly any point has a row.
+    ``tolerance``: largest deviation of a step from whole sample times, as a share of one, below
+    0.5. Raises RecordingError if the steps are uneven beyond the tolerance, or hardly any point has
+    a row.
     """
     step = recording.sample_time
     steps = np.diff(recording.time) / step

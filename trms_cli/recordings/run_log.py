@@ -216,12 +216,8 @@ class RunLog:
     def close(self, outcome: Outcome, score: Mapping[str, Any] | None = None) -> None:
         """Finish the file; a second call does nothing.
 
-        Parameters
-        ----------
-        outcome : {"completed", "interrupted", "failed"}
-            How the run ended.
-        score : mapping, optional
-            Becomes the ``trms.score`` record; each value is written as JSON text.
+        ``outcome``: how the run ended. ``score``: becomes the ``trms.score`` record; each value is
+        written as JSON text.
         """
         if self._closed:
             return

@@ -336,13 +336,8 @@ class RecordingSummary:
 def summarise(recording: Recording, jitter: float = 0.2) -> RecordingSummary:
     """Look at a recording; nothing is changed.
 
-    Parameters
-    ----------
-    recording : Recording
-        As read, with its gaps.
-    jitter : float
-        How uneven the sampling may be for delays and the loop to be estimated, as a share of a
-        sample.
+    ``recording``: as read, with its gaps. ``jitter``: how uneven the sampling may be for delays and
+    the loop to be estimated, as a share of a sample.
     """
     masks = find_outliers(recording)
     channels = {name: _channel(recording, name, masks) for name in recording.channels}

@@ -140,11 +140,8 @@ ALIASES: dict[str, str] = _OTHER_NAMES | {
 def figures_of(score: Mapping[str, Any]) -> dict[str, float | None]:
     """The figures of a score by their names here, of every channel and input that it has.
 
-    Parameters
-    ----------
-    score : mapping
-        ``trms.score/1``, also one of an older version, or one that holds what it should not:
-        what is no finite number is None.
+    ``score``: ``trms.score/1``, also one of an older version, or one that holds what it should not:
+    what is no finite number is None.
     """
     values: dict[str, float | None] = {"duration": figures.finite(score.get("duration_s"))}
     members: dict[figures.Figure, list[float | None]] = {

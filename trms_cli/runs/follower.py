@@ -127,10 +127,7 @@ class RunFollower:
     def look_until(self, time: float, budget: float = math.inf) -> bool:
         """Look until samples at `time` (s) are there, or nothing is new, or `budget` s are over.
 
-        Returns
-        -------
-        bool
-            Whether more may be there to be read at once.
+        Returns whether more may be there to be read at once.
         """
         begin = monotonic()
         while self.latest < time:

@@ -76,7 +76,6 @@ def find(question: Query, tell: Tell = lambda done, of: None) -> QueryResult:
 
     Parameters
     ----------
-    question : Query
     tell : callable
         Called with the number of logs read and of those to be read.
 

@@ -134,11 +134,8 @@ class Loop:
     def start(cls, experiment: Experiment, make_history: Callable[[PlantRun], History]) -> Loop:
         """Everything ready for the first sample.
 
-        Parameters
-        ----------
-        make_history : callable
-            Given the plant, returns where its run is kept. Called last: a plugin that refuses
-            its configuration leaves no file behind.
+        ``make_history``: given the plant, returns where its run is kept. Called last: a plugin that
+        refuses its configuration leaves no file behind.
         """
         e = experiment
         ratio = e.samples_per_control

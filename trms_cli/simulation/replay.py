@@ -40,10 +40,7 @@ class Replay:
     ) -> Replay:
         """Everything ready for the first sample.
 
-        Parameters
-        ----------
-        make_history : callable
-            Given the recording, returns where the run is kept.
+        ``make_history``: given the recording, returns where the run is kept.
         """
         setup = ObserverSetup(
             model,
@@ -60,11 +57,8 @@ class Replay:
     def run(self, progress: Progress | None = None) -> None:
         """Run to the end; what is done stays in the history if an exception ends it.
 
-        Parameters
-        ----------
-        progress : callable, optional
-            Called once a recorded second with the time passed (s) and the largest innovation of
-            an angle (rad).
+        ``progress``: called once a recorded second with the time passed (s) and the largest
+        innovation of an angle (rad).
         """
         rig, history = self.rig, self.history
         per_second = max(1, round(1.0 / rig.sample_time))

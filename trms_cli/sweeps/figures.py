@@ -39,10 +39,7 @@ def canonical(name: str, where: str) -> str:
 def near_figures(name: str, known: Iterable[str]) -> str:
     """A remedy: the few figures that may have been meant, and where all of them are told.
 
-    Parameters
-    ----------
-    known : iterable of str
-        Figures that there are, by any of their names.
+    ``known``: figures that there are, by any of their names.
     """
     close = get_close_matches(name, sorted({*known}), n=_MOST_NEAR, cutoff=_NEAR)
     hint = f"did you mean {' or '.join(close)}? " if close else ""
@@ -73,10 +70,7 @@ def canonical_limits(limits: Mapping[str, float], where: str) -> dict[str, float
 def figure_of(result: RunResult, name: str) -> float | None:
     """A figure of a run that is done, None where it has none or is not done.
 
-    Parameters
-    ----------
-    name : str
-        As :func:`canonical` gives it.
+    ``name``: as :func:`canonical` gives it.
     """
     if result.state != "done":
         return None

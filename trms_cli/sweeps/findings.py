@@ -39,10 +39,7 @@ _STATES = ("failed", "lost", "interrupted", "running", "left")
 def sweep_findings(document: Mapping[str, Any]) -> Findings:
     """How a sweep stands.
 
-    Parameters
-    ----------
-    document : dict
-        ``trms.sweep-status/1``.
+    ``document``: ``trms.sweep-status/1``.
     """
     counts, summary = document["counts"], document["summary"]
     of = "" if document["total"] is None else f" of {document['total']}"

@@ -33,19 +33,11 @@ class _Failure(NamedTuple):
 def outcome_of(folder: Path) -> dict[str, Any]:
     """Counts, failures by their reason, the rate and the best.
 
-    Returns
-    -------
-    dict
-        ``counts`` by state, among them ``running`` and ``left`` (proposed, and not begun or left
-        by a worker that died); ``failures``: state, problem, where, remedy (of the first of those
-        that differ in values only), count, runs and whether what was typed is the reason;
-        ``rate`` in runs per second of late; ``best``: the run with the smallest objective;
-        ``told``: what each run says of itself, for a sweep of few.
-
-    Raises
-    ------
-    RecordingError
-        If there is no sweep.
+    Returns ``counts`` by state, among them ``running`` and ``left`` (proposed, and not begun or
+    left by a worker that died); ``failures``: state, problem, where, remedy (of the first of those
+    that differ in values only), count, runs and whether what was typed is the reason; ``rate`` in
+    runs per second of late; ``best``: the run with the smallest objective; ``told``: what each run
+    says of itself, for a sweep of few. Raises RecordingError if there is no sweep.
     """
     record = Record(folder)
     document = record.document()

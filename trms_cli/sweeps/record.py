@@ -144,15 +144,8 @@ class Record:
     def points(self, *, mend: bool = False) -> list[SweepPoint]:
         """The points that were proposed, in their order.
 
-        Parameters
-        ----------
-        mend : bool
-            Cut off a last line that was left half-written.
-
-        Raises
-        ------
-        RecordingError
-            If a line before the last cannot be read.
+        ``mend``: cut off a last line that was left half-written. Raises RecordingError if a line
+        before the last cannot be read.
         """
         file = self.folder / POINTS_NAME
         try:

@@ -50,10 +50,7 @@ class Robustness:
     ) -> dict[str, Any]:
         """Statistics of each group, JSON data.
 
-        Parameters
-        ----------
-        points : sequence of SweepPoint
-            Those that have results; interrupted ones are left out.
+        ``points``: those that have results; interrupted ones are left out.
         """
         ended = [p for p in points if results[p.number].state != "interrupted"]
         names = [n for n in self.figures if any(_has(results[p.number], n) for p in ended)]

@@ -138,10 +138,7 @@ class RunFolder:
     def put_aside(self, attempt: int) -> None:
         """Move what earlier attempts left, so that the folder is as new.
 
-        Parameters
-        ----------
-        attempt : int
-            The one that begins.
+        ``attempt``: the one that begins.
         """
         left = [name for name in os.listdir(self.path) if not _is_kept(name)]
         if not left:
@@ -157,7 +154,6 @@ def lost(point: SweepPoint, attempt: int, reason: str, before: Mapping[str, Any]
 
     Parameters
     ----------
-    point : SweepPoint
     attempt : int
         The last one.
     reason : str

@@ -285,10 +285,7 @@ class Inequalities:
     def solve(self, task: Task, inside: FloatArray | None = None) -> LmiSolution | None:
         """The best law for a task; None where the solver found none.
 
-        Parameters
-        ----------
-        inside : (n, n) array, optional
-            Q of the ellipsoid to lie within.
+        ``inside``: (n, n) array; Q of the ellipsoid to lie within.
         """
         import cvxpy as cp
 

@@ -168,10 +168,7 @@ class Coefficients:
 
         Commands are anywhere within their limits, demands of thrust anywhere within their bounds.
 
-        Parameters
-        ----------
-        cube : (N, n + m) array, optional
-            Points of [−1, 1]^(n + m) to take in place of the usual ones.
+        ``cube``: (N, n + m) array; points of [−1, 1]^(n + m) to take in place of the usual ones.
         """
         cube = self._cube if cube is None else cube
         z, v = self._points(target, region, cube)

@@ -216,10 +216,7 @@ class Regulation:
     def weights(self, A: FloatArray) -> FloatArray:
         """C (2 n_r, n) in units of the scales: angles, and their mean rates over a period.
 
-        Parameters
-        ----------
-        A : (n, n) array
-            A typical one.
+        ``A``: (n, n) array; a typical one.
         """
         rows = np.array(self._rows)
         C = np.zeros((2 * len(rows), self.n))

@@ -47,16 +47,9 @@ def sampled(dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0) 
 
     Of the outputs every d-th sample is taken; a command is the mean over the d samples.
 
-    Parameters
-    ----------
-    smoothing : float
-        s, length of a cubic Savitzky–Golay window over the outputs before samples are taken;
-        0 for none. It looks ahead, so it is for fitting only.
-
-    Raises
-    ------
-    RecordingError
-        If the sample times have no whole ratio, a signal is missing, or a channel has no sample.
+    ``smoothing``: s, length of a cubic Savitzky–Golay window over the outputs before samples are
+    taken; 0 for none. It looks ahead, so it is for fitting only. Raises RecordingError if the
+    sample times have no whole ratio, a signal is missing, or a channel has no sample.
     """
     ratio = structure.sample_time / dataset.sample_time
     step = round(ratio)

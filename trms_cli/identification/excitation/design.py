@@ -91,11 +91,8 @@ class Trial:
     ) -> tuple[FloatArray, FloatArray] | None:
         """States (n, n_x) and outputs (n, n_y); None where a bound is passed.
 
-        Parameters
-        ----------
-        commands : (n, n_u) array
-        prior_seed : int or None
-            Of the rig's parameters, drawn from their priors; None takes the model's.
+        ``commands``: (n, n_u) array. ``prior_seed``: of the rig's parameters, drawn from their
+        priors; None takes the model's.
         """
         parameters = self.model.parameters
         if prior_seed is not None:
@@ -142,9 +139,6 @@ def largest_amplitudes(
 
     Parameters
     ----------
-    model : Model
-    request : Request
-    trial : Trial
     commands : callable
         Of an amplitude (n_u,): what is played, (n, n_u).
     room : (n_u,) array
@@ -270,8 +264,6 @@ def design(
     ----------
     model : Model
         With equations; of the rig that is to be excited, roughly right.
-    excitation : Excitation
-    request : Request
     progress : callable
         Told in words what is being done.
 

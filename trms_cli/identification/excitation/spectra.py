@@ -39,11 +39,7 @@ class Spectra:
 def spectra_of(design: ExcitationDesign, noise_sd: Mapping[str, float]) -> Spectra:
     """Spectra of a design.
 
-    Parameters
-    ----------
-    design : Design
-    noise_sd : dict of str to float
-        Standard deviation of each output's white noise, a quantum's share included.
+    ``noise_sd``: standard deviation of each output's white noise, a quantum's share included.
     """
     from scipy.signal import periodogram
 

@@ -59,11 +59,8 @@ def parzen(lags: int) -> FloatArray:
 def score_covariances(slopes: FloatArray, gamma: FloatArray) -> FloatArray:
     """Covariance of each channel's part of the score, shape (n_y, n_f, n_f).
 
-    Parameters
-    ----------
-    slopes : (m, c, n_y, n_f) array
-        Of the whitened residuals; 0 where nothing was measured.
-    gamma : (n_y, lags + 1) array
+    ``slopes``: (m, c, n_y, n_f) array; of the whitened residuals; 0 where nothing was measured.
+    ``gamma``: (n_y, lags + 1) array.
     """
     lags = gamma.shape[1] - 1
     length = slopes.shape[1]
@@ -118,10 +115,8 @@ class Information:
         likelihoods (White 1982, Econometrica 50), where the prior is taken at its word: the
         truth is a draw from it. Where the residuals are as assumed it is ``H⁻¹``.
 
-        Parameters
-        ----------
-        held : (n_f,) array of bool or None
-            Parameters on a bound; they get no variance and pass none on.
+        ``held``: (n_f,) array of bool or None; parameters on a bound; they get no variance and pass
+        none on.
         """
         free = np.ones(len(self.scales), dtype=bool) if held is None else ~held
         inner = np.ix_(free, free)
@@ -164,11 +159,7 @@ def information(objective: MapObjective, theta: FloatArray, starts: FloatArray) 
     from the same samples. The score is therefore ``M / share``. With the cost's weights ``share/φ``
     the overlap then leaves ``(share/φ)² M/share``, which is what one family gives.
 
-    Parameters
-    ----------
-    objective : Objective
-    theta : (n_f,) array
-    starts : (m, n_x) array
+    ``theta``: (n_f,) array. ``starts``: (m, n_x) array.
     """
     _, quadratic, residuals = objective.parabola(theta, starts)
     assert residuals.j is not None
@@ -256,12 +247,7 @@ def identifiability(
 ) -> Identifiability:
     """Judge the parameters of a fit.
 
-    Parameters
-    ----------
-    information : Information
-    names : sequence of str
-    covariance : (n_f, n_f) array
-        Of the estimate, in the parameters' units.
+    ``covariance``: (n_f, n_f) array; of the estimate, in the parameters' units.
     """
     fisher = information.of_data
     size = np.sqrt(np.diag(fisher))

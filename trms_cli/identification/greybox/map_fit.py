@@ -73,7 +73,6 @@ def minimise(
 
     Parameters
     ----------
-    objective : Objective
     point : Point
         Where to begin; its cost is not read.
     bounds : (lower, upper)
@@ -203,9 +202,7 @@ def fit_from(
 
     Parameters
     ----------
-    windows : Windows
     theta : (n_f,) array
-    settings : MapSettings
     held : (n_f,) array of bool or None
         Parameters that stay where they are.
     watch : callable
@@ -347,7 +344,6 @@ def profile(
     ----------
     objective : Objective
         With the weights of the fit.
-    best : Point
     name : str
         A free parameter.
     sd : float

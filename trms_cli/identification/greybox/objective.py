@@ -91,10 +91,7 @@ def sizes(r: FloatArray, measured: BoolArray, declared: FloatArray) -> FloatArra
     The largest hundredth counts as its smallest member, so that outliers do not make all else
     cheap.
 
-    Parameters
-    ----------
-    r, measured : (m, c, n_y) arrays
-    declared : (m, n_y) array
+    ``r``, ``measured``: (m, c, n_y) arrays. ``declared``: (m, n_y) array.
     """
     z = np.abs(r / declared[:, None])
     found = np.ones(r.shape[2])
@@ -165,10 +162,7 @@ class Reduced(NamedTuple):
 def triangles(a_b: FloatArray, r: FloatArray) -> FloatArray:
     """Triangular factors of each window's ``[A B r]``.
 
-    Parameters
-    ----------
-    a_b : (m, rows, n + n_f) array
-    r : (m, rows) array
+    ``a_b``: (m, rows, n + n_f) array. ``r``: (m, rows) array.
     """
     rows = np.concatenate([a_b, r[..., None]], axis=2)
     m, _, columns = rows.shape
@@ -187,11 +181,8 @@ def triangles(a_b: FloatArray, r: FloatArray) -> FloatArray:
 def reduced(quadratic: Quadratic, damping: float) -> Reduced:
     """Eliminate the starts.
 
-    Parameters
-    ----------
-    damping : float
-        λ of Levenberg and Marquardt, in the scaled units; it acts on the starts here, and on the
-        parameters where the step is made.
+    ``damping``: λ of Levenberg and Marquardt, in the scaled units; it acts on the starts here, and
+    on the parameters where the step is made.
     """
     m, n = quadratic.start_gap.shape
     columns = quadratic.triangles.shape[2]

@@ -68,12 +68,7 @@ class Coherence:
 def segments_of(values: FloatArray, sample_time: float, length: int) -> Segments:
     """Cut a signal into segments and transform them.
 
-    Parameters
-    ----------
-    values : (n,) array
-        NaN where missing.
-    length : int
-        Samples of a segment.
+    ``values``: (n,) array; NaN where missing. ``length``: samples of a segment.
     """
     from scipy.signal.windows import hann
 
@@ -178,12 +173,7 @@ def characteristics(
 ) -> Characteristics:
     """Characterise one signal.
 
-    Parameters
-    ----------
-    values : (n,) array
-        NaN where missing.
-    sample_time : float
-        s.
+    ``values``: (n,) array; NaN where missing. ``sample_time``: s.
     """
     present = values[~np.isnan(values)]
     missing = len(values) - len(present)

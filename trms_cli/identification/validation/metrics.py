@@ -106,13 +106,8 @@ def block_sums(
 ) -> BlockSums:
     """Sum the squared errors of a channel over blocks.
 
-    Parameters
-    ----------
-    recordings : sequence of WindowErrors
-        Of one horizon; a block never reaches over the end of a recording.
-    block : int
-        Samples; windows that begin in it belong to it.
-    errors : {"errors", "unchanged"}
+    ``recordings``: of one horizon; a block never reaches over the end of a recording. ``block``:
+    samples; windows that begin in it belong to it.
     """
     squares: list[float] = []
     counts: list[float] = []
@@ -219,12 +214,8 @@ def region_tables(
 ) -> list[RegionTable]:
     """Tables of all channels over all variables.
 
-    Parameters
-    ----------
-    errors : dict of str to (N,) arrays
-        By channel; NaN where there is none.
-    variables : dict of str to (N,) arrays
-        Operating variables at the same samples; NaN where missing.
+    ``errors``: dict of str to (N,) arrays; by channel; NaN where there is none. ``variables``: dict
+    of str to (N,) arrays; operating variables at the same samples; NaN where missing.
     """
     tables = []
     for variable, values in variables.items():

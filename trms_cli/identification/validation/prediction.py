@@ -36,16 +36,9 @@ from trms_cli.simulation.rollout import Rollout
 def measured_states(model: Model, dataset: Dataset) -> FloatArray | None:
     """The states at every sample, as far as measured.
 
-    Parameters
-    ----------
-    model : Model
-    dataset : Dataset
-
-    Returns
-    -------
-    (n, n_x) array or None
-        NaN where something is missing or lies before the recording; None for a model that has a
-        derivative, or a state that is neither a measured output nor a copy of one or of an input.
+    Returns (n, n_x) array or None; NaN where something is missing or lies before the recording;
+    None for a model that has a derivative, or a state that is neither a measured output nor a copy
+    of one or of an input.
     """
     if getattr(model, "sample_time", None) is None:
         return None
@@ -189,12 +182,8 @@ class OneStepFilter:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Innovations, their deviations, and filtered states, from the beginning.
 
-        Parameters
-        ----------
-        factors : mapping
-            Of the process noise.
-        measurements : (n, n_y) array or None
-            Others than the recording's.
+        ``factors``: of the process noise. ``measurements``: (n, n_y) array or None; others than the
+        recording's.
         """
         dataset, state, observer = self._dataset, self._state, self._observer
         if measurements is None:

@@ -196,15 +196,9 @@ def _shifted(values: FloatArray, lag: int) -> FloatArray:
 def holm(p_values: Sequence[float] | FloatArray) -> FloatArray:
     """Adjusted p-values: rejecting those at most α errs once or more with probability at most α.
 
-    Parameters
-    ----------
-    p_values : (m,) array
-        NaN for a test that could not be made; it stays NaN and does not count.
-
-    Returns
-    -------
-    (m,) array
-        ``max over j ≤ i of min(1, (m − j + 1) p_(j))`` in the order of rising p.
+    ``p_values``: (m,) array; NaN for a test that could not be made; it stays NaN and does not
+    count. Returns (m,) array; ``max over j ≤ i of min(1, (m − j + 1) p_(j))`` in the order of
+    rising p.
     """
     return _adjusted(p_values, lambda rank, m: m - rank, np.maximum.accumulate)
 
@@ -212,15 +206,8 @@ def holm(p_values: Sequence[float] | FloatArray) -> FloatArray:
 def benjamini_hochberg(p_values: Sequence[float] | FloatArray) -> FloatArray:
     """Adjusted p-values: among those at most α, a share of at most α is false on average.
 
-    Parameters
-    ----------
-    p_values : (m,) array
-        NaN for a test that could not be made.
-
-    Returns
-    -------
-    (m,) array
-        ``min over j ≥ i of (m / j) p_(j)`` in the order of rising p.
+    ``p_values``: (m,) array; NaN for a test that could not be made. Returns (m,) array; ``min over
+    j ≥ i of (m / j) p_(j)`` in the order of rising p.
     """
     return _adjusted(
         p_values,

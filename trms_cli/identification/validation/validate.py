@@ -67,15 +67,8 @@ def common_windows(
 ) -> dict[float, IntArray]:
     """First samples of the windows of every horizon that fits.
 
-    Parameters
-    ----------
-    lead : int
-        Samples that are needed before a window.
-
-    Raises
-    ------
-    ConfigurationError
-        If not even the shortest horizon fits.
+    ``lead``: samples that are needed before a window. Raises ConfigurationError if not even the
+    shortest horizon fits.
     """
     step = dataset.sample_time
     stride = max(1, round(options.windows.stride / step))
@@ -214,12 +207,7 @@ class ModelValidation:
         return [run.windows[horizon] for run in self.runs if horizon in run.windows]
 
     def pooled(self, channel: str, horizon: float, what: str = "errors") -> FloatArray:
-        """Errors of a channel over the windows of all recordings, shape (windows, samples).
-
-        Parameters
-        ----------
-        what : {"errors", "measured", "unchanged"}
-        """
+        """Errors of a channel over the windows of all recordings, shape (windows, samples)."""
         found = [
             getattr(windows, what)[:, :, windows.channels.index(channel)]
             for windows in self.windows(horizon)
@@ -322,7 +310,6 @@ def validate_all(
         By the name that they are shown with.
     datasets : dict of str to sequence of Dataset
         The recordings as each model takes them, in the same order.
-    progress : callable, optional
 
     Raises
     ------

@@ -275,10 +275,7 @@ def _on_regions(document: Mapping[str, Any]) -> Iterator[Remark]:
 def worst_quarter(table: Mapping[str, Any]) -> tuple[float, float, float, float]:
     """From, to, share of time, share of error of the worst neighbouring quarter of the bins.
 
-    Parameters
-    ----------
-    table : mapping
-        A region table of the document: edges, time_share, error_share.
+    ``table``: a region table of the document: edges, time_share, error_share.
     """
     error, time, edges = table["error_share"], table["time_share"], table["edges"]
     width = max(1, len(error) // 4)

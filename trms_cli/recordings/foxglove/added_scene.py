@@ -36,14 +36,8 @@ def scene_messages(
 ) -> Iterator[tuple[str, int, bytes]]:
     """Topic, time (ns) and JSON of the bodies, of each pose and of each event's line.
 
-    Parameters
-    ----------
-    log : LoggedRun
-    encoder : SceneEncoder
-    sources : Sources
-        Places in the log's columns, in their order.
-    every : int
-        Samples from one pose to the next.
+    ``sources``: places in the log's columns, in their order. ``every``: samples from one pose to
+    the next.
     """
     times = log.tables[sources.attitudes[""][0]].time_ns[::every]
     rows = {

@@ -120,12 +120,8 @@ class SceneEncoder:
     def transforms(self, time_ns: int, attitudes: Attitudes) -> bytes:
         """The frames at one time (foxglove.FrameTransforms).
 
-        Parameters
-        ----------
-        time_ns : int
-        attitudes : dict of str to (float, float)
-            Yaw and pitch (rad) of the rig ("") and of ghosts, by prefix (``reference_``); what is
-            absent stays where it was.
+        ``attitudes``: yaw and pitch (rad) of the rig ("") and of ghosts, by prefix
+        (``reference_``); what is absent stays where it was.
         """
         stamp, offset = _stamp_text(time_ns), self.scene.offset
         texts = []
@@ -141,11 +137,7 @@ class SceneEncoder:
     def commands(self, time_ns: int, shares: Sequence[float]) -> bytes:
         """Arrows of the commands (foxglove.SceneUpdate).
 
-        Parameters
-        ----------
-        time_ns : int
-        shares : sequence of float
-            Each command over its limit, in the order of the scene's arrows; NaN for none.
+        ``shares``: each command over its limit, in the order of the scene's arrows; NaN for none.
         """
         texts = []
         for (forth, back, reach), share in zip(self._arrows, shares, strict=True):

@@ -51,10 +51,7 @@ def hypercube(
 ) -> FloatArray:
     """A Latin hypercube in the unit cube, (samples, columns).
 
-    Parameters
-    ----------
-    decorrelated : bool
-        See :class:`LatinHypercube`.
+    ``decorrelated``: see :class:`LatinHypercube`.
     """
     from scipy.stats import qmc
 

@@ -131,14 +131,7 @@ def _limited(name: str) -> str:
 def front(losses: FloatArray) -> npt.NDArray[np.intp]:
     """Rows that no other row dominates: as small in everything, and smaller in something.
 
-    Parameters
-    ----------
-    losses : (n, k) array
-
-    Returns
-    -------
-    (m,) array
-        Their positions; of equal rows all.
+    ``losses``: (n, k) array. Returns (m,) array; their positions; of equal rows all.
     """
     if not len(losses):
         return np.zeros(0, dtype=np.intp)
@@ -153,10 +146,7 @@ def hypervolumes(losses: FloatArray) -> list[float] | None:
     The reference point lies a tenth of a span beyond the worst of the front: two objectives whose
     front is an ideal corner would have 1.21.
 
-    Returns
-    -------
-    list of float or None
-        None where the front is a single point, which spans nothing.
+    Returns None where the front is a single point, which spans nothing.
     """
     from optuna._hypervolume import compute_hypervolume
 

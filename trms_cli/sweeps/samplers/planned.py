@@ -72,15 +72,9 @@ def planned(
 ) -> Planned:
     """Points of samples at given shares of the distributions, those that are known left out.
 
-    Parameters
-    ----------
-    shares : (n, d) array
-        Points of the unit cube, a column for each range and prior.
-
-    Raises
-    ------
-    ConfigurationError
-        If the points that are known are others: the sweep was begun with another configuration.
+    ``shares``: (n, d) array; points of the unit cube, a column for each range and prior. Raises
+    ConfigurationError if the points that are known are others: the sweep was begun with another
+    configuration.
     """
     samples = shares.copy()
     for column, varied in enumerate(space.continuous):

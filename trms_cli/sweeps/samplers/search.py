@@ -66,12 +66,8 @@ class OptimisationSearch:
     def ask(self, number: int, given: Mapping[str, Any] | None = None) -> optuna.Trial:
         """A trial.
 
-        Parameters
-        ----------
-        number : int
-            Of the trial, from which its random numbers come.
-        given : dict or None
-            Its values where they are not for the method to choose.
+        ``number``: of the trial, from which its random numbers come. ``given``: its values where
+        they are not for the method to choose.
         """
         with _quiet():
             self._study.sampler = _Choosing(self._sampler(number), self._ranges, given or {})

@@ -35,14 +35,11 @@ def outcome(
 ) -> dict[str, Any]:
     """What is known of a search, also of one that was stopped.
 
-    Returns
-    -------
-    dict
-        ``objectives``: name, unit and direction of each. ``trials``: of each that has ended its
-        number, the values that it set, what to type for them, its figures, whether it was allowed,
-        or why it failed. ``pareto``: numbers of the best, along the first objective. ``best``: the
-        number of the best for one objective. ``history``: after each trial the best so far, or
-        with several objectives the hypervolume, None before there is one.
+    Returns ``objectives``: name, unit and direction of each. ``trials``: of each that has ended its
+    number, the values that it set, what to type for them, its figures, whether it was allowed, or
+    why it failed. ``pareto``: numbers of the best, along the first objective. ``best``: the number
+    of the best for one objective. ``history``: after each trial the best so far, or with several
+    objectives the hypervolume, None before there is one.
     """
     ended = [(i, each) for i, each in enumerate(tried) if each is not None]
     best = best_trials(aims, tried)
@@ -105,10 +102,7 @@ _FRESH = 0x46524553  # another stream of draws than that of the trials
 def conditions_of(space: Space, draws: int, seed: int) -> list[Part]:
     """All conditions: every combination of choices with every draw.
 
-    Parameters
-    ----------
-    draws : int
-        Draws from the priors; one and the same for all trials. Without priors there is none.
+    ``draws``: draws from the priors; one and the same for all trials. Without priors there is none.
     """
     rigs = _rigs(space, draws, [seed])
     return [rig + choice for rig in rigs for choice in all_chosen(space.choices)]
