@@ -143,7 +143,6 @@ def run_loop(
     ----------
     model : Model
         The rig, with its effects.
-    loop : LoopParts
     point : OperatingPoint
         Of the model: the run starts there with its command in force.
     duration : float

@@ -13,10 +13,7 @@ import numpy as np
 def as_json(value: Any) -> Any:
     """A result as JSON data: arrays as lists, complex numbers as pairs, what is not finite as None.
 
-    Parameters
-    ----------
-    value : any
-        Numbers, text, arrays, and mappings, sequences and dataclasses of them.
+    ``value``: numbers, text, arrays, and mappings, sequences and dataclasses of them.
     """
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None

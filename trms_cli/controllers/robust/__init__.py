@@ -1,0 +1,1 @@
+"""The parts of robust MPC: polytope, linear matrix inequalities, certificate, coordinates."""

@@ -266,10 +266,7 @@ def _kind(multiplier: complex) -> Kind:
 def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch:
     """The branch of cycles that begins at a Hopf point.
 
-    Parameters
-    ----------
-    limits : int
-        Most orbits.
+    ``limits``: most orbits.
     """
     m = shooting.pieces
     turn = np.exp(2j * np.pi * np.arange(m) / m)
@@ -308,12 +305,8 @@ def followed(
 ) -> Branch:
     """A branch from an orbit on.
 
-    Parameters
-    ----------
-    before : array, optional
-        A place on the branch before the first orbit, from which it is followed away.
-    towards : float
-        Without such a place: the sign by which the command changes first.
+    ``before``: a place on the branch before the first orbit, from which it is followed away.
+    ``towards``: without such a place: the sign by which the command changes first.
     """
     model = shooting.model
     low, high = (float(bound[channel]) for bound in model.input_bounds())

@@ -115,7 +115,6 @@ def friction_loop(
         The rig; its friction as an impulse is no part of what is linearised.
     loop : LoopParts
         The controller's model and the sample time.
-    pid : Pid
     axis : str
         ``pitch`` or ``yaw``.
     """

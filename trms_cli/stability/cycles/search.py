@@ -84,10 +84,7 @@ def has_impulses(model: Model) -> bool:
 def starts_in(centre: FloatArray, box: FloatArray, count: int) -> FloatArray:
     """Evenly spread starts in a box around a state, (count, n_x): a Halton sequence, no chance.
 
-    Parameters
-    ----------
-    centre, box : (n_x,)
-        Middle and half-widths; a width of zero keeps the state.
+    ``centre``, ``box``: (n_x,); middle and half-widths; a width of zero keeps the state.
     """
     from scipy.stats import qmc
 

@@ -104,12 +104,7 @@ class PointBounds:
 def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
     """Whether nothing that the rows of a system were divided by is zero in a box of its unknowns.
 
-    Parameters
-    ----------
-    box : Interval
-        (n,); infinite where there is no bound.
-    v : Interval
-        (n_v,).
+    ``box``: (n,); infinite where there is no bound. ``v``: (n_v,).
     """
     z, given = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
     p = ca.SX.sym("p", len(system.model.parameters))
@@ -176,7 +171,6 @@ def isolate(
 
     Parameters
     ----------
-    equations : BlockEquations
     box : Interval
         (n,), of the unknowns; infinite where there is no bound.
     given : Interval

@@ -49,15 +49,8 @@ def named_points(
 ) -> tuple[list[NamedPoint], list[str]]:
     """Rest, hover, and what is asked for; and why the first two may be missing.
 
-    Parameters
-    ----------
-    more : dict of str to dict
-        Angles or commands by name, as of :func:`operating_point`.
-
-    Raises
-    ------
-    TrmsError
-        For a point that is asked for and does not exist.
+    ``more``: angles or commands by name, as of :func:`operating_point`. Raises TrmsError for a
+    point that is asked for and does not exist.
     """
     points: list[NamedPoint] = []
     missing: list[str] = []
@@ -149,12 +142,7 @@ class FrictionBand:
 def breakaway(model: Model, x: FloatArray, u: FloatArray, axis: str) -> float:
     """The torque that dry friction holds at rest, N m; 0 without any, and for one that creeps.
 
-    Parameters
-    ----------
-    x : (n_x,)
-        An equilibrium.
-    u : (n_u,)
-        What reaches the motors.
+    ``x``: (n_x,); an equilibrium. ``u``: (n_u,); what reaches the motors.
     """
     short, longer = (_taken(model, x, u, axis, moment) for moment in _MOMENTS)
     # What resists in proportion to the rate takes ten times as much in ten times the time.
@@ -186,12 +174,8 @@ def friction_bands(
 ) -> list[FrictionBand]:
     """The bands of all axes around an equilibrium, one axis at a time.
 
-    Parameters
-    ----------
-    x : (n_x,)
-        The equilibrium.
-    u, reached : (n_u,)
-        Its commands, and what of them reaches the motors.
+    ``x``: (n_x,); the equilibrium. ``u``, ``reached``: (n_u,); its commands, and what of them
+    reaches the motors.
     """
     bands: list[FrictionBand] = []
     for axis, place in model.axes.items():

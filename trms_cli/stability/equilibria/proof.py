@@ -181,12 +181,10 @@ def over_range(
 
     Parameters
     ----------
-    prover : Prover
     v : (n_v,) array
         The other inputs, and torques.
     index : int
         Position of the input in v.
-    bounds : (float, float)
     resolution : float
         In the input's unit.
     """

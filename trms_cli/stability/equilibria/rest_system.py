@@ -443,11 +443,7 @@ def _run(program: ca.Function, symbols: ca.SX, instead: dict[int, ca.SX]) -> lis
 def without_factors(row: ca.SX, variables: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
     """A row without cosines and constants as factors, without its divisor; and what they were.
 
-    Parameters
-    ----------
-    row : scalar
-    variables : (m, 1)
-        Symbols that are no parameters.
+    ``row``: scalar. ``variables``: (m, 1); symbols that are no parameters.
     """
     taken: list[ca.SX] = []
     while True:

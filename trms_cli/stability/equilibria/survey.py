@@ -332,11 +332,7 @@ class EquilibriumMap:
 def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap | None:
     """From the stable points over one input, by steps of the other; None for other structures.
 
-    Parameters
-    ----------
-    along : Survey
-        Over the first input, with the second given.
-    second : str
+    ``along``: over the first input, with the second given.
     """
     over = along.setting.over
     if along.system.free or along.system.released or along.setting.held:
