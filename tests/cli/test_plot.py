@@ -297,3 +297,10 @@ def test_sizes(text, size):
 def test_too_many_logs_are_refused(logs):
     with pytest.raises(ConfigurationError, match="told apart"):
         plot(logs * 10, "tracking")
+
+
+def test_a_figure_too_small_for_its_panels_is_told_in_our_words(folder, tmp_path, capsys, recwarn):
+    words = ["--what", "tracking,inputs,solver", "--width", "40x30mm"]
+    assert main(["plot", str(folder / "mpc"), *words, "--out", str(tmp_path / "small.png")]) == 0
+    assert "the panels do not fit into 40 x 30 mm" in capsys.readouterr().err
+    assert not [str(w.message) for w in recwarn if "layout" in str(w.message)]

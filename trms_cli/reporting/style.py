@@ -12,6 +12,8 @@ costs 0.4 s, keeps figures alive and asks for a display.
 from __future__ import annotations
 
 import io
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -250,8 +252,7 @@ def save_png(figure: Figure, path: Path, colours: int = _COLOURS_OF_A_PNG) -> No
     """Write a PNG of a limited palette, whole or not at all; equal figures give equal bytes."""
     from PIL import Image
 
-    drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=DPI, format="png")
+    drawn = io.BytesIO(saved(figure, dpi=DPI, format="png"))
     # A third of the bytes at no loss that an eye sees: figures of this program have few colours.
     picture = Image.open(drawn).convert("RGB").quantize(colours)
     content = io.BytesIO()
@@ -275,6 +276,24 @@ def figure_bytes(figure: Figure, format: FigureFormat, dpi: float = 300.0) -> by
         "svg": {"Date": None, "Creator": None},
         "pdf": {"CreationDate": None, "ModDate": None, "Creator": None, "Producer": None},
     }
+    return saved(figure, format=format, dpi=dpi, metadata=metadata[format])
+
+
+def saved(figure: Figure, **how: Any) -> bytes:
+    """What ``Figure.savefig`` writes; what matplotlib warns of a size is told in our words."""
     content = io.BytesIO()
-    figure.savefig(content, format=format, dpi=dpi, metadata=metadata[format])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        figure.savefig(content, **how)
+    for warning in caught:
+        if "constrained_layout not applied" not in str(warning.message):
+            warnings.warn_explicit(
+                warning.message, warning.category, warning.filename, warning.lineno
+            )
+    if any("constrained_layout not applied" in str(warning.message) for warning in caught):
+        width, height = (25.4 * side for side in figure.get_size_inches())
+        sys.stderr.write(
+            f"note   the panels do not fit into {width:.0f} x {height:.0f} mm: "
+            "give a larger figure, or fewer panels\n"
+        )
     return content.getvalue()
