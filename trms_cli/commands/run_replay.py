@@ -14,7 +14,9 @@ from trms_cli.commands import run_assembly as assembly
 from trms_cli.commands.git_revision import GitRevision
 from trms_cli.commands.run_scene import RunScene
 from trms_cli.composition.composer import Composition, Outcome
+from trms_cli.core import wording
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError, interrupted_code
+from trms_cli.core.findings import Cell, Column, Command, Findings, Section, Table, table
 from trms_cli.core.invocation import program
 from trms_cli.core.plugin_contract import check_contract, plugin_failure
 from trms_cli.core.plugins import TARGET, build, locate
@@ -195,11 +197,11 @@ class ReplayScreen:
         self._composition, self._rig, self._log = composition, rig, log
         self._begin = perf_counter()
         self._line = ""
-        choices = composition.choices
+        choices = composition.shown_choices
         duration = len(rig) * rig.sample_time
         self.what = (
-            f"{rig.recording.source.name} · {choices.get('model')} · observer "
-            f"{choices.get('observer')} · {duration:g} s at {1 / rig.sample_time:g} Hz"
+            f"{rig.recording.source.name} · model {choices['model']} · observer "
+            f"{choices['observer']} · {duration:g} s at {1 / rig.sample_time:g} Hz"
         )
 
     def progress(self, time: float, surprise: float) -> None:
@@ -228,23 +230,30 @@ class ReplayScreen:
             what = " ".join(self._composition.overrides) or self.what
             print(f"{self._composition.job:>4}  {what}  {_in_short(table)}")
             return
-        print(f"replay     {self.what}")
-        for note in self._notes():
-            print(f"note       {note}")
-        print()
-        for line in _table_lines(table["channels"]):
-            print(line)
+        from trms_cli.reporting.screen import show
+
+        show(self.findings(score, table, picture, spent), "replay")
+
+    def findings(
+        self, score: Mapping[str, Any], table: Mapping[str, Any], picture: Path | None, spent: float
+    ) -> Findings:
+        """What the replay has to tell; `spent` is the time that it took, s."""
         tracking = [
-            f"{name} {channel['rmse']:.3g} {channel['unit']}"
+            f"{wording.signal(name)} {wording.quantity(channel['rmse'], channel['unit'])}"
             for name, channel in score["channels"].items()
         ]
-        if tracking:
-            print(f"\nrecorded   tracking RMSE {', '.join(tracking)}")
-        print(f"\ntime       {score['duration_s']:g} s replayed in {spent:.2f} s")
-        print(f"log        {self._log}")
-        if picture is not None:
-            print(f"picture    {picture}")
-        print(f"next       {program()} score {shlex.quote(str(self._log))}")
+        recorded = {"recorded": f"tracking RMSE {', '.join(tracking)}"} if tracking else {}
+        time = f"{score['duration_s']:g} s replayed in {spent:.2f} s"
+        return Findings(
+            self.what,
+            [],
+            [Section("One step ahead", blocks=[_table_of(table["channels"])])],
+            table,
+            list(self._notes()),
+            facts=recorded | {"time": time},
+            files={"log": self._log} | ({"picture": picture} if picture is not None else {}),
+            next=[Command(f"{program()} score {shlex.quote(str(self._log))}")],
+        )
 
     def _notes(self) -> Iterator[str]:
         ignored = [text for text in self._composition.overrides if _has_no_part(text)]
@@ -279,29 +288,28 @@ def _has_no_part(override: str) -> bool:
     return any(word in _NO_PART for word in re.split(r"[.@/]", key))
 
 
-def _table_lines(channels: Mapping[str, Any]) -> Iterator[str]:
-    """One step ahead: a column a channel."""
-
-    def row(label: str, texts: Any) -> str:
-        return f"{label:<34}" + "".join(f"{text:>11}" for text in texts)
-
-    def figures(key: str, scale: float = 1.0) -> list[str]:
-        values = [channel[key] for channel in channels.values()]
-        return ["–" if value is None else f"{scale * value:.3g}" for value in values]
-
-    yield row("one step ahead", channels)
-    yield row("", (channel["unit"] for channel in channels.values()))
-    yield row("  RMSE of the prediction", figures("prediction_rmse"))
-    yield row("  RMSE if nothing changed", figures("unchanged_rmse"))
-    yield row("  mean (ν/σ)², 1 is consistent", figures("normalised_square"))
-    yield row("  within ±2σ, 95 is consistent   %", figures("within_2sd", 100.0))
-    yield row("  correlation with the next", figures("correlation"))
-    p_values = [channel["whiteness_p"] for channel in channels.values()]
-    yield row("  white? p", ["–" if p is None else _p(p) for p in p_values])
+def _table_of(channels: Mapping[str, Any]) -> Table:
+    """One step ahead: a row a channel."""
+    columns = [
+        Column(
+            "one step ahead", lambda each: wording.titled(wording.signal(each[0]), each[1]["unit"])
+        ),
+        Column("RMSE of the prediction", lambda each: each[1]["prediction_rmse"]),
+        Column("RMSE if nothing changed", lambda each: each[1]["unchanged_rmse"]),
+        Column("mean (ν/σ)²", lambda each: each[1]["normalised_square"]),
+        Column("within ±2σ", lambda each: wording.percent(each[1]["within_2sd"], 1)),
+        Column("correlation with the next", lambda each: each[1]["correlation"]),
+        Column("white? p", lambda each: _p(each[1]["whiteness_p"])),
+    ]
+    return table(channels.items(), columns, "Of a consistent observer: (ν/σ)² 1, within ±2σ 95 %.")
 
 
-def _p(p: float) -> str:
-    return f"{p:.2g}" if p >= 1e-3 else "<0.001"
+def _channel(each: tuple[str, Mapping[str, Any]]) -> str:
+    return wording.titled(wording.signal(each[0]), each[1]["unit"])
+
+
+def _p(p: float | None) -> Cell:
+    return "<0.001" if p is not None and p < 1e-3 else p
 
 
 def _in_short(table: Mapping[str, Any]) -> str:
