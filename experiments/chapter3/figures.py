@@ -9,12 +9,7 @@ import numpy as np
 
 from experiments.chapter3.study import Study
 from experiments.chapter3.tables import MEMBERS, TITLES, angles, grouped
-from experiments.chapter3.trainings import Trained, recorded
-from trms_cli.identification.blackbox.regressors import predicted, sampled, simulated
-from trms_cli.identification.blackbox.structure_selection import selected
-from trms_cli.identification.validation.residual_tests import residual_tests
-from trms_cli.models.network import NarxStructure, Network
-from trms_cli.reporting.training_picture import (
+from experiments.chapter3.training_picture import (
     Correlation,
     LearningCurve,
     Spread,
@@ -24,6 +19,11 @@ from trms_cli.reporting.training_picture import (
     draw_spread,
     draw_structure,
 )
+from experiments.chapter3.trainings import Trained, recorded
+from trms_cli.identification.blackbox.regressors import predicted, sampled, simulated
+from trms_cli.identification.blackbox.structure_selection import selected
+from trms_cli.identification.validation.residual_tests import residual_tests
+from trms_cli.models.network import NarxStructure, Network
 
 _NAMES = {"alpha_v": "pitch", "alpha_h": "yaw"}
 

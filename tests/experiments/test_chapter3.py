@@ -127,7 +127,7 @@ class TestStudy:
     def test_every_figure_is_drawn(self, study, tmp_path, monkeypatch):
         drawn: list[str] = []
         monkeypatch.setattr(
-            "trms_cli.reporting.training_picture.save_png",
+            "experiments.chapter3.training_picture.save_png",
             lambda figure, path: drawn.append(path.name),
         )
         draw_all(study, tmp_path, SHORT)

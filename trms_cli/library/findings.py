@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.library import html
 from trms_cli.library.frames import frame_of
 from trms_cli.library.result import Result
@@ -15,7 +16,22 @@ if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
 
 
-class Fit(Result):
+class Study(Result):
+    """What a study gives back: it shows itself by its findings."""
+
+    @property
+    def findings(self) -> Findings:
+        """What is worth telling of it."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        named = {key: self.folder / name for key, name in self.FILES.items()}
+        written = {key: path for key, path in named.items() if path.is_file()}
+        shown = html.findings(self.findings, self.headline, {**written, "page": self.report})
+        return shown + "".join(html.picture(f.read_bytes()) for f in self.pictures.values())
+
+
+class Fit(Study):
     """A model fitted to recordings; ``model=fit`` takes it anywhere."""
 
     DOCUMENT, PAGE = "identification.json", "identification.html"
@@ -46,32 +62,15 @@ class Fit(Result):
         names = ", ".join(dict.fromkeys(r["name"] for r in d["recordings"]))
         return f"{d['model']} fitted to {names} by {d['method']}: {d['sentence']}"
 
-    def _repr_html_(self) -> str:
-        return "".join(self._html())
+    @property
+    def findings(self) -> Findings:
+        """What is worth telling of it."""
+        from trms_cli.identification.findings import findings
 
-    def _html(self) -> Iterator[str]:
-        d = self.document
-        yield html.paragraph(self.headline, bold=True)
-        if d["parameters"]:
-            rows = [
-                [name, p["value"], p["sd"], p["start"], p["unit"]]
-                for name, p in d["parameters"].items()
-            ]
-            yield html.table(["parameter", "fitted", "± sd", "before", "unit"], rows)
-        errors = d["errors"]["held_out"] or d["errors"]["fit"]
-        if errors:
-            where = "held out" if d["errors"]["held_out"] else "fitted"
-            before = errors.get("before") or {}
-            rows = [
-                [f"{n} [{e['unit']}]", (before.get(n) or {}).get("rmse"), e["rmse"]]
-                for n, e in errors["after"].items()
-            ]
-            caption = f"free runs over what was {where}, RMSE"
-            yield html.table(["", "before", "fitted"], rows, caption)
-        yield html.files({"model": self.model, "page": self.report})
+        return findings(self.document)
 
 
-class Validation(Result):
+class Validation(Study):
     """Models held against recordings that they were not fitted to."""
 
     DOCUMENT, PAGE = "validation.json", "validation.html"
@@ -103,23 +102,15 @@ class Validation(Result):
         over = ", ".join(recording["name"] for recording in self.document["recordings"])
         return f"{', '.join(self._models)} over {over}"
 
-    def _repr_html_(self) -> str:
-        return "".join(self._html())
+    @property
+    def findings(self) -> Findings:
+        """What is worth telling of it."""
+        from trms_cli.identification.validation.findings import findings
 
-    def _html(self) -> Iterator[str]:
-        yield html.paragraph(self.headline, bold=True)
-        for name, found in self._models.items():
-            horizons = list(dict.fromkeys(h for by in found["error"].values() for h in by))
-            rows = [
-                [f"{c} [{found['units'][c]}]", *(by.get(h) for h in horizons)]
-                for c, by in found["error"].items()
-            ]
-            heads = ["", *(f"{h} s" for h in horizons)]
-            yield html.table(heads, rows, f"{name}: RMS of free runs")
-        yield html.files({"page": self.report})
+        return findings(self.document)
 
 
-class Stability(Result):
+class Stability(Study):
     """What was found of a model, or of a closed loop."""
 
     DOCUMENT, PAGE = "stability.json", "stability.html"
@@ -155,21 +146,15 @@ class Stability(Result):
         """The study and its subject."""
         return f"{self.document['study']} of {self.document['model']}: {' '.join(self.lead)}"
 
-    def _repr_html_(self) -> str:
-        return "".join(self._html())
-
-    def _html(self) -> Iterator[str]:
-        yield html.paragraph(str(self.document["title"]), bold=True)
-        for line in (*self.lead, *(f"Note: {warning}" for warning in self.warnings)):
-            yield html.paragraph(line)
-        for table in self.document["tables"][:1]:
-            yield html.table(table["columns"], table["rows"], table["caption"])
-        for file in list(self.pictures.values())[:1]:
-            yield html.picture(file.read_bytes())
-        yield html.files({"page": self.report})
+    @property
+    def findings(self) -> Findings:
+        """What is worth telling of it."""
+        d = self.document
+        tables = [Table(t["columns"], t["rows"], t["caption"]) for t in d["tables"]]
+        return Findings(d["title"], self.lead, [Section("", (), tables)], warnings=self.warnings)
 
 
-class Diagnosis(Result):
+class Diagnosis(Study):
     """Where a model and a rig differ, which effect causes it, how far the gap shrinks."""
 
     DOCUMENT, PAGE = "diagnosis.json", "report.html"
@@ -205,22 +190,18 @@ class Diagnosis(Result):
         """The answer."""
         return self.sentence
 
-    def _repr_html_(self) -> str:
-        return "".join(self._html())
+    @property
+    def findings(self) -> Findings:
+        """What is worth telling of it."""
+        import msgspec
 
-    def _html(self) -> Iterator[str]:
-        yield html.paragraph(self.sentence, bold=True)
-        rows = [
-            [", ".join(cause["effects"]) or "none of these", cause["probability"]]
-            for cause in self.document["causes"][:5]
-        ]
-        yield html.table(["cause", "probability"], rows)
-        model = self.folder / self.FILES["model"]
-        known = model if model.is_file() else None
-        yield html.files({"report": self.report, "corrected model": known})
+        from trms_cli.gap.diagnosis import Diagnosis as Answer
+        from trms_cli.gap.findings import findings
+
+        return findings(msgspec.convert(self.document, Answer))
 
 
-class Excitation(Result):
+class Excitation(Study):
     """Commands that show a rig's dynamics."""
 
     DOCUMENT = "excitation.json"
@@ -249,6 +230,9 @@ class Excitation(Result):
         d = self.document
         return f"{d['kind']} for {d['model']}, {d['duration_s']:g} s"
 
-    def _repr_html_(self) -> str:
-        picture = "".join(html.picture(file.read_bytes()) for file in self.pictures.values())
-        return html.paragraph(self.headline, bold=True) + picture + html.files({"file": self.file})
+    @property
+    def findings(self) -> Findings:
+        """What is worth telling of it."""
+        from trms_cli.identification.excitation.findings import findings
+
+        return findings(self.document)

@@ -8,6 +8,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from trms_cli.core import wording
+from trms_cli.core.findings import Findings, plain
+
 _LEFT = "text-align:left"
 
 
@@ -55,3 +58,24 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.3g}"
     return escape(str(value))
+
+
+def findings(told: Findings, headline: str, paths: Mapping[str, Path | None]) -> str:
+    """What a study has to tell, with the tables that a terminal shows.
+
+    Parameters
+    ----------
+    told : Findings
+    headline : str
+        What it is, in a line.
+    paths : dict of str to path
+        What was written.
+    """
+    parts = [paragraph(headline, bold=True)]
+    parts += [paragraph(sentence.replace("**", "")) for sentence in told.lead]
+    parts += [paragraph(f"Note: {warning}") for warning in told.warnings]
+    for one in told.tables:
+        if one.on_screen and one.rows:
+            rows = [[wording.cell(plain(cell)) for cell in row] for row in one.rows]
+            parts.append(table(one.columns, rows, one.caption))
+    return "".join([*parts, files(paths)])

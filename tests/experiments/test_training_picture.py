@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trms_cli.reporting import training_picture as picture
+from experiments.chapter3 import training_picture as picture
 
 
 @pytest.fixture
