@@ -340,6 +340,8 @@ def _advice(
         return None  # an experiment that cannot be predicted is no reason to lose a diagnosis
 
 
+#: Probability from which a cause that is not told apart is worth its name.
+_LEAST_ALIKE = 0.01
 #: s. The horizon that a sentence tells.
 _TOLD_AT = "2.0"
 #: Times the floor from which on a refitted model is said to leave something unexplained.
@@ -395,10 +397,14 @@ def sentence(
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
     shrink = shrinkage.shrink.get("all", {}).get(_TOLD_AT)
     if shrink is not None and shrink.fraction is not None:
-        text += f"; adding it closes {100 * shrink.fraction:.0f} % of the gap at 2 s"
-        if shrink.ci95 is not None:
-            text += f" ({100 * shrink.ci95[0]:.0f} to {100 * shrink.ci95[1]:.0f} %)"
-    others = sorted({n for g in posterior.confusable for n in g} - set(top.effects))
+        # below the floor, by chance, is no more than all of it
+        share, ends = min(shrink.fraction, 1.0), shrink.ci95
+        text += f"; adding it closes {100 * share:.0f} % of the gap at 2 s"
+        if ends is not None:
+            text += f" ({100 * min(ends[0], 1.0):.0f} to {100 * min(ends[1], 1.0):.0f} %)"
+    likely = {n for cause in causes if cause.probability >= _LEAST_ALIKE for n in cause.effects}
+    alike = {name for group in posterior.confusable for name in group}
+    others = sorted((alike & likely) - set(top.effects))
     if others:
         text += f". These recordings do not tell it from {_effects(others, 'or')}"
     return text + "."

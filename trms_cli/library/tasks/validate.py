@@ -68,8 +68,14 @@ def _facts(request: ValidationRequest) -> Iterator[tuple[str, str]]:
         "on",
         "\n".join(f"{d.source}  {d.duration:g} s at {1 / d.sample_time:g} Hz" for d in datasets),
     )
-    notes = validation_request.notes_on(request)
+    notes = dict.fromkeys(_without_model(n, request) for n in validation_request.notes_on(request))
     if notes:
         yield "note", "\n".join(notes)
     if request.admission.warnings:
         yield "warning", "\n".join(map(str, request.admission.warnings))
+
+
+def _without_model(note: str, request: ValidationRequest) -> str:
+    """A note on a recording, which each of several models has."""
+    own = (name for name in request.models if note.startswith(f"{name}, "))
+    return note.removeprefix(f"{next(own, '')}, ")
