@@ -99,7 +99,6 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
             "Predictions",
             "What the controller expected, each from the moment it was made. The slider chooses "
             "the bold one.",
-            folded=True,
         )
         page.plots(predictions)
     if solver:

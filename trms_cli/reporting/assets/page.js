@@ -333,7 +333,19 @@
     drawNext(0);
     const again = () => { for (const plot of plots) draw(plot); };
     dark.addEventListener("change", again);
-    window.addEventListener("beforeprint", () => { printing = true; again(); });
+    // What was drawn while its section was folded had no width; paper has all sections.
+    const folds = [...document.querySelectorAll("details.section")];
+    for (const fold of folds) {
+      fold.addEventListener("toggle", () => {
+        if (!fold.open) return;
+        for (const plot of plots) if (fold.contains(plot.place)) draw(plot);
+      });
+    }
+    window.addEventListener("beforeprint", () => {
+      printing = true;
+      for (const fold of folds) fold.open = true;
+      again();
+    });
     window.addEventListener("afterprint", () => { printing = false; again(); });
   }
 
