@@ -12,7 +12,7 @@ from typing import Any, Literal
 from experiments.regression.matrix import HERE, Case
 from experiments.regression.runs import Outcome
 from trms_cli.core.errors import RecordingError
-from trms_cli.scoring.baseline import Baseline, Row, baseline_from, compare, regressed
+from trms_cli.scoring.baseline import Baseline, BaselineRow, baseline_from, compare, regressed
 
 SCHEMA = "trms.regression_baseline/1"
 BASELINE = HERE / "baseline.json"
@@ -47,7 +47,7 @@ class Comparison:
 
     outcome: Outcome
     #: Every figure that is held; empty if the run failed or there is no baseline for it
-    rows: list[Row]
+    rows: list[BaselineRow]
     #: "worse" if a figure got worse, "failed" if the run did, "new" if the baseline lacks it
     verdict: RunVerdict
 

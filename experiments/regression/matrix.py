@@ -13,7 +13,7 @@ import msgspec
 import yaml
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.figures import FIGURES, Tolerance
+from trms_cli.scoring.figures import FIGURES, FigureTolerance
 
 HERE = Path(__file__).parent
 MATRIX = HERE / "matrix.yaml"
@@ -26,7 +26,7 @@ class Case:
     name: str  #: ``controller/reference/rig``
     overrides: tuple[str, ...]  #: What follows ``trms run``
     #: Of the figures that decide, by name (``rmse``) or by key (``estimate.rmse.alpha_v``)
-    tolerances: Mapping[str, Tolerance]
+    tolerances: Mapping[str, FigureTolerance]
 
 
 class _Rig(msgspec.Struct, forbid_unknown_fields=True):
@@ -93,13 +93,15 @@ def read_matrix(path: Path = MATRIX, pattern: str = "*", extra: Sequence[str] = 
     return chosen
 
 
-def _tolerances(given: Mapping[str, Any]) -> dict[str, Tolerance]:
+def _tolerances(given: Mapping[str, Any]) -> dict[str, FigureTolerance]:
     known = {figure.key for figure in FIGURES if figure.tolerance is not None}
     groups = tuple({"states": "estimate"}.get(f.group, f.group) for f in FIGURES if f.tolerance)
     for name in given:
         if name not in known and not name.startswith(groups):
             raise TypeError(f"{name!r} is no figure of a score; there are {sorted(known)}")
     return {
-        name: Tolerance(**value) if isinstance(value, dict) else Tolerance(absolute=value)
+        name: FigureTolerance(**value)
+        if isinstance(value, dict)
+        else FigureTolerance(absolute=value)
         for name, value in given.items()
     }

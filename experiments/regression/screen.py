@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from experiments.regression.comparison import Comparison, Recorded
-from trms_cli.scoring.baseline import Row
+from trms_cli.scoring.baseline import BaselineRow
 
 _STYLES = {"worse": "bold red", "failed": "bold red", "new": "yellow", "better": "green"}
 _WIDTH = 80
@@ -102,14 +102,14 @@ def _rmse(score: Any, channel: str) -> str:
     return _number(value)
 
 
-def _figure(row: Row) -> str:
+def _figure(row: BaselineRow) -> str:
     """``channels.alpha_v.rmse`` as ``alpha_v rmse``."""
     key = row.key.removeprefix("channels.").removeprefix("solver.")
     key = key.replace("constraint_violations.", "limits.").replace("estimate.rmse.", "estimate ")
     return key.removesuffix("_percent").removesuffix("_s").replace(".", " ")
 
 
-def _cells(row: Row) -> tuple[str, str, str, str]:
+def _cells(row: BaselineRow) -> tuple[str, str, str, str]:
     return row.unit, _number(row.baseline), _number(row.now), f"±{_number(row.tolerance)}"
 
 

@@ -15,7 +15,7 @@ from experiments.tournament.verdict import Results, by_rig
 from trms_cli.scoring.comparison.compared_run import State
 from trms_cli.scoring.comparison.document import document, rule
 from trms_cli.scoring.comparison.figures import figures_of
-from trms_cli.scoring.comparison.ranking import Interval, Ranking
+from trms_cli.scoring.comparison.ranking import Ranking, RatioInterval
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "tournament.md", ROOT / "docs" / "figures" / "tournament"
@@ -339,7 +339,7 @@ def _is_number(column: Sequence[str]) -> bool:
     )
 
 
-def _between(interval: Interval | None) -> str:
+def _between(interval: RatioInterval | None) -> str:
     return "–" if interval is None else f"{interval.low:.3f}–{interval.high:.3f}"
 
 
@@ -347,7 +347,7 @@ def _ratio(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.3f}" if value < 9.9995 else f"{value:.3g}"
 
 
-def _as_list(interval: Interval | None) -> list[float] | None:
+def _as_list(interval: RatioInterval | None) -> list[float] | None:
     return None if interval is None else [interval.low, interval.high]
 
 

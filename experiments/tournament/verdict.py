@@ -13,7 +13,7 @@ from experiments.tournament.schedule import BLOCKS, FAULTS, MAIN, OBSERVERS, Cri
 from trms_cli.core.errors import RecordingError
 from trms_cli.scoring.comparison.compared_run import ComparedRun, State
 from trms_cli.scoring.comparison.figures import figures_of
-from trms_cli.scoring.comparison.gathering import Gathered, gather
+from trms_cli.scoring.comparison.gathering import RunCollection, gather
 from trms_cli.scoring.comparison.grouping import group
 from trms_cli.scoring.comparison.ranking import Ranking, Standing, rank
 
@@ -48,7 +48,7 @@ class Behind:
 class Results:
     """All that came out."""
 
-    gathered: dict[str, Gathered]  #: Runs by block
+    gathered: dict[str, RunCollection]  #: Runs by block
     main: Ranking
     faults: Ranking | None
     observers: Ranking | None
@@ -151,7 +151,7 @@ def _aims(
     main: Ranking,
     classes: dict[str, Ranking],
     behind: Sequence[Behind],
-    gathered: dict[str, Gathered],
+    gathered: dict[str, RunCollection],
     criteria: Criteria,
 ) -> list[Aim]:
     return [
@@ -208,7 +208,7 @@ def _close_on_disturbed(main: Ranking, behind: Sequence[Behind], criteria: Crite
     return Aim(words=words, met=not missed, figures=figures)
 
 
-def _finite(gathered: dict[str, Gathered]) -> Aim:
+def _finite(gathered: dict[str, RunCollection]) -> Aim:
     runs = _all(gathered)
     counted = [run.non_finite for run in runs if run.non_finite is not None]
     bad = sum(1 for value in counted if value)
@@ -218,7 +218,7 @@ def _finite(gathered: dict[str, Gathered]) -> Aim:
     return Aim(words="no command that is not finite, in any run", met=not bad, figures=figures)
 
 
-def _nothing_failed(gathered: dict[str, Gathered]) -> Aim:
+def _nothing_failed(gathered: dict[str, RunCollection]) -> Aim:
     runs = _all(gathered)
     failed = [run for run in runs if run.state is State.FAILED]
     stopped = sum(run.state is State.INCOMPLETE for run in runs)
@@ -251,7 +251,7 @@ def _disturbed(run: ComparedRun, criteria: Criteria) -> bool:
     return run.coordinates[CLASS] in criteria.disturbed_classes
 
 
-def _all(gathered: dict[str, Gathered]) -> list[ComparedRun]:
+def _all(gathered: dict[str, RunCollection]) -> list[ComparedRun]:
     """Every run once."""
     found = {_key(run): run for each in gathered.values() for run in each.runs}
     return list(found.values())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from trms_cli.models.model import Axis, Model, Signal
+from trms_cli.models.model import Model, RigAxis, Signal
 from trms_cli.models.parameters import Parameter, ParameterSet
 
 
@@ -22,7 +22,7 @@ class DoubleMass(Model):
         self.controlled = ("p1", "p2")
         self.input_limits = {"f1": limit, "f2": limit}
         self.stops: dict[str, float] = {}
-        self.axes: dict[str, Axis] = {}
+        self.axes: dict[str, RigAxis] = {}
         self.rotors: dict[str, str] = {}
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:

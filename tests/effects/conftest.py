@@ -14,7 +14,7 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.model import Axis, Model, Signal
+from trms_cli.models.model import Model, RigAxis, Signal
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import Parameter, ParameterSet
 
@@ -65,7 +65,10 @@ class Turntable(Model):
         self.controlled = ("alpha_v", "alpha_h")
         self.input_limits = {"u_v": 2.5, "u_h": 2.5}
         self.stops = {}
-        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.axes = {
+            "pitch": RigAxis("alpha_v", "pitch_moment"),
+            "yaw": RigAxis("alpha_h", "yaw_moment"),
+        }
         self.rotors = {"main": "u_v", "tail": "u_h"}
 
     def dynamics(self, x, u, p, w):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from trms_cli.effects.gyroscopic_coupling import GyroscopicCoupling
 from trms_cli.effects.rotor_reaction import RotorReaction
-from trms_cli.models.model import Axis, Model, Signal
+from trms_cli.models.model import Model, RigAxis, Signal
 from trms_cli.models.parameters import Parameter, ParameterSet
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
@@ -116,7 +116,10 @@ class Spinner(Model):
         self.parameters = ParameterSet([Parameter("J", 0.05, "kg*m^2")])
         self.controlled = ("alpha_v", "alpha_h")
         self.input_limits, self.stops = {"u_v": 1.0}, {}
-        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.axes = {
+            "pitch": RigAxis("alpha_v", "pitch_moment"),
+            "yaw": RigAxis("alpha_h", "yaw_moment"),
+        }
         self.rotors = {"main": "u_v"}
 
     def dynamics(self, x, u, p, w):

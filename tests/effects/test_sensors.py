@@ -18,7 +18,7 @@ from trms_cli.effects.tacho_lag import TachoLag
 from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.driven import DrivenModel
-from trms_cli.models.model import Axis, Signal
+from trms_cli.models.model import RigAxis, Signal
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.simulation.rollout import Rollout
 
@@ -249,7 +249,7 @@ class Learnt(SteppedModel):
         self.disturbances = (Signal("yaw_moment", "rad/s^2"),)
         self.parameters = ParameterSet([])
         self.controlled, self.input_limits, self.stops = ("alpha_h",), {"u_h": 2.5}, {}
-        self.axes, self.rotors = {"yaw": Axis("alpha_h", "yaw_moment")}, {"tail": "u_h"}
+        self.axes, self.rotors = {"yaw": RigAxis("alpha_h", "yaw_moment")}, {"tail": "u_h"}
 
     def transition(self, x, u, p, w):
         return 0.99 * x + 0.05 * u

@@ -21,7 +21,7 @@ from experiments.regression.matrix import MATRIX, Case, read_matrix
 from experiments.regression.runs import Outcome, run_case
 from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.scoring.baseline import Tolerance
+from trms_cli.scoring.figures import FigureTolerance
 
 ROOT = Path(__file__).parents[2]
 #: Two short runs of one controller: a matrix for whole turns of the command.
@@ -121,7 +121,7 @@ class TestRun:
             assert outcome.traces["time"].shape == outcome.traces["r_alpha_h"].shape
 
     def test_a_run_that_cannot_be_made_says_why(self) -> None:
-        case = Case("x/y/z", ("controller=nobody",), {"rmse": Tolerance()})
+        case = Case("x/y/z", ("controller=nobody",), {"rmse": FigureTolerance()})
         outcome = run_case(case)
         assert outcome.score is None
         assert "nobody" in outcome.problem
@@ -189,7 +189,7 @@ class TestComparison:
 
     def test_the_tables_fit_a_terminal_of_80_columns(self, outcomes, recorded, capsys) -> None:
         long = Case(
-            "newton_mpc/square/disturbed", outcomes[0].case.overrides, {"rmse": Tolerance()}
+            "newton_mpc/square/disturbed", outcomes[0].case.overrides, {"rmse": FigureTolerance()}
         )
         recorded.runs[long.name] = recorded.runs[outcomes[0].case.name]
         worse = with_rmse(Outcome(long, outcomes[0].score), 0.5)

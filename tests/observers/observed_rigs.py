@@ -11,7 +11,7 @@ import numpy as np
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
-from trms_cli.models.model import Axis, Model, Signal, names
+from trms_cli.models.model import Model, RigAxis, Signal, names
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.observers.observer import Observer, ObserverSetup
 
@@ -37,7 +37,7 @@ class Pendulum(Model):
         self.controlled = ("angle",)
         self.input_limits = {"u": 1.0}
         self.stops = {"angle": np.inf}
-        self.axes = {"swing": Axis("angle", "moment")}
+        self.axes = {"swing": RigAxis("angle", "moment")}
         self.rotors = {"motor": "u"}
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:

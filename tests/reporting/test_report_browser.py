@@ -15,7 +15,7 @@ from trms_cli.reporting.report_comparison import comparison_page
 from trms_cli.reporting.report_run import run_page
 from trms_cli.reporting.report_sweep import sweep_page
 from trms_cli.reporting.reported import RunEvent
-from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun
+from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
 
 #: What a stranger may have written anywhere.
 ATTACKS = (
@@ -35,7 +35,7 @@ RANGES = """() => [...document.querySelectorAll('div.plot')]
 @pytest.fixture(scope="module")
 def sweep() -> ReportedSweep:
     runs = [
-        SweptRun(
+        SweepRun(
             name=str(i),
             number=i,
             entrant=("pid", "lqr")[i % 2],
@@ -44,7 +44,7 @@ def sweep() -> ReportedSweep:
         )
         for i in range(60)
     ]
-    runs.append(SweptRun(name="60", entrant="pid", outcome="failed", problem="it fell"))
+    runs.append(SweepRun(name="60", entrant="pid", outcome="failed", problem="it fell"))
     return ReportedSweep(
         name="many",
         runs=runs,
@@ -244,7 +244,7 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
             "inputs": {HOSTILE: {"effort": 1.0, "unit": HOSTILE}},
         },
     )
-    swept = SweptRun(
+    swept = SweepRun(
         name=HOSTILE,
         entrant=HOSTILE,
         outcome="completed",

@@ -22,7 +22,7 @@ from trms_cli.reporting.interactive import MOST_POINTS
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.page_rows import Linked, RowColumn, relative_link, rows_html
 from trms_cli.reporting.page_scripts import policy
-from trms_cli.reporting.report_comparison import RankedEntrant, comparison_page
+from trms_cli.reporting.report_comparison import RankedCandidate, comparison_page
 from trms_cli.reporting.report_run import run_page
 from trms_cli.reporting.report_sweep import sweep_page
 from trms_cli.reporting.reported import ReportedRun
@@ -32,7 +32,7 @@ from trms_cli.reporting.reported_sweep import (
     FailureShare,
     Objective,
     ReportedSweep,
-    SweptRun,
+    SweepRun,
     undominated,
 )
 
@@ -52,7 +52,7 @@ def unpacked(array):
 
 
 def swept(number, entrant="pid", *, k_g=0.1, rmse=0.2, **more):
-    return SweptRun(
+    return SweepRun(
         name=str(number),
         number=number,
         entrant=entrant,
@@ -68,7 +68,7 @@ def sweep() -> ReportedSweep:
         swept(i, ("pid", "lqr")[i % 2], k_g=0.1 + 0.01 * (i // 2), rmse=0.1 + 0.01 * i)
         for i in range(20)
     ]
-    runs.append(SweptRun(name="20", outcome="failed", problem="the rig <fell>", entrant="pid"))
+    runs.append(SweepRun(name="20", outcome="failed", problem="the rig <fell>", entrant="pid"))
     return ReportedSweep(
         name="many",
         runs=runs,
@@ -83,7 +83,7 @@ def drawn() -> ReportedSweep:
     keys = [f"k_{i}" for i in (9, 8, 7, 6, 5, 4, 3, 2, 11, 10, 1, 0)]
     values = np.random.default_rng(1).normal(1.0, 0.1, (60, 12))
     runs = [
-        SweptRun(
+        SweepRun(
             name=str(2 * i + j),
             entrant=who,
             values={"controller": who, **dict(zip(keys, map(float, values[i]), strict=True))},
@@ -276,8 +276,8 @@ class TestComparison:
 
     def test_ranking_has_intervals(self, make_run):
         ranking = [
-            RankedEntrant(name="a", rank=1, ratio=1.0, low=1.0, high=1.0, figures={"runs": 3}),
-            RankedEntrant(
+            RankedCandidate(name="a", rank=1, ratio=1.0, low=1.0, high=1.0, figures={"runs": 3}),
+            RankedCandidate(
                 name="b", rank=2, ratio=1.2, low=1.1, high=1.4, different=True, figures={}
             ),
         ]
@@ -332,8 +332,8 @@ class TestSweep:
     )
     def test_the_second_never_misses_by_one_times_as_much(self, sweep, ratio, words):
         ranking = [
-            RankedEntrant(name="pid", rank=1, ratio=1.0, figures={}),
-            RankedEntrant(name="lqr", rank=2, ratio=ratio, against_first=ratio, figures={}),
+            RankedCandidate(name="pid", rank=1, ratio=1.0, figures={}),
+            RankedCandidate(name="lqr", rank=2, ratio=ratio, against_first=ratio, figures={}),
         ]
         assert words in sweep_page(sweep, ranking=ranking).lead[1]
 
@@ -361,7 +361,7 @@ class TestSweep:
 
     def test_two_keys_make_a_map_of_means(self, sweep):
         runs = [
-            SweptRun(
+            SweepRun(
                 name=f"{i}{j}{k}",
                 values={"a": 1.0 * i, "b": 10 * j},
                 figures={"rmse": i + j + 0.5 * k},

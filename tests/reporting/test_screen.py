@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from trms_cli.core.findings import Command, Findings, Judged, Measure, Section, Table
+from trms_cli.core.findings import Findings, Judged, Measure, NextCommand, Section, Table
 from trms_cli.reporting import screen
 
 NAME = "outputs/2026-11-22/fits/newtonian_with_friction_and_everything/model.yaml"
@@ -59,7 +59,7 @@ def test_findings_are_printed_answer_first(capsys):
         warnings=["one run failed"],
         measures=[Measure("RMSE pitch", 0.134, "rad", note="worst of 4")],
         files={"page": Path("a") / "page.html"},
-        next=[Command("trms report a", "all of it"), Command("trms runs")],
+        next=[NextCommand("trms report a", "all of it"), NextCommand("trms runs")],
     )
     screen.show(findings, "compare", "three runs")
     lines = capsys.readouterr().out.splitlines()

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from trms_cli.core.errors import RecordingError
 from trms_cli.scoring.baseline import (
     Baseline,
-    Tolerance,
+    FigureTolerance,
     baseline_from,
     compare,
     read_baseline,
@@ -55,7 +55,7 @@ def test_a_score_is_the_same_as_itself(score: dict[str, Any]) -> None:
 
 @given(then=st.floats(0, 10), now=st.floats(0, 10))
 def test_verdicts_mirror_each_other(score: dict[str, Any], then: float, now: float) -> None:
-    tolerance = {"rmse": Tolerance(absolute=0.1)}
+    tolerance = {"rmse": FigureTolerance(absolute=0.1)}
     before, after = changed(score, KEY, then), changed(score, KEY, now)
     forth = row(after, Baseline(before, tolerance), KEY).verdict
     back = row(before, Baseline(after, tolerance), KEY).verdict
@@ -68,7 +68,8 @@ def test_verdicts_mirror_each_other(score: dict[str, Any], then: float, now: flo
 
 def test_tolerances_of_one_figure_win_over_those_of_a_kind(score: dict[str, Any]) -> None:
     baseline = Baseline(
-        score, {"rmse": Tolerance(absolute=5.0), KEY: Tolerance(absolute=0.0, relative=0.5)}
+        score,
+        {"rmse": FigureTolerance(absolute=5.0), KEY: FigureTolerance(absolute=0.0, relative=0.5)},
     )
     assert row(changed(score, KEY, 3.0), baseline, KEY).verdict == "worse"
     yaw = "channels.alpha_h.rmse"
@@ -109,7 +110,7 @@ def test_runs_of_different_length_are_not_compared(score: dict[str, Any]) -> Non
 
 
 def test_a_baseline_survives_its_file(score: dict[str, Any], tmp_path: Path) -> None:
-    baseline = Baseline(score, {"rmse": Tolerance(absolute=0.01)}, "because")
+    baseline = Baseline(score, {"rmse": FigureTolerance(absolute=0.01)}, "because")
     path = tmp_path / "baseline.json"
     path.write_text(json.dumps(baseline.document()))
     assert read_baseline(path) == baseline

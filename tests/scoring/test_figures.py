@@ -21,7 +21,7 @@ from trms_cli.scoring.comparison.findings import pair_findings, ranking_tables
 from trms_cli.scoring.comparison.grouping import group
 from trms_cli.scoring.comparison.pair import pair
 from trms_cli.scoring.comparison.ranking import rank
-from trms_cli.scoring.figures import Figure, Tolerance
+from trms_cli.scoring.figures import Figure, FigureTolerance
 from trms_cli.scoring.score import score_tables
 
 from .conftest import LIMITS, MakeLog, MakeTables
@@ -31,7 +31,7 @@ from .conftest import LIMITS, MakeLog, MakeTables
 def ninth(monkeypatch: pytest.MonkeyPatch) -> Figure:
     """A figure more than the program has."""
     more = Figure(
-        "channels", "error_p95", "error, 95th percentile", "{}", Tolerance(absolute=1e-3),
+        "channels", "error_p95", "error, 95th percentile", "{}", FigureTolerance(absolute=1e-3),
         of=lambda m, channel: m.quantile(np.abs(channel.error), 0.95),
     )  # fmt: skip
     monkeypatch.setattr(figures, "FIGURES", [*figures.FIGURES, more])

@@ -15,7 +15,7 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.stability.cycles.absence import absence
-from trms_cli.stability.cycles.branch import born_at, equilibria_over, followed, hopf_points
+from trms_cli.stability.cycles.branch import born_at, equilibria_over, follow_branch, hopf_points
 from trms_cli.stability.cycles.search import (
     continuum,
     half_widths,
@@ -150,7 +150,7 @@ def test_a_branch_from_a_cycle_ends_at_the_hopf_point():
     u = np.array([0.25 - 0.5 + 0.05])
     small = (1 - np.sqrt(1 + 4 * u[0])) / 2
     first = NORMAL_FORM.closed(circle(np.sqrt(small)), np.pi, u)
-    branch = followed(NORMAL_FORM, first, 0, 60)
+    branch = follow_branch(NORMAL_FORM, first, 0, 60)
     assert "Hopf" in branch.ended
     assert abs(branch.orbits[-1].u[0]) < 0.02 < abs(branch.orbits[0].u[0])
     assert not any(orbit.stable for orbit in branch.orbits)

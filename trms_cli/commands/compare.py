@@ -14,7 +14,7 @@ from trms_cli.scoring.figures import metrics
 
 if TYPE_CHECKING:
     from trms_cli.core.findings import Findings
-    from trms_cli.scoring.comparison.gathering import Gathered
+    from trms_cli.scoring.comparison.gathering import RunCollection
     from trms_cli.scoring.comparison.ranking import Ranking, Standing
 
 SUMMARY = "many runs ranked: tracking, effort, robustness, time of a step, failures"
@@ -65,23 +65,23 @@ def main(argv: list[str]) -> int:
     options.add_argument("--sort", choices=SORTS, default="rank")
     options.add_argument("--json", action="store_true")
     given = options.parse_args(argv)
-    gathered = gathered_from(given.paths, _where(given.where, options))
+    gathered = runs_from(given.paths, _where(given.where, options))
     if len(gathered.runs) == 2 and not given.by:
         return _pair(gathered, as_json=given.json)
     return _ranking(gathered, given)
 
 
-def gathered_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> Gathered:
+def runs_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> RunCollection:
     """The runs in files and folders, those alone that have certain values of their keys.
 
     Raises RecordingError if there is nothing to compare.
     """
-    from trms_cli.scoring.comparison.gathering import Gathered, gather
+    from trms_cli.scoring.comparison.gathering import RunCollection, gather
     from trms_cli.scoring.comparison.grouping import matching
 
     gathered = gather(paths)
     if where:
-        gathered = Gathered(tuple(matching(gathered.runs, where)), gathered.left_out)
+        gathered = RunCollection(tuple(matching(gathered.runs, where)), gathered.left_out)
     if len(gathered.runs) == 1 and gathered.runs[0].state.ranked:
         raise RecordingError(
             "there is one run only, and nothing to compare it with",
@@ -92,7 +92,7 @@ def gathered_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> 
 
 
 def ranking_of(
-    gathered: Gathered, by: Sequence[str], metric: str, paths: Sequence[Path]
+    gathered: RunCollection, by: Sequence[str], metric: str, paths: Sequence[Path]
 ) -> Ranking:
     """Everybody held against the best on the same reference, rig and seed.
 
@@ -133,7 +133,7 @@ def ordered(ranking: Ranking, sort: str) -> list[Standing]:
     return standings
 
 
-def _ranking(gathered: Gathered, given: Any) -> int:
+def _ranking(gathered: RunCollection, given: Any) -> int:
     from trms_cli.scoring.comparison.findings import ranking_findings
 
     by = [key for key in given.by.split(",") if key]
@@ -141,7 +141,7 @@ def _ranking(gathered: Gathered, given: Any) -> int:
     return _tell(ranking_findings(ranking, gathered, ordered(ranking, given.sort)), given.json)
 
 
-def _why_nothing(gathered: Gathered) -> str:
+def _why_nothing(gathered: RunCollection) -> str:
     runs = gathered.runs
     if len(runs) == 1 and not runs[0].state.ranked:
         return f"the only run here did not end ({runs[0].message})"
@@ -151,7 +151,7 @@ def _why_nothing(gathered: Gathered) -> str:
     return f"none of the {len(runs)} runs has a tracking error: they follow no reference, or failed"
 
 
-def _pair(gathered: Gathered, *, as_json: bool) -> int:
+def _pair(gathered: RunCollection, *, as_json: bool) -> int:
     from trms_cli.scoring.comparison.findings import pair_findings
     from trms_cli.scoring.comparison.pair import pair
 

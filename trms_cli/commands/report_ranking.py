@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from trms_cli.commands.report_sweeps import keys_of, typed_of, value_of
 
 if TYPE_CHECKING:
-    from trms_cli.reporting.report_comparison import RankedEntrant
+    from trms_cli.reporting.report_comparison import RankedCandidate
     from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.compared_run import ComparedRun
 
@@ -17,7 +17,7 @@ _DRAW = "draw"
 _RANKED = ("controller", "observer", "ref", "model", "plant", "seed")
 
 
-def ranking_of(runs: Sequence[ComparedRun]) -> tuple[list[RankedEntrant], str]:
+def ranking_of(runs: Sequence[ComparedRun]) -> tuple[list[RankedCandidate], str]:
     """The ranking that ``trms compare`` prints, and its rule; empty where nobody can be ranked."""
     from trms_cli.commands.compare import ordered
     from trms_cli.scoring.comparison.document import rule
@@ -102,13 +102,13 @@ def _score(row: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _entrant(standing: Any, metric: str) -> RankedEntrant:
-    from trms_cli.reporting.report_comparison import RankedEntrant
+def _entrant(standing: Any, metric: str) -> RankedCandidate:
+    from trms_cli.reporting.report_comparison import RankedCandidate
     from trms_cli.scoring.comparison.figures import figures_of
 
     told, unit = figures_of(standing, metric), "rad"
     interval = standing.interval
-    return RankedEntrant(
+    return RankedCandidate(
         name=standing.name,
         rank=standing.rank,
         ratio=standing.ratio,

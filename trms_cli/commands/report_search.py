@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from trms_cli.reporting.reported_sweep import Objective, SweptRun, Value
+    from trms_cli.reporting.reported_sweep import Objective, SweepRun, Value
 
 _MOST_TRIALS = 100_000
 
@@ -43,9 +43,9 @@ def pareto_of(words: Mapping[str, Any]) -> list[int]:
     return [n for n in given if isinstance(n, int)] if isinstance(given, list) else []
 
 
-def trials_of(words: Mapping[str, Any]) -> list[SweptRun]:
+def trials_of(words: Mapping[str, Any]) -> list[SweepRun]:
     """What was tried, with the figures over all conditions of a trial."""
-    from trms_cli.reporting.reported_sweep import SweptRun
+    from trms_cli.reporting.reported_sweep import SweepRun
 
     given = words.get("trials")
     found = []
@@ -54,7 +54,7 @@ def trials_of(words: Mapping[str, Any]) -> list[SweptRun]:
             continue
         problem = str(each.get("problem") or "")
         found.append(
-            SweptRun(
+            SweepRun(
                 name=str(each["trial"]),
                 number=each["trial"],
                 outcome="failed"

@@ -20,9 +20,9 @@ from trms_cli.commands.report_search import (
 )
 
 if TYPE_CHECKING:
-    from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun, Value
+    from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun, Value
     from trms_cli.runs.query import QueryResult
-    from trms_cli.scoring.comparison.gathering import Gathered
+    from trms_cli.scoring.comparison.gathering import RunCollection
 
 STATUS_NAME = "status.json"
 SWEEP_NAME, PAGE_NAME = "sweep.json", "report.html"
@@ -119,12 +119,12 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
     )
 
 
-def from_scores(gathered: Gathered, folders: Sequence[Path]) -> ReportedSweep:
+def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> ReportedSweep:
     """Runs of which there are scores alone, without a log."""
-    from trms_cli.reporting.reported_sweep import ReportedSweep, SweptRun
+    from trms_cli.reporting.reported_sweep import ReportedSweep, SweepRun
     from trms_cli.runs.columns import ALIASES, COLUMNS, figures_of
     from trms_cli.scoring.comparison.coordinates import differing
-    from trms_cli.scoring.comparison.grouping import entrant_name, usual_entrants
+    from trms_cli.scoring.comparison.grouping import controller_name, usual_entrants
 
     told = list(gathered.runs)
     keys = differing(told)[:_MOST_KEYS]
@@ -140,9 +140,9 @@ def from_scores(gathered: Gathered, folders: Sequence[Path]) -> ReportedSweep:
             if (value := all_figures.get(ALIASES.get(name, name))) is not None
         }
         runs.append(
-            SweptRun(
+            SweepRun(
                 name=_relative(run.path, root),
-                entrant=entrant_name(run, [key for key in by if key in keys]),
+                entrant=controller_name(run, [key for key in by if key in keys]),
                 outcome={"done": "completed"}.get(run.state.value, run.state.value),
                 values={key: _number_or_text(run.coordinates.get(key)) for key in keys},
                 figures=figures,
@@ -194,7 +194,7 @@ def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective])
     return found
 
 
-def _renamed(run: SweptRun, names: Mapping[str, str]) -> SweptRun:
+def _renamed(run: SweepRun, names: Mapping[str, str]) -> SweepRun:
     return replace(run, values={names.get(key, key): v for key, v in run.values.items()})
 
 
@@ -228,9 +228,9 @@ def _entrant_keys(keys: Sequence[str]) -> list[str]:
 def _swept(
     row: Mapping[str, Any], typed: Mapping[str, Any], keys: Sequence[str], by: Sequence[str],
     figures: Mapping[str, str], root: Path, page_folder: Path,
-) -> SweptRun:  # fmt: skip
+) -> SweepRun:  # fmt: skip
     from trms_cli.reporting.page_rows import relative_link
-    from trms_cli.reporting.reported_sweep import SweptRun
+    from trms_cli.reporting.reported_sweep import SweepRun
     from trms_cli.runs.columns import ALIASES
 
     path = Path(str(row["path"]))
@@ -244,7 +244,7 @@ def _swept(
     values = {key: value_of(row, typed, key) for key in keys}
     # A setting with a number of its own for each run names no entrant, but a point in a range.
     named = [key for key in by if "." not in key]
-    return SweptRun(
+    return SweepRun(
         name=_relative(str(path), root),
         entrant=" + ".join(str(values[key] or "–") for key in named),
         outcome=str(row.get("outcome") or "unfinished"),

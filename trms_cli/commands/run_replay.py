@@ -16,7 +16,7 @@ from trms_cli.commands.run_scene import RunScene
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core import wording
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError, interrupted_code
-from trms_cli.core.findings import Cell, Column, Command, Findings, Section, Table, table
+from trms_cli.core.findings import Cell, Column, Findings, NextCommand, Section, Table, table
 from trms_cli.core.invocation import program
 from trms_cli.core.plugin_contract import check_contract, plugin_failure
 from trms_cli.core.plugins import TARGET, build, locate
@@ -252,7 +252,7 @@ class ReplayScreen:
             list(self._notes()),
             facts=recorded | {"time": time},
             files={"log": self._log} | ({"picture": picture} if picture is not None else {}),
-            next=[Command(f"{program()} score {shlex.quote(str(self._log))}")],
+            next=[NextCommand(f"{program()} score {shlex.quote(str(self._log))}")],
         )
 
     def _notes(self) -> Iterator[str]:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Command, Findings, Section
+from trms_cli.core.findings import Findings, NextCommand, Section
 from trms_cli.core.headline import headline
 from trms_cli.core.invocation import program
 from trms_cli.scoring.findings import in_short, short_tables, warnings_of
@@ -107,7 +107,7 @@ class RunScreen:
             [*self._unheard(), *_beyond_limits(score), *warnings_of(score)],
             facts=in_short(score) | {"time": time},
             files=files,
-            next=[Command(f"{trms} {words}") for words in typed],
+            next=[NextCommand(f"{trms} {words}") for words in typed],
         )
 
     @cached_property

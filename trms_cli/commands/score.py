@@ -14,7 +14,7 @@ from trms_cli.runs.run_folder import LOG_NAME, log_of
 if TYPE_CHECKING:
     from trms_cli.core.findings import Findings
     from trms_cli.recordings.log_reader import LoggedRun
-    from trms_cli.scoring.baseline import Baseline, Row
+    from trms_cli.scoring.baseline import Baseline, BaselineRow
 
 SUMMARY = "metrics of logs, and comparison with a baseline"
 
@@ -80,7 +80,7 @@ def main(argv: list[str]) -> int:
     from trms_cli.scoring.score import score_log
 
     baseline = read_baseline(given.baseline) if given.baseline else None
-    scored: list[tuple[LoggedRun, dict[str, Any], list[Row] | None]] = []
+    scored: list[tuple[LoggedRun, dict[str, Any], list[BaselineRow] | None]] = []
     for path in map(log_of, given.logs):
         log = read_log(path)
         score = score_log(log)
@@ -105,7 +105,7 @@ def main(argv: list[str]) -> int:
 
 
 def _print_json(
-    scored: list[tuple[dict[str, Any], list[Row] | None]], baseline: Path | None
+    scored: list[tuple[dict[str, Any], list[BaselineRow] | None]], baseline: Path | None
 ) -> None:
     whole = document_of(scored, baseline)
     json.dump(whole, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
@@ -113,7 +113,7 @@ def _print_json(
 
 
 def document_of(
-    scored: list[tuple[dict[str, Any], list[Row] | None]], baseline: Path | None
+    scored: list[tuple[dict[str, Any], list[BaselineRow] | None]], baseline: Path | None
 ) -> dict[str, Any]:
     """One document: the score, or ``trms.scores/1`` with several of them."""
     from dataclasses import asdict
@@ -143,7 +143,7 @@ def _write_baseline(path: Path, score: dict[str, Any], reason: str, *, force: bo
 
 
 def findings_of(
-    log: LoggedRun, score: dict[str, Any], rows: list[Row] | None = None,
+    log: LoggedRun, score: dict[str, Any], rows: list[BaselineRow] | None = None,
     baseline: Baseline | None = None, name: str = "", *, everything: bool = False,
 ) -> Findings:  # fmt: skip
     """What a score has to tell, also of its baseline where it is held against one."""

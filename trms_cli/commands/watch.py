@@ -176,7 +176,7 @@ def _plain(given: Any) -> bool:
 
 
 class _WatchedRun:
-    """A run on the screen; see :class:`trms_cli.commands.watch_screen.Screen`."""
+    """A run on the screen; see :class:`trms_cli.commands.watch_screen.WatchScreen`."""
 
     def __init__(self, player: Player, *, plain: bool) -> None:
         self._player, self._plain = player, plain

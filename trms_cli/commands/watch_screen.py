@@ -25,7 +25,7 @@ _FRAME = 0.1
 _LINE = 1.0  # s between two lines of plain text
 
 
-class Screen(Protocol):
+class WatchScreen(Protocol):
     """What is watched."""
 
     def advance(self, seconds: float) -> None:
@@ -44,7 +44,7 @@ class Screen(Protocol):
         """Whether there is nothing more to wait for: neither news nor, with keys, a person."""
 
 
-def show(shown: Screen) -> None:
+def show(shown: WatchScreen) -> None:
     """Show until there is nothing more to come, or somebody quits.
 
     Ctrl-C raises KeyboardInterrupt, with the terminal as it was before.
@@ -55,14 +55,14 @@ def show(shown: Screen) -> None:
         _in_lines(shown)
 
 
-def show_once(shown: Screen) -> None:
+def show_once(shown: WatchScreen) -> None:
     """Print one picture, of the size of the terminal (80 by 24 without one)."""
     shown.advance(0.0)
     width, height = shutil.get_terminal_size()
     _print(Console(highlight=False, width=width), shown.frame(width, height - 1, keys=False))
 
 
-def _on_terminal(shown: Screen) -> None:
+def _on_terminal(shown: WatchScreen) -> None:
     console = Console(highlight=False)
     with Keyboard() as keyboard:
         # An alternate screen: what the terminal showed before comes back afterwards.
@@ -79,7 +79,7 @@ def _on_terminal(shown: Screen) -> None:
         _print(console, shown.frame(width, height - 1, keys=False))
 
 
-def _draw(shown: Screen, keyboard: Keyboard, live: Live, console: Console) -> None:
+def _draw(shown: WatchScreen, keyboard: Keyboard, live: Live, console: Console) -> None:
     drawn: object = None
     before = monotonic()
     while True:
@@ -98,7 +98,7 @@ def _draw(shown: Screen, keyboard: Keyboard, live: Live, console: Console) -> No
             return
 
 
-def _in_lines(shown: Screen, say: Callable[[str], object] = print) -> None:
+def _in_lines(shown: WatchScreen, say: Callable[[str], object] = print) -> None:
     said = ""
     before = monotonic()
     with Keyboard() as keyboard:

@@ -22,7 +22,7 @@ from trms_cli.core.plugins import TARGET
 if TYPE_CHECKING:
     from trms_cli.composition.composer import Composition
 
-_TARGET = f"{__name__}.taken"
+_TARGET = f"{__name__}.object_stand_in"
 #: Its name in logs of former versions.
 _FORMER = "trms_cli.commands.given_object.taken"
 #: Letters of an object's own words that a log keeps.
@@ -50,7 +50,7 @@ def node_of(number: int, plugin: Any) -> dict[str, Any]:
     return {TARGET: _TARGET, "number": number, "kind": kind_of(plugin), "words": words_of(plugin)}
 
 
-def taken(*, number: int, kind: str, words: str) -> Any:
+def object_stand_in(*, number: int, kind: str, words: str) -> Any:
     """The object that a node stands for.
 
     Raises ConfigurationError once the call that it was given to is over.

@@ -77,7 +77,7 @@ def _cell(item: Any, cell: str | Callable[[Any], Cell]) -> Cell:
 
 
 @dataclass(frozen=True)
-class Command:
+class NextCommand:
     """A line to be typed next."""
 
     text: str  #: ``trms score first/run.mcap``
@@ -111,7 +111,7 @@ class Remarks:
     on_screen: bool = True  #: Whether the terminal shows them; a page always does
 
 
-Block = Table | Chart | RigDiagram | Command | Details | Remarks
+Block = Table | Chart | RigDiagram | NextCommand | Details | Remarks
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Findings:
     measures: Sequence[Measure] = ()  #: The few figures that come first
     facts: Mapping[str, str] = field(default_factory=dict)  #: Circumstances, by name: model, date
     files: Mapping[str, Path] = field(default_factory=dict)  #: What was written, by what it is
-    next: Sequence[Command] = ()  #: What to type next
+    next: Sequence[NextCommand] = ()  #: What to type next
 
     @property
     def charts(self) -> tuple[Chart, ...]:

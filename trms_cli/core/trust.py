@@ -35,7 +35,7 @@ _BASES = ("trms_cli.models.model.Model", "trms_cli.effects.effect.Effect")
 _FACTORIES = (
     "trms_cli.effects.model_file.load_model",
     "trms_cli.models.narx_file.narx",
-    "trms_cli.composition.given_object.taken",
+    "trms_cli.composition.given_object.object_stand_in",
 )
 
 

@@ -17,7 +17,7 @@ import casadi as ca
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.dry_friction import SPEEDS, axis_of, moment_index, resisted
-from trms_cli.models.model import Axis, Model, Signal, index_of, names
+from trms_cli.models.model import Model, RigAxis, Signal, index_of, names
 from trms_cli.models.parameters import Parameter
 
 __all__ = ["Effect", "EffectContext", "axis_of", "resisting_impulse", "rotor_input"]
@@ -39,7 +39,7 @@ class EffectContext:
     #: The effect's memory on the sensor path
     shown: ca.SX = field(default_factory=lambda: ca.SX.zeros(0))
 
-    def axis(self, name: str) -> Axis:
+    def axis(self, name: str) -> RigAxis:
         """The axis by name; see :func:`axis_of`."""
         return axis_of(self.model, name)
 

@@ -27,11 +27,11 @@ from trms_cli.core.findings import (
     Block,
     Cell,
     Column,
-    Command,
     Findings,
     Judged,
     Judgement,
     Measure,
+    NextCommand,
     Remarks,
     Section,
     Table,
@@ -257,18 +257,20 @@ def _facts(diagnosis: Diagnosis) -> dict[str, str]:
     return facts
 
 
-def _next(diagnosis: Diagnosis, folder: Path | None) -> list[Command]:
+def _next(diagnosis: Diagnosis, folder: Path | None) -> list[NextCommand]:
     commands = []
     if diagnosis.next_experiment is not None:
-        commands.append(Command(diagnosis.next_experiment.command, diagnosis.next_experiment.why))
+        commands.append(
+            NextCommand(diagnosis.next_experiment.command, diagnosis.next_experiment.why)
+        )
     if folder is not None:
         model = shlex.quote(str(folder / "corrected_model.yaml"))
         commands += [
-            Command(
+            NextCommand(
                 f"{program()} validate model={model} real=FILE",
                 "the corrected model on a recording that it has not seen",
             ),
-            Command(
+            NextCommand(
                 f"{program()} run model={model} controller=newton_mpc",
                 "control with the corrected model; `model=` takes it anywhere",
             ),

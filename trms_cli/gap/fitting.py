@@ -238,7 +238,7 @@ _ROLLOUTS: WeakKeyDictionary[Model, dict[tuple[object, ...], Rollout]] = WeakKey
 
 
 @dataclass(frozen=True)
-class Fit:
+class CandidateFit:
     """Where the search of a structure ended."""
 
     theta: FloatArray  #: (n_f,) array; nominal parameters, then the effects' sizes
@@ -325,7 +325,7 @@ class ModelStructure:
         iterations: int = 25,
         tolerance: float = 0.05,
         with_evidence: bool = True,
-    ) -> Fit:
+    ) -> CandidateFit:
         """Search from some points and keep the best.
 
         ``points``, sequence of (theta, starts). ``centres``, (m, n_nominal states) array: of the
@@ -346,7 +346,7 @@ class ModelStructure:
             )
         best = min(searches, key=lambda search: search.point.cost)
         found = best.point
-        fit = Fit(
+        fit = CandidateFit(
             found.theta,
             found.starts,
             found.cost,
@@ -358,7 +358,7 @@ class ModelStructure:
             fit = replace(fit, evidence=worth)
         return fit
 
-    def residuals(self, fit: Fit) -> FloatArray:
+    def residuals(self, fit: CandidateFit) -> FloatArray:
         """Measured less predicted at a fit, (m, c, n_y)."""
         p = self.problem.all_values(fit.theta)
         return -self.windows.residuals(p, fit.starts).r

@@ -19,7 +19,7 @@ from scipy import stats
 
 from trms_cli.gap.blocks import quantum_of
 from trms_cli.gap.diagnosis import GapTest
-from trms_cli.gap.fitting import Fit, InnovationObjective, Metric, ModelStructure
+from trms_cli.gap.fitting import CandidateFit, InnovationObjective, Metric, ModelStructure
 from trms_cli.models.model import names
 
 FloatArray = npt.NDArray[np.float64]
@@ -32,7 +32,7 @@ _BANDS = 4
 
 def innovation_tests(
     structure: ModelStructure,
-    fit: Fit,
+    fit: CandidateFit,
     metric: Metric,
     centres: FloatArray,
     *,

@@ -22,7 +22,7 @@ from trms_cli.gap.discrepancy import (
     sensor_channels,
     usual_channels,
 )
-from trms_cli.gap.fitting import Fit, ModelStructure
+from trms_cli.gap.fitting import CandidateFit, ModelStructure
 from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.race import RacedCandidate
 from trms_cli.gap.refit import Refit
@@ -55,7 +55,10 @@ class Location:
 
 
 def locate(
-    structure: ModelStructure, fit: Fit, discrepancy: Discrepancy, usual: Mapping[str, float]
+    structure: ModelStructure,
+    fit: CandidateFit,
+    discrepancy: Discrepancy,
+    usual: Mapping[str, float],
 ) -> Location:
     """Try every equation and every measured sensor.
 

@@ -17,7 +17,7 @@ from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
 from trms_cli.gap.experiments import OpenLoopExperiment, experiments, periodic
-from trms_cli.gap.fitting import Fit, Metric, ModelStructure
+from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
 from trms_cli.gap.refit import Refit
 from trms_cli.gap.separability import Signatures, effect_traces, projected
 from trms_cli.identification.dataset import Dataset
@@ -261,7 +261,7 @@ def predicted_recordings(
             refit.metric.discrepancy.channels,
             start_share=0.0,
         )
-        fit = Fit(theta, starts, 0.0, FitOutcome.CONVERGED)
+        fit = CandidateFit(theta, starts, 0.0, FitOutcome.CONVERGED)
         try:
             metric = Metric(discrepancy, shares, None)
         except FloatingPointError:  # along this motion the equations say too little
@@ -325,7 +325,7 @@ class ProjectedRecording:
     """A recording, made or predicted, with all that traces are projected in."""
 
     structure: ModelStructure  #: Of the nominal model
-    fit: Fit
+    fit: CandidateFit
     metric: Metric
     centres: FloatArray  #: (m, n_x) array
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.discrepancy import FLOOR
-from trms_cli.gap.fitting import Fit, Metric, ModelStructure
+from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
 from trms_cli.gap.refit import Refit, own_metric
 from trms_cli.gap.separability import EffectTraces, Signatures, projected
 
@@ -52,7 +52,7 @@ class RacedCandidate:
     """One that raced."""
 
     structure: ModelStructure
-    fit: Fit  #: In the metric that is most likely for itself
+    fit: CandidateFit  #: In the metric that is most likely for itself
     metric: Metric
 
     @property
@@ -93,7 +93,7 @@ class Checkpoint:
             return None
         return tuple(np.array(known[name]) for name in ("theta", "starts", "shares"))  # type: ignore[return-value]
 
-    def add(self, key: str, fit: Fit, metric: Metric) -> None:
+    def add(self, key: str, fit: CandidateFit, metric: Metric) -> None:
         """Note where a search ended."""
         with self._lock:
             self._points[key] = {

@@ -15,7 +15,7 @@ from trms_cli.gap.discrepancy import (
     likely_shares,
     usual_channels,
 )
-from trms_cli.gap.fitting import Fit, Metric, ModelStructure
+from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter, free_parameters
 from trms_cli.models.model import Model
@@ -34,8 +34,8 @@ class Refit:
     """The nominal model, before and after."""
 
     structure: ModelStructure  #: Without effects beyond the model's own
-    raw: Fit  #: With the parameters as they were, in the metric of the refit
-    fit: Fit
+    raw: CandidateFit  #: With the parameters as they were, in the metric of the refit
+    fit: CandidateFit
     metric: Metric  #: With the most likely discrepancies of the refit
     centres: FloatArray  #: (m, n_x) array; of the priors of the windows' starts
 
@@ -69,7 +69,7 @@ def refit(
     *,
     robust: float | None = 4.0,
 ) -> Refit:
-    """Fit the nominal model and the size of its discrepancy in turn.
+    """CandidateFit the nominal model and the size of its discrepancy in turn.
 
     The equations are linearised about the states that a smoother reads from the data, with forces
     large enough to follow them: about the model's own simulation they would be those of another
@@ -111,14 +111,16 @@ def refit(
     return Refit(structure, unfitted(structure, fit, metric, centres), fit, metric, centres)
 
 
-def unfitted(structure: ModelStructure, fit: Fit, metric: Metric, centres: FloatArray) -> Fit:
+def unfitted(
+    structure: ModelStructure, fit: CandidateFit, metric: Metric, centres: FloatArray
+) -> CandidateFit:
     """The model with its parameters as they were: only the windows' starts are fitted."""
     theta = structure.theta({})
-    held = parameters_held(structure, theta)
+    held = fixed_parameters(structure, theta)
     return held.fit(metric, [(theta, fit.starts), (theta, centres)], centres=centres)
 
 
-def parameters_held(structure: ModelStructure, theta: FloatArray) -> ModelStructure:
+def fixed_parameters(structure: ModelStructure, theta: FloatArray) -> ModelStructure:
     """The structure with its parameters held."""
     import copy
 
@@ -132,8 +134,8 @@ def parameters_held(structure: ModelStructure, theta: FloatArray) -> ModelStruct
 
 
 def own_metric(
-    structure: ModelStructure, fit: Fit, metric: Metric, centres: FloatArray
-) -> tuple[Fit, Metric]:
+    structure: ModelStructure, fit: CandidateFit, metric: Metric, centres: FloatArray
+) -> tuple[CandidateFit, Metric]:
     """A structure refitted with the discrepancy that is most likely for itself."""
     for _ in range(2):
         shares = likely_shares(metric.discrepancy, structure.residuals(fit), metric.shares)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.gap.candidates import CandidateEffect
-from trms_cli.gap.fitting import Fit, Metric, ModelStructure
+from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -98,7 +98,7 @@ class EffectTraces:
 
 def effect_traces(
     nominal: ModelStructure,
-    fit: Fit,
+    fit: CandidateFit,
     candidates: Sequence[CandidateEffect],
     structure_of: Callable[[CandidateEffect], ModelStructure],
     *,
@@ -133,7 +133,11 @@ def effect_traces(
 
 
 def projected(
-    structure: ModelStructure, fit: Fit, metric: Metric, centres: FloatArray, traces: EffectTraces
+    structure: ModelStructure,
+    fit: CandidateFit,
+    metric: Metric,
+    centres: FloatArray,
+    traces: EffectTraces,
 ) -> Signatures:
     """Traces, freed of what the starts and parameters of a fitted model could do as well.
 

@@ -16,10 +16,10 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.admission_by_model import (
     SAMPLES_A_PERIOD,
-    Finding,
-    far_too_slow,
+    AdmissionCheck,
     findings_by_model,
     time_scales,
+    too_slow,
 )
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, names
@@ -146,7 +146,7 @@ def admit(
     """
     issues: list[Issue] = []
     for dataset in datasets:
-        slow = far_too_slow(dataset, model)
+        slow = too_slow(dataset, model)
         if slow is not None:  # nothing can be simulated between such samples
             issues += _from([slow], dataset, model)
             continue
@@ -194,7 +194,7 @@ def _still(datasets: Sequence[Dataset]) -> Iterator[Issue]:
         )  # fmt: skip
 
 
-def _from(findings: Sequence[Finding], dataset: Dataset, model: Model) -> Iterator[Issue]:
+def _from(findings: Sequence[AdmissionCheck], dataset: Dataset, model: Model) -> Iterator[Issue]:
     """Findings as issues: less certain, or none, where the recording is short for the model.
 
     Over less than a period of the slowest mode an axis may swing against its thrust for other
@@ -374,7 +374,7 @@ def _rates(datasets: Sequence[Dataset], model: Model) -> Iterator[Issue]:
             )  # fmt: skip
         scale = time_scales(dataset, model)
         slow = scale is not None and dataset.sample_time > scale.fastest / SAMPLES_A_PERIOD
-        if scale and slow and far_too_slow(dataset, model) is None:
+        if scale and slow and too_slow(dataset, model) is None:
             yield Issue(
                 "sample time", "warning", dataset.name, "",
                 f"sampled every {dataset.sample_time:g} s, and the fastest mode of model "

@@ -21,7 +21,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.model import Axis, Model, names
+from trms_cli.models.model import Model, RigAxis, names
 
 #: s, window over which angles are differentiated twice.
 _WINDOW = 0.5
@@ -29,7 +29,7 @@ _WINDOW = 0.5
 _STEP = 0.01
 #: A slowly sampled recording is not worth a larger function: signs need no accuracy.
 _MOST_SUBSTEPS = 8
-#: Axis and speed that belong to a rotor.
+#: RigAxis and speed that belong to a rotor.
 _OF_ROTOR = {"main": ("pitch", "omega_v"), "tail": ("yaw", "omega_h")}
 
 
@@ -64,7 +64,7 @@ class RecordedMotions:
     def __init__(self, model: Model) -> None:
         self.model = model
         x, u, p, w = model.symbols()
-        self._axes: dict[str, Axis] = {
+        self._axes: dict[str, RigAxis] = {
             name: axis for name, axis in model.axes.items() if axis.angle in model.state_names
         }
         if model.sample_time is not None or not self._axes:
@@ -265,7 +265,7 @@ _SPARSE = 1000
 
 
 @dataclass(frozen=True)
-class Finding:
+class AdmissionCheck:
     """A channel that does not fit the model."""
 
     check: str
@@ -292,7 +292,7 @@ class _Thrust:
     explained: float  #: of the acceleration's variance, by all
 
 
-def findings_by_model(dataset: Dataset, model: Model) -> list[Finding]:
+def findings_by_model(dataset: Dataset, model: Model) -> list[AdmissionCheck]:
     """What does not fit; empty where the model has no accelerations or the data are too few."""
     motions = RecordedMotions.possible(model)
     if motions is None or len(dataset) < _LEAST_SAMPLES:
@@ -331,34 +331,34 @@ def time_scales(dataset: Dataset, model: Model) -> TimeScales | None:
     return TimeScales(2 * np.pi / float(sizes.min()), 2 * np.pi / float(sizes.max()))
 
 
-def _speeds(dataset: Dataset, motion: RecordedMotion) -> Iterator[Finding]:
+def _speeds(dataset: Dataset, motion: RecordedMotion) -> Iterator[AdmissionCheck]:
     for name, (correlation, ratio) in _followed(dataset, motion).items():
         command = f"u{name[-2:]}"
         if abs(correlation) < _NONE:
-            yield Finding(
+            yield AdmissionCheck(
                 "speed", name, f"{name} does not follow {command} (correlation {correlation:.2f})",
                 "look at which channel is which, and at the tacho", False,
             )  # fmt: skip
         elif correlation < -_CLEAR:
-            yield Finding(
+            yield AdmissionCheck(
                 "sign", name, f"{name} turns the other way than {command} makes it turn",
                 f"one of the two has the wrong sign: turn round {name} or {command} in the file",
                 True,
             )  # fmt: skip
         elif correlation > _CLEAR and _near(ratio, _RPM, _RPM_SPREAD):
-            yield Finding(
+            yield AdmissionCheck(
                 "unit", name,
                 f"{name} is {ratio:.3g} times what {command} makes of it: rpm read as rad/s",
                 f"write the unit into the header: {name}[rpm]", True,
             )  # fmt: skip
         elif correlation > _CLEAR and _near(ratio, 1 / _RPM, _RPM_SPREAD):
-            yield Finding(
+            yield AdmissionCheck(
                 "unit", name,
                 f"{name} is {ratio:.3g} times what {command} makes of it: rad/s read as rpm",
                 f"write the unit into the header: {name}[rad/s]", True,
             )  # fmt: skip
         elif correlation > _CLEAR and not 1 / _ROUGHLY < ratio < _ROUGHLY:
-            yield Finding(
+            yield AdmissionCheck(
                 "unit", name, f"{name} is {ratio:.2g} times what the model makes of {command}",
                 f"is the model that of this rig? Are the units of {name} and {command} right?",
                 False,
@@ -367,7 +367,7 @@ def _speeds(dataset: Dataset, motion: RecordedMotion) -> Iterator[Finding]:
 
 def _angles(
     dataset: Dataset, motions: RecordedMotions, thrusts: dict[str, _Thrust], told: set[str]
-) -> Iterator[Finding]:
+) -> Iterator[AdmissionCheck]:
     for name, thrust in thrusts.items():
         if name[-2:] in told:
             continue
@@ -375,7 +375,7 @@ def _angles(
         if thrust.factor < 0 and (
             thrust.share > _EXPLAINS or _turned_round(dataset, motions, name, thrust)
         ):
-            yield Finding(
+            yield AdmissionCheck(
                 "sign", name, f"{name} moves the other way than {command} drives it in the model",
                 f"turn round the sign of {name} (pitch is positive upwards) or of {command} in "
                 "the file", True,
@@ -383,13 +383,15 @@ def _angles(
         elif thrust.share < _EXPLAINS:
             continue
         elif _near(thrust.factor, _DEGREES, _DEGREES_SPREAD):
-            yield Finding(
+            yield AdmissionCheck(
                 "unit", name, f"{name} moves {thrust.factor:.3g} times as far as it should: "
                 "degrees read as rad", f"write the unit into the header: {name}[deg]", True,
             )  # fmt: skip
 
 
-def _zero(dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion) -> Iterator[Finding]:
+def _zero(
+    dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion
+) -> Iterator[AdmissionCheck]:
     """Whether pitch is counted from another zero than the level beam.
 
     Over a recording pitch goes nowhere, so its mean acceleration is that of weight and thrust
@@ -427,7 +429,7 @@ def _zero(dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion) ->
     hanging = ""
     if abs(shift - rest) < _OFF_PITCH:
         hanging = ", as an encoder that was switched on while the beam hung"
-    yield Finding(
+    yield AdmissionCheck(
         "zero", name,
         f"{name} is off by a constant {-shift:.2f} rad: the model counts pitch from the level "
         f"beam and hangs at {rest:.2f} rad without thrust{hanging}",
@@ -459,7 +461,7 @@ def _turned_round(dataset: Dataset, motions: RecordedMotions, name: str, thrust:
 
 def _swapped(
     dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion, thrusts: dict[str, _Thrust]
-) -> Iterator[Finding]:
+) -> Iterator[AdmissionCheck]:
     """Whether two inputs, or the two angles, are in each other's place."""
     inputs = names(dataset.inputs)
     poor = [t for t in thrusts.values() if t.share < _LITTLE or t.factor < 0]
@@ -480,7 +482,7 @@ def _swapped(
             better = all(t.factor > 0 and t.share > _EXPLAINS
                          for t in _thrusts(other, moved).values())  # fmt: skip
         if better and gain > _BETTER:
-            yield Finding(
+            yield AdmissionCheck(
                 "swapped", "u_v", "u_v and u_h are in each other's place: the motion follows them "
                 "the other way round",
                 "swap the two columns' names (u_v is the main rotor); if the speeds are "
@@ -495,7 +497,7 @@ def _swapped(
         again_thrusts = _thrusts(other, motions.of(other))
         right = all(t.factor > 0 and t.share > _EXPLAINS for t in again_thrusts.values())
         if right and _told(again_thrusts) - _told(thrusts) > _BETTER:
-            yield Finding(
+            yield AdmissionCheck(
                 "swapped", "alpha_v", "alpha_v and alpha_h are in each other's place: each moves "
                 "as the other should",
                 "swap the two columns' names (alpha_v is pitch)", True,
@@ -569,7 +571,7 @@ _SLOW = 1.0
 SAMPLES_A_PERIOD = 6.0
 
 
-def far_too_slow(dataset: Dataset, model: Model) -> Finding | None:
+def too_slow(dataset: Dataset, model: Model) -> AdmissionCheck | None:
     """What to say of a sample longer than 1 s and than a period of the model's fastest mode.
 
     None for any other, and for a model that steps by a time of its own.
@@ -580,7 +582,7 @@ def far_too_slow(dataset: Dataset, model: Model) -> Finding | None:
     scale = time_scales(dataset, model)
     if scale is None or step <= scale.fastest:
         return None
-    return Finding(
+    return AdmissionCheck(
         "sample time", "",
         f"{step:.4g} s a sample, and the fastest mode of model {model.name!r} has a period of "
         f"{scale.fastest:.2g} s",
@@ -592,8 +594,8 @@ def far_too_slow(dataset: Dataset, model: Model) -> Finding | None:
 def require_sample_time(dataset: Dataset, model: Model) -> None:
     """Refuse a recording between whose samples nothing can be simulated.
 
-    Raises RecordingError: See :func:`far_too_slow`.
+    Raises RecordingError: See :func:`too_slow`.
     """
-    finding = far_too_slow(dataset, model)
+    finding = too_slow(dataset, model)
     if finding is not None:
         raise RecordingError(finding.problem, where=dataset.source, remedy=finding.remedy)

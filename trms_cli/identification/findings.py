@@ -14,11 +14,11 @@ from trms_cli.core.findings import (
     Block,
     Cell,
     Column,
-    Command,
     Findings,
     Judged,
     Judgement,
     Measure,
+    NextCommand,
     Remarks,
     Section,
     Table,
@@ -45,7 +45,7 @@ _WIDTH = 5.5
 def findings(
     document: Mapping[str, Any],
     assessment: Assessment | None = None,
-    then: Sequence[Command] = (),
+    then: Sequence[NextCommand] = (),
 ) -> Findings:
     """What is worth telling of a fit.
 
@@ -55,7 +55,7 @@ def findings(
         ``trms.identification/1``.
     assessment : Assessment or None
         Its free runs are drawn.
-    then : sequence of Command
+    then : sequence of NextCommand
         What to type next.
     """
     sections = [_free_runs(document, assessment)]

@@ -155,7 +155,7 @@ def compare(
             raise ConfigurationError(f"{value!r} given", where=key, remedy=nearest(value, allowed))
     paths = list(run_paths(runs))
     asked = {key: _texts(value) for key, value in (where or {}).items()}
-    gathered = command.gathered_from(paths, asked)
+    gathered = command.runs_from(paths, asked)
     keys = [by] if isinstance(by, str) else list(by)
     if len(gathered.runs) == 2 and not keys:
         from trms_cli.scoring.comparison.document import pair_document

@@ -14,7 +14,7 @@ from functools import lru_cache
 import casadi as ca
 
 from trms_cli.core.errors import ModelError
-from trms_cli.models.model import Axis, Model, index_of
+from trms_cli.models.model import Model, RigAxis, index_of
 
 #: The state that is a rotor's speed, by rotor.
 SPEEDS = {"main": "omega_v", "tail": "omega_h"}
@@ -23,7 +23,7 @@ SPEEDS = {"main": "omega_v", "tail": "omega_h"}
 _MEAN_RATE_ITERATIONS = 2
 
 
-def axis_of(model: Model, name: str) -> Axis:
+def axis_of(model: Model, name: str) -> RigAxis:
     """An axis of a model.
 
     Raises ModelError if the model has no such axis.

@@ -39,11 +39,15 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Axis:
+class RigAxis:
     """A mechanical axis of the rig, as effects and mechanical stops refer to it."""
 
     angle: str  #: Name of the state that is the axis' angle, rad
     moment: str  #: Name of the disturbance that is a torque on the axis, N m
+
+
+#: The former name, which models of users import.
+Axis = RigAxis
 
 
 class Model(ABC):
@@ -58,7 +62,7 @@ class Model(ABC):
     controlled: tuple[str, ...]  #: Names of the states that references are for
     input_limits: Mapping[str, float]  #: Symmetric bound of each input, in the input's unit
     stops: Mapping[str, float]  #: Mechanical range of an angle, symmetric, rad
-    axes: Mapping[str, Axis]  #: The mechanical axes by name (``pitch``, ``yaw``)
+    axes: Mapping[str, RigAxis]  #: The mechanical axes by name (``pitch``, ``yaw``)
     rotors: Mapping[str, str]  #: Input by rotor name (``main``, ``tail``)
     #: Whether an explicit integrator needs steps far below the dynamics of interest
     stiff: bool = False

@@ -49,7 +49,7 @@ from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.resources import config_folder
 from trms_cli.models.discrete import SteppedModel
-from trms_cli.models.model import Axis, FloatArray, Model, Signal
+from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.models.rest import rest_equations
@@ -58,7 +58,7 @@ from trms_cli.models.rest import rest_equations
 KIND = "narx"
 _REQUIRED = ("name", "model", "structure", "network")
 _OPTIONAL = ("source", "rig", "limits", "training", "effects")
-#: Axis of each angle and input of each rotor, as other models name them.
+#: RigAxis of each angle and input of each rotor, as other models name them.
 _AXES = {"alpha_v": "pitch", "alpha_h": "yaw"}
 _ROTORS = {"u_v": "main", "u_h": "tail"}
 _ANGLE = "rad"
@@ -117,7 +117,7 @@ class Narx(SteppedModel):
         bounds = _checked_limits(limits or {}, structure)
         self.input_limits = {u.name: _limit(u, bounds) for u in self.inputs}
         self.stops = {angle: bounds.get(angle, np.inf) for angle in angles}
-        self.axes = {_AXES.get(angle, angle): Axis(angle, f"{angle}_push") for angle in angles}
+        self.axes = {_AXES.get(angle, angle): RigAxis(angle, f"{angle}_push") for angle in angles}
         self.rotors = {_ROTORS[u]: u for u in structure.inputs if u in _ROTORS}
         self._rest: FloatArray | None = None
 

@@ -84,7 +84,7 @@ def operating_point(model: Model, at: Mapping[str, float], where: str = "at") ->
     ConfigurationError
         For names that are neither, and where the model has no such equilibrium.
     """
-    by_angle = asked_by_angle(model, at, where)
+    by_angle = prescribes_angles(model, at, where)
     plain = model.without_effects()
     if plain.n_x < model.n_x:
         # An effect with a memory (a hysteresis) rests at any of a line of points: this is the one
@@ -97,7 +97,7 @@ def operating_point(model: Model, at: Mapping[str, float], where: str = "at") ->
     return at_command(model, np.array([at.get(name, 0.0) for name in names(model.inputs)]), where)
 
 
-def asked_by_angle(model: Model, at: Mapping[str, float], where: str = "at") -> bool:
+def prescribes_angles(model: Model, at: Mapping[str, float], where: str = "at") -> bool:
     """Whether a request names angles, and not commands.
 
     Raises ConfigurationError for a name that is no input and no controlled state, or names of both
@@ -318,7 +318,7 @@ class TrimSolver:
         both kinds.
         """
         model = self.model
-        by_angle = asked_by_angle(model, at, where)
+        by_angle = prescribes_angles(model, at, where)
         order = model.controlled if by_angle else names(model.inputs)
         values = np.array([float(at.get(name, 0.0)) for name in order])
         return TrimCondition(by_angle, values, model.parameters.values)

@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.models.dry_friction import resisted
-from trms_cli.models.model import Axis, FloatArray, Model, Signal
+from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
 from trms_cli.models.parameters import parameter_file
 
 
@@ -84,7 +84,10 @@ class QuanserAero(Model):
         self.controlled = ("alpha_v", "alpha_h")
         self.input_limits = {name: limits[name] for name in ("u_v", "u_h")}
         self.stops = {name: limits[name] for name in self.controlled}
-        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.axes = {
+            "pitch": RigAxis("alpha_v", "pitch_moment"),
+            "yaw": RigAxis("alpha_h", "yaw_moment"),
+        }
         self.rotors = {"main": "u_v", "tail": "u_h"}
 
     def rest(self) -> FloatArray:

@@ -37,7 +37,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.errors import ModelError
-from trms_cli.models.model import Axis, FloatArray, Model, Signal
+from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
 from trms_cli.models.parameters import ParameterSet, parameter_file
 from trms_cli.models.static_curve import RisingSpline, read_static_curve, rising_spline
 
@@ -198,7 +198,10 @@ class Tras(Model):
         self.controlled = ("alpha_v", "alpha_h")
         self.input_limits = {name: limits[name] for name in ("u_v", "u_h")}
         self.stops = {name: limits[name] for name in self.controlled}
-        self.axes = {"pitch": Axis("alpha_v", "pitch_moment"), "yaw": Axis("alpha_h", "yaw_moment")}
+        self.axes = {
+            "pitch": RigAxis("alpha_v", "pitch_moment"),
+            "yaw": RigAxis("alpha_h", "yaw_moment"),
+        }
         self.rotors = {"main": "u_v", "tail": "u_h"}
 
     def rest(self) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.interface_circuit import InterfaceCircuit, interface_of
-from trms_cli.models.model import Axis, FloatArray, Model, Signal, names
+from trms_cli.models.model import FloatArray, Model, RigAxis, Signal, names
 from trms_cli.models.motor import Motor
 from trms_cli.models.parameters import ParameterFile, ParameterSet, parameter_file
 
@@ -152,8 +152,8 @@ class TwinRotor(Model):
         self.stops = {name: limits[name] for name in of_axes("alpha_v", "alpha_h")}
         self.axes = dict(
             of_axes(
-                ("pitch", Axis("alpha_v", "pitch_moment")),
-                ("yaw", Axis("alpha_h", "yaw_moment")),
+                ("pitch", RigAxis("alpha_v", "pitch_moment")),
+                ("yaw", RigAxis("alpha_h", "yaw_moment")),
             )
         )
         self.rotors = dict(of_axes(("main", "u_v"), ("tail", "u_h")))

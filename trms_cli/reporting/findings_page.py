@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from trms_cli.core.chart import Chart, RigDiagram
-from trms_cli.core.findings import Block, Command, Details, Findings, Judged, Remarks, Table
+from trms_cli.core.findings import Block, Details, Findings, Judged, NextCommand, Remarks, Table
 from trms_cli.core.notes import note
 from trms_cli.reporting.chart_picture import picture_of
 from trms_cli.reporting.chart_plot import plots_of
@@ -97,7 +97,7 @@ def _add(page: Page, block: Block, pictures: Path | None, interactive: bool) -> 
                 page.figure(figure, block.caption)
             else:
                 page.plots(plots)
-        case Command():
+        case NextCommand():
             page.text(block.why)
             page.command(block.text)
         case Details():

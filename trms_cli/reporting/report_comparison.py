@@ -40,7 +40,7 @@ _NEAR = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class RankedEntrant:
+class RankedCandidate:
     """A line of a ranking."""
 
     name: str  #: Who ran
@@ -57,7 +57,7 @@ class RankedEntrant:
 def comparison_page(
     runs: Sequence[ReportedRun],
     *,
-    ranking: Sequence[RankedEntrant] = (),
+    ranking: Sequence[RankedCandidate] = (),
     rule: str = "",
     differences: Sequence[tuple[str, Sequence[str]]] = (),
     left_out: Sequence[tuple[str, str]] = (),
@@ -69,7 +69,7 @@ def comparison_page(
     ----------
     runs : sequence of ReportedRun
         Two or more, with names that differ.
-    ranking : sequence of RankedEntrant
+    ranking : sequence of RankedCandidate
     rule : str
         How the rank comes about.
     differences : sequence of (str, sequence of str)
@@ -117,7 +117,7 @@ def comparison_page(
     return page
 
 
-def add_ranking(page: Page, ranking: Sequence[RankedEntrant], rule: str) -> None:
+def add_ranking(page: Page, ranking: Sequence[RankedCandidate], rule: str) -> None:
     """The section of a ranking: a plot of ratios with their intervals, and the table."""
     if not ranking:
         return
@@ -149,7 +149,7 @@ def add_ranking(page: Page, ranking: Sequence[RankedEntrant], rule: str) -> None
     page.table([*columns, *heads], rows, heads=2)
 
 
-def ratio_plot(ranking: Sequence[RankedEntrant]) -> Plot | None:
+def ratio_plot(ranking: Sequence[RankedCandidate]) -> Plot | None:
     """Ratios as dots with their intervals; None with fewer than two."""
     told = [e for e in ranking if e.ratio is not None and np.isfinite(e.ratio)]
     if len(told) < 2:
@@ -322,7 +322,7 @@ def _facts(runs: Sequence[ReportedRun]) -> dict[str, str]:
     return facts
 
 
-def _interval(entrant: RankedEntrant) -> str:
+def _interval(entrant: RankedCandidate) -> str:
     if entrant.low is None or entrant.high is None:
         return "–"
     return f"{entrant.low:.3f}\u2060–\u2060{entrant.high:.3f}"  # in one line

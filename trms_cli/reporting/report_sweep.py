@@ -2,7 +2,7 @@
 
 ::
 
-    page = sweep_page(ReportedSweep(name="sweep", runs=[SweptRun(name="0", …), …], …))
+    page = sweep_page(ReportedSweep(name="sweep", runs=[SweepRun(name="0", …), …], …))
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from trms_cli.core.findings import Cell
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.page_rows import MOST_ROWS, Linked, RowCell, RowColumn
-from trms_cli.reporting.report_comparison import RankedEntrant, add_ranking
+from trms_cli.reporting.report_comparison import RankedCandidate, add_ranking
 from trms_cli.reporting.report_draws import (
     add_correlations,
     add_failure_shares,
@@ -28,7 +28,7 @@ from trms_cli.reporting.report_sweep_plots import (
     pareto_plots,
     spread_plots,
 )
-from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun
+from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
 
 _MOST_REASONS, _LONGEST_REASON = 50, 300
 _MOST_OF_A_FRONT = 100
@@ -40,7 +40,7 @@ _MOST_CHOICES = 14
 def sweep_page(
     sweep: ReportedSweep,
     *,
-    ranking: Sequence[RankedEntrant] = (),
+    ranking: Sequence[RankedCandidate] = (),
     rule: str = "",
     title: str = "",
 ) -> Page:
@@ -49,7 +49,7 @@ def sweep_page(
     Parameters
     ----------
     sweep : ReportedSweep
-    ranking : sequence of RankedEntrant
+    ranking : sequence of RankedCandidate
         As ``trms compare`` has it; empty where nobody can be ranked.
     rule : str
         How the rank comes about.
@@ -91,7 +91,7 @@ def _telling(sweep: ReportedSweep) -> list[str]:
     return found[:_MOST_CHOICES]
 
 
-def _lead(sweep: ReportedSweep, ranking: Sequence[RankedEntrant]) -> list[str]:
+def _lead(sweep: ReportedSweep, ranking: Sequence[RankedCandidate]) -> list[str]:
     outcomes = Counter(run.outcome for run in sweep.runs)
     completed = outcomes.pop("completed", 0)
     others = ", ".join(f"**{count} {outcome}**" for outcome, count in outcomes.most_common())
@@ -130,7 +130,7 @@ def _times(ratio: float) -> str:
     return f"{ratio:.{digits}g} times as much" if digits else "as much, to six digits"
 
 
-def _best(sweep: ReportedSweep) -> tuple[SweptRun, float, str] | None:
+def _best(sweep: ReportedSweep) -> tuple[SweepRun, float, str] | None:
     name = next((o.figure for o in sweep.objectives if not o.largest), None) or next(
         (n for n in sweep.figures if n.startswith("rmse")), None
     )
@@ -144,7 +144,7 @@ def _best(sweep: ReportedSweep) -> tuple[SweptRun, float, str] | None:
     return run, run.figures[name], sweep.title(name)
 
 
-def _where(sweep: ReportedSweep, run: SweptRun) -> str:
+def _where(sweep: ReportedSweep, run: SweepRun) -> str:
     told = [key for key in sweep.keys if run.values.get(key) not in (None, "")]
     chosen = [key for key in told if key not in sweep.drawn_keys]
     parts = [f"{key} {_shown(run.values[key])}" for key in chosen[:_MOST_NAMED]]
@@ -188,7 +188,7 @@ def _failures(page: Page, sweep: ReportedSweep) -> None:
     failed = [run for run in sweep.runs if run.failed]
     if failed or sweep.left_out:
         page.section("What failed")
-    reasons: dict[str, list[SweptRun]] = {}
+    reasons: dict[str, list[SweepRun]] = {}
     for run in failed:
         reason = (run.problem or run.outcome).strip().splitlines() or [run.outcome]
         reasons.setdefault(reason[0][:_LONGEST_REASON], []).append(run)

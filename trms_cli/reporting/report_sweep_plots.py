@@ -19,7 +19,7 @@ from trms_cli.reporting.interactive import (
     plot_text,
     significant,
 )
-from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweptRun
+from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
 
 #: More entrants than this are not told apart by colour; their boxes still stand side by side.
 _MOST_COLOURS, _MOST_BOXES = 8, 60
@@ -131,7 +131,7 @@ def _history(sweep: ReportedSweep) -> list[Plot]:
 
 
 def _pareto(
-    sweep: ReportedSweep, front: Sequence[SweptRun], one: Objective, other: Objective, half: bool
+    sweep: ReportedSweep, front: Sequence[SweepRun], one: Objective, other: Objective, half: bool
 ) -> Plot:
     plot = Plot(f"{other.figure} against {one.figure}", height=400, half=half)
     known = [
@@ -299,7 +299,7 @@ def _map(sweep: ReportedSweep, across: str, up: str, figures: Sequence[str]) -> 
     return plot
 
 
-def _ringed(plot: Plot, sweep: ReportedSweep, runs: Sequence[SweptRun]) -> str:
+def _ringed(plot: Plot, sweep: ReportedSweep, runs: Sequence[SweepRun]) -> str:
     """Draw entrants at equal draws as a dot and rings around it, so that all are seen; in words."""
     entrants = [name for name in sweep.entrants if any(run.entrant == name for run in runs)]
     if not 1 < len(entrants) <= _MOST_RINGS:
@@ -315,7 +315,7 @@ def _ringed(plot: Plot, sweep: ReportedSweep, runs: Sequence[SweptRun]) -> str:
 
 
 def _cells(
-    runs: Sequence[SweptRun], across: str, up: str, xs: list[float], ys: list[float], figure: str
+    runs: Sequence[SweepRun], across: str, up: str, xs: list[float], ys: list[float], figure: str
 ) -> list[list[float | None]]:
     total, count = np.zeros((len(ys), len(xs))), np.zeros((len(ys), len(xs)))
     columns = {value: i for i, value in enumerate(xs)}
@@ -349,22 +349,22 @@ def _variants(
     ]
 
 
-def _groups(sweep: ReportedSweep, most: int) -> list[tuple[str, list[SweptRun]]]:
+def _groups(sweep: ReportedSweep, most: int) -> list[tuple[str, list[SweepRun]]]:
     """Runs by entrant; all in one where there are more than can be told apart."""
     if len(sweep.entrants) > most:
         return [(_OTHER, [run for run in sweep.runs if not run.failed])]
     return [(name or _OTHER, sweep.of(name)) for name in sweep.entrants if sweep.of(name)]
 
 
-def _column(runs: Sequence[SweptRun], figure: str) -> dict[str, str]:
+def _column(runs: Sequence[SweepRun], figure: str) -> dict[str, str]:
     return packed(_numbers(runs, figure))
 
 
-def _values(runs: Sequence[SweptRun], figure: str) -> list[float | None]:
+def _values(runs: Sequence[SweepRun], figure: str) -> list[float | None]:
     return [significant(v) if math.isfinite(v) else None for v in _numbers(runs, figure)]
 
 
-def _numbers(runs: Sequence[SweptRun], figure: str) -> list[float]:
+def _numbers(runs: Sequence[SweepRun], figure: str) -> list[float]:
     return [float(run.figures.get(figure, math.nan)) for run in runs]
 
 

@@ -15,7 +15,7 @@ Value = str | float | int | bool | None
 
 
 @dataclass(frozen=True, kw_only=True)
-class SweptRun:
+class SweepRun:
     """A run of many."""
 
     name: str  #: Its folder, from that of all
@@ -83,7 +83,7 @@ class ReportedSweep:
     """Many runs."""
 
     name: str
-    runs: Sequence[SweptRun]
+    runs: Sequence[SweepRun]
     keys: Sequence[str] = ()  #: Keys and options in which runs differ
     #: Names of figures with their units, those that say most first
     figures: Mapping[str, str] = field(default_factory=dict)
@@ -93,7 +93,7 @@ class ReportedSweep:
     pareto: Sequence[int] = ()
     #: What an optimisation tried, each under several conditions, with figures over all of them;
     #: empty: each run is a trial
-    trials: Sequence[SweptRun] = ()
+    trials: Sequence[SweepRun] = ()
     #: After each trial the best value so far; of several objectives the volume that the front
     #: dominates
     history: Sequence[float | None] = ()
@@ -128,16 +128,16 @@ class ReportedSweep:
         unit = self.figures.get(figure, "")
         return f"{figure} [{unit}]" if unit not in ("", "1") else figure
 
-    def of(self, entrant: str) -> list[SweptRun]:
+    def of(self, entrant: str) -> list[SweepRun]:
         """Runs of an entrant that ended well, or go on."""
         return [run for run in self.runs if run.entrant == entrant and not run.failed]
 
     @property
-    def tried(self) -> Sequence[SweptRun]:
+    def tried(self) -> Sequence[SweepRun]:
         """What an optimisation chooses between: trials, or runs where each is one."""
         return self.trials or self.runs
 
-    def front(self) -> list[SweptRun]:
+    def front(self) -> list[SweepRun]:
         """Trials, or runs, of which no other is as good in all objectives and better in one.
 
         As the sweep names them, of those that are here; else worked out.
@@ -146,7 +146,7 @@ class ReportedSweep:
         told = [named[number] for number in self.pareto if number in named]
         return told or self._worked_out()
 
-    def _worked_out(self) -> list[SweptRun]:
+    def _worked_out(self) -> list[SweepRun]:
         signs = [-1.0 if objective.largest else 1.0 for objective in self.objectives]
         known = [
             run

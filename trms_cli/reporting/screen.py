@@ -18,10 +18,10 @@ from trms_cli.core import wording
 from trms_cli.core.findings import (
     Cell,
     Column,
-    Command,
     Findings,
     Judged,
     Measure,
+    NextCommand,
     Remarks,
     Table,
     plain,
@@ -136,7 +136,7 @@ def show_job(findings: Findings, job: int, overrides: Sequence[str]) -> None:
         print(f"      {_plain(sentence)}")
 
 
-def show_next(commands: Sequence[Command], stream: IO[str] | None = None) -> None:
+def show_next(commands: Sequence[NextCommand], stream: IO[str] | None = None) -> None:
     """What to type next; never folded, so that a line can be copied."""
     if not commands:
         return

@@ -19,7 +19,7 @@ from trms_cli.core.data_file import read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.scoring import figures
 from trms_cli.scoring import score as scoring
-from trms_cli.scoring.figures import Tolerance
+from trms_cli.scoring.figures import FigureTolerance
 
 SCHEMA = "trms.baseline/1"
 
@@ -33,7 +33,7 @@ class Baseline:
     score: Mapping[str, Any]  #: A document ``trms.score/1``
     #: By key of a figure (``channels.alpha_v.rmse``) or by its last part (``rmse``); they replace
     #: those of :data:`~trms_cli.scoring.figures.FIGURES`
-    tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
+    tolerances: Mapping[str, FigureTolerance] = field(default_factory=dict)
     reason: str = ""  #: Why this score is the one to hold against
 
     def document(self) -> dict[str, Any]:
@@ -47,7 +47,7 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class Row:
+class BaselineRow:
     """One figure, then and now."""
 
     key: str  #: Path in the score, e.g. ``channels.alpha_v.rmse``.
@@ -66,7 +66,7 @@ class Row:
         return self.judged and self.verdict in ("worse", "gone")
 
 
-def compare(score: Mapping[str, Any], baseline: Baseline) -> list[Row]:
+def compare(score: Mapping[str, Any], baseline: Baseline) -> list[BaselineRow]:
     """Every figure that this score or the baseline has, in the order of the score.
 
     Raises RecordingError if the two runs are of different length: sums over time would not compare.
@@ -89,11 +89,11 @@ def compare(score: Mapping[str, Any], baseline: Baseline) -> list[Row]:
         chosen = _chosen_tolerance(key, baseline.tolerances) or entry.figure.tolerance
         allowed = chosen.allowed(old) if chosen is not None and old is not None else 0.0
         verdict = _verdict(new, old, allowed)
-        rows.append(Row(key, old, new, allowed, entry.unit, verdict, entry.figure.judged))
+        rows.append(BaselineRow(key, old, new, allowed, entry.unit, verdict, entry.figure.judged))
     return rows
 
 
-def regressed(rows: list[Row]) -> bool:
+def regressed(rows: list[BaselineRow]) -> bool:
     """Whether any judged figure got worse."""
     return any(row.regressed for row in rows)
 
@@ -158,9 +158,11 @@ def _check_numbers(owner: Mapping[str, Any], keys: Iterable[str]) -> None:
             float(owner[key])
 
 
-def _tolerance(given: Any) -> Tolerance:
+def _tolerance(given: Any) -> FigureTolerance:
     """A number is an absolute tolerance; otherwise a mapping with absolute and relative."""
-    tolerance = Tolerance(**given) if isinstance(given, dict) else Tolerance(absolute=given)
+    tolerance = (
+        FigureTolerance(**given) if isinstance(given, dict) else FigureTolerance(absolute=given)
+    )
     for value in (tolerance.absolute, tolerance.relative):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"a tolerance of {value}")
@@ -174,7 +176,9 @@ def _compared(score: Mapping[str, Any]) -> dict[str, figures.Entry]:
     }
 
 
-def _chosen_tolerance(key: str, tolerances: Mapping[str, Tolerance]) -> Tolerance | None:
+def _chosen_tolerance(
+    key: str, tolerances: Mapping[str, FigureTolerance]
+) -> FigureTolerance | None:
     return tolerances.get(key) or tolerances.get(key.rpartition(".")[2])
 
 

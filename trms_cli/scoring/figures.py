@@ -25,7 +25,7 @@ Group = Literal[
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tolerance:
+class FigureTolerance:
     """How far a figure may move: ``absolute + relative·|baseline|``."""
 
     absolute: float = 0.0  #: In the figure's unit
@@ -45,7 +45,7 @@ class Figure:
     label: str  #: ``RMSE``; what follows a comma is left out in short: ``overshoot, worst step``
     unit: str = ""  #: ``{}`` stands for the unit of the channel, input or state
     #: How far it may move from a baseline; None: it is not compared with one
-    tolerance: Tolerance | None = None
+    tolerance: FigureTolerance | None = None
     judged: bool = True  #: Whether moving further decides about the run, or is shown only
     better: Literal["less", ""] = "less"  #: Which way is better; "" for neither
     short: bool = False  #: Whether it is among the few that ``trms run`` ends with
@@ -87,8 +87,8 @@ class Figure:
         return finite(owner)
 
 
-def _moves(absolute: float, relative: float = 0.02) -> Tolerance:
-    return Tolerance(absolute=absolute, relative=relative)
+def _moves(absolute: float, relative: float = 0.02) -> FigureTolerance:
+    return FigureTolerance(absolute=absolute, relative=relative)
 
 
 def _time_not_normal(score: Mapping[str, Any]) -> float | None:

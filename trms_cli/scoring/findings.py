@@ -12,7 +12,7 @@ from typing import Any
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Judged, Judgement, Measure, Table
 from trms_cli.scoring import figures
-from trms_cli.scoring.baseline import Row, regressed
+from trms_cli.scoring.baseline import BaselineRow, regressed
 from trms_cli.scoring.figures import Figure, finite, part
 
 #: What is more than sensors do: an encoder's steps alone, under a model that is exactly right,
@@ -155,7 +155,7 @@ def scored_on(score: Mapping[str, Any]) -> str:
     return f"scored on the {' and '.join(_SOURCES[s] for s in sorted(sources))}" if sources else ""
 
 
-def comparison_table(rows: Sequence[Row], name: str, *, everything: bool = False) -> Table:
+def comparison_table(rows: Sequence[BaselineRow], name: str, *, everything: bool = False) -> Table:
     """The figures that moved beyond their tolerance, or all; those that decide are judged."""
     cells: list[list[Cell]] = []
     for row in rows:
@@ -178,7 +178,7 @@ def comparison_table(rows: Sequence[Row], name: str, *, everything: bool = False
                  hint if shown_only else "")  # fmt: skip
 
 
-def comparison_sentence(rows: Sequence[Row]) -> str:
+def comparison_sentence(rows: Sequence[BaselineRow]) -> str:
     """Whether a score is worse than the baseline, with the counts."""
     same = sum(row.verdict == "same" for row in rows)
     better = sum(row.judged and row.verdict == "better" for row in rows)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Cell, Command, Findings, Section, Table
+from trms_cli.core.findings import Cell, Findings, NextCommand, Section, Table
 from trms_cli.core.invocation import program
 from trms_cli.sweeps.outcome import few
 from trms_cli.sweeps.short_keys import short_keys
@@ -115,22 +115,22 @@ def _failures(document: Mapping[str, Any]) -> list[Section]:
     return [Section("Failures", blocks=[Table(columns, rows, caption)])]
 
 
-def _next(document: Mapping[str, Any]) -> list[Command]:
+def _next(document: Mapping[str, Any]) -> list[NextCommand]:
     quoted, trms = shlex.quote(str(document["folder"])), program()
     counts, failures = document["counts"], document["failures"]
     going_on = counts.get("left") or counts.get("interrupted") or document["state"] != "done"
     if document["driven"]:
-        return [Command(f"{trms} watch {quoted}")]
+        return [NextCommand(f"{trms} watch {quoted}")]
     if going_on:
-        return [Command(f"{trms} sweep resume {quoted}")]
+        return [NextCommand(f"{trms} sweep resume {quoted}")]
     if any(not failure.get("bad_input") for failure in failures):
-        return [Command(f"{trms} sweep resume {quoted} --retry-failed")]
+        return [NextCommand(f"{trms} sweep resume {quoted} --retry-failed")]
     if failures:  # each of these runs would fail again of the same
         return []
     if document["primary"] == "run":
         return [
-            Command(f"{trms} compare {quoted}"),
-            Command(f"{trms} runs --in {quoted} --sort rmse"),
+            NextCommand(f"{trms} compare {quoted}"),
+            NextCommand(f"{trms} runs --in {quoted} --sort rmse"),
         ]
     return []
 
@@ -188,14 +188,14 @@ def _search(summary: Mapping[str, Any], primary: str) -> Findings:
     return Findings("", lead, [Section("Trials", blocks=[table])], next=_alone(summary, primary))
 
 
-def _alone(summary: Mapping[str, Any], primary: str) -> list[Command]:
+def _alone(summary: Mapping[str, Any], primary: str) -> list[NextCommand]:
     """How to run the best by itself."""
     chosen = chosen_trial(summary)
     if chosen is None or not chosen["overrides"]:
         return []
     fixed = [word for word in summary["fixed"] if word.partition("=")[0] not in _SET_BY_SWEEPS]
     words = shlex.join([*fixed, *chosen["overrides"]])
-    return [Command(f"{program()} {primary} {words}", f"trial {chosen['trial']} alone")]
+    return [NextCommand(f"{program()} {primary} {words}", f"trial {chosen['trial']} alone")]
 
 
 def _trials(

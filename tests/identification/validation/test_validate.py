@@ -27,9 +27,9 @@ from trms_cli.identification.validation.validate import (
 )
 from trms_cli.identification.validation.verdict import (
     lead_of,
+    quantity_words,
     remarks_on,
     remarks_on_comparison,
-    said,
 )
 from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.driven import DrivenModel
@@ -239,12 +239,12 @@ class TestWords:
         assert document["comparison"][0]["ratio"] == 1.0
 
     def test_figures_with_units(self):
-        assert said(0.0123, "rad") == "12.3 mrad"
-        assert said(1.5, "rad") == "1.5 rad"
-        assert said(1.6, "rad/s") == "1.6 rad/s"
-        assert said(1.6, "1/s") == "1.6 1/s"
-        assert said(0.25, "1") == "0.25"
-        assert said(None, "rad") == "–"
+        assert quantity_words(0.0123, "rad") == "12.3 mrad"
+        assert quantity_words(1.5, "rad") == "1.5 rad"
+        assert quantity_words(1.6, "rad/s") == "1.6 rad/s"
+        assert quantity_words(1.6, "1/s") == "1.6 1/s"
+        assert quantity_words(0.25, "1") == "0.25"
+        assert quantity_words(None, "rad") == "–"
 
     def test_the_document_is_json_and_keeps_its_contract(self, right):
         document = json.loads(json.dumps(document_of([right]), allow_nan=False))

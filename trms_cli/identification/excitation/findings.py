@@ -9,7 +9,7 @@ import numpy as np
 
 from trms_cli.core import wording
 from trms_cli.core.chart import Axis, Band, Chart, Colour, Curve, Line, Mark, Panel
-from trms_cli.core.findings import Column, Command, Findings, Section, table
+from trms_cli.core.findings import Column, Findings, NextCommand, Section, table
 from trms_cli.identification.excitation.design import ExcitationDesign
 from trms_cli.identification.excitation.spectra import Spectra
 from trms_cli.models.model import names
@@ -21,7 +21,7 @@ def findings(
     document: Mapping[str, Any],
     designed: ExcitationDesign | None = None,
     spectra: Spectra | None = None,
-    then: Sequence[Command] = (),
+    then: Sequence[NextCommand] = (),
 ) -> Findings:
     """What is worth telling of an excitation.
 
@@ -31,7 +31,7 @@ def findings(
         ``trms.excitation/1``.
     designed, spectra : ExcitationDesign, Spectra or None
         What the chart is drawn of.
-    then : sequence of Command
+    then : sequence of NextCommand
         What to type next.
     """
     low, high = document["band_hz"]

@@ -48,7 +48,7 @@ def word(name: str) -> str:
     return WORDS.get(name, name)
 
 
-def said(value: float | None, unit: str) -> str:
+def quantity_words(value: float | None, unit: str) -> str:
     """A figure with its unit, small angles in mrad."""
     if value is None:
         return "–"
@@ -75,7 +75,7 @@ def _lead_of_one(document: Mapping[str, Any]) -> list[str]:
     groups: dict[str, list[str]] = {"noise": [], "good": [], "useful": [], "bad": []}
     for channel, rows in document["by_horizon"].items():
         groups[_grade(document, channel, rows[horizon])].append(
-            f"{word(channel)} to {said(rows[horizon]['rms'], document['units'][channel])}"
+            f"{word(channel)} to {quantity_words(rows[horizon]['rms'], document['units'][channel])}"
         )
     parts = [
         f"{beginning} {_listed(groups[key])}"
@@ -120,7 +120,7 @@ def _lead_of_several(document: Mapping[str, Any]) -> list[str]:
     lasting = document["models"][best["model"]]
     horizon = _last(lasting)
     errors = [
-        f"{word(c)} {said(rows[horizon]['rms'], lasting['units'][c])}"
+        f"{word(c)} {quantity_words(rows[horizon]['rms'], lasting['units'][c])}"
         for c, rows in lasting["by_horizon"].items()
     ]
     if against is not None and against["ratio"] is not None:
@@ -161,8 +161,10 @@ def _on_errors(document: Mapping[str, Any]) -> Iterator[Remark]:
     for channel, rows in document["by_horizon"].items():
         unit = document["units"][channel]
         chosen = list(rows)[-2:]
-        errors = _listed([f"{said(rows[h]['rms'], unit)} over {float(h):g} s" for h in chosen])
-        naive = _listed([said(rows[h]["unchanged_rms"], unit) for h in chosen])
+        errors = _listed(
+            [f"{quantity_words(rows[h]['rms'], unit)} over {float(h):g} s" for h in chosen]
+        )
+        naive = _listed([quantity_words(rows[h]["unchanged_rms"], unit) for h in chosen])
         grades = [_grade(document, channel, rows[h]) for h in chosen]
         judgement: Judgement = "doubtful"
         if "bad" in grades:
@@ -174,7 +176,7 @@ def _on_errors(document: Mapping[str, Any]) -> Iterator[Remark]:
         if fit is not None:
             text += f"; fit {fit:.0f} %".replace("-", "−")
         if set(grades) == {"noise"}:
-            noise = said(document["noise_sd"][channel], unit)
+            noise = quantity_words(document["noise_sd"][channel], unit)
             text += f". That is the sensor's noise ({noise})"
         yield Remark(text + ".", judgement)
 

@@ -13,7 +13,7 @@ from trms_cli.composition.composer import Composition
 from trms_cli.composition.plain_values import check_files, number, whole_number
 from trms_cli.core import wording
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Command
+from trms_cli.core.findings import NextCommand
 from trms_cli.core.invocation import program
 from trms_cli.core.plugins import build
 from trms_cli.library.tasks.task import Done, Listener
@@ -49,7 +49,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
     write_whole(_csv(designed, document["kind"]), files["commands"])
     document["file"] = str(files["commands"])
     write_document(document, files["figures"])
-    then = [Command(_play(document, folder, composition))]
+    then = [NextCommand(_play(document, folder, composition))]
     told = findings(document, designed, spectra, then)
     if config["picture"]:
         from trms_cli.reporting.findings_page import write_page

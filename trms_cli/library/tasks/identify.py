@@ -16,7 +16,7 @@ from trms_cli.composition.composer import Composition
 from trms_cli.composition.plain_values import model_of_choice
 from trms_cli.core import wording
 from trms_cli.core.errors import EXIT_OK, SimulationError
-from trms_cli.core.findings import Command
+from trms_cli.core.findings import NextCommand
 from trms_cli.core.invocation import command_line, program
 from trms_cli.core.versions import versions
 from trms_cli.identification import assessment
@@ -135,19 +135,19 @@ def _part(dataset: Dataset) -> str:
 
 def _next(
     composition: Composition, request: Identification, document: Mapping[str, Any], folder: Path
-) -> list[Command]:
+) -> list[NextCommand]:
     from trms_cli.reporting.progress import STATE_NAME
 
     model = shlex.quote(str(folder / MODEL_NAME))
     commands = [
-        Command(f"{program()} validate model={model} {_judging(composition, request)}"),
-        Command(f"{program()} run model={model}"),
+        NextCommand(f"{program()} validate model={model} {_judging(composition, request)}"),
+        NextCommand(f"{program()} run model={model}"),
     ]
     if document["outcome"] in ("interrupted", "budget_spent") and (folder / STATE_NAME).is_file():
         line = f"{program()} identify resume={shlex.quote(str(folder))}"
         longer = _more(composition.config["method"])
         budget = document["outcome"] == "budget_spent"
-        commands.append(Command(f"{line} {longer}" if longer and budget else line))
+        commands.append(NextCommand(f"{line} {longer}" if longer and budget else line))
     return commands
 
 

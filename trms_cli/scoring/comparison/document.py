@@ -10,9 +10,9 @@ from typing import Any
 from trms_cli.scoring.comparison import ranking as ranked
 from trms_cli.scoring.comparison.compared_run import ComparedRun, State
 from trms_cli.scoring.comparison.figures import figures_of, worst_condition
-from trms_cli.scoring.comparison.gathering import Gathered
+from trms_cli.scoring.comparison.gathering import RunCollection
 from trms_cli.scoring.comparison.pair import Pair
-from trms_cli.scoring.comparison.ranking import Interval, Ranking, Standing
+from trms_cli.scoring.comparison.ranking import Ranking, RatioInterval, Standing
 from trms_cli.scoring.figures import metrics
 
 SCHEMA, PAIR_SCHEMA = "trms.compare/1", "trms.compare_pair/1"
@@ -29,7 +29,9 @@ def rule(ranking: Ranking) -> str:
     )
 
 
-def document(ranking: Ranking, gathered: Gathered, shown: Sequence[Standing]) -> dict[str, Any]:
+def document(
+    ranking: Ranking, gathered: RunCollection, shown: Sequence[Standing]
+) -> dict[str, Any]:
     """``trms.compare/1``, the entrants in the order in which they are shown."""
     runs = gathered.runs
     return _finite(
@@ -122,7 +124,7 @@ def _told(run: ComparedRun) -> dict[str, Any]:
     return {"path": run.path, "coordinates": dict(run.coordinates), "message": run.message}
 
 
-def _pair(interval: Interval | None) -> list[float] | None:
+def _pair(interval: RatioInterval | None) -> list[float] | None:
     return None if interval is None else [interval.low, interval.high]
 
 

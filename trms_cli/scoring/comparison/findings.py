@@ -10,14 +10,14 @@ from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Tabl
 from trms_cli.scoring.comparison.compared_run import ComparedRun, State
 from trms_cli.scoring.comparison.document import document, pair_document, rule
 from trms_cli.scoring.comparison.figures import Figures, figures_of, worst_condition
-from trms_cli.scoring.comparison.gathering import Gathered
+from trms_cli.scoring.comparison.gathering import RunCollection
 from trms_cli.scoring.comparison.grouping import OF_ENTRANTS
-from trms_cli.scoring.comparison.pair import Pair, Row
+from trms_cli.scoring.comparison.pair import Pair, PairRow
 from trms_cli.scoring.comparison.ranking import (
     FEWEST_CLUSTERS,
     LEVEL,
-    Interval,
     Ranking,
+    RatioInterval,
     Standing,
 )
 from trms_cli.scoring.figures import metrics
@@ -28,7 +28,9 @@ _MOST_LISTED = 12
 _LEAST_CHANGE = 0.01
 
 
-def ranking_findings(ranking: Ranking, gathered: Gathered, shown: Sequence[Standing]) -> Findings:
+def ranking_findings(
+    ranking: Ranking, gathered: RunCollection, shown: Sequence[Standing]
+) -> Findings:
     """Who won, what that took, and what went wrong; the entrants in the order given."""
     contest = ranking.contest
     runs = wording.count(len(gathered.runs), "run")
@@ -128,7 +130,7 @@ def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
         yield f"Left out: {ranking.left_out} conditions in which not all of the ranked ran."
 
 
-def trouble(gathered: Gathered) -> Iterator[tuple[str, Table]]:
+def trouble(gathered: RunCollection) -> Iterator[tuple[str, Table]]:
     """How many runs failed or did not end, or files were passed over; and which, and why."""
     for word, rows in (
         ("failed", _runs_that_are(State.FAILED, gathered)),
@@ -139,7 +141,7 @@ def trouble(gathered: Gathered) -> Iterator[tuple[str, Table]]:
             yield f"{len(rows)} {word}", _at_most([word.partition(",")[0], "why"], rows)
 
 
-def _runs_that_are(state: State, gathered: Gathered) -> list[tuple[str, str]]:
+def _runs_that_are(state: State, gathered: RunCollection) -> list[tuple[str, str]]:
     return [(run.path, _reason(run)) for run in gathered.runs if run.state is state]
 
 
@@ -212,7 +214,7 @@ def _failed(told: Figures) -> bool:
     return any((told.failed, told.non_finite, told.fallbacks, told.missed, told.degraded_s))
 
 
-def _between(interval: Interval | None) -> str:
+def _between(interval: RatioInterval | None) -> str:
     return wording.MISSING if interval is None else f"{interval.low:.3f}–{interval.high:.3f}"
 
 
@@ -223,11 +225,11 @@ def _ratio(value: float) -> str:
     return f"{value:.3f}" if value < 9.9995 else f"{value:.3g}"
 
 
-def _difference(row: Row) -> float | None:
+def _difference(row: PairRow) -> float | None:
     return None if row.one is None or row.other is None else row.other - row.one
 
 
-def _change(row: Row) -> Cell:
+def _change(row: PairRow) -> Cell:
     """Coloured where it moved by a hundredth and more; times belong to the machine."""
     if row.change is None:
         return ""

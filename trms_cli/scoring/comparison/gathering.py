@@ -37,7 +37,7 @@ _ENDINGS = {"interrupted": State.INCOMPLETE, "died": State.INCOMPLETE, "failed":
 
 
 @dataclass(frozen=True)
-class Gathered:
+class RunCollection:
     """What lies in the folders."""
 
     runs: tuple[ComparedRun, ...]  #: In the order of their paths
@@ -45,7 +45,7 @@ class Gathered:
     left_out: tuple[tuple[str, str], ...] = ()
 
 
-def gather(paths: Sequence[Path]) -> Gathered:
+def gather(paths: Sequence[Path]) -> RunCollection:
     """Read every run in files and folders, however deep.
 
     Raises RecordingError if a path does not exist, a file is no log and no score, or there is no
@@ -72,7 +72,7 @@ def gather(paths: Sequence[Path]) -> Gathered:
             remedy="a run's folder holds run.mcap or score.json: make some by "
             "`trms run -m controller=pid,lqr,newton_mpc`",
         )
-    return Gathered(tuple(complete_coordinates(runs)), tuple(left_out))
+    return RunCollection(tuple(complete_coordinates(runs)), tuple(left_out))
 
 
 def _of_folder(root: Path, left_out: list[tuple[str, str]]) -> list[ComparedRun]:

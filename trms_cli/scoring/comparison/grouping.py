@@ -21,7 +21,7 @@ REFERENCE = "ref"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contest:
+class ComparisonGroup:
     """Entrants × conditions."""
 
     by: tuple[str, ...]  #: Coordinates that name an entrant
@@ -65,7 +65,7 @@ class Contest:
         return np.array(found, dtype=np.int64)
 
 
-def group(runs: Sequence[ComparedRun], by: Sequence[str] = ()) -> Contest:
+def group(runs: Sequence[ComparedRun], by: Sequence[str] = ()) -> ComparisonGroup:
     """Sort runs that count into a contest.
 
     Parameters
@@ -96,14 +96,14 @@ def group(runs: Sequence[ComparedRun], by: Sequence[str] = ()) -> Contest:
     conditions: dict[tuple[str, ...], int] = {}
     cells: dict[tuple[int, int], list[ComparedRun]] = {}
     for run in counted:
-        name = entrant_name(run, chosen, given)
+        name = controller_name(run, chosen, given)
         if name not in entrants:
             entrants[name] = len(entrants)
             outside.append(run.outside)
         told = tuple(run.coordinates.get(key, "") for key in given)
         place = entrants[name], conditions.setdefault(told, len(conditions))
         cells.setdefault(place, []).append(run)
-    return Contest(
+    return ComparisonGroup(
         by=chosen,
         given_by=given,
         entrants=tuple(entrants),
@@ -120,7 +120,7 @@ def usual_entrants(differ: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(part for key in own for part in (_stem(key), key))) or tuple(differ)
 
 
-def entrant_name(run: ComparedRun, by: Sequence[str], given: Sequence[str] = ()) -> str:
+def controller_name(run: ComparedRun, by: Sequence[str], given: Sequence[str] = ()) -> str:
     """``newton_mpc + ukf``, and the settings in which it differs: ``max_iterations=1``."""
     parts = []
     for key in by:

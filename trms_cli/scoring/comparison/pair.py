@@ -13,7 +13,7 @@ _GROUPS: tuple[Group, ...] = ("channels", "inputs", "solver", "run")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class PairRow:
     """A figure of both runs; all are better when small."""
 
     key: str  #: ``channels.alpha_v.rmse``
@@ -38,7 +38,7 @@ class Pair:
     other: ComparedRun
     #: Keys of the configuration that differ, with both values
     settings: tuple[tuple[str, str, str], ...]
-    rows: tuple[Row, ...]
+    rows: tuple[PairRow, ...]
 
 
 def pair(one: ComparedRun, other: ComparedRun) -> Pair:
@@ -59,7 +59,7 @@ def pair(one: ComparedRun, other: ComparedRun) -> Pair:
     return Pair(one=one, other=other, settings=(*chosen, *settings), rows=tuple(_rows(one, other)))
 
 
-def _rows(one: ComparedRun, other: ComparedRun) -> Iterator[Row]:
+def _rows(one: ComparedRun, other: ComparedRun) -> Iterator[PairRow]:
     """The figures of both that are better when small, where one of them has one."""
     left, right = ({e.key: e for e in entries(run.score or {}, *_GROUPS)} for run in (one, other))
     for key in dict.fromkeys([*left, *right]):
@@ -70,4 +70,4 @@ def _rows(one: ComparedRun, other: ComparedRun) -> Iterator[Row]:
             values = [None if value is None else float(value) for value in values]
         if entry.figure.better == "less" and (of_all or any(v is not None for v in values)):
             unit = entry.unit or (right[key].unit if key in right else "")
-            yield Row(key=key, label=entry.label, unit=unit, one=values[0], other=values[1])
+            yield PairRow(key=key, label=entry.label, unit=unit, one=values[0], other=values[1])

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.scoring.comparison.compared_run import ComparedRun, State
-from trms_cli.scoring.comparison.grouping import Contest
+from trms_cli.scoring.comparison.grouping import ComparisonGroup
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -36,7 +36,7 @@ FEWEST_CLUSTERS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Interval:
+class RatioInterval:
     """Of the bootstrap, at :data:`LEVEL`."""
 
     low: float  #: ends of the interval
@@ -61,10 +61,10 @@ class Standing:
     ratios: FloatArray  #: (n,) array; error over the best ranked entrant's in that condition
     ratio: float  #: Their geometric mean
     #: Of `ratio`; None with fewer rigs than :data:`FEWEST_CLUSTERS`
-    interval: Interval | None = None
+    interval: RatioInterval | None = None
     #: Error over the first's, geometric mean over the conditions that both ran in; NaN without
     against_first: float = math.nan
-    against_interval: Interval | None = None
+    against_interval: RatioInterval | None = None
     shared: int = 0  #: How many conditions it shares with the first
 
     @property
@@ -84,7 +84,7 @@ class Ranking:
     """The entrants of a contest in order."""
 
     metric: str  #: Which error, summed over the channels
-    contest: Contest  #: Entrants and conditions
+    contest: ComparisonGroup  #: Entrants and conditions
     standings: tuple[Standing, ...]  #: Ranked ones first, in order; then the others by their ratio
     #: By condition, the entrant with the smallest error among those that may be ranked
     best: Mapping[int, str] = field(default_factory=dict)
@@ -103,12 +103,12 @@ class Ranking:
         return tuple(standing for standing in self.standings if standing.rank is not None)
 
 
-def rank(runs: Contest, metric: str = "rmse", *, resamples: int = RESAMPLES) -> Ranking:
+def rank(runs: ComparisonGroup, metric: str = "rmse", *, resamples: int = RESAMPLES) -> Ranking:
     """Rank the entrants of a contest.
 
     Parameters
     ----------
-    runs : Contest
+    runs : ComparisonGroup
     metric : str
         One of :func:`trms_cli.scoring.figures.metrics`.
     resamples : int
@@ -204,7 +204,7 @@ def _draws(clusters: npt.NDArray[np.int64], resamples: int) -> FloatArray:
 
 def _interval(
     logs: FloatArray, clusters: npt.NDArray[np.int64], draws: FloatArray
-) -> Interval | None:
+) -> RatioInterval | None:
     """Of the geometric mean of exp(logs), clusters drawn again; NaN is left out."""
     present = ~np.isnan(logs)
     count = draws.shape[1]
@@ -217,7 +217,7 @@ def _interval(
     means = (draws @ sums)[usable] / weights[usable]
     tail = (1.0 - LEVEL) / 2.0
     low, high = np.exp(np.quantile(means, [tail, 1.0 - tail]))
-    return Interval(low=float(low), high=float(high))
+    return RatioInterval(low=float(low), high=float(high))
 
 
 def _geometric(values: FloatArray) -> float:

@@ -287,14 +287,14 @@ def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch
         size *= 2.0
     if first is None:
         return Branch([], "no cycle closed beside the Hopf point")
-    return followed(shooting, first, channel, limits, before=place)
+    return follow_branch(shooting, first, channel, limits, before=place)
 
 
 def _nowhere(channel: int) -> BranchCondition:
     return BranchCondition(channel, np.zeros(0), np.zeros(0), 0.0)
 
 
-def followed(
+def follow_branch(
     shooting: Shooting,
     first: Orbit,
     channel: int,
@@ -411,7 +411,7 @@ class OverCommand:
     branches: Sequence[Branch]
 
 
-def followed_over(
+def follow_over(
     model: Model,
     point: OperatingPoint,
     channel: int,
@@ -438,7 +438,8 @@ def followed_over(
         for orbit in orbits:
             if not any(_on(branch, orbit, channel) for branch in branches):
                 one, other = (
-                    followed(shooting, orbit, channel, limit, towards=sign) for sign in (-1.0, 1.0)
+                    follow_branch(shooting, orbit, channel, limit, towards=sign)
+                    for sign in (-1.0, 1.0)
                 )
                 branches.append(
                     Branch(

@@ -33,7 +33,7 @@ from trms_cli.models.operating_point import (
     OperatingPoint,
     TrimCondition,
     TrimSolver,
-    asked_by_angle,
+    prescribes_angles,
 )
 from trms_cli.stability.local.linear import Linear, Side
 from trms_cli.stability.local.modes import spectrum
@@ -93,7 +93,7 @@ def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str)
     """
     if not at:
         return over or usual
-    by_angle = asked_by_angle(model, at)
+    by_angle = prescribes_angles(model, at)
     if over is None:
         return usual if by_angle else next(iter(at))
     kinds = {True: ("an angle", model.controlled), False: ("a command", names(model.inputs))}

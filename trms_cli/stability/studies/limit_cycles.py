@@ -13,7 +13,7 @@ from trms_cli.core.findings import Findings
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import names
 from trms_cli.stability.cycles.absence import absence
-from trms_cli.stability.cycles.branch import at_the_point, followed_over
+from trms_cli.stability.cycles.branch import at_the_point, follow_over
 from trms_cli.stability.cycles.orbit_findings import LimitCycleResult, findings_of
 from trms_cli.stability.cycles.search import (
     different,
@@ -88,9 +88,7 @@ class LimitCycles:
         over_command = None
         if smooth:
             tell(f"Hopf points over {over}")
-            over_command = followed_over(
-                model, point, channel, search.orbits, shooting, self.orbits
-            )
+            over_command = follow_over(model, point, channel, search.orbits, shooting, self.orbits)
             if shooting is not None:
                 more = at_the_point(shooting, over_command.branches, channel, point.u)
                 search = replace(search, orbits=different([*search.orbits, *more]))
