@@ -178,12 +178,38 @@ def test_numbers_of_public_dataclasses_are_explained():
     assert not missing
 
 
+#: Words of our own that nobody in the field would search for; they name nothing public.
+DIALECT = re.compile(
+    r"(^|_)(told|telling|found|asked|seen|said|inquiry|contest|contestant|suspects?|far|account|"
+    r"crew|ledger|believed|heard|watched|gathered|looked|wish|entrant|swept)(_|$)"
+)
+
+
 def _public(kind: type) -> Iterator[tuple[Path, ast.ClassDef]]:
     """Public definitions of a kind at the top of modules."""
     for module, tree in TREES.items():
         for node in tree.body:
             if isinstance(node, kind) and not node.name.startswith("_"):
                 yield module, node
+
+
+def test_names_are_the_fields_words():
+    names = [(_name(module), module.stem) for module in MODULES]
+    names += [(_name(m), node.name) for m, node in _public((ast.ClassDef, ast.FunctionDef))]
+    strange = [
+        (module, name)
+        for module, name in names
+        if DIALECT.search(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower())
+    ]
+    assert not strange
+
+
+def test_no_two_public_classes_have_one_name():
+    homes: dict[str, list[str]] = {}
+    for module, node in _public(ast.ClassDef):
+        homes.setdefault(node.name, []).append(_name(module))
+    shared = {name: places for name, places in homes.items() if len(places) > 1}
+    assert not shared
 
 
 def _unexplained_fields(node: ast.ClassDef, lines: list[str]) -> Iterator[str]:

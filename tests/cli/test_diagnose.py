@@ -22,7 +22,7 @@ import yaml
 from tests.gap.diagnosis_case import FRICTION, diagnosis
 from trms_cli.cli import main
 from trms_cli.effects.model_file import load_model
-from trms_cli.gap.diagnosis import Cause, Diagnosis, FittedParameter, SizeEstimate
+from trms_cli.gap.diagnosis import Cause, DiagnosisResult, FittedParameter, SizeEstimate
 from trms_cli.gap.problem import GapProblem
 
 RECORD = ("controller=open_loop", "observer=full_state", "picture=false", "sim.duration=45")
@@ -77,13 +77,13 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def found(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], list[GapProblem]]:
+def found(monkeypatch: pytest.MonkeyPatch) -> Callable[[DiagnosisResult], list[GapProblem]]:
     """Let the pipeline find what it is told; gives the problems that it was asked."""
 
-    def tell(answer: Diagnosis) -> list[GapProblem]:
+    def tell(answer: DiagnosisResult) -> list[GapProblem]:
         asked: list[GapProblem] = []
 
-        def diagnose(problem: GapProblem, progress: object) -> Diagnosis:
+        def diagnose(problem: GapProblem, progress: object) -> DiagnosisResult:
             asked.append(problem)
             progress.update(0.1, 1.0, "refit: start 1 of 2")  # type: ignore[attr-defined]
             progress.save({"refit": [1.0]})  # type: ignore[attr-defined]
@@ -340,7 +340,7 @@ class TestResume:
     def test_goes_on_after_an_interruption(self, trms, lab, monkeypatch):
         seen: list[object] = []
 
-        def diagnose(problem: GapProblem, progress: object) -> Diagnosis:
+        def diagnose(problem: GapProblem, progress: object) -> DiagnosisResult:
             state = progress.saved()  # type: ignore[attr-defined]
             seen.append(state)
             if state is None:
@@ -364,7 +364,7 @@ class TestResume:
         assert over.returncode == 2 and "is finished" in over.stderr
 
     def test_refuses_another_recording_under_the_name(self, trms, lab, monkeypatch):
-        def diagnose(problem: GapProblem, progress: object) -> Diagnosis:
+        def diagnose(problem: GapProblem, progress: object) -> DiagnosisResult:
             if progress.saved() is None:  # type: ignore[attr-defined]
                 progress.save({})  # type: ignore[attr-defined]
                 raise KeyboardInterrupt

@@ -11,7 +11,7 @@ from trms_cli.gap.diagnosis import (
     Cause,
     Detectable,
     DiagnosedRecording,
-    Diagnosis,
+    DiagnosisResult,
     FittedParameter,
     Gap,
     GapTest,
@@ -66,7 +66,7 @@ def traces() -> Traces:
     )
 
 
-def diagnosis(**changes: Any) -> Diagnosis:
+def diagnosis(**changes: Any) -> DiagnosisResult:
     """The diagnosis of an effect that is found; with some fields in other words."""
     gap, shrink = {}, {}
     for name, unit in CHANNELS.items():
@@ -90,7 +90,7 @@ def diagnosis(**changes: Any) -> Diagnosis:
             for h in growth
         }
     shrink["all"] = {h: Shrink(fraction=0.91, ci95=(0.86, 0.94)) for h in ("0.5", "2.0", "10.0")}
-    found = Diagnosis(
+    found = DiagnosisResult(
         recordings=(
             DiagnosedRecording(
                 file="records/monday.csv",

@@ -14,7 +14,7 @@ from trms_cli.core.findings import Findings, Judged, Table, plain
 from trms_cli.gap.diagnosis import (
     LOCATIONS,
     Cause,
-    Diagnosis,
+    DiagnosisResult,
     Gap,
     LocationShare,
     NotTestable,
@@ -73,7 +73,7 @@ def test_says_what_was_found_in_one_file(tmp_path) -> None:
         f"validate model={tmp_path}/corrected_model.yaml",
     ):
         assert expected in said, expected
-    assert told.title == "Diagnosis: yaw Coulomb friction is what the model lacks"
+    assert told.title == "DiagnosisResult: yaw Coulomb friction is what the model lacks"
     assert not re.search(r"https?:", re.sub(r"data:[^\"]+", "", text))
     assert text.count("<img ") == 5 and "█" not in text
 
@@ -206,7 +206,7 @@ class TestDiagram:
 
 
 class TestRace:
-    def bars(self, case: Diagnosis) -> Bars:
+    def bars(self, case: DiagnosisResult) -> Bars:
         (bars,) = race_chart(case).panels[0].marks
         assert isinstance(bars, Bars)
         return bars

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.report_search import said, search_of
+from trms_cli.commands.report_search import bench_name, search_of
 
 if TYPE_CHECKING:
     from trms_cli.reporting.reported_sweep import Draws
@@ -75,14 +75,14 @@ def draws_of(plan: Mapping[str, Any], names: Mapping[str, str]) -> Draws | None:
                     Correlation(
                         who=who,
                         key=names[each["key"]],
-                        figure=said(str(each.get("figure"))),
+                        figure=bench_name(str(each.get("figure"))),
                         rho=float(each["rho"]),
                         p=_number(each.get("p")),
                     )
                 )
     return Draws(
         keys=list(names.values()),
-        limits={said(str(k)): float(v) for k, v in limits.items() if _is_number(v)}
+        limits={bench_name(str(k)): float(v) for k, v in limits.items() if _is_number(v)}
         if isinstance(limits, Mapping)
         else {},
         failures=failures,

@@ -33,7 +33,9 @@ def objectives_of(words: Mapping[str, Any]) -> list[Objective]:
         told: Mapping[str, Any] = each if isinstance(each, Mapping) else {"name": each}
         name = next((told[k] for k in ("name", "figure") if isinstance(told.get(k), str)), "")
         if name:
-            found.append(Objective(said(name), str(told.get("direction", "")).startswith("max")))
+            found.append(
+                Objective(bench_name(name), str(told.get("direction", "")).startswith("max"))
+            )
     return found
 
 
@@ -64,7 +66,7 @@ def trials_of(words: Mapping[str, Any]) -> list[SweepRun]:
                 else "beyond a limit",
                 values={str(k): _value(v) for k, v in _mapping(each, "values").items()},
                 figures={
-                    said(str(k)): float(v)
+                    bench_name(str(k)): float(v)
                     for k, v in _mapping(each, "figures").items()
                     if _is_number(v)
                 },
@@ -82,8 +84,8 @@ def history_of(words: Mapping[str, Any]) -> list[float | None]:
     return [float(value) if _is_number(value) else None for value in given[:_MOST_TRIALS]]
 
 
-def said(name: str) -> str:
-    """A figure as it is said at the bench: ``rmse_yaw`` for ``rmse_alpha_h``."""
+def bench_name(name: str) -> str:
+    """A figure as it is called at the bench: ``rmse_yaw`` for ``rmse_alpha_h``."""
     from trms_cli.runs.columns import ALIASES
 
     return next(

@@ -112,7 +112,7 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
         pareto=pareto_of(words),
         trials=trials_of(words),
         history=history_of(words),
-        asked=asked_of(plan),
+        asked=planned_runs(plan),
         draws=draws_of(plan, named),
         left_out=[*found.unreadable],
         facts=_facts(folders, plan, rows),
@@ -175,7 +175,7 @@ def sweep_document(folder: Path) -> Mapping[str, Any]:
     return document if str(document.get("schema", "")).startswith(_SWEEP_SCHEMA) else {}
 
 
-def asked_of(plan: Mapping[str, Any]) -> int | None:
+def planned_runs(plan: Mapping[str, Any]) -> int | None:
     """How many runs a sweep was to have; None where it does not say."""
     total = plan.get("total")
     return total if isinstance(total, int) and not isinstance(total, bool) else None

@@ -41,7 +41,7 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
-from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, Gains, LoopMargins, PidDesign
+from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, AxisMargins, Gains, PidDesign
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model
@@ -92,7 +92,7 @@ class PidState:
 
     axes: list[AxisState]
     #: Robustness of each axis' loop, the worst of the operating points
-    margins: Mapping[str, LoopMargins]
+    margins: Mapping[str, AxisMargins]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -83,7 +83,7 @@ class AxisDesign:
     channel: int  #: Position of its rotor's input in u
     gains: Gains
     filters: Filters
-    margins: LoopMargins  #: Of its loop, the worst of the operating points
+    margins: AxisMargins  #: Of its loop, the worst of the operating points
     #: (c_0, c_1, c_2, c_3); torque by the angle and its derivatives, N m/rad, N m s/rad and so on
     inverse: tuple[float, ...]
     #: Torque by the rate of the torque fed forward to each axis before this one, s
@@ -267,7 +267,7 @@ class Gains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True)
-class LoopMargins:
+class AxisMargins:
     """Robustness of a loop."""
 
     gain_margin: float  #: Factor by which the loop gain may grow (inf when it never crosses −180°)
@@ -490,7 +490,7 @@ def _searched(grid: FloatArray) -> FloatArray:
     return np.concatenate([np.expm1(grid[..., :1]), 10.0 ** grid[..., 1:]], axis=-1)
 
 
-def margins(plant: AxisPlant, gains: Gains, filters: Filters) -> LoopMargins:
+def margins(plant: AxisPlant, gains: Gains, filters: Filters) -> AxisMargins:
     """Margins of the loop broken at the input."""
     omega = frequencies(plant.step, density=8)
     z = np.exp(1j * omega * plant.step)
@@ -501,7 +501,7 @@ def margins(plant: AxisPlant, gains: Gains, filters: Filters) -> LoopMargins:
     above = -1 / L.real[turns]
     above = above[above > 1]
     lag = np.abs(np.angle(-L[crossings]))
-    return LoopMargins(
+    return AxisMargins(
         gain_margin=float(above.min()) if above.size else math.inf,
         phase_margin=float(lag.min()) if lag.size else math.inf,
         crossover=float(omega[crossings[-1]]) if crossings.size else 0.0,
@@ -509,10 +509,10 @@ def margins(plant: AxisPlant, gains: Gains, filters: Filters) -> LoopMargins:
     )
 
 
-def worst(several: Iterable[LoopMargins]) -> LoopMargins:
+def worst(several: Iterable[AxisMargins]) -> AxisMargins:
     """The least margins, and the largest peak and crossover, of several loops."""
     all_of_them = list(several)
-    return LoopMargins(
+    return AxisMargins(
         gain_margin=min(m.gain_margin for m in all_of_them),
         phase_margin=min(m.phase_margin for m in all_of_them),
         crossover=max(m.crossover for m in all_of_them),

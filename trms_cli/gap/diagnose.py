@@ -14,7 +14,7 @@ import numpy as np
 
 from trms_cli.gap.blocks import Parts, divide
 from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
-from trms_cli.gap.diagnosis import Diagnosis
+from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.fitting import Metric
 from trms_cli.gap.innovation_tests import innovation_tests
 from trms_cli.gap.location import locate, smoothed_forces
@@ -69,7 +69,7 @@ class _Watch:
         return True
 
 
-def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis:
+def diagnose(problem: GapProblem, progress: Progress | None = None) -> DiagnosisResult:
     """Say where the gap lies, which effect causes it, and how far it shrinks.
 
     Parameters
@@ -119,7 +119,7 @@ def _answered(
     left_out: Mapping[str, str],
     race: Race,
     watch: _Watch,
-) -> Diagnosis:
+) -> DiagnosisResult:
     constants = calibration()
     nominal = race.refit
     channels = nominal.metric.discrepancy.channels
@@ -143,7 +143,7 @@ def _answered(
         problem, parts, race, posterior, sealed, place, forces, candidates, left_out
     )
     watch.leave()
-    return Diagnosis(
+    return DiagnosisResult(
         **fields,
         tests=tests,
         effort=problem.effort,

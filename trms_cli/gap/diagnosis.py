@@ -188,7 +188,7 @@ class Traces:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Diagnosis:
+class DiagnosisResult:
     """The whole answer. Fields up to ``next_experiment`` are the contract's."""
 
     recordings: tuple[DiagnosedRecording, ...]  #: that were diagnosed
@@ -228,11 +228,11 @@ _NOT_IN_THE_FILE = ("traces",)
 _BY_HORIZON = ("gap", "shrink")
 
 
-def document_of(diagnosis: Diagnosis) -> dict[str, Any]:
+def document_of(diagnosis: DiagnosisResult) -> dict[str, Any]:
     """The content of ``diagnosis.json``.
 
-    Keys are the fields of :class:`~trms_cli.gap.diagnosis.Diagnosis` in their order, after the
-    schema; horizons are keys in s with a decimal (``"2.0"``); what is not finite is None.
+    Keys are the fields of :class:`DiagnosisResult` in their order, after the schema; horizons are
+    keys in s with a decimal (``"2.0"``); what is not finite is None.
     """
     content: dict[str, Any] = {"schema": SCHEMA}
     for name in (f.name for f in fields(diagnosis)):

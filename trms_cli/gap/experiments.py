@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.identification.excitation.band import band_of, linearised
-from trms_cli.identification.excitation.excitation import Excitation, Plan
+from trms_cli.identification.excitation.excitation import ExcitationPlugin, Plan
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import MultisineExcitation
 from trms_cli.identification.excitation.prbs import PrbsExcitation
@@ -80,7 +80,7 @@ _FAST, _FASTER = "prbs", 4.0
 #: Share of the Nyquist frequency that it may reach.
 _OF_NYQUIST = 0.5
 #: About an operating point, or with rotors that reverse: designed by ``trms excite``.
-_DESIGNED: tuple[tuple[str, str, Excitation, bool], ...] = (
+_DESIGNED: tuple[tuple[str, str, ExcitationPlugin, bool], ...] = (
     ("fast switching between two levels", _FAST, PrbsExcitation(), False),
     ("sines over the model's band", "multisine", MultisineExcitation(iterations=0), False),
     ("random levels", "multilevel", MultilevelExcitation(), False),

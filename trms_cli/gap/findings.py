@@ -41,7 +41,7 @@ from trms_cli.core.invocation import program
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
-    Diagnosis,
+    DiagnosisResult,
     Gap,
     GapTest,
     RaceEntry,
@@ -81,13 +81,13 @@ _RUNS: Mapping[str, tuple[str, Colour, Style]] = {
 
 
 def findings(
-    diagnosis: Diagnosis, remarks: Sequence[str] = (), folder: Path | None = None
+    diagnosis: DiagnosisResult, remarks: Sequence[str] = (), folder: Path | None = None
 ) -> Findings:
     """What is worth telling of a diagnosis.
 
     Parameters
     ----------
-    diagnosis : Diagnosis
+    diagnosis : DiagnosisResult
     remarks : sequence of str
         What was found in the recordings and what was done to them.
     folder : Path or None
@@ -109,7 +109,7 @@ def findings(
         worse = wording.listing([wording.signal(name) for name in diagnosis.worse])
         warnings.insert(0, f"the correction made {worse} worse, by over 2 % at 2 s")
     return Findings(
-        title=f"Diagnosis: {headline(diagnosis)}",
+        title=f"DiagnosisResult: {headline(diagnosis)}",
         lead=[text for text in (diagnosis.sentence, _confidence(diagnosis)) if text],
         sections=[section for section in sections if section is not None],
         warnings=warnings,
@@ -119,7 +119,7 @@ def findings(
     )
 
 
-def headline(diagnosis: Diagnosis) -> str:
+def headline(diagnosis: DiagnosisResult) -> str:
     """The verdict in a few words."""
     first = likeliest(diagnosis)
     if diagnosis.verdict == "effect" and first is not None:
@@ -131,7 +131,7 @@ def headline(diagnosis: Diagnosis) -> str:
     }.get(diagnosis.verdict, "the cause stays undecided")
 
 
-def likeliest(diagnosis: Diagnosis) -> Cause | None:
+def likeliest(diagnosis: DiagnosisResult) -> Cause | None:
     """The cause with the largest probability."""
     return max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
 
@@ -163,7 +163,7 @@ def place_name(location: str) -> str:
     return location.replace("_", " ")
 
 
-def told_horizon(rows: Mapping[str, object]) -> str | None:
+def shown_horizon(rows: Mapping[str, object]) -> str | None:
     """The horizon that stands for all."""
     known = sorted(rows, key=float)
     below = [horizon for horizon in known if float(horizon) <= HORIZON]
@@ -184,7 +184,7 @@ def _interval(ends: tuple[float, float]) -> str:
     return wording.percent_interval(low, high)
 
 
-def _confidence(diagnosis: Diagnosis) -> str:
+def _confidence(diagnosis: DiagnosisResult) -> str:
     """How sure the verdict is, and what comes next to it."""
     first = likeliest(diagnosis)
     if first is None:
@@ -203,7 +203,7 @@ def _confidence(diagnosis: Diagnosis) -> str:
     return f"{text}."
 
 
-def _alike(cause: Cause, diagnosis: Diagnosis) -> list[Cause]:
+def _alike(cause: Cause, diagnosis: DiagnosisResult) -> list[Cause]:
     """Causes with a probability that these recordings do not tell from one."""
     groups = [set(group) for group in diagnosis.confusable if set(group) & set(cause.effects)]
     names = set(cause.effects).union(*groups)
@@ -214,7 +214,7 @@ def _alike(cause: Cause, diagnosis: Diagnosis) -> list[Cause]:
     ]
 
 
-def _measures(diagnosis: Diagnosis) -> Iterator[Measure]:
+def _measures(diagnosis: DiagnosisResult) -> Iterator[Measure]:
     first = likeliest(diagnosis)
     if first is not None:
         yield Measure(
@@ -226,7 +226,7 @@ def _measures(diagnosis: Diagnosis) -> Iterator[Measure]:
         note = f"{share} of the gap" + ("" if ends == share else f" ({ends})")
         yield Measure("lies in", place_name(place.location), note=note)
     rows = diagnosis.shrink.get("all", {})
-    horizon = told_horizon(rows)
+    horizon = shown_horizon(rows)
     shrink = _at(rows, horizon)
     if is_corrected(diagnosis) and shrink is not None and shrink.fraction is not None:
         ends = "" if shrink.ci95 is None else f" ({_interval(shrink.ci95)})"
@@ -235,13 +235,13 @@ def _measures(diagnosis: Diagnosis) -> Iterator[Measure]:
         yield Measure("gap closed", _share(shrink.fraction), judgement=judgement, note=note)
 
 
-def is_corrected(diagnosis: Diagnosis) -> bool:
+def is_corrected(diagnosis: DiagnosisResult) -> bool:
     """Whether the corrected model is another one than the refitted."""
     rows = [row for rows in diagnosis.gap.values() for row in rows.values()]
     return any(row.corrected != row.refit for row in rows)
 
 
-def _facts(diagnosis: Diagnosis) -> dict[str, str]:
+def _facts(diagnosis: DiagnosisResult) -> dict[str, str]:
     files = ", ".join(recording.file for recording in diagnosis.recordings)
     length = sum(recording.duration_s for recording in diagnosis.recordings)
     facts = {
@@ -257,7 +257,7 @@ def _facts(diagnosis: Diagnosis) -> dict[str, str]:
     return facts
 
 
-def _next(diagnosis: Diagnosis, folder: Path | None) -> list[NextCommand]:
+def _next(diagnosis: DiagnosisResult, folder: Path | None) -> list[NextCommand]:
     commands = []
     if diagnosis.next_experiment is not None:
         commands.append(
@@ -278,7 +278,7 @@ def _next(diagnosis: Diagnosis, folder: Path | None) -> list[NextCommand]:
     return commands
 
 
-def _causes(diagnosis: Diagnosis) -> Section | None:
+def _causes(diagnosis: DiagnosisResult) -> Section | None:
     kept = [cause for cause in diagnosis.causes if cause.probability >= LEAST][:_MOST_CAUSES]
     if not kept:
         return None
@@ -310,7 +310,7 @@ def _causes(diagnosis: Diagnosis) -> Section | None:
     )
 
 
-def _where(diagnosis: Diagnosis) -> Section | None:
+def _where(diagnosis: DiagnosisResult) -> Section | None:
     places = [place for place in diagnosis.where if place.share >= LEAST]
     if not places:
         return None
@@ -347,7 +347,7 @@ def _where(diagnosis: Diagnosis) -> Section | None:
     )
 
 
-def _where_words(diagnosis: Diagnosis) -> str:
+def _where_words(diagnosis: DiagnosisResult) -> str:
     first = max(diagnosis.where, key=lambda place: place.share)
     if first.share < 0.05:
         return "No place stands out: a free force at any of them closes next to nothing."
@@ -374,7 +374,7 @@ def is_effect(effects: Sequence[str]) -> bool:
     return bool(effects) and not set(effects) & {"flexible", *NO_EFFECT}
 
 
-def winner(diagnosis: Diagnosis) -> RaceEntry | None:
+def winner(diagnosis: DiagnosisResult) -> RaceEntry | None:
     """The competitor that is the likeliest answer; the best score where it is no effect."""
     named = [entry for entry in diagnosis.race if is_effect(entry.effects)]
     first = likeliest(diagnosis)
@@ -384,14 +384,14 @@ def winner(diagnosis: Diagnosis) -> RaceEntry | None:
     return max(named, key=lambda entry: entry.score, default=None)
 
 
-def _race(diagnosis: Diagnosis) -> Section | None:
+def _race(diagnosis: DiagnosisResult) -> Section | None:
     if not diagnosis.race:
         return None
     chart = race_chart(diagnosis)
     return Section("The race of the candidates", [_race_words(diagnosis)], [chart])
 
 
-def _race_words(diagnosis: Diagnosis) -> str:
+def _race_words(diagnosis: DiagnosisResult) -> str:
     """Who won, by how much, and whether a force without a name did better."""
     best = winner(diagnosis)
     if best is None:
@@ -420,7 +420,7 @@ def _race_words(diagnosis: Diagnosis) -> str:
     return text
 
 
-def race_chart(diagnosis: Diagnosis) -> Chart:
+def race_chart(diagnosis: DiagnosisResult) -> Chart:
     """Bars of the held-out score of each competitor above the refitted model's."""
     entries = sorted((e for e in diagnosis.race if np.isfinite(e.score)), key=lambda e: -e.score)
     kept = entries[:_MOST_BARS]
@@ -457,7 +457,7 @@ def race_chart(diagnosis: Diagnosis) -> Chart:
     )
 
 
-def _force(diagnosis: Diagnosis) -> Section | None:
+def _force(diagnosis: DiagnosisResult) -> Section | None:
     blocks: list[Block] = []
     if diagnosis.traces is not None:
         order = [place.location for place in diagnosis.where if place.share >= 0.02]
@@ -533,7 +533,7 @@ def _busiest_part(traces: Traces, name: str) -> tuple[float, float]:
     return float(time[first]), float(time[min(first + width, len(time) - 1)])
 
 
-def _before_and_after(diagnosis: Diagnosis) -> Section | None:
+def _before_and_after(diagnosis: DiagnosisResult) -> Section | None:
     corrected = is_corrected(diagnosis)
     chart = gap_chart(diagnosis)
     if chart is None:
@@ -548,9 +548,9 @@ def _before_and_after(diagnosis: Diagnosis) -> Section | None:
     return Section("Before and after", [section], [*blocks, whole])
 
 
-def _gap_at_horizon(diagnosis: Diagnosis, corrected: bool) -> Table:
+def _gap_at_horizon(diagnosis: DiagnosisResult, corrected: bool) -> Table:
     """A row a channel at the horizon that stands for all."""
-    horizon = told_horizon({h: None for rows in diagnosis.gap.values() for h in rows})
+    horizon = shown_horizon({h: None for rows in diagnosis.gap.values() for h in rows})
     columns, rows, _ = _gap_table(diagnosis, corrected, horizon)
     caption = f"RMS of the errors of free runs of {float(horizon or 0):g} s on the sealed part."
     if corrected:
@@ -560,7 +560,7 @@ def _gap_at_horizon(diagnosis: Diagnosis, corrected: bool) -> Table:
 
 
 def _gap_table(
-    diagnosis: Diagnosis, corrected: bool, only: str | None = None
+    diagnosis: DiagnosisResult, corrected: bool, only: str | None = None
 ) -> tuple[list[str], list[list[Cell]], str]:
     """Columns, rows and caption of the gap by channel and horizon."""
     columns = ["output", "free run [s]", "as it was", "refitted", "corrected", "floor"]
@@ -612,7 +612,7 @@ def _closed(shrink: Shrink | None) -> list[Cell]:
     return [Judged(text, mark), "" if shrink.ci95 is None else _interval(shrink.ci95)]
 
 
-def gap_chart(diagnosis: Diagnosis) -> Chart | None:
+def gap_chart(diagnosis: DiagnosisResult) -> Chart | None:
     """The gap over the length of a free run, a panel a channel; None without any."""
     channels = [name for name, rows in diagnosis.gap.items() if rows]
     if not channels:
@@ -684,7 +684,7 @@ def _near(measured: np.ndarray, others: Sequence[np.ndarray]) -> tuple[float, fl
     return max(float(every.min()) - edge, low - reach), min(float(every.max()) + edge, high + reach)
 
 
-def _tests(diagnosis: Diagnosis) -> Section | None:
+def _tests(diagnosis: DiagnosisResult) -> Section | None:
     """A row a test, a column an output: the probability that noise alone does that."""
     if not diagnosis.tests:
         return None
@@ -725,7 +725,7 @@ def _probability(test: GapTest) -> Judged:
     return Judged(text, "bad" if test.rejected else "good")
 
 
-def _parameters(diagnosis: Diagnosis) -> Section | None:
+def _parameters(diagnosis: DiagnosisResult) -> Section | None:
     if not diagnosis.parameters:
         return None
     names = sorted(
@@ -760,7 +760,7 @@ def _parameters(diagnosis: Diagnosis) -> Section | None:
     )
 
 
-def _not_told(diagnosis: Diagnosis) -> Section | None:
+def _not_told(diagnosis: DiagnosisResult) -> Section | None:
     named = {
         name for cause in diagnosis.causes if cause.probability >= LEAST for name in cause.effects
     }
@@ -795,7 +795,7 @@ def _not_told(diagnosis: Diagnosis) -> Section | None:
     )
 
 
-def _recordings(diagnosis: Diagnosis, remarks: Sequence[str]) -> Section:
+def _recordings(diagnosis: DiagnosisResult, remarks: Sequence[str]) -> Section:
     columns = [
         Column("file", "file"),
         Column("length [s]", "duration_s"),

@@ -28,7 +28,7 @@ class TrmsNote(UserWarning):
     """What a command remarks: a package that differs, a picture that could not be drawn."""
 
 
-class Heard:
+class CapturedOutput:
     """What a command printed."""
 
     def __init__(self) -> None:
@@ -78,7 +78,9 @@ class _Ear(io.TextIOBase):
 
 
 @contextmanager
-def called(words: str, objects: Sequence[Any] = (), *, verbose: bool = False) -> Iterator[Heard]:
+def called(
+    words: str, objects: Sequence[Any] = (), *, verbose: bool = False
+) -> Iterator[CapturedOutput]:
     """Inside, a command may do as on the command line; afterwards the process is as it was.
 
     Parameters
@@ -90,7 +92,7 @@ def called(words: str, objects: Sequence[Any] = (), *, verbose: bool = False) ->
     verbose : bool
         Whether what is printed is shown.
     """
-    heard = Heard()
+    heard = CapturedOutput()
     with turn(words, objects):
         streams = (sys.stdout, sys.stderr)
         sys.stdout = _Ear(streams[0], heard.out, verbose)
@@ -211,7 +213,7 @@ def perform(
     return finished(outcome, heard, verbose=verbose)
 
 
-def finished(outcome: Outcome, heard: Heard, *, verbose: bool) -> tuple[Path, str]:
+def finished(outcome: Outcome, heard: CapturedOutput, *, verbose: bool) -> tuple[Path, str]:
     """The folder of an outcome, and what was printed."""
     assert outcome.folder is not None
     if outcome.exit_code in (EXIT_INTERRUPTED, EXIT_TERMINATED):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
 
 
-class Study(Result):
+class StudyResult(Result):
     """What a study gives back: it shows itself by its findings."""
 
     @property
@@ -31,7 +31,7 @@ class Study(Result):
         return shown + "".join(html.picture(f.read_bytes()) for f in self.pictures.values())
 
 
-class Fit(Study):
+class Fit(StudyResult):
     """A model fitted to recordings; ``model=fit`` takes it anywhere."""
 
     DOCUMENT, PAGE = "identification.json", "identification.html"
@@ -70,7 +70,7 @@ class Fit(Study):
         return findings(self.document)
 
 
-class Validation(Study):
+class Validation(StudyResult):
     """Models held against recordings that they were not fitted to."""
 
     DOCUMENT, PAGE = "validation.json", "validation.html"
@@ -110,7 +110,7 @@ class Validation(Study):
         return findings(self.document)
 
 
-class Stability(Study):
+class Stability(StudyResult):
     """What was found of a model, or of a closed loop."""
 
     DOCUMENT, PAGE = "stability.json", "stability.html"
@@ -154,7 +154,7 @@ class Stability(Study):
         return Findings(d["title"], self.lead, [Section("", (), tables)], warnings=self.warnings)
 
 
-class Diagnosis(Study):
+class Diagnosis(StudyResult):
     """Where a model and a rig differ, which effect causes it, how far the gap shrinks."""
 
     DOCUMENT, PAGE = "diagnosis.json", "report.html"
@@ -195,13 +195,13 @@ class Diagnosis(Study):
         """What is worth telling of it."""
         import msgspec
 
-        from trms_cli.gap.diagnosis import Diagnosis as Answer
+        from trms_cli.gap.diagnosis import DiagnosisResult as Answer
         from trms_cli.gap.findings import findings
 
         return findings(msgspec.convert(self.document, Answer))
 
 
-class Excitation(Study):
+class Excitation(StudyResult):
     """Commands that show a rig's dynamics."""
 
     DOCUMENT = "excitation.json"

@@ -27,11 +27,11 @@ from matplotlib.ticker import MaxNLocator
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.reporting import plot_panels, plot_views
-from trms_cli.reporting.plot_logs import Log, Plotted, names_of
-from trms_cli.reporting.plot_panels import Absent, Panel
+from trms_cli.reporting.plot_logs import Plotted, PlottedLog, names_of
+from trms_cli.reporting.plot_panels import Absent, LogPanel
 from trms_cli.reporting.style import VARIANTS, Variant, house_style, letter_size, new_figure
 
-_Panels = Callable[[Sequence[Plotted]], list[Panel]]
+_Panels = Callable[[Sequence[Plotted]], list[LogPanel]]
 #: The kinds of plots by name; the first line of each one's docstring says what it shows.
 KINDS: Mapping[str, _Panels] = MappingProxyType(
     {
@@ -67,7 +67,7 @@ _LETTER = 0.56
 
 
 def plot(
-    logs: Log | Sequence[Log],
+    logs: PlottedLog | Sequence[PlottedLog],
     what: str | Sequence[str] = DEFAULT_WHAT,
     *,
     width: str | None = None,
@@ -81,7 +81,7 @@ def plot(
 
     Parameters
     ----------
-    logs : Log or sequence of Log
+    logs : PlottedLog or sequence of PlottedLog
         As :func:`trms_cli.recordings.log_reader.read_log` reads them; several are laid over each
         other.
     what : str or sequence of str
@@ -128,7 +128,7 @@ def plot(
 
 
 def absences(
-    logs: Log | Sequence[Log],
+    logs: PlottedLog | Sequence[PlottedLog],
     what: str | Sequence[str],
     *,
     start: float | None = None,
@@ -164,7 +164,10 @@ def size_of(width: str | None, style: Variant) -> tuple[float, float | None]:
 
 
 def _plotted(
-    logs: Log | Sequence[Log], start: float | None, end: float | None, names: Sequence[str] | None
+    logs: PlottedLog | Sequence[PlottedLog],
+    start: float | None,
+    end: float | None,
+    names: Sequence[str] | None,
 ) -> list[Plotted]:
     given: list[Any] = list(logs) if isinstance(logs, Sequence) else [logs]
     if not given:
@@ -222,9 +225,9 @@ def _reasons(logs: Sequence[Plotted], kinds: Sequence[str]) -> dict[str, str]:
     return reasons
 
 
-def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
+def _rows(panels: Sequence[LogPanel]) -> list[list[LogPanel]]:
     """Panels in rows: those of half a width by twos."""
-    rows: list[list[Panel]] = []
+    rows: list[list[LogPanel]] = []
     for panel in panels:
         if panel.half and rows and len(rows[-1]) == 1 and rows[-1][0].half:
             rows[-1].append(panel)
@@ -234,7 +237,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 
 def _draw(
-    panels: Sequence[Panel],
+    panels: Sequence[LogPanel],
     logs: Sequence[Plotted],
     width: float,
     height: float | None,
@@ -268,7 +271,7 @@ def _draw(
     return figure
 
 
-def _settle(axes: Axes, panel: Panel, width: float, style: Variant) -> None:
+def _settle(axes: Axes, panel: LogPanel, width: float, style: Variant) -> None:
     """As many ticks as fit beside each other."""
     room = width * (0.5 if panel.half else 1.0) / (2.2 if style == "slides" else 1.0)
     if axes.get_xscale() == "linear":
@@ -294,7 +297,7 @@ def _share_time(timed: Sequence[Axes], logs: Sequence[Plotted]) -> None:
         timed[-1].set_xlim(begin, end)
 
 
-def _span(log: Log) -> tuple[float, float]:
+def _span(log: PlottedLog) -> tuple[float, float]:
     """From a log's first sample to the end of its last one, s; (inf, −inf) for an empty one."""
     tables = [t for name, t in log.tables.items() if name != "/event" and len(t.time)]
     return (

@@ -21,7 +21,7 @@ _ASIDE = ("out", "picture", "sim.prediction_every", "sim.scene_every")
 _IMPLIED = ("@", "experiment")
 
 
-class Table(Protocol):
+class LogTable(Protocol):
     """The messages of a topic: :class:`trms_cli.recordings.log_reader.TopicTable` is one."""
 
     @property
@@ -40,7 +40,7 @@ class Table(Protocol):
         ...
 
 
-class Log(Protocol):
+class PlottedLog(Protocol):
     """What is drawn: :class:`trms_cli.recordings.log_reader.LoggedRun` is one."""
 
     @property
@@ -50,7 +50,7 @@ class Log(Protocol):
 
     @property
     def tables(self) -> Mapping[str, Any]:
-        """:class:`Table` by topic."""
+        """:class:`LogTable` by topic."""
         ...
 
     @property
@@ -65,7 +65,7 @@ class Log(Protocol):
 
 
 @dataclass(frozen=True)
-class Signal:
+class LogSignal:
     """A curve over time."""
 
     time: FloatArray  #: (n,) array; s, and in the unit
@@ -78,7 +78,7 @@ class Signal:
 class Plotted:
     """A log under its name, seen through a window."""
 
-    log: Log
+    log: PlottedLog
     name: str
     start: float = -np.inf  #: s; what is outside is not drawn
     end: float = np.inf  #: s; what is outside is not drawn
@@ -94,7 +94,7 @@ class Plotted:
         inside: npt.NDArray[np.bool_] = (time >= self.start) & (time <= self.end)
         return inside
 
-    def signal(self, topic: str, name: str, source: str = "") -> Signal | None:
+    def signal(self, topic: str, name: str, source: str = "") -> LogSignal | None:
         """A column of numbers; None where it is absent, or has no value in the window."""
         if name not in self.names(topic):
             return None
@@ -102,9 +102,9 @@ class Plotted:
         values = np.asarray(table.columns[name][inside], dtype=float)
         if not np.isfinite(values).any():
             return None
-        return Signal(np.asarray(table.time)[inside], values, table.units.get(name, ""), source)
+        return LogSignal(np.asarray(table.time)[inside], values, table.units.get(name, ""), source)
 
-    def truth(self, name: str) -> Signal | None:
+    def truth(self, name: str) -> LogSignal | None:
         """The best that the log knows of a signal: the true state, else what was measured."""
         found = (self.signal(topic, name, source) for topic, source in _TRUTH)
         return next((signal for signal in found if signal is not None), None)
@@ -122,7 +122,7 @@ class Plotted:
             return {}
 
 
-def rate_of(signal: Signal) -> FloatArray:
+def rate_of(signal: LogSignal) -> FloatArray:
     """Rate of change by central differences, 1/s."""
     if len(signal.time) < 2:
         return np.full(len(signal.time), np.nan)
@@ -131,7 +131,7 @@ def rate_of(signal: Signal) -> FloatArray:
     return rate
 
 
-def names_of(logs: Sequence[Log]) -> list[str]:
+def names_of(logs: Sequence[PlottedLog]) -> list[str]:
     """What tells logs apart: the options and values in which they differ, else their folders."""
     if len(logs) == 1:
         return [_place(logs[0])]
@@ -154,7 +154,7 @@ def names_of(logs: Sequence[Log]) -> list[str]:
     return places
 
 
-def _told(log: Log) -> dict[str, str]:
+def _told(log: PlottedLog) -> dict[str, str]:
     """Options and typed values of a run; empty for a log without such words."""
     try:
         choices = json.loads(log.run.get("choices", "{}"))
@@ -182,7 +182,7 @@ def _names_itself(key: str) -> bool:
     return key in ("controller", "observer", "model", "effect", "fault", "recording")
 
 
-def _place(log: Log) -> str:
+def _place(log: PlottedLog) -> str:
     """Where a log lies: its folder's name for ``run.mcap``, its own otherwise."""
     path = Path(log.path)
     return path.resolve().parent.name if path.name == "run.mcap" else path.stem

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from trms_cli.reporting.plot_logs import Plotted, Signal, rate_of
+from trms_cli.reporting.plot_logs import LogSignal, Plotted, rate_of
 from trms_cli.reporting.style import (
     ALARM,
     INK,
@@ -39,7 +39,7 @@ class Absent(Exception):
 
 
 @dataclass(frozen=True)
-class Panel:
+class LogPanel:
     """A panel that is yet to be drawn."""
 
     draw: Callable[[Axes], None]  #: Draws into the axes it is given
@@ -48,7 +48,7 @@ class Panel:
     half: bool = False  #: It stands beside its neighbour, at half the width
 
 
-def tracking(logs: Sequence[Plotted]) -> list[Panel]:
+def tracking(logs: Sequence[Plotted]) -> list[LogPanel]:
     """What was asked of each controlled axis, and what the rig did."""
     found = _in_order(name for log in logs for name in [*log.names("/reference"), *log.angles()])
     if not found:
@@ -56,13 +56,13 @@ def tracking(logs: Sequence[Plotted]) -> list[Panel]:
     return [_over_time(logs, name, _draw_tracked, limits=True) for name in found]
 
 
-def errors(logs: Sequence[Plotted]) -> list[Panel]:
+def errors(logs: Sequence[Plotted]) -> list[LogPanel]:
     """Reference minus what the rig did."""
     if not any(log.names("/reference") for log in logs):
         raise Absent("no log has a reference: nothing was to be followed")
     names = _in_order(name for log in logs for name in log.names("/reference"))
 
-    def panel(name: str) -> Panel:
+    def panel(name: str) -> LogPanel:
         def draw(axes: Axes) -> None:
             for i, log in enumerate(logs):
                 asked, done = log.signal("/reference", name), log.truth(name)
@@ -76,18 +76,18 @@ def errors(logs: Sequence[Plotted]) -> list[Panel]:
             _zero(axes)
             _label(axes, f"{LABELS.get(name, name)} error", "rad")
 
-        return Panel(draw)
+        return LogPanel(draw)
 
     return [panel(name) for name in names]
 
 
-def inputs(logs: Sequence[Plotted]) -> list[Panel]:
+def inputs(logs: Sequence[Plotted]) -> list[LogPanel]:
     """The commands as they were applied, held from sample to sample."""
     names = _in_order(name for log in logs for name in log.names("/command"))
     if not names:
         raise Absent("no log has a command")
 
-    def panel(name: str) -> Panel:
+    def panel(name: str) -> LogPanel:
         def draw(axes: Axes) -> None:
             unit = "V"
             for i, log in enumerate(logs):
@@ -98,12 +98,12 @@ def inputs(logs: Sequence[Plotted]) -> list[Panel]:
             _limits(axes, logs, name)
             _label(axes, f"{LABELS.get(name, name)}\ncommand", unit)
 
-        return Panel(draw, 0.8)
+        return LogPanel(draw, 0.8)
 
     return [panel(name) for name in names]
 
 
-def rates(logs: Sequence[Plotted]) -> list[Panel]:
+def rates(logs: Sequence[Plotted]) -> list[LogPanel]:
     """How fast the axes turn, and the rotors."""
     panels = []
     for name in _in_order(name for log in logs for name in log.angles()):
@@ -116,7 +116,7 @@ def rates(logs: Sequence[Plotted]) -> list[Panel]:
     return panels
 
 
-def estimate(logs: Sequence[Plotted]) -> list[Panel]:
+def estimate(logs: Sequence[Plotted]) -> list[LogPanel]:
     """Estimated minus true, with two standard deviations; without a true state, innovations."""
     uncertain = [log for log in logs if _uncertain(log)]
     if not uncertain:
@@ -133,7 +133,7 @@ def estimate(logs: Sequence[Plotted]) -> list[Panel]:
     return [_over_time(logs, name, _draw_estimate, 0.8) for name in names]
 
 
-def torques(logs: Sequence[Plotted]) -> list[Panel]:
+def torques(logs: Sequence[Plotted]) -> list[LogPanel]:
     """Torques that the observer needs besides its model, with two standard deviations."""
     names = _in_order(
         name
@@ -147,12 +147,12 @@ def torques(logs: Sequence[Plotted]) -> list[Panel]:
     return [_over_time(logs, name, _draw_torque, 0.8) for name in names]
 
 
-def solver(logs: Sequence[Plotted]) -> list[Panel]:
+def solver(logs: Sequence[Plotted]) -> list[LogPanel]:
     """Time of each control step against its deadline, and the solver's iterations."""
     timed = [log for log in logs if log.signal("/controller", "solve_time_s") is not None]
     if not timed:
         raise Absent("no log has a controller's times: no controller ran (a recording has none)")
-    panels = [Panel(lambda axes: _draw_times(axes, logs))]
+    panels = [LogPanel(lambda axes: _draw_times(axes, logs))]
     counts = [log.signal("/controller", "iterations") for log in logs]
     if any(count is not None and np.nanmax(count.values) > 1 for count in counts):
 
@@ -163,7 +163,7 @@ def solver(logs: Sequence[Plotted]) -> list[Panel]:
             axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
             _label(axes, "iterations", "")
 
-        panels.append(Panel(draw, 0.6))
+        panels.append(LogPanel(draw, 0.6))
     return panels
 
 
@@ -173,7 +173,7 @@ def _over_time(
     draw_one: Callable[[Axes, Plotted, str, int, bool], str],
     height: float = 1.0,
     limits: bool = False,
-) -> Panel:
+) -> LogPanel:
     """A panel into which each log draws; what draws returns the label with its unit."""
 
     def draw(axes: Axes) -> None:
@@ -184,7 +184,7 @@ def _over_time(
             _limits(axes, logs, name)
         axes.set_ylabel(label or LABELS.get(name, name))
 
-    return Panel(draw, height)
+    return LogPanel(draw, height)
 
 
 def _draw_tracked(axes: Axes, log: Plotted, name: str, place: int, alone: bool) -> str:
@@ -204,7 +204,7 @@ def _draw_tracked(axes: Axes, log: Plotted, name: str, place: int, alone: bool) 
     return f"{LABELS.get(name, name)} [{done.unit}]"
 
 
-def _same_as_drawn(axes: Axes, asked: Signal) -> bool:
+def _same_as_drawn(axes: Axes, asked: LogSignal) -> bool:
     """Whether a reference is the one that the first log has drawn."""
     first = next((line for line in axes.lines if line.get_label() == "reference"), None)
     if first is None:
@@ -235,7 +235,7 @@ def _draw_speed(axes: Axes, log: Plotted, name: str, place: int, alone: bool) ->
     return f"{LABELS.get(name, name)}\n[{signal.unit}]"
 
 
-def _look_of(signal: Signal, place: int, alone: bool) -> dict[str, Any]:
+def _look_of(signal: LogSignal, place: int, alone: bool) -> dict[str, Any]:
     """Of a log alone an estimate has one look in all panels, and the rig another: one legend."""
     return curve_look(1 if alone and signal.source == "estimate" else place) | {"zorder": 4}
 
@@ -256,7 +256,7 @@ def _draw_estimate(axes: Axes, log: Plotted, name: str, place: int, alone: bool)
     true = log.signal("/plant/state", name)
     what = "estimate − true"
     if guessed is not None and true is not None and len(true.values) == len(guessed.values):
-        off: Signal | None = Signal(guessed.time, guessed.values - true.values, guessed.unit)
+        off: LogSignal | None = LogSignal(guessed.time, guessed.values - true.values, guessed.unit)
     else:
         off, what = log.signal("/estimate", f"innovation_{name}"), "innovation"
         sd = log.signal("/estimate", f"innovation_sd_{name}")

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from trms_cli.reporting.plot_logs import Plotted, rate_of
-from trms_cli.reporting.plot_panels import Absent, Panel
+from trms_cli.reporting.plot_panels import Absent, LogPanel
 from trms_cli.reporting.style import GREY, INK, LABELS, PALETTE, curve_look, thinned_to_extremes
 
 #: Predictions drawn at most: more run into each other.
@@ -20,13 +20,13 @@ _MOST_FANS = 60
 _NAME_LETTERS = 22
 
 
-def phase(logs: Sequence[Plotted]) -> list[Panel]:
+def phase(logs: Sequence[Plotted]) -> list[LogPanel]:
     """Each axis's rate over its angle."""
     names = [n for n in ("alpha_v", "alpha_h") if any(log.truth(n) is not None for log in logs)]
     if not names:
         raise Absent("no log has an angle: a motor or a propeller alone has none")
 
-    def panel(name: str) -> Panel:
+    def panel(name: str) -> LogPanel:
         def draw(axes: Axes) -> None:
             for i, log in enumerate(logs):
                 signal = log.truth(name)
@@ -41,12 +41,12 @@ def phase(logs: Sequence[Plotted]) -> list[Panel]:
             axes.set_xlabel(f"{LABELS.get(name, name)} [rad]")
             axes.set_ylabel(f"{LABELS.get(name, name)} rate [rad/s]")
 
-        return Panel(draw, 1.9, over_time=False, half=len(names) > 1)
+        return LogPanel(draw, 1.9, over_time=False, half=len(names) > 1)
 
     return [panel(name) for name in names]
 
 
-def prediction(logs: Sequence[Plotted]) -> list[Panel]:
+def prediction(logs: Sequence[Plotted]) -> list[LogPanel]:
     """What the controller foretold, again and again, over what came."""
     panels = []
     for i, log in enumerate(logs):
@@ -61,7 +61,7 @@ def prediction(logs: Sequence[Plotted]) -> list[Panel]:
     return panels
 
 
-def _fan(log: Plotted, name: str, place: int, alone: bool) -> Panel:
+def _fan(log: Plotted, name: str, place: int, alone: bool) -> LogPanel:
     def draw(axes: Axes) -> None:
         table, inside = log.log.tables["/prediction"], log.within("/prediction")
         starts, ahead = table.time[inside], table.columns["time"][inside]
@@ -91,10 +91,10 @@ def _fan(log: Plotted, name: str, place: int, alone: bool) -> Panel:
         if not alone:
             axes.set_title(log.name)
 
-    return Panel(draw)
+    return LogPanel(draw)
 
 
-def comparison(logs: Sequence[Plotted]) -> list[Panel]:
+def comparison(logs: Sequence[Plotted]) -> list[LogPanel]:
     """Scores beside each other, one bar a log."""
     if len(logs) < 2:
         raise Absent("one log compares with nothing: give two or more")
@@ -123,7 +123,7 @@ def comparison(logs: Sequence[Plotted]) -> list[Panel]:
 
 def _bars(
     logs: Sequence[Plotted], words: str, values: Sequence[float], height: float, named: bool
-) -> Panel:
+) -> LogPanel:
     def draw(axes: Axes) -> None:
         for i, (_, value) in enumerate(zip(logs, values, strict=True)):
             look = curve_look(i)
@@ -143,7 +143,7 @@ def _bars(
         axes.set_xlabel(words)
 
     lines = max(len(textwrap.wrap(log.name, _NAME_LETTERS)) for log in logs)
-    return Panel(draw, height * (1 + 0.5 * (lines - 1)), over_time=False, half=True)
+    return LogPanel(draw, height * (1 + 0.5 * (lines - 1)), over_time=False, half=True)
 
 
 def _keys(logs: Sequence[Plotted], part: str) -> list[str]:

@@ -11,7 +11,7 @@ from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import (
     Cause,
     DiagnosedRecording,
-    Diagnosis,
+    DiagnosisResult,
     FittedParameter,
     LocationShare,
     Verdict,
@@ -27,7 +27,7 @@ class Baseline(Protocol):
 
     name: ClassVar[str]
 
-    def answer(self, problem: GapProblem) -> Diagnosis:
+    def answer(self, problem: GapProblem) -> DiagnosisResult:
         """Diagnose; the same problem and seed give the same answer."""
 
 
@@ -44,9 +44,9 @@ def diagnosis(
     sentence: str = "",
     description: Sequence[str] = (),
     seconds: Mapping[str, float] | None = None,
-) -> Diagnosis:
+) -> DiagnosisResult:
     """An answer; what is not given is left empty."""
-    return Diagnosis(
+    return DiagnosisResult(
         recordings=tuple(
             DiagnosedRecording(
                 file=d.source,

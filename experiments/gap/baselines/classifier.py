@@ -38,7 +38,7 @@ from trms_cli.core.compilation import cache_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
 from trms_cli.gap.candidates import applicable_candidates
-from trms_cli.gap.diagnosis import Cause, Diagnosis
+from trms_cli.gap.diagnosis import Cause, DiagnosisResult
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.data import noise_estimate
@@ -266,7 +266,7 @@ class Classifier:
 
     name: ClassVar[str] = "classifier"
 
-    def answer(self, problem: GapProblem) -> Diagnosis:
+    def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
         parts = parts_of(problem)

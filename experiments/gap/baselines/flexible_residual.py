@@ -23,7 +23,7 @@ from experiments.gap.baselines.restoring_force import Motion, motion
 from trms_cli.core.arrays import FloatArray
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import extended
-from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
+from trms_cli.gap.diagnosis import Cause, DiagnosisResult, LocationShare
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.models.dry_friction import SPEEDS
@@ -97,7 +97,7 @@ class FlexibleResidual:
 
     name: ClassVar[str] = "flexible_residual"
 
-    def answer(self, problem: GapProblem) -> Diagnosis:
+    def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
         parts = parts_of(problem)

@@ -16,7 +16,7 @@ from experiments.gap.baselines.baseline import diagnosis, places
 from experiments.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
 from experiments.gap.baselines.white_noise import compete
 from trms_cli.gap.candidates import applicable_candidates
-from trms_cli.gap.diagnosis import Cause, Diagnosis, Verdict
+from trms_cli.gap.diagnosis import Cause, DiagnosisResult, Verdict
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 
@@ -29,7 +29,7 @@ class Oracle:
 
     name: ClassVar[str] = "oracle"
 
-    def answer(self, problem: GapProblem) -> Diagnosis:
+    def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
         parts = parts_of(problem)

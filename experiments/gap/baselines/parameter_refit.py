@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from experiments.gap.baselines.baseline import diagnosis
 from experiments.gap.baselines.fits import parts_of, refit
-from trms_cli.gap.diagnosis import Cause, Diagnosis
+from trms_cli.gap.diagnosis import Cause, DiagnosisResult
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 
@@ -19,7 +19,7 @@ class ParameterRefit:
 
     name: ClassVar[str] = "parameter_refit"
 
-    def answer(self, problem: GapProblem) -> Diagnosis:
+    def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
         parts = parts_of(problem)

@@ -24,14 +24,14 @@ from trms_cli.core.plugins import build, nearest
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
-from trms_cli.gap.diagnosis import NO_EFFECT, Diagnosis, document_of
+from trms_cli.gap.diagnosis import NO_EFFECT, DiagnosisResult, document_of
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import free_parameters
 from trms_cli.models.model import Model
 
 
-def write_models(answer: Diagnosis, problem: GapProblem, folder: Path) -> None:
+def write_models(answer: DiagnosisResult, problem: GapProblem, folder: Path) -> None:
     """Write the nominal model refitted, and with the first cause's effects.
 
     An answer whose correction is no effect of the library (a regressed force) leaves none: its
@@ -54,7 +54,7 @@ def write_models(answer: Diagnosis, problem: GapProblem, folder: Path) -> None:
 
 
 def _write(
-    answer: Diagnosis,
+    answer: DiagnosisResult,
     problem: GapProblem,
     effects: tuple[str, ...],
     values: dict[str, float],

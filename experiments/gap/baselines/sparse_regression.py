@@ -25,7 +25,7 @@ from experiments.gap.baselines.restoring_force import Motion, motion
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.effects.extended_model import extended
 from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
-from trms_cli.gap.diagnosis import Cause, Diagnosis, LocationShare
+from trms_cli.gap.diagnosis import Cause, DiagnosisResult, LocationShare
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.problem import with_values
@@ -50,7 +50,7 @@ class SparseRegression:
 
     name: ClassVar[str] = "sparse_regression"
 
-    def answer(self, problem: GapProblem) -> Diagnosis:
+    def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
         parts = parts_of(problem)

@@ -22,7 +22,7 @@ from experiments.gap.baselines.fits import Fit, fit_problem, parts_of
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.blocks import Parts
 from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
-from trms_cli.gap.diagnosis import Cause, Diagnosis, Verdict
+from trms_cli.gap.diagnosis import Cause, DiagnosisResult, Verdict
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.greybox.information import information
@@ -189,7 +189,7 @@ class WhiteNoiseBic:
 
     name: ClassVar[str] = "white_noise_bic"
 
-    def answer(self, problem: GapProblem) -> Diagnosis:
+    def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
         parts = parts_of(problem)

@@ -29,7 +29,7 @@ from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.model_file import load_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
-from trms_cli.gap.diagnosis import Diagnosis, document_of
+from trms_cli.gap.diagnosis import DiagnosisResult, document_of
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import _pooled
 from trms_cli.identification.dataset import Dataset
@@ -80,7 +80,7 @@ def plain() -> GapProblem:
     return problem_with()
 
 
-def shrunk(answer: Diagnosis, channel: str = "alpha_h", horizon: str = "2.0") -> float:
+def shrunk(answer: DiagnosisResult, channel: str = "alpha_h", horizon: str = "2.0") -> float:
     fraction = answer.shrink[channel][horizon].fraction
     assert fraction is not None
     return fraction

@@ -18,7 +18,12 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.identification.excitation.band import Linearised, band_of, linearised, pole_range
-from trms_cli.identification.excitation.excitation import Excitation, Plan, Shape, crest_factor
+from trms_cli.identification.excitation.excitation import (
+    ExcitationPlugin,
+    Plan,
+    Shape,
+    crest_factor,
+)
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
@@ -254,7 +259,7 @@ class ExcitationDesign:
 
 def design(
     model: Model,
-    excitation: Excitation,
+    excitation: ExcitationPlugin,
     request: ExcitationRequest,
     progress: Callable[[str], None] = lambda words: None,
 ) -> ExcitationDesign:

@@ -41,7 +41,7 @@ class Shape:
     about: dict[str, Any]  #: What was chosen: figures for the report, plain data
 
 
-class Excitation(Protocol):
+class ExcitationPlugin(Protocol):
     """A kind of excitation: immutable configuration."""
 
     def shape(self, plan: Plan) -> Shape:

@@ -11,7 +11,7 @@ from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.invocation import command_line
 from trms_cli.effects.extended_model import extended
-from trms_cli.gap.diagnosis import NO_EFFECT, Cause, Diagnosis
+from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult
 from trms_cli.gap.findings import likeliest
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import FreeParameter, free_parameters
@@ -23,7 +23,7 @@ CORRECTED_NAME, REFIT_NAME = "corrected_model.yaml", "refit_model.yaml"
 
 
 def write_models(
-    request: DiagnosisRequest, origin: ModelOrigin, diagnosis: Diagnosis, folder: Path
+    request: DiagnosisRequest, origin: ModelOrigin, diagnosis: DiagnosisResult, folder: Path
 ) -> tuple[Path, Path]:
     """Write the corrected model, and the nominal one refitted without a cause.
 
@@ -47,7 +47,7 @@ def write_models(
     return corrected_path, refit_path
 
 
-def applied_cause(diagnosis: Diagnosis) -> Cause | None:
+def applied_cause(diagnosis: DiagnosisResult) -> Cause | None:
     """The cause that the corrected model has, and that the figures of the sealed part are of.
 
     The likeliest, where it is an effect that was fitted: a torque from outside is estimated, not
@@ -59,7 +59,7 @@ def applied_cause(diagnosis: Diagnosis) -> Cause | None:
     return first if diagnosis.verdict in ("effect", "undecided") else None
 
 
-def corrected_words(diagnosis: Diagnosis) -> str:
+def corrected_words(diagnosis: DiagnosisResult) -> str:
     """What the corrected model is, for the comment in its file."""
     applied, first = applied_cause(diagnosis), likeliest(diagnosis)
     refit = "the nominal model with its parameters refitted"

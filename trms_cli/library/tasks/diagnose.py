@@ -13,7 +13,7 @@ from trms_cli.core import wording
 from trms_cli.core.errors import EXIT_TERMINATED
 from trms_cli.core.invocation import command_line, program
 from trms_cli.core.versions import versions
-from trms_cli.gap.diagnosis import Diagnosis
+from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.library.tasks.corrected_models import model_origin, write_models
 from trms_cli.library.tasks.diagnosis_request import DiagnosisRequest, request_of
 from trms_cli.library.tasks.files import write_config
@@ -76,7 +76,7 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     return Done(folder, replace(result, measures=(), facts=spent, files=files))
 
 
-def _completed(diagnosis: Diagnosis, request: DiagnosisRequest) -> Diagnosis:
+def _completed(diagnosis: DiagnosisResult, request: DiagnosisRequest) -> DiagnosisResult:
     """With the versions, and the warnings of the admission."""
     warnings = dict.fromkeys((*request.problem.warnings, *diagnosis.warnings))
     return replace(
