@@ -25,10 +25,9 @@ if TYPE_CHECKING:
     from trms_cli.library.findings import Validation as Validation
     from trms_cli.library.judging import Comparison as Comparison
     from trms_cli.library.judging import compare as compare
-    from trms_cli.library.judging import load as load
     from trms_cli.library.judging import runs as runs
     from trms_cli.library.judging import score as score
-    from trms_cli.library.run_result import Run as Run
+    from trms_cli.library.running import Run as Run
     from trms_cli.library.running import read_log as read_log
     from trms_cli.library.running import run as run
     from trms_cli.library.showing import plot as plot
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from trms_cli.library.studying import stability as stability
     from trms_cli.library.studying import validate as validate
     from trms_cli.library.sweeping import Sweep as Sweep
+    from trms_cli.library.sweeping import load as load
     from trms_cli.library.sweeping import sweep as sweep
     from trms_cli.library.tasks.task import Interrupted as Interrupted
     from trms_cli.simulation.closed_loop import Experiment as Experiment
@@ -59,10 +59,10 @@ _HOMES = {
     "Validation": "library.findings",
     "Comparison": "library.judging",
     "compare": "library.judging",
-    "load": "library.judging",
+    "load": "library.sweeping",
     "runs": "library.judging",
     "score": "library.judging",
-    "Run": "library.run_result",
+    "Run": "library.running",
     "read_log": "library.running",
     "run": "library.running",
     "plot": "library.showing",

@@ -13,7 +13,7 @@ import pytest
 from trms_cli.commands import export, import_
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.recordings.log_reader import read_log
-from trms_cli.recordings.recording import read_recording
+from trms_cli.recordings.read import read_recording
 
 Program = Callable[..., subprocess.CompletedProcess[str]]
 ROWS = "".join(

@@ -10,7 +10,7 @@ import pytest
 
 from trms_cli.cli import main
 from trms_cli.recordings.log_reader import read_log
-from trms_cli.recordings.recording import read_recording
+from trms_cli.recordings.read import read_recording
 
 QUICK = (
     "controller=open_loop",

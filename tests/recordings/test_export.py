@@ -16,7 +16,7 @@ from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.recordings import output_file
 from trms_cli.recordings.export import export_log
 from trms_cli.recordings.log_reader import LoggedRun, read_log
-from trms_cli.recordings.recording import read_recording
+from trms_cli.recordings.read import read_recording
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Topic
 

@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import LoggedRun, read_log
-from trms_cli.recordings.recording import read_recording
+from trms_cli.recordings.read import read_recording
 
 
 def test_a_log_cut_anywhere_keeps_what_is_before(

@@ -14,7 +14,8 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.export import export_log
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.mcap_recording import write_mcap
-from trms_cli.recordings.recording import Recording, read_recording
+from trms_cli.recordings.read import read_recording
+from trms_cli.recordings.recording import Recording
 
 GOOD: dict[str, Any] = {
     "t": np.array([[0.0], [0.1], [0.2]]),

@@ -15,7 +15,8 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings import run_log
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.mcap_recording import write_mcap
-from trms_cli.recordings.recording import Recording, on_grid, quantum, read_recording
+from trms_cli.recordings.read import read_recording
+from trms_cli.recordings.recording import Recording, on_grid, quantum
 
 
 @given(

@@ -72,7 +72,7 @@ def main(argv: list[str]) -> int:
 
     from trms_cli.core.errors import RecordingError
     from trms_cli.recordings.mcap_recording import sha256_of, write_mcap
-    from trms_cli.recordings.recording import read_recording
+    from trms_cli.recordings.read import read_recording
     from trms_cli.recordings.summary import summarise
 
     if given.file.suffix.lower() == ".mcap" and _is_log(given.file):

@@ -11,11 +11,8 @@ from typing import TYPE_CHECKING, Any
 from trms_cli.composition.arguments import path_of
 from trms_cli.core.errors import RecordingError
 from trms_cli.library import html
-from trms_cli.library.findings import Diagnosis, Excitation, Fit, Stability, Validation
 from trms_cli.library.frames import frame_of
 from trms_cli.library.paths import run_paths
-from trms_cli.library.result import Result
-from trms_cli.library.run_result import run_in
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
@@ -199,46 +196,6 @@ def runs(
     from trms_cli.runs.frame import runs_frame
 
     return runs_frame(filter, folders, **how)
-
-
-def load(path: str | PathLike[str]) -> Result:
-    """What a command left in a folder, from the command line or from Python, opened again.
-
-    Parameters
-    ----------
-    path : path
-        The folder, or a run's log.
-
-    Returns
-    -------
-    Run, Sweep, Fit, Validation, Stability, Diagnosis or Excitation
-
-    Raises
-    ------
-    RecordingError
-        If no command left that.
-
-    Examples
-    --------
-    >>> fit = load("outputs/2025-01-31/12-00-00-identify")
-    """
-    folder = path_of(path, "path")
-    kinds: tuple[type[Result], ...] = (Fit, Validation, Stability, Diagnosis, Excitation)
-    for kind in kinds:
-        if (folder / kind.DOCUMENT).is_file():
-            return kind(folder)
-    if (folder / "sweep.json").is_file():
-        from trms_cli.library.sweeping import Sweep
-
-        return Sweep(folder)
-    if folder.is_file() or (folder / "run.mcap").is_file():
-        return run_in(folder)
-    raise RecordingError(
-        "no command left its results here",
-        where=str(path),
-        remedy="name the folder that run, identify, validate, stability, diagnose or excite "
-        "wrote into",
-    )
 
 
 def _texts(value: Any) -> list[str]:

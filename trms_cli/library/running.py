@@ -1,19 +1,253 @@
-"""Closing the loop from Python: :func:`run`, and a run once more."""
+"""Closing the loop from Python: :func:`run`, what it leaves (:class:`Run`), and a run once more."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from trms_cli.composition.arguments import Arguments, arguments_of, path_of
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.library import html
 from trms_cli.library.calling import called, finished, perform, words_of
-from trms_cli.library.run_result import Run, run_in
+from trms_cli.library.frames import frame_of
+from trms_cli.library.result import Result
 
 if TYPE_CHECKING:
+    import pandas  # type: ignore[import-untyped,unused-ignore]
+
     from trms_cli.composition.composer import Composition, Outcome
+    from trms_cli.recordings.log_reader import LoggedRun
+    from trms_cli.reporting.notebook_figure import NotebookFigure
     from trms_cli.simulation.closed_loop import Experiment
+
+#: Pixels of the picture in a notebook.
+_WIDTH = 640
+#: Figures of the table in a notebook: key of a channel, label.
+_FIGURES = (
+    ("rmse", "RMSE"),
+    ("max_abs_error", "largest error"),
+    ("overshoot_percent", "overshoot, worst step [%]"),
+    ("settling_time_s", "settling time, worst step [s]"),
+    ("steady_state_error", "steady-state error"),
+)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Run(Result):
+    """A run of the loop, from its log.
+
+    ``run["/estimate"]`` is a pandas frame of one topic: a row a sample, the time in s as index,
+    units in ``.attrs["units"]``. ``run.topics`` tells which there are.
+
+    Attributes
+    ----------
+    folder : Path
+        What was written: the log, the score as JSON, a picture.
+    """
+
+    log: Path  #: The MCAP log; all that follows comes from it
+    #: What it was asked for by, where it was run from Python just now
+    asked: Arguments | None = field(default=None, kw_only=True)
+
+    FILES: ClassVar[Mapping[str, str]] = {"real": ".", "file": "."}
+
+    def file_for(self, key: str) -> Path:
+        """The log, for what asks for a recording."""
+        return self.log if key in ("real", "plant", "validation") else super().file_for(key)
+
+    @cached_property
+    def logged(self) -> LoggedRun:
+        """The log as it was read: tables of arrays by topic, records, attachments."""
+        from trms_cli.recordings.log_reader import read_log
+
+        return read_log(self.log)
+
+    @cached_property
+    def score(self) -> dict[str, Any]:
+        """``trms.score/1``: ``score["channels"]["alpha_h"]["rmse"]``, in SI units."""
+        from trms_cli.scoring.score import score_log
+
+        return dict(self.logged.score) or score_log(self.logged)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The score: what ``trms score --json`` prints."""
+        return self.score
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """The resolved configuration, every key with its value."""
+        import yaml
+
+        config = yaml.load(self.logged.config, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        return dict(config or {})
+
+    @property
+    def choices(self) -> dict[str, Any]:
+        """The option chosen in each group; an object by its class."""
+        return dict(json.loads(self.logged.run.get("choices", "{}")))
+
+    @property
+    def outcome(self) -> str:
+        """``completed``, ``interrupted``, ``failed`` or ``died``."""
+        return self.logged.outcome
+
+    @property
+    def topics(self) -> list[str]:
+        """Topics that the log has samples of."""
+        return [name for name, found in self.logged.tables.items() if len(found)]
+
+    def __getitem__(self, topic: str) -> pandas.DataFrame:
+        """One topic as a frame: the time in s as index, units in ``.attrs["units"]``.
+
+        Raises
+        ------
+        RecordingError
+            If the log has no such topic; it names those there are.
+        """
+        found = self.logged.table(topic if topic.startswith("/") else f"/{topic}")
+        return frame_of(found.columns, found.units, found.time, "time [s]")
+
+    def __contains__(self, topic: object) -> bool:
+        return topic in self.topics or f"/{topic}" in self.topics
+
+    def __iter__(self) -> Any:
+        return iter(self.topics)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return self.topics
+
+    def figure(self) -> NotebookFigure:
+        """The picture of the run, to be changed or saved: ``run.figure().savefig("run.pdf")``."""
+        from trms_cli.reporting.run_picture import figure_of_run
+
+        return figure_of_run(
+            _Drawn(self.logged), self.score, title=self.headline, limits=self._limits()
+        )
+
+    def again(
+        self,
+        *overrides: str,
+        out: str | PathLike[str] | None = None,
+        verbose: bool = False,
+        **changes: Any,
+    ) -> Run:
+        """The same run, but for what is given; the arguments are those of :func:`trms_cli.run`.
+
+        Examples
+        --------
+        >>> lqr = run(controller="lqr", seed=3)
+        >>> pid = lqr.again(controller="pid")    # the same reference, rig and noise
+        """
+
+        return run_again(self, overrides, changes, out=out, verbose=verbose)
+
+    @property
+    def headline(self) -> str:
+        """Who ran, on what, for how long."""
+        choices = self.choices
+        if not choices:
+            return str(self.log)
+        words = [str(choices.get("controller")), f"ref {choices.get('ref')}"]
+        words += [f"{g} {choices.get(g)}" for g in ("model", "observer", "plant")]
+        words += [f"{g} {', '.join(choices[g])}" for g in ("effect", "fault") if choices.get(g)]
+        return " · ".join(words)
+
+    def __repr__(self) -> str:
+        errors = [
+            f"{name} RMSE {_three(c['rmse'])} {c['unit']}"
+            for name, c in self.score["channels"].items()
+        ]
+        ended = [] if self.outcome == "completed" else [self.outcome]
+        return f"<Run {' | '.join([self.headline, *ended, *errors, str(self.log)])}>"
+
+    def _repr_html_(self) -> str:
+        return "".join(self._html())
+
+    def _html(self) -> Any:
+        channels = self.score["channels"]
+        yield html.paragraph(self.headline, bold=True)
+        if self.outcome != "completed":
+            yield html.paragraph(f"{self.outcome}; {'; '.join(self.logged.problems)}")
+        if channels:
+            head = ["", *(f"{name} [{c['unit']}]" for name, c in channels.items())]
+            rows = [
+                [label, *(c.get(key) for c in channels.values())]
+                for key, label in _FIGURES
+                if any(c.get(key) is not None for c in channels.values())
+            ]
+            yield html.table(head, rows)
+        yield html.picture(self._small_picture())
+        yield html.files({"log": self.log})
+
+    def _small_picture(self) -> bytes:
+        drawn = self.pictures.get("run")
+        if drawn is None:
+            return self.figure()._repr_png_()
+        from trms_cli.reporting.notebook_figure import small_png
+
+        return small_png(drawn.read_bytes(), width=_WIDTH)
+
+    def _limits(self) -> dict[str, tuple[float, float]]:
+        from trms_cli.scoring.score import LIMITS_KEY
+
+        found = json.loads(self.logged.run.get(LIMITS_KEY, "{}"))
+        return {name: (low, high) for name, (low, high) in found.items()}
+
+
+def _three(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """A log as a picture wants it."""
+
+    log: LoggedRun
+
+    @property
+    def events(self) -> list[tuple[int, str, str, str, float]]:
+        table = self.log.tables.get("/event")
+        if table is None:
+            return []
+        columns = [table.columns[name] for name in ("kind", "source", "message", "value")]
+        return list(zip(table.time_ns.tolist(), *columns, strict=True))
+
+    def times(self, topic: str) -> Any:
+        import numpy as np
+
+        table = self.log.tables.get(topic)
+        return np.zeros(0) if table is None else table.time
+
+    def columns(self, topic: str) -> dict[str, Any]:
+        table = self.log.tables.get(topic)
+        return {} if table is None else table.columns
+
+
+def run_in(path: Path) -> Run:
+    """The run of a log, or of a run's folder.
+
+    Raises
+    ------
+    RecordingError
+        If there is none.
+    """
+    from trms_cli.runs.run_folder import log_of
+
+    log = log_of(path)
+    if not log.is_file():
+        raise RecordingError(
+            "there is no log of a run",
+            where=str(path),
+            remedy="name a run.mcap, or the folder that a run wrote into",
+        )
+    return Run(log.parent, log)
+
 
 #: A path, or several.
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]

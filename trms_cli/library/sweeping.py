@@ -12,9 +12,10 @@ from trms_cli.composition.arguments import Arguments, arguments_of, path_of, tex
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.library import html
 from trms_cli.library.calling import called, words_of
+from trms_cli.library.findings import Diagnosis, Excitation, Fit, Stability, Validation
 from trms_cli.library.judging import Comparison, compare
 from trms_cli.library.result import Result
-from trms_cli.library.run_result import Run, run_in
+from trms_cli.library.running import Run, run_in
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
@@ -211,6 +212,44 @@ def sweep(
     if not verbose:
         heard.warn()
     return Sweep(_near(swept.folder))
+
+
+def load(path: str | PathLike[str]) -> Result:
+    """What a command left in a folder, from the command line or from Python, opened again.
+
+    Parameters
+    ----------
+    path : path
+        The folder, or a run's log.
+
+    Returns
+    -------
+    Run, Sweep, Fit, Validation, Stability, Diagnosis or Excitation
+
+    Raises
+    ------
+    RecordingError
+        If no command left that.
+
+    Examples
+    --------
+    >>> fit = load("outputs/2025-01-31/12-00-00-identify")
+    """
+    folder = path_of(path, "path")
+    kinds: tuple[type[Result], ...] = (Fit, Validation, Stability, Diagnosis, Excitation)
+    for kind in kinds:
+        if (folder / kind.DOCUMENT).is_file():
+            return kind(folder)
+    if (folder / "sweep.json").is_file():
+        return Sweep(folder)
+    if folder.is_file() or (folder / "run.mcap").is_file():
+        return run_in(folder)
+    raise RecordingError(
+        "no command left its results here",
+        where=str(path),
+        remedy="name the folder that run, identify, validate, stability, diagnose or excite "
+        "wrote into",
+    )
 
 
 class _Screen:

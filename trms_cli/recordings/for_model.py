@@ -20,7 +20,8 @@ from trms_cli.models.model import Model, Signal, names
 from trms_cli.recordings.channels import CHANNELS, REFERENCE_OF_AXIS
 from trms_cli.recordings.mcap_recording import sha256_of
 from trms_cli.recordings.preparation import Preparation
-from trms_cli.recordings.recording import GriddedRecording, Recording, on_grid, read_recording
+from trms_cli.recordings.read import read_recording
+from trms_cli.recordings.recording import GriddedRecording, Recording, on_grid
 
 #: A channel with more runs of missing samples than this gets one event instead of one each.
 _MOST_EVENTS = 20

@@ -132,35 +132,6 @@ class Recording:
         )
 
 
-def read_recording(path: Path | str) -> Recording:
-    """Read a recording, from CSV, MAT or a run log.
-
-    Raises RecordingError with the line of a CSV that is wrong, what was found there, and what to
-    do.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if path.is_dir():
-        raise RecordingError("this is a folder", where=str(path), remedy="give a file in it")
-    if suffix in (".csv", ".txt"):
-        from trms_cli.recordings.csv_recording import read_csv
-
-        return read_csv(path)
-    if suffix == ".mat":
-        from trms_cli.recordings.mat_recording import read_mat
-
-        return read_mat(path)
-    if suffix == ".mcap":
-        from trms_cli.recordings.mcap_recording import read_mcap
-
-        return read_mcap(path)
-    raise RecordingError(
-        f"the ending {suffix!r} tells no format of recordings",
-        where=str(path),
-        remedy="give a .csv, a .mat or a .mcap file",
-    )
-
-
 def quantum(values: np.ndarray) -> float | None:
     """Estimate the step between the levels that a channel takes.
 
