@@ -69,7 +69,7 @@ def test_the_commands_after_a_run_can_be_typed(executable, tmp_path):
         command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
     assert "\n1 s, completed" in again.stdout  # as long as the run was
-    assert "1 s simulated" in run.stdout
+    assert "1 s at 50 Hz simulated" in run.stdout
 
 
 def test_the_first_page_is_typed_alike(executable, tmp_path):

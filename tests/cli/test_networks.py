@@ -44,7 +44,7 @@ class TestRun:
         options = ("sim.duration=2", "out=run", "picture=false")
         done = trms("run", "model=net.yaml", *options, TRMS_COMPILE="0")
         assert done.returncode == 0, done.stderr
-        assert "model narx, rig narx" in done.stdout
+        assert "model net" in done.stdout and "(narx)" in done.stdout
         score = json.loads((tmp_path / "run" / "score.json").read_text())
         assert score["solver"]["failures"] == 0
 
@@ -53,7 +53,7 @@ class TestRun:
         options = ("controller=newton_mpc", "sim.duration=20", "out=run", "picture=false")
         done = trms("run", "model=narx_2dof", *options, TRMS_COMPILE="0")
         assert done.returncode == 0, done.stderr
-        assert "model narx, rig newtonian" in done.stdout
+        assert "model narx_2dof" in done.stdout and "(newtonian)" in done.stdout
         score = json.loads((tmp_path / "run" / "score.json").read_text())
         assert score["solver"]["failures"] == 0
         for axis in ("alpha_v", "alpha_h"):

@@ -61,7 +61,7 @@ def test_predictions_come_as_often_as_it_says(run_folder):
 
 def test_its_kinds_of_events_are_those_that_are_written():
     package = PAGE.parents[1] / "trms_cli"
-    files = [*package.glob("simulation/*.py"), package / "plants" / "replay.py"]
+    files = [*package.glob("simulation/*.py"), package / "recordings" / "for_model.py"]
     source = "".join(file.read_text(encoding="utf-8") for file in files)
     text = PAGE.read_text("utf-8")
     table = text[text.index("| `kind` of an event") : text.index("## Times")]

@@ -125,14 +125,14 @@ class TestRun:
         outcome = run_case(case)
         assert outcome.score is None
         assert "nobody" in outcome.problem
-        assert comparing.compared(outcome, comparing.RigRecordings()).bad
+        assert comparing.compared(outcome, comparing.Recorded()).bad
 
 
 class TestComparison:
     @pytest.fixture
-    def recorded(self, outcomes: list[Outcome], tmp_path: Path) -> comparing.RigRecordings:
+    def recorded(self, outcomes: list[Outcome], tmp_path: Path) -> comparing.Recorded:
         file = tmp_path / "baseline.json"
-        comparing.write_recorded(outcomes, comparing.RigRecordings(), "first", "abc", file)
+        comparing.write_recorded(outcomes, comparing.Recorded(), "first", "abc", file)
         return comparing.read_recorded(file)
 
     def test_a_run_equals_itself(self, outcomes, recorded) -> None:
@@ -162,7 +162,7 @@ class TestComparison:
         assert not any(word in text for word in ("time_ms", "effort", "overshoot"))
 
     def test_a_run_without_a_baseline_does_not_pass(self, outcomes) -> None:
-        compared = comparing.compared(outcomes[0], comparing.RigRecordings())
+        compared = comparing.compared(outcomes[0], comparing.Recorded())
         assert (compared.verdict, compared.bad) == ("new", True)
 
     def test_a_run_that_became_another_is_not_compared(self, outcomes, recorded) -> None:

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from trms_cli.commands import stability_request as request
 from trms_cli.composition.composer import compose
 from trms_cli.core.chart import as_data
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.library.tasks import stability as request
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.vector_field import VectorField

@@ -69,8 +69,8 @@ class Curve:
     style: Style = "solid"
     width: float = 1.4  #: Points
     arrow: bool = False  #: Whether an arrowhead on it tells its direction
-    held: bool = False  #: Whether each value holds until the next, as a command does
     z: Values | None = None  #: (n,) or None; in a panel of three axes
+    held: bool = False  #: Whether each value holds until the next, as a command does
 
 
 @dataclass(frozen=True)

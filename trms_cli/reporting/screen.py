@@ -87,7 +87,8 @@ def show(
     lead = list(findings.lead)
     # findings without a title have their answer in the first line
     if command:
-        _say(out, f"{command:<{_LABEL}}{title or _plain(lead.pop(0))}")
+        first = fold(title or _plain(lead.pop(0)), out.width - _LABEL, " ")
+        _say(out, f"{command:<{_LABEL}}" + first.replace("\n", "\n" + " " * _LABEL))
     _say(out)
     for sentence in lead:
         _say(out, _plain(sentence), "bold")
