@@ -260,16 +260,17 @@ def published_rows(besides: Sequence[Beside]) -> Rows:
 
 def print_results(results: Results) -> None:
     """The ranking as ``trms compare`` prints it, then the aims."""
-    from trms_cli.reporting.screen import console, show
+    from trms_cli.reporting.screen import show, terminal
     from trms_cli.scoring.comparison.findings import ranking_findings
 
-    out = console()
+    out = terminal()
     main = results.main
     show(ranking_findings(main, results.gathered["main"], main.standings), "compare", rows=100)
-    words = {True: "[bold green]met[/]", False: "[bold red]missed[/]", None: "not told"}
+    words = {True: ("met", "bold green"), False: ("missed", "bold red"), None: ("not told", "")}
     out.print()
     for aim in results.aims:
-        out.print(f"{words[aim.met]:>8}  {aim.words}: {aim.figures}", highlight=False)
+        word, style = words[aim.met]
+        out.print([(f"{word:>8}", style), (f"  {aim.words}: {aim.figures}", "")])
 
 
 def markdown(rows: Rows) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 
 from trms_cli.core.findings import Findings, Judged, Measure, NextCommand, Section, Table
 from trms_cli.reporting import screen
@@ -23,7 +22,7 @@ TABLE = Table(
 
 def printed(table: Table, width: int) -> str:
     stream = io.StringIO()
-    screen.show_table(Console(file=stream, width=width), table)
+    screen.show_table(screen.Terminal(stream, width), table)
     return stream.getvalue()
 
 

@@ -7,12 +7,11 @@ import json
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from trms_cli.commands import score as score_command
 from trms_cli.core import wording
 from trms_cli.core.findings import plain
-from trms_cli.reporting.screen import show_table
+from trms_cli.reporting.screen import Terminal, show_table
 from trms_cli.runs.columns import COLUMNS, figures_of
 from trms_cli.scoring import figures, findings
 from trms_cli.scoring.baseline import Baseline, compare
@@ -99,7 +98,7 @@ def test_a_comparison_of_long_names_loses_no_figure(width: int) -> None:
     ranking = rank(group(runs))
     stream = io.StringIO()
     for table in ranking_tables(ranking, ranking.standings):
-        show_table(Console(file=stream, width=width), table)
+        show_table(Terminal(stream, width), table)
     text = stream.getvalue()
     lines = text.splitlines()
     assert max(map(len, lines)) <= width and "…" not in text

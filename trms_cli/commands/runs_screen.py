@@ -192,7 +192,7 @@ def _print_plain(found: QueryResult, names: Sequence[str]) -> None:
 
 def _print_table(found: QueryResult, names: Sequence[str]) -> None:
     """As wide as the terminal: names are folded, and columns parted into tables of their own."""
-    from trms_cli.reporting.screen import console, show_table
+    from trms_cli.reporting.screen import show_table, terminal
 
     rows: list[list[Cell]] = []
     for run in found.runs:
@@ -200,7 +200,7 @@ def _print_table(found: QueryResult, names: Sequence[str]) -> None:
         cells = [_cell(run[name], found.columns[name]) for name in names]
         rows.append([Judged(cell, "" if ended else "doubtful") for cell in cells])
     heads = [_heading(name, found.columns[name]) for name in names]
-    show_table(console(), Table(heads, rows), len(rows))
+    show_table(terminal(), Table(heads, rows), len(rows))
 
 
 def _cell(value: Any, column: IndexColumn) -> Value:

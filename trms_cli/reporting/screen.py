@@ -10,9 +10,9 @@ import os
 import re
 import sys
 from collections.abc import Sequence
-from typing import IO, TYPE_CHECKING
-
-from rich.text import Text
+from dataclasses import dataclass
+from shutil import get_terminal_size
+from typing import IO
 
 from trms_cli.core import wording
 from trms_cli.core.findings import (
@@ -28,9 +28,6 @@ from trms_cli.core.findings import (
     table,
 )
 from trms_cli.core.printable import printable
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 _COLOURS = {"good": "green", "bad": "red", "doubtful": "yellow", "best": "green", "": ""}
 #: What stands behind a judged cell where colours are lost.
@@ -51,15 +48,41 @@ _LONGEST_WHY = 60
 _SENTENCES_OF_A_JOB = 4
 
 
-def console(stream: IO[str] | None = None) -> Console:
-    """A console as wide as the terminal, at most :data:`WIDTH`; that wide for a file."""
-    from rich.console import Console
+#: Numbers of the styles in an escape sequence (ECMA-48).
+_CODES = {
+    "bold": "1", "dim": "2", "italic": "3",
+    "red": "31", "green": "32", "yellow": "33", "cyan": "36",
+}  # fmt: skip
+#: A line: parts of text, each with the words of its style.
+Line = Sequence[tuple[str, str]]
 
-    # in a notebook too by way of standard output, where whoever calls from Python hears it
-    usual = Console(file=stream, force_jupyter=False)
-    if (usual.is_terminal or "COLUMNS" in os.environ) and usual.width <= WIDTH:
-        return usual
-    return Console(file=stream, width=WIDTH, force_jupyter=False)
+
+@dataclass(frozen=True)
+class Terminal:
+    """Where findings are printed. Not by rich, whose import would take longer than a short run."""
+
+    file: IO[str]
+    width: int = WIDTH  #: Letters of a line
+    colour: bool = False
+
+    def print(self, line: Line = ()) -> None:
+        """Print one line."""
+        painted = (self._painted(text, style) for text, style in line if text)
+        self.file.write("".join(painted) + "\n")
+
+    def _painted(self, text: str, style: str) -> str:
+        if not (style and self.colour):
+            return text
+        return f"\033[{';'.join(_CODES[word] for word in style.split())}m{text}\033[0m"
+
+
+def terminal(stream: IO[str] | None = None) -> Terminal:
+    """As wide as the terminal, at most :data:`WIDTH`; that wide for a file."""
+    stream = stream or sys.stdout
+    shown = stream.isatty()
+    width = get_terminal_size().columns if shown or "COLUMNS" in os.environ else WIDTH
+    plain_only = os.environ.get("NO_COLOR") or os.environ.get("TERM") in ("dumb", "unknown")
+    return Terminal(stream, min(width, WIDTH), shown and not plain_only)
 
 
 def show(
@@ -82,7 +105,7 @@ def show(
     rows : int
         Of each table, at most; the documents have them all.
     """
-    out = console(stream)
+    out = terminal(stream)
     title = " · ".join(part for part in (findings.title, subject) if part)
     lead = list(findings.lead)
     # findings without a title have their answer in the first line
@@ -117,14 +140,13 @@ def say(head: str, text: str) -> None:
     print(f"{head:<{_LABEL}}{text}")
 
 
-def show_remarks(out: Console, items: Sequence[str | Judged]) -> None:
+def show_remarks(out: Terminal, items: Sequence[str | Judged]) -> None:
     """Print sentences, each behind the sign of its judgement."""
     for item in items:
         judged = item if isinstance(item, Judged) else Judged(item)
         style, sign = _COLOURS[judged.judgement], _POINTS[judged.judgement]
-        for line in _bold(str(judged.value)).wrap(out, out.width - 2):
-            line.rstrip()
-            out.print(Text.assemble((sign, style), " ", line), highlight=False)
+        for line in fold(_plain(str(judged.value)), out.width - 2, " ").split("\n"):
+            out.print([(sign, style), (f" {line}", "")])
             sign = " "
     _say(out)
 
@@ -165,16 +187,16 @@ def measures_table(measures: Sequence[Measure]) -> Table:
     return table(measures, columns)
 
 
-def show_table(out: Console, table: Table, rows: int = _MOST_ROWS) -> None:
+def show_table(out: Terminal, table: Table, rows: int = _MOST_ROWS) -> None:
     """Print a table, folded and parted to the width of the console."""
     shown = [[_text(cell) for cell in row] for row in table.rows[:rows]]
     for number, part in enumerate(parted(table.columns, shown, table.heads, out.width)):
         if number:
             _say(out)
         for line in _lines(table, shown, part):
-            out.print(line, soft_wrap=True)
+            out.print(line)
     if table.caption:
-        out.print(Text(_plain(table.caption), style="dim italic"), highlight=False)
+        _say(out, _plain(table.caption), "dim italic")
     more = len(table.rows) - rows
     if more > 0:
         _say(out, f"… {wording.count(more, 'more row')} in the document and on the page", "dim")
@@ -243,31 +265,34 @@ def fold(text: str, width: int, signs: str = " /_,=.:·-") -> str:
     return "\n".join(lines)
 
 
-def _lines(table: Table, rows: Sequence[Sequence[str]], part: dict[int, int]) -> list[Text]:
+def _lines(table: Table, rows: Sequence[Sequence[str]], part: dict[int, int]) -> list[Line]:
     """Head, rule and rows of one part, each column as wide as it was given."""
     numeric = {i: all(_is_number(row[i]) for row in table.rows) for i in part}
 
-    def line_block(texts: Sequence[str], styles: Sequence[str], *, at_foot: bool) -> list[Text]:
+    def line_block(texts: Sequence[str], styles: Sequence[str], *, at_foot: bool) -> list[Line]:
         signs = " " if at_foot else " /_,=.:·-"
         folded = [fold(texts[i], width, signs).split("\n") for i, width in part.items()]
         height = max(map(len, folded))
-        lines = []
+        lines: list[Line] = []
         for k in range(height):
-            line = Text()
+            line: list[tuple[str, str]] = []
             for (i, width), own, style in zip(part.items(), folded, styles, strict=True):
                 at = k - (height - len(own)) if at_foot else k
                 text = own[at] if 0 <= at < len(own) else ""
-                line.append(" " * _GAP if line else "")
-                line.append(text.rjust(width) if numeric[i] else text.ljust(width), style)
-            line.rstrip()
+                line.append((" " * _GAP if line else "", ""))
+                line.append((text.rjust(width) if numeric[i] else text.ljust(width), style))
+            while line and not line[-1][0].strip():
+                line.pop()
+            if line:
+                line[-1] = line[-1][0].rstrip(), line[-1][1]
             lines.append(line)
         return lines
 
-    lines = []
+    lines: list[Line] = []
     if any(table.columns):
         styles = ["bold cyan" if i < table.heads else "bold" for i in part]
         lines += line_block(table.columns, styles, at_foot=True)
-        lines.append(Text("─" * _taken(list(part.values())), "dim"))
+        lines.append([("─" * _taken(list(part.values())), "dim")])
     for row, texts in zip(table.rows, rows, strict=False):
         judged = [cell.judgement if isinstance(cell, Judged) else "" for cell in row]
         lines += line_block(texts, [_COLOURS[judged[i]] for i in part], at_foot=False)
@@ -319,13 +344,6 @@ def _plain(text: str) -> str:
     return printable(re.sub(r"\*\*(.+?)\*\*|`(.+?)`", lambda m: m[1] or m[2], text))
 
 
-def _bold(text: str) -> Text:
-    """Text with ``**bold**`` as that."""
-    shown = Text()
-    for number, part in enumerate(re.sub(r"`(.+?)`", r"\1", text).split("**")):
-        shown.append(printable(part), "bold" if number % 2 else "")
-    return shown
-
-
-def _say(out: Console, text: str = "", style: str = "") -> None:
-    out.print(text, style=style, highlight=False, markup=False, soft_wrap=False)
+def _say(out: Terminal, text: str = "", style: str = "") -> None:
+    for line in fold(text, out.width, " ").split("\n"):
+        out.print([(line, style)])
