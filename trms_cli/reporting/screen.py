@@ -110,8 +110,7 @@ def show(
     lead = list(findings.lead)
     # findings without a title have their answer in the first line
     if command:
-        first = fold(title or _plain(lead.pop(0)), out.width - _LABEL, " ")
-        _say(out, f"{command:<{_LABEL}}" + first.replace("\n", "\n" + " " * _LABEL))
+        _say_labelled(out, command, title or _plain(lead.pop(0)))
     _say(out)
     for sentence in lead:
         _say(out, _plain(sentence), "bold")
@@ -129,7 +128,7 @@ def show(
     if findings.warnings:
         _say(out)
     for name, text in findings.facts.items():
-        _say(out, f"{name:<{_LABEL}}{text}")
+        _say_labelled(out, name, text)
     for name, path in findings.files.items():
         print(f"{name:<{_LABEL}}{path}", file=out.file)
     show_next(findings.next, out.file)
@@ -347,3 +346,9 @@ def _plain(text: str) -> str:
 def _say(out: Terminal, text: str = "", style: str = "") -> None:
     for line in fold(text, out.width, " ").split("\n"):
         out.print([(line, style)])
+
+
+def _say_labelled(out: Terminal, label: str, text: str) -> None:
+    """Text behind its label, and what is folded under it."""
+    for number, line in enumerate(fold(text, out.width - _LABEL, " ").split("\n")):
+        out.print([(f"{'' if number else label:<{_LABEL}}", ""), (line, "")])
