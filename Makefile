@@ -45,8 +45,8 @@ run: $(READY) ## set up and close the loop: newton_mpc follows a square (ARGS="r
 test: $(READY) ## set up and run the tests
 	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m 'not slow' -q $(ARGS)
 
-slow: $(READY) ## the long tests
-	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m slow -q $(ARGS)
+slow: $(READY) ## the long tests, but for those of `make package`
+	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m slow -q --ignore=tests/packaging $(ARGS)
 
 package: $(READY) ## wheel and source distribution, built, installed under lowest and newest dependencies, used
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -q -m slow tests/packaging $(ARGS)
