@@ -115,10 +115,7 @@ def test_currents_are_modes_of_their_own_and_kept_apart():
     path = OperatingPath(model, {}, "alpha_v")
     tracks = tracks_of(model, sweep_eigenvalues(path, -0.2, 0.2, 5))
     fast = {track.name for track in tracks if track.fast}
-    assert fast == {
-        "armature current of the main motor",
-        "armature current of the tail motor",
-    }
+    assert fast == {"armature current of the main motor", "armature current of the tail motor"}
     # −R/L, and a little for the back EMF.
     p = model.parameters
     for track in tracks:

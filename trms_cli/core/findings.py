@@ -181,6 +181,13 @@ def plain(cell: Cell) -> Value:
     return cell.value if isinstance(cell, Judged) else cell
 
 
+def rounded(value: float | None, digits: int = 4) -> float | None:
+    """A number to some significant digits, for a cell; None for what is not finite."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{value:.{digits}g}")
+
+
 def json_data(value: Any) -> Any:
     """A result as JSON data, such as :attr:`Findings.results`.
 

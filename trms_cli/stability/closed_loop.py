@@ -14,13 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.controllers.controller import (
-    Command,
-    Controller,
-    ControlSample,
-    ControlSetup,
-    Status,
-)
+from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup, Status
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import SimulationError
 from trms_cli.models.model import Model, names

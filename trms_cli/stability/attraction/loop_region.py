@@ -25,7 +25,7 @@ from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.lqr import Lqr, Regulator
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
-from trms_cli.core.findings import Column, Findings, Judged, Section, Table, table
+from trms_cli.core.findings import Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.attraction import report
@@ -40,7 +40,6 @@ from trms_cli.stability.attraction.region import (
 from trms_cli.stability.attraction.simulation import ConfidenceShare, share_of
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.closed_loop import run_loop
-from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
 
@@ -335,7 +334,7 @@ def loop_findings(result: LoopRegion, plane: Sequence[str], title: str) -> Findi
             "(and only where the rig has the states that the controller believes in). The share "
             "is an estimate from runs."
         )
-    return Findings(title, lead, sections, as_json(_results(result)), warnings)
+    return Findings(title, lead, sections, json_data(_results(result)), warnings)
 
 
 def _run_table(result: LoopRegion) -> Table:

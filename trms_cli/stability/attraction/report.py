@@ -20,13 +20,12 @@ from trms_cli.core.chart import (
     Points,
     Region,
 )
-from trms_cli.core.findings import Column, Judged, Section, Table, table
+from trms_cli.core.findings import Column, Judged, Section, Table, rounded, table
 from trms_cli.models.model import names
 from trms_cli.stability.attraction.estimates import Method, RegionEstimate
 from trms_cli.stability.attraction.region import AttractionRegion, EstimateTest
 from trms_cli.stability.attraction.simulation import SETTLED, ConfidenceShare
 from trms_cli.stability.attraction.system import written
-from trms_cli.stability.results import rounded
 
 METHOD = (
     "With y the deviation from the equilibrium, V falls along the motions in each of the sets and "

@@ -10,16 +10,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.chart import Chart
-from trms_cli.core.findings import (
-    Column,
-    Findings,
-    Judged,
-    Section,
-    Table,
-    Value,
-    json_data,
-    table,
-)
+from trms_cli.core.findings import Column, Findings, Judged, Section, Table, Value, json_data, table
 from trms_cli.core.wording import symbol, titled
 from trms_cli.models.model import Model, Signal, by_name, names
 from trms_cli.models.operating_point import OperatingPoint

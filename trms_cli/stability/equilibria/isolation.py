@@ -303,12 +303,7 @@ def _round(
     return queue, owner
 
 
-def _inside(
-    boxes: Interval,
-    owner: IntArray,
-    domains: Interval,
-    owners: IntArray,
-) -> BoolArray:
+def _inside(boxes: Interval, owner: IntArray, domains: Interval, owners: IntArray) -> BoolArray:
     """Whether each box lies in a domain of its problem."""
     same = owner[:, None] == owners[None, :]
     lower = np.all(domains.lower[None, :, :] <= boxes.lower[:, None, :], axis=2)

@@ -195,10 +195,7 @@ def _curve_of(linear: Linear, equations: CurveEquations, curve: SolutionCurve) -
 
 
 def setting_of(
-    model: Model,
-    over: str,
-    bounds: tuple[float, float],
-    at: Mapping[str, float],
+    model: Model, over: str, bounds: tuple[float, float], at: Mapping[str, float]
 ) -> SurveySetting:
     """The other inputs of a survey.
 

@@ -59,12 +59,7 @@ def styles_of(colours: Mapping[str, Colour]) -> dict[str, Style]:
 
 
 def locus_charts(
-    names: tuple[str, str],
-    locus: Locus,
-    value: float,
-    where: str,
-    digits: int = 3,
-    note: str = "",
+    names: tuple[str, str], locus: Locus, value: float, where: str, digits: int = 3, note: str = ""
 ) -> tuple[Chart, Chart]:
     """The complex plane with trajectories, and damping and frequency over the range.
 
@@ -153,10 +148,7 @@ def _plane(name: str, locus: Locus, at: int, ends: tuple[str, str], caption: str
 
 
 def _close_up(
-    tracks: Sequence[Track],
-    crossings: Sequence[Crossing],
-    x: tuple[float, float],
-    y: float,
+    tracks: Sequence[Track], crossings: Sequence[Crossing], x: tuple[float, float], y: float
 ) -> tuple[tuple[float, float], tuple[float, float], str] | None:
     """Limits around the mode that crosses first, where it is small in the whole, and its name."""
     if not crossings:
@@ -235,12 +227,7 @@ def points_alone(name: str, modes: Modes, caption: str = "") -> Chart:
         marker = disc if used[colour] == 1 else _MARKERS[(used[colour] - 1) % len(_MARKERS)]
         marks.append(
             Points(
-                [v.real for v in both],
-                [v.imag for v in both],
-                mode.name,
-                marker,
-                colour,
-                size=9.0,
+                [v.real for v in both], [v.imag for v in both], mode.name, marker, colour, size=9.0
             )
         )
     top = max([abs(m.eigenvalue.imag) for m in shown], default=0.0)

@@ -17,6 +17,8 @@ from trms_cli.core.findings import (
     Judgement,
     Section,
     Table,
+    json_data,
+    rounded,
 )
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
@@ -32,7 +34,6 @@ from trms_cli.stability.local.access import (
 from trms_cli.stability.local.constant_torques import TorqueEstimates, set_words
 from trms_cli.stability.local.sensitivity import state_words
 from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath
-from trms_cli.stability.results import as_json, rounded
 
 _GRADES: dict[str, tuple[str, Judgement]] = {
     "none": ("no", "bad"),
@@ -81,7 +82,7 @@ def controllability_findings(result: ControllabilityResult) -> Findings:
         "Controllability and observability",
         _lead(result),
         (_inputs(result), _range(result), _sensors(result), _torques(result)),
-        as_json(_data(result)),
+        json_data(_data(result)),
         _warnings(result),
     )
 
@@ -142,11 +143,7 @@ def _data(result: ControllabilityResult) -> dict[str, Any]:
                 "sensors": one,
                 "together": result.torques[one].together,
                 "alone": {
-                    t.name: {
-                        "seen": t.seen,
-                        "error": t.errors[0],
-                        "errors_over_time": t.errors[1:],
-                    }
+                    t.name: {"seen": t.seen, "error": t.errors[0], "errors_over_time": t.errors[1:]}
                     for t in result.torques[one].torques
                 },
             }
@@ -481,14 +478,7 @@ def _zeros(sweep: EigenvalueSweep, reach: InputGains, i: int) -> list[Mark]:
         lost = np.flatnonzero(gain <= 1e-6 * float(gain.max(initial=0.0)))
         if 0 < len(lost) <= 3 and gain.max() > 0:
             marks.append(
-                Points(
-                    sweep.values[lost],
-                    gain[lost],
-                    "lost",
-                    "unstable",
-                    "alarm",
-                    size=7.0,
-                )
+                Points(sweep.values[lost], gain[lost], "lost", "unstable", "alarm", size=7.0)
             )
     return marks
 

@@ -27,13 +27,12 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel
-from trms_cli.core.findings import Column, Table, table
+from trms_cli.core.findings import Column, Table, rounded, table
 from trms_cli.core.wording import listing
 from trms_cli.models.model import Model
 from trms_cli.stability.local.modes import RigPart, parts_of, rate_of
 from trms_cli.stability.local.sweep import EigenvalueSweep, LocusPoint, OperatingPath
 from trms_cli.stability.local.tables import amount_words
-from trms_cli.stability.results import rounded
 
 
 def entry_words(model: Model, i: int, j: int) -> str:

@@ -14,13 +14,12 @@ from scipy.optimize import brentq
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Axis, Chart, Contour, Line, Mark, Panel, Points, Region
 from trms_cli.core.errors import TrmsError
-from trms_cli.core.findings import Column, Section, table
+from trms_cli.core.findings import Column, Section, rounded, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.modes import STILL, rate_of
 from trms_cli.stability.local.sweep import OperatingPath, headed, sweep_eigenvalues, unit_of
 from trms_cli.stability.local.tables import amount_words, crossing_data
 from trms_cli.stability.local.tracks import locus_of
-from trms_cli.stability.results import rounded
 from trms_cli.stability.study import Tell
 
 #: Boundary points are located to this share of a cell.

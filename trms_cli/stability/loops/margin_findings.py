@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from trms_cli.controllers.controller import Status
-from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, table
+from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.loops import margin_charts
 from trms_cli.stability.loops.frequency_response import NoResponse
@@ -17,7 +17,6 @@ from trms_cli.stability.loops.margins import (
     MarginResult,
     StabilityLimit,
 )
-from trms_cli.stability.results import as_json
 from trms_cli.stability.subject import LoopParts, Subject
 
 #: Parts of the answer above which a warning is due: change from period to period, what the linear
@@ -98,7 +97,7 @@ def margin_findings(
                 "Each loop is opened at its command, the others stay closed. The loop was "
                 "measured while it was closed, so it is stable as it is; a margin is the first "
                 "change at which its Nyquist curve runs through −1. A margin of the delay holds "
-                "for a linear loop; study=tolerance compares it with the simulated one.",
+                "for a linear loop; study=tolerance compares it with the simulated one."
             ],
             [_single_table(margins), *([_together_table(margins)] if several else [])],
         ),
@@ -117,7 +116,7 @@ def margin_findings(
         TITLE,
         _lead(margins, where),
         sections,
-        as_json(_results(margins)),
+        json_data(_results(margins)),
         _warnings(margins, subject),
     )
 
@@ -298,8 +297,7 @@ def _share(value: float, most: float) -> Judged:
 
 
 def warning_of_statuses(
-    statuses: Mapping[str, int],
-    consequence: str = "the margins are in part those of the fall-back",
+    statuses: Mapping[str, int], consequence: str = "the margins are in part those of the fall-back"
 ) -> str:
     """A word where it was not the controller's own law that was measured."""
     total = sum(statuses.values())

@@ -222,13 +222,7 @@ class ToleranceTrial:
         time = self.loop.sample_time
         path = impairment.path(model, self.point, time, size) if wrong else None
         run = run_loop(
-            rig,
-            self.loop,
-            self.point,
-            self.duration,
-            offset=self.offset,
-            path=path,
-            until=gone,
+            rig, self.loop, self.point, self.duration, offset=self.offset, path=path, until=gone
         )
         lower, upper = model.input_bounds()
         commands = run.u / ((upper - lower) / 2)

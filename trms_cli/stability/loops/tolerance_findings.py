@@ -57,7 +57,7 @@ def tolerance_findings(
                     "to half. It is still creeping if the error shrinks too slowly for that, and "
                     "rests beside the point if it does not shrink, or a command stays at its "
                     "limit. It stays calm if nothing swings on, wherever it rests. Each limit lies "
-                    "between a size that is stood and one that is not.",
+                    "between a size that is stood and one that is not."
                 ],
                 [_table(limits)],
             ),

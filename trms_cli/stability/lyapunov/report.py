@@ -6,12 +6,11 @@ import math
 from typing import Any
 
 from trms_cli.core.arrays import ComplexArray
-from trms_cli.core.findings import Column, Judged, Judgement, Table, table
+from trms_cli.core.findings import Column, Judged, Judgement, Table, json_data, rounded, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate
 from trms_cli.stability.lyapunov.certificate import EnergyRig, LyapunovCertificate, StabilityClaim
-from trms_cli.stability.results import as_json, rounded
 
 _JUDGED: dict[str, Judgement] = {"failed": "bad", "open": "doubtful", "simulated": ""}
 _SPOKEN = {"Omega": "Ω", "omega": "ω", "alpha": "α"}
@@ -225,7 +224,7 @@ def data(
     """The figures as JSON data."""
     found, rising = certificate.search, certificate.rising
     names, depth = found.candidate.energy.names(), found.wells.depth
-    return as_json(
+    return json_data(
         {
             "function": "strict" if found.candidate.weights.strict else "energy",
             "holds": certificate.holds and all(claim.holds for claim in further),

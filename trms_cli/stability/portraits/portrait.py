@@ -10,7 +10,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Chart
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Findings, Section
+from trms_cli.core.findings import Findings, Section, json_data
 from trms_cli.stability.portraits import report
 from trms_cli.stability.portraits.charts import PortraitResult, portrait
 from trms_cli.stability.portraits.rest_points import RestPoint, grid, rest_point, search
@@ -32,7 +32,6 @@ from trms_cli.stability.portraits.window import (
     given_starts,
     loop_starts,
 )
-from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
 
@@ -110,7 +109,7 @@ def portrait_of_model(request: PortraitRequest, tell: Tell) -> Findings:
         "Phase portrait",
         report.lead_of_model(result),
         parts,
-        as_json(report.results(result)),
+        json_data(report.results(result)),
         report.warnings(result),
     )
 
@@ -161,7 +160,7 @@ def portrait_of_loop(request: PortraitRequest, loop: LoopParts, tell: Tell) -> F
         f"Phase portrait under {result.loop}",
         report.lead_of_loop(result, at_bound),
         parts,
-        as_json(results),
+        json_data(results),
         [*warnings, *report.warnings(result)],
     )
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from trms_cli.core.findings import Block, Column, Findings, Section, Table, table
+from trms_cli.core.findings import Block, Column, Findings, Section, Table, json_data, table
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.charts import locus_charts, points_alone
@@ -29,7 +29,6 @@ from trms_cli.stability.local.tables import (
     switch_words,
 )
 from trms_cli.stability.local.tracks import Locus, locus_of
-from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -82,7 +81,7 @@ class Local:
                 ),
                 _range_section(locus, value),
             ),
-            as_json(_results(locus, point, sides, switches)),
+            json_data(_results(locus, point, sides, switches)),
             _warnings(sides["mean"], switches),
         )
 
@@ -249,10 +248,7 @@ def _value_of(path: OperatingPath, point: OperatingPoint) -> float:
 
 
 def _results(
-    locus: Locus,
-    point: OperatingPoint,
-    sides: Mapping[Side, Modes],
-    switches: tuple[Switch, ...],
+    locus: Locus, point: OperatingPoint, sides: Mapping[Side, Modes], switches: tuple[Switch, ...]
 ) -> dict[str, Any]:
     model = locus.path.model
     matrices = locus.path.linear.matrices(point.x, point.u)

@@ -9,14 +9,13 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Findings
+from trms_cli.core.findings import Findings, json_data
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, operating_point
 from trms_cli.stability.attraction.loop_region import loop_findings, loop_region
 from trms_cli.stability.attraction.region import RegionOptions, attraction_region
 from trms_cli.stability.attraction.report import lead, results, sections, warnings
 from trms_cli.stability.attraction.system import around, require_attractive
-from trms_cli.stability.results import as_json
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -97,7 +96,7 @@ class RegionOfAttraction:
                 f"{', '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} no part of the "
                 "equations, neither in the proofs nor in these simulations."
             )
-        return Findings(TITLE, lead(region), sections(region), as_json(results(region)), notes)
+        return Findings(TITLE, lead(region), sections(region), json_data(results(region)), notes)
 
     def _point(self, model: Model) -> OperatingPoint:
         if self.at:

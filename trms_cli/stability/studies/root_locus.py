@@ -10,7 +10,16 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.core.findings import Block, Column, Findings, Judged, Section, table
+from trms_cli.core.findings import (
+    Block,
+    Column,
+    Findings,
+    Judged,
+    Section,
+    json_data,
+    rounded,
+    table,
+)
 from trms_cli.models.model import Model
 from trms_cli.stability.local.charts import locus_charts
 from trms_cli.stability.local.linear import Side
@@ -39,7 +48,6 @@ from trms_cli.stability.local.tables import (
     range_table,
 )
 from trms_cli.stability.local.tracks import Locus, crossings, locus_of
-from trms_cli.stability.results import as_json, rounded
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -105,7 +113,7 @@ class RootLocus:
             "Root locus",
             _lead(locus, reasons, sides, str(against), at_ends),
             sections,
-            as_json(_results(locus, reasons, sides, against, mapped, at_ends)),
+            json_data(_results(locus, reasons, sides, against, mapped, at_ends)),
             _warnings(locus, sides),
         )
 
