@@ -21,8 +21,8 @@ FULL_STATE = ("observer=full_state", "plant=ideal")
 
 def experiment(*overrides: str) -> Experiment:
     """What ``trms run`` would run with these overrides."""
-    from trms_cli.commands.run_assembly import experiment_of
     from trms_cli.composition.composer import compose
+    from trms_cli.library.tasks.experiment import experiment_of
 
     return experiment_of(compose(list(overrides)).config)
 
@@ -43,7 +43,7 @@ def newton_horizon(periods: int) -> tuple[str, ...]:
 
 def run(chosen: Experiment) -> tuple[Loop, dict[str, Any]]:
     """Close the loop in memory; the loop and its score (``trms.score/1``)."""
-    from trms_cli.commands.run_assembly import topics_of
+    from trms_cli.library.tasks.experiment import topics_of
     from trms_cli.scoring.score import Series, score_tables
     from trms_cli.simulation.history import History
 

@@ -110,7 +110,7 @@ def runner_times(steps: int, *, logged: bool) -> np.ndarray:
 
 
 def _loop_times(chosen: Experiment, log_path: Path | None) -> np.ndarray:
-    from trms_cli.commands.run_assembly import topics_of
+    from trms_cli.library.tasks.experiment import topics_of
     from trms_cli.recordings.run_log import RunLog
 
     logs: list[RunLog] = []

@@ -64,8 +64,8 @@ def run_all(jobs: Sequence[Job], last: float, processes: int) -> Iterator[Outcom
 
 def closed(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any], float]:
     """Tables by topic, limits by name, and the length (s) of a run kept in memory."""
-    from trms_cli.commands.run_assembly import experiment_of, topics_of
     from trms_cli.composition.composer import compose
+    from trms_cli.library.tasks.experiment import experiment_of, topics_of
     from trms_cli.scoring.tables import Series
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History

@@ -172,9 +172,9 @@ def _designed(words: Sequence[str], scratch: Path) -> tuple[FloatArray, FloatArr
 
 def _played(words: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """The signals of an open-loop controller; the run itself is the rig's."""
-    from trms_cli.commands.run_assembly import experiment_of
     from trms_cli.composition.composer import compose
     from trms_cli.controllers.controller import ControlSample, ControlSetup
+    from trms_cli.library.tasks.experiment import experiment_of
     from trms_cli.models.estimate import Estimate
 
     experiment = experiment_of(compose(words).config)

@@ -131,7 +131,7 @@ class _progress:
 
 def _update(given: argparse.Namespace, outcomes: list[Outcome], before: comparing.Recorded) -> int:
     from experiments.regression.screen import console
-    from trms_cli.commands.git_revision import GitRevision
+    from trms_cli.library.tasks.git_revision import GitRevision
 
     new = comparing.write_recorded(
         outcomes, before, given.reason.strip(), GitRevision.ask().answer(), given.baseline

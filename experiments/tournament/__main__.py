@@ -114,7 +114,7 @@ def _earlier(out: Path) -> float:
 
 def _about(given: argparse.Namespace, seconds: float, *, whole: bool) -> dict[str, Any]:
     from benchmarks.machine import describe
-    from trms_cli.commands.git_revision import GitRevision
+    from trms_cli.library.tasks.git_revision import GitRevision
 
     return {
         "seconds": round(seconds, 1),

@@ -169,8 +169,8 @@ def score_in_memory(run: Run, folder: Path) -> tuple[dict[str, Any], int]:
     """Score, and how often a command was not finite."""
     import numpy as np
 
-    from trms_cli.commands import run_assembly as assembly
-    from trms_cli.commands.run_score import score_of, units_of
+    from trms_cli.library.tasks import experiment as assembly
+    from trms_cli.library.tasks.run_score import score_of, units_of
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
 

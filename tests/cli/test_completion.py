@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from trms_cli.commands.suggestions import suggest
+from trms_cli.commands.completion.suggestions import suggest
 
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from trms_cli.commands.sweep_screen import say_outcome
+from trms_cli.commands.sweep.screen import say_outcome
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.sweeps.outcome import outcome_of
 

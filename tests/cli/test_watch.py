@@ -25,11 +25,11 @@ from hypothesis import strategies as st
 from rich.text import Text
 
 from trms_cli import cli
-from trms_cli.commands.watch_chart import TerminalCurve, chart, scale
-from trms_cli.commands.watch_frame import NAMES, About, View, about, plain_line, run_frame
-from trms_cli.commands.watch_player import Player
-from trms_cli.commands.watch_screen import keys_in
-from trms_cli.commands.watch_sweep import sweep_frame, sweep_line
+from trms_cli.commands.watch.chart import TerminalCurve, chart, scale
+from trms_cli.commands.watch.frame import NAMES, About, View, about, plain_line, run_frame
+from trms_cli.commands.watch.player import Player
+from trms_cli.commands.watch.screen import keys_in
+from trms_cli.commands.watch.sweep import sweep_frame, sweep_line
 from trms_cli.runs.follower import RunFollower
 from trms_cli.runs.latest import latest_run
 from trms_cli.runs.moment import AxisMoment, Event, Input, Moment, Solver

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.commands.run_assembly import experiment_of
 from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup, Status
 from trms_cli.core.compilation import BufferedFunction
+from trms_cli.library.tasks.experiment import experiment_of
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.commands.run_assembly import experiment_of, topics_of
 from trms_cli.composition.composer import compose
 from trms_cli.controllers.lqr import Lqr
+from trms_cli.library.tasks.experiment import experiment_of, topics_of
 from trms_cli.observers.kalman import Kalman
 from trms_cli.simulation.closed_loop import Loop
 from trms_cli.simulation.history import History

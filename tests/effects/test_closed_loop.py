@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trms_cli.commands.run_assembly import experiment_of
 from trms_cli.composition.composer import compose
+from trms_cli.library.tasks.experiment import experiment_of
 from trms_cli.simulation.closed_loop import Loop
 from trms_cli.simulation.history import History
 

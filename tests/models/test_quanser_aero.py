@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from trms_cli.cli import main
-from trms_cli.commands.run_assembly import experiment_of
 from trms_cli.composition.composer import compose
 from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
+from trms_cli.library.tasks.experiment import experiment_of
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.quanser_aero import QuanserAero

@@ -297,7 +297,7 @@ def test_hydra_is_not_steered(word: str) -> None:
 
 
 def test_options_that_a_log_holds_are_not_followed(tmp_path: Path) -> None:
-    from trms_cli.commands.run_repeat import repeat
+    from trms_cli.commands.run.repeat import repeat
     from trms_cli.recordings.run_log import RunLog
 
     words = ["--allow", "evil", "--config-dir", str(tmp_path)]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.commands import run_assembly
-from trms_cli.commands.run_score import score_of
 from trms_cli.composition.composer import compose
 from trms_cli.core.resources import config_folder
+from trms_cli.library.tasks import experiment as run_assembly
+from trms_cli.library.tasks.run_score import score_of
 from trms_cli.scoring.score import Series
 from trms_cli.simulation.closed_loop import Loop
 from trms_cli.simulation.history import History

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
-from trms_cli.core.errors import EXIT_OK, RecordingError
-from trms_cli.scoring.figures import metrics
+from trms_cli.core.errors import EXIT_OK
+from trms_cli.library.tasks.compare import METRICS, SORTS, ordered, ranking_of, runs_from
 
 if TYPE_CHECKING:
     from trms_cli.core.findings import Findings
     from trms_cli.scoring.comparison.gathering import RunCollection
-    from trms_cli.scoring.comparison.ranking import Ranking, Standing
 
 SUMMARY = "many runs ranked: tracking, effort, robustness, time of a step, failures"
 
@@ -51,8 +50,6 @@ Examples:
 
 #: Entrants that the screen shows; the document has all.
 _MOST_ROWS = 60
-METRICS = tuple(metrics())
-SORTS = ("rank", "tracking", "worst", "effort", "variation", "time", "failures", "name")
 
 
 def main(argv: list[str]) -> int:
@@ -71,84 +68,12 @@ def main(argv: list[str]) -> int:
     return _ranking(gathered, given)
 
 
-def runs_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> RunCollection:
-    """The runs in files and folders, those alone that have certain values of their keys.
-
-    Raises RecordingError if there is nothing to compare.
-    """
-    from trms_cli.scoring.comparison.gathering import RunCollection, gather
-    from trms_cli.scoring.comparison.grouping import matching
-
-    gathered = gather(paths)
-    if where:
-        gathered = RunCollection(tuple(matching(gathered.runs, where)), gathered.left_out)
-    if len(gathered.runs) == 1 and gathered.runs[0].state.ranked:
-        raise RecordingError(
-            "there is one run only, and nothing to compare it with",
-            where=", ".join(map(str, paths)),
-            remedy=f"add another; its own figures: trms score {gathered.runs[0].path}",
-        )
-    return gathered
-
-
-def ranking_of(
-    gathered: RunCollection, by: Sequence[str], metric: str, paths: Sequence[Path]
-) -> Ranking:
-    """Everybody held against the best on the same reference, rig and seed.
-
-    Raises RecordingError if nobody has a tracking error.
-    """
-    from trms_cli.scoring.comparison.grouping import group
-    from trms_cli.scoring.comparison.ranking import rank
-
-    ranking = rank(group(gathered.runs, by), metric)
-    if not ranking.best:
-        raise RecordingError(
-            _why_nothing(gathered),
-            where=", ".join(map(str, paths)),
-            remedy="look at them one by one: trms score LOG",
-        )
-    return ranking
-
-
-def ordered(ranking: Ranking, sort: str) -> list[Standing]:
-    """The standings in the order of a column; those without a rank stay last."""
-    from trms_cli.scoring.comparison.figures import Figures, figures_of
-
-    columns: dict[str, Callable[[Figures], float]] = {
-        "worst": lambda told: told.ratio_worst,
-        "effort": lambda told: told.effort,
-        "variation": lambda told: told.variation,
-        "time": lambda told: told.step_ms,
-        "failures": lambda told: (told.failed, told.non_finite or 0, told.fallbacks, told.missed),  # type: ignore[return-value,dict-item]
-    }
-    standings = list(ranking.standings)
-    if sort == "name":
-        standings.sort(key=lambda standing: standing.name)
-    elif sort == "tracking":
-        standings.sort(key=lambda standing: _last_if_nan(standing.ratio))
-    elif sort in columns:
-        told = {id(s): columns[sort](figures_of(s, ranking.metric)) for s in standings}
-        standings.sort(key=lambda standing: _last_if_nan(told[id(standing)]))
-    return standings
-
-
 def _ranking(gathered: RunCollection, given: Any) -> int:
     from trms_cli.scoring.comparison.findings import ranking_findings
 
     by = [key for key in given.by.split(",") if key]
     ranking = ranking_of(gathered, by, given.metric, given.paths)
     return _tell(ranking_findings(ranking, gathered, ordered(ranking, given.sort)), given.json)
-
-
-def _why_nothing(gathered: RunCollection) -> str:
-    runs = gathered.runs
-    if len(runs) == 1 and not runs[0].state.ranked:
-        return f"the only run here did not end ({runs[0].message})"
-    ended = sum(run.state.ranked for run in runs)
-    if not ended:
-        return f"none of the {len(runs)} runs ended"
-    return f"none of the {len(runs)} runs has a tracking error: they follow no reference, or failed"
 
 
 def _pair(gathered: RunCollection, *, as_json: bool) -> int:
@@ -177,7 +102,3 @@ def _where(given: Sequence[str], options: PlainOptions) -> dict[str, list[str]]:
             options.error(f"--where {word!r} names no KEY=VALUE")
         found.setdefault(key, []).extend(values.split(","))
     return found
-
-
-def _last_if_nan(value: Any) -> Any:
-    return float("inf") if isinstance(value, float) and value != value else value

@@ -99,8 +99,8 @@ def _with_controller(argv: Sequence[str]) -> list[str]:
 
 
 def _check(config: Mapping[str, Any]) -> None:
-    from trms_cli.commands.run_replay import is_replay
     from trms_cli.composition.plain_values import check_files
+    from trms_cli.library.tasks.replay import is_replay
 
     check_files({**config, "picture": False})
     out = config["out"]
@@ -135,8 +135,8 @@ def _check(config: Mapping[str, Any]) -> None:
 def _exported(composition: Composition) -> Export:
     from trms_cli.code_generation.export import export
     from trms_cli.code_generation.newton_source import check_exportable
-    from trms_cli.commands.run_assembly import experiment_of
     from trms_cli.controllers.controller import ControlSetup
+    from trms_cli.library.tasks.experiment import experiment_of
     from trms_cli.models.model import names
     from trms_cli.observers.observer import ObserverSetup
     from trms_cli.plants.plant import PlantSetup

@@ -14,7 +14,7 @@ from trms_cli.core.invocation import program
 from trms_cli.core.printable import printable
 
 if TYPE_CHECKING:
-    from trms_cli.commands.report_pages import Report
+    from trms_cli.library.report.pages import Report
 
 SUMMARY = "one HTML page of a run, a comparison or a sweep: plots and tables, nothing fetched"
 
@@ -75,7 +75,7 @@ def write_report(
     Raises RecordingError if there is nothing to report, or the file exists and is not to be
     replaced.
     """
-    from trms_cli.commands.report_pages import PAGE_NAME, report_page
+    from trms_cli.library.report.pages import PAGE_NAME, report_page
     from trms_cli.recordings.output_file import refuse_overwrite, whole_file
 
     remedy = "--force replaces it; --out FILE.html names another"

@@ -140,9 +140,9 @@ def compare(
     --------
     >>> compare([run(controller=name) for name in ("pid", "lqr", "newton_mpc")])
     """
-    from trms_cli.commands import compare as command
     from trms_cli.core.errors import ConfigurationError
     from trms_cli.core.plugins import nearest
+    from trms_cli.library.tasks import compare as command
 
     for value, allowed, key in (
         (metric, command.METRICS, "metric"),

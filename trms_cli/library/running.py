@@ -367,7 +367,7 @@ def run_again(
 def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
     """What ``trms run --from LOG`` does."""
     from trms_cli.commands.run import perform as task
-    from trms_cli.commands.run_repeat import repeat
+    from trms_cli.commands.run.repeat import repeat
     from trms_cli.composition.given_object import with_objects
 
     done: list[Outcome] = []

@@ -258,7 +258,7 @@ class _Screen:
     def __init__(self, verbose: bool) -> None:
         self._shown: Any = None
         if verbose:
-            from trms_cli.commands.sweep_screen import SweepScreen
+            from trms_cli.commands.sweep.screen import SweepScreen
 
             self._shown = SweepScreen(as_json=False)
 

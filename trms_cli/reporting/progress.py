@@ -287,3 +287,27 @@ def _bar(columns: Mapping[str, str]) -> tuple[Any, Any]:
     )
     fields: dict[str, Any] = dict.fromkeys(columns, "")
     return bar, bar.add_task("", total=1.0, **fields)
+
+
+class ReadingProgress:
+    """Tells how many logs are left to be read, on a terminal and when it takes a while."""
+
+    _PATIENCE = 0.5  # s
+
+    def __enter__(self) -> Self:
+        self._begin, self._told, self._shown = perf_counter(), 0.0, False
+        return self
+
+    def __call__(self, done: int, of: int) -> None:
+        """Say that `done` logs of `of` have been read."""
+        now = perf_counter()
+        if now - max(self._begin, self._told) < self._PATIENCE or not sys.stderr.isatty():
+            return
+        self._told, self._shown = now, True
+        sys.stderr.write(f"\rreading logs: {done} of {of}  ")
+        sys.stderr.flush()
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            sys.stderr.write("\r" + " " * 48 + "\r")
+            sys.stderr.flush()

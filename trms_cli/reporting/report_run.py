@@ -5,7 +5,7 @@
     page = run_page(run)          # a ReportedRun
     page.write(folder / "report.html")
 
-From a notebook, with a log's path: :func:`trms_cli.commands.report_pages.report_page`.
+From a notebook, with a log's path: :func:`trms_cli.library.report.pages.report_page`.
 """
 
 from __future__ import annotations

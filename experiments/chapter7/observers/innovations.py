@@ -34,8 +34,8 @@ def replay_all(study: Study, folder: Path) -> dict[str, dict[str, dict[str, Any]
 def _replay(overrides: list[str]) -> dict[str, Any]:
     """The channels of ``innovations.json`` of a run of ``trms run plant=replay``."""
     from trms_cli.commands import run
-    from trms_cli.commands.run_replay import INNOVATIONS_NAME
     from trms_cli.composition.composer import compose
+    from trms_cli.library.tasks.replay import INNOVATIONS_NAME
 
     with tempfile.TemporaryDirectory(prefix="trms-observers-") as scratch, _silence():
         out = Path(scratch) / "run"

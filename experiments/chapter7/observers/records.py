@@ -69,8 +69,8 @@ def run_job(study: Study, job: Job) -> Outcome:
 
 def make_record(overrides: Sequence[str]) -> Record:
     """Close the loop in memory, as ``trms run`` would."""
-    from trms_cli.commands.run_assembly import experiment_of, topics_of
     from trms_cli.composition.composer import compose
+    from trms_cli.library.tasks.experiment import experiment_of, topics_of
 
     chosen = experiment_of(compose(list(overrides)).config)
     rigs: list[PlantRun] = []

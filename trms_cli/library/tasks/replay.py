@@ -10,9 +10,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from trms_cli.commands import run_assembly as assembly
-from trms_cli.commands.git_revision import GitRevision
-from trms_cli.commands.run_scene import RunScene
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core import wording
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError, interrupted_code
@@ -20,6 +17,9 @@ from trms_cli.core.findings import Cell, Column, Findings, NextCommand, Section,
 from trms_cli.core.invocation import program
 from trms_cli.core.plugin_contract import check_contract, plugin_failure
 from trms_cli.core.plugins import TARGET, build, locate
+from trms_cli.library.tasks import experiment as assembly
+from trms_cli.library.tasks.git_revision import GitRevision
+from trms_cli.library.tasks.scene import RunScene
 from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig
 from trms_cli.recordings.for_model import RecordedRun

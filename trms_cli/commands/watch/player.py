@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from time import monotonic
 
-from trms_cli.commands.watch_frame import View, about
+from trms_cli.commands.watch.frame import View, about
 from trms_cli.runs.follower import RunFollower
 
 _STEP = 5.0  # s of an arrow key

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.commands.run_scene import NO_ATTITUDE, encoder_of
 from trms_cli.core.errors import RecordingError
+from trms_cli.library.tasks.scene import NO_ATTITUDE, encoder_of
 from trms_cli.models.rig_shape import rig_shape
 from trms_cli.recordings.foxglove.messages import SceneEncoder
 from trms_cli.recordings.foxglove.scene_log import Sources, find_sources

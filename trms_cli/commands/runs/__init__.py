@@ -85,7 +85,7 @@ def main(argv: list[str]) -> int:
     if limit is None and shown and sys.stdout.isatty():
         limit = _GLANCE
     if shown and usual:
-        from trms_cli.commands.runs_screen import OVERRIDES, USUAL
+        from trms_cli.commands.runs.screen import OVERRIDES, USUAL
 
         columns = tuple(dict.fromkeys([*USUAL, *told, OVERRIDES]))
     else:
@@ -107,7 +107,7 @@ def main(argv: list[str]) -> int:
 
 
 def _present(found: QueryResult, given: Any, told: list[str] | None, shown: bool) -> None:
-    from trms_cli.commands import runs_screen
+    from trms_cli.commands.runs import screen as runs_screen
 
     if given.csv:
         runs_screen.write_csv(found, given.csv, force=given.force)
@@ -167,6 +167,6 @@ def _asked(text: str) -> tuple[bool, list[str]]:
 
 
 def _progress() -> Any:
-    from trms_cli.commands.runs_screen import ReadingProgress
+    from trms_cli.reporting.progress import ReadingProgress
 
     return ReadingProgress()

@@ -2,7 +2,7 @@
 
 ::
 
-    from trms_cli.commands.report_pages import report_page
+    from trms_cli.library.report.pages import report_page
     report = report_page(["first", "second/run.mcap"])
     report.page.write(Path("report.html"))
 """
@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from trms_cli.commands.report_draws import drawn_keys
-from trms_cli.commands.report_logs import name_of, read_run
-from trms_cli.commands.report_ranking import compared, ranking_of
-from trms_cli.commands.report_sweeps import (
+from trms_cli.core.errors import RecordingError
+from trms_cli.library.report.draws import drawn_keys
+from trms_cli.library.report.logs import name_of, read_run
+from trms_cli.library.report.ranking import compared, ranking_of
+from trms_cli.library.report.sweeps import (
     PAGE_NAME,
     SWEEP_NAME,
     from_scores,
@@ -26,7 +27,6 @@ from trms_cli.commands.report_sweeps import (
     rows_of,
     sweep_document,
 )
-from trms_cli.core.errors import RecordingError
 from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:

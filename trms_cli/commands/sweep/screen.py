@@ -48,7 +48,7 @@ class SweepScreen:
         self._folder: Path | None = None
 
     def __enter__(self) -> Self:
-        from trms_cli.commands.sweep_work import termination
+        from trms_cli.library.tasks.sweep_work import termination
 
         self._stack.enter_context(termination())
         self._stack.enter_context(self._line)

@@ -208,8 +208,8 @@ def _is_own(word: str) -> bool:
 
 def _tell_what_differs(run: LoggedRun) -> None:
     """Say which packages are not those of the log: figures may differ in their last digits."""
-    from trms_cli.commands.run_assembly import VERSIONS_KEY
     from trms_cli.core.versions import versions
+    from trms_cli.library.tasks.experiment import VERSIONS_KEY
 
     now = versions()
     with not_as_written(str(run.path)):

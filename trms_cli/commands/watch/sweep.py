@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from trms_cli.commands.watch_frame import between, fitted, tail_of
+from trms_cli.commands.watch.frame import between, fitted, tail_of
 from trms_cli.core.invocation import program
 from trms_cli.runs.sweep_progress import Job, SweepState
 

@@ -8,8 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from time import perf_counter
-from typing import Any, Self, TextIO
+from typing import Any, TextIO
 
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Judged, Table, Value
@@ -105,30 +104,6 @@ def say_remarks(found: QueryResult, *, unreadable: bool) -> None:
         first = _cut(f"{_clean(_near(log))}: {_clean(problem)}", _MOST_TOLD)
         more = "" if count == 1 else " (all: trms runs --unreadable)"
         sys.stderr.write(f"note   {logs} could not be read: {first}{more}\n")
-
-
-class ReadingProgress:
-    """Tells how many logs are left to be read, on a terminal and when it takes a while."""
-
-    _PATIENCE = 0.5  # s
-
-    def __enter__(self) -> Self:
-        self._begin, self._told, self._shown = perf_counter(), 0.0, False
-        return self
-
-    def __call__(self, done: int, of: int) -> None:
-        """Say that `done` logs of `of` have been read."""
-        now = perf_counter()
-        if now - max(self._begin, self._told) < self._PATIENCE or not sys.stderr.isatty():
-            return
-        self._told, self._shown = now, True
-        sys.stderr.write(f"\rreading logs: {done} of {of}  ")
-        sys.stderr.flush()
-
-    def __exit__(self, *_: object) -> None:
-        if self._shown:
-            sys.stderr.write("\r" + " " * 48 + "\r")
-            sys.stderr.flush()
 
 
 def _chosen(found: QueryResult, told: Sequence[str]) -> list[str]:

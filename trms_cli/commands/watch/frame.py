@@ -11,7 +11,7 @@ import numpy as np
 from rich.cells import set_cell_size
 from rich.text import Text
 
-from trms_cli.commands.watch_chart import TerminalCell, TerminalCurve, chart, scale
+from trms_cli.commands.watch.chart import TerminalCell, TerminalCurve, chart, scale
 from trms_cli.runs.moment import AxisMoment, Input, Moment, Solver
 
 #: What the signals of the twin rotor are called; others go by their own name.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.report_sweeps import keys_of, typed_of, value_of
+from trms_cli.library.report.sweeps import keys_of, typed_of, value_of
 
 if TYPE_CHECKING:
     from trms_cli.reporting.report_comparison import RankedCandidate
@@ -19,7 +19,7 @@ _RANKED = ("controller", "observer", "ref", "model", "plant", "seed")
 
 def ranking_of(runs: Sequence[ComparedRun]) -> tuple[list[RankedCandidate], str]:
     """The ranking that ``trms compare`` prints, and its rule; empty where nobody can be ranked."""
-    from trms_cli.commands.compare import ordered
+    from trms_cli.library.tasks.compare import ordered
     from trms_cli.scoring.comparison.document import rule
     from trms_cli.scoring.comparison.grouping import group
     from trms_cli.scoring.comparison.ranking import rank

@@ -13,7 +13,7 @@ from trms_cli.core.invocation import program
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from trms_cli.commands.watch_player import Player
+    from trms_cli.commands.watch.player import Player
     from trms_cli.runs.follower import RunFollower
     from trms_cli.runs.sweep_progress import SweepFollower, SweepState
 
@@ -114,8 +114,8 @@ def _target(what: Path | None) -> Path:
 
 
 def _watch_run(log: Path, given: Any) -> int:
-    from trms_cli.commands.watch_player import Player
-    from trms_cli.commands.watch_screen import show, show_once
+    from trms_cli.commands.watch.player import Player
+    from trms_cli.commands.watch.screen import show, show_once
     from trms_cli.runs.follower import RunFollower
 
     run = RunFollower(log)
@@ -158,7 +158,7 @@ def _begin(run: RunFollower, log: Path, begin: float | None) -> None:
 
 
 def _watch_sweep(sweep: SweepFollower, given: Any) -> int:
-    from trms_cli.commands.watch_screen import show, show_once
+    from trms_cli.commands.watch.screen import show, show_once
 
     shown = _WatchedSweep(sweep, plain=_plain(given))
     if given.once:
@@ -170,13 +170,13 @@ def _watch_sweep(sweep: SweepFollower, given: Any) -> int:
 
 
 def _plain(given: Any) -> bool:
-    from trms_cli.commands.watch_screen import is_plain
+    from trms_cli.commands.watch.screen import is_plain
 
     return bool(given.plain) or is_plain()
 
 
 class _WatchedRun:
-    """A run on the screen; see :class:`trms_cli.commands.watch_screen.WatchScreen`."""
+    """A run on the screen; see :class:`trms_cli.commands.watch.screen.WatchScreen`."""
 
     def __init__(self, player: Player, *, plain: bool) -> None:
         self._player, self._plain = player, plain
@@ -188,12 +188,12 @@ class _WatchedRun:
         return self._player.press(key)
 
     def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
-        from trms_cli.commands.watch_frame import run_frame
+        from trms_cli.commands.watch.frame import run_frame
 
         return run_frame(self._player.view(keys=keys), width, height, plain=self._plain)
 
     def line(self) -> str:
-        from trms_cli.commands.watch_frame import plain_line
+        from trms_cli.commands.watch.frame import plain_line
 
         return plain_line(self._player.view(keys=False))
 
@@ -223,7 +223,7 @@ class _WatchedSweep:
     def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
         from rich.text import Text
 
-        from trms_cli.commands.watch_sweep import sweep_frame
+        from trms_cli.commands.watch.sweep import sweep_frame
 
         if not keys:
             return sweep_frame(self.now, width, height, plain=self._plain)
@@ -231,7 +231,7 @@ class _WatchedSweep:
         return [*lines, Text("q quit", "dim")]
 
     def line(self) -> str:
-        from trms_cli.commands.watch_sweep import sweep_line
+        from trms_cli.commands.watch.sweep import sweep_line
 
         return sweep_line(self.now)
 

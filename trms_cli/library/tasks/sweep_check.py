@@ -72,10 +72,10 @@ def _runs(space: Space) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 def _check_run(config: Mapping[str, Any], seen: set[str]) -> None:
     """What a run would refuse before its first step."""
-    from trms_cli.commands import run_assembly as assembly
-    from trms_cli.commands.run_replay import is_replay
     from trms_cli.composition.plain_values import check_files, number, whole_number
     from trms_cli.core.plugins import build
+    from trms_cli.library.tasks import experiment as assembly
+    from trms_cli.library.tasks.replay import is_replay
 
     if is_replay(config):
         return

@@ -41,7 +41,7 @@ class GitRevision:
             told = cls(None)
             told._answer = known
             return told
-        root = Path(__file__).resolve().parents[2]
+        root = Path(__file__).resolve().parents[3]
         if not (root / ".git").exists():
             return cls(None)
         try:

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.report_draws import drawn_keys, draws_of, short_names
-from trms_cli.commands.report_search import (
+from trms_cli.library.report.draws import drawn_keys, draws_of, short_names
+from trms_cli.library.report.search import (
     history_of,
     objectives_of,
     pareto_of,
@@ -64,7 +64,7 @@ def _page_figures() -> list[str]:
 
 def rows_of(folders: Sequence[Path]) -> QueryResult:
     """The runs in folders, as ``trms runs`` has them; logs that are new are read."""
-    from trms_cli.commands.runs_screen import ReadingProgress
+    from trms_cli.reporting.progress import ReadingProgress
     from trms_cli.runs.query import Query, find
 
     with ReadingProgress() as progress:

@@ -20,11 +20,11 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from trms_cli.commands.git_revision import known_revision
 from trms_cli.composition.composer import Composition, Outcome, Task, composer_of
 from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.core.invocation import called_as
+from trms_cli.library.tasks.git_revision import known_revision
 from trms_cli.runs.columns import figures_of
 from trms_cli.runs.run_folder import SCORE_NAME
 from trms_cli.sweeps.driver import DISK_FULL

@@ -1,7 +1,7 @@
 """``trms completion``: tab completion, as a script for the shell and the answers it asks for.
 
 The script asks ``trms completion --query LINE`` for every press of tab; the answer comes from
-:mod:`trms_cli.commands.suggestions`, without Hydra.
+:mod:`trms_cli.commands.completion.suggestions`, without Hydra.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ SCRIPTS = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
 def main(argv: Sequence[str]) -> int:
     """Print a shell's script, or the answers to its question."""
     if len(argv) == 2 and argv[0] == "--query":
-        from trms_cli.commands.suggestions import suggest
+        from trms_cli.commands.completion.suggestions import suggest
 
         sys.stdout.write("".join(f"{word}\n" for word in suggest(argv[1])))
         return EXIT_OK

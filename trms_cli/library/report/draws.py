@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.report_search import bench_name, search_of
+from trms_cli.library.report.search import bench_name, search_of
 
 if TYPE_CHECKING:
     from trms_cli.reporting.reported_sweep import Draws

@@ -14,10 +14,10 @@ from time import perf_counter
 from typing import Any
 
 from trms_cli.commands.execution import execute
-from trms_cli.commands.run_score import limits_of, score_of, units_of
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.composition.plain_values import check_files
 from trms_cli.core.errors import EXIT_OK, Terminated, interrupted_code
+from trms_cli.library.tasks.run_score import limits_of, score_of, units_of
 from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 
 SUMMARY = "close the loop: simulate or replay, log, score, draw"
@@ -63,7 +63,7 @@ options
 
 def main(argv: Sequence[str]) -> int:
     """Compose and run."""
-    from trms_cli.commands.run_repeat import repeat, take_log
+    from trms_cli.commands.run.repeat import repeat, take_log
 
     # The matrices of a control step are small: threads of the linear algebra only wait for each
     # other, and on a busy machine for milliseconds. Set before NumPy is loaded.
@@ -80,15 +80,15 @@ def perform(composition: Composition) -> Outcome:
     """Run one composed experiment: log it, score it, print and draw it."""
     import numpy as np
 
-    from trms_cli.commands import run_replay
+    from trms_cli.library.tasks import replay as run_replay
 
     if run_replay.is_replay(composition.config):
         return run_replay.perform_replay(composition)
-    from trms_cli.commands import run_assembly as assembly
-    from trms_cli.commands.git_revision import GitRevision
-    from trms_cli.commands.never_begun import tell_of_never_begun
-    from trms_cli.commands.run_scene import RunScene
-    from trms_cli.commands.run_screen import RunScreen
+    from trms_cli.commands.run.screen import RunScreen
+    from trms_cli.library.tasks import experiment as assembly
+    from trms_cli.library.tasks.git_revision import GitRevision
+    from trms_cli.library.tasks.never_begun import tell_of_never_begun
+    from trms_cli.library.tasks.scene import RunScene
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
 

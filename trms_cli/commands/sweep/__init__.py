@@ -108,7 +108,7 @@ def sweep(request: ComposeRequest, primary: str, task: Task, *, as_json: bool = 
     int
         0 when every run ended well, 1 otherwise.
     """
-    from trms_cli.commands.sweep_screen import SweepScreen
+    from trms_cli.commands.sweep.screen import SweepScreen
 
     screen = SweepScreen(as_json=as_json)
     with screen:
@@ -160,8 +160,8 @@ def make_sweep(
     """
     import shutil
 
-    from trms_cli.commands.sweep_check import check_choices
     from trms_cli.composition.sweep_settings import built, divided, settings_of
+    from trms_cli.library.tasks.sweep_check import check_choices
     from trms_cli.runs.run_folder import new_folder
     from trms_cli.sweeps.record import Record, driving
 
@@ -265,9 +265,9 @@ def _plan(
 ) -> SweepPlan:
     import os
 
-    from trms_cli.commands.git_revision import GitRevision
     from trms_cli.core.invocation import command_line
     from trms_cli.core.versions import versions
+    from trms_cli.library.tasks.git_revision import GitRevision
     from trms_cli.sweeps.record import SweepPlan
 
     revision = GitRevision.ask()
@@ -301,8 +301,8 @@ def _driven(
     retries: int | None = None,
 ) -> SweepOutcome:
     """Drive the sweep, and write down at the end, whatever it is, how it stands."""
-    from trms_cli.commands.sweep_work import MakeRun
     from trms_cli.core.allowed import allowed_for_now
+    from trms_cli.library.tasks.sweep_work import MakeRun
     from trms_cli.sweeps.driver import Driver, counts_of
     from trms_cli.sweeps.status import now
 
@@ -354,7 +354,7 @@ _COMMANDS = "trms_cli.commands."
 
 def resume_command(argv: Sequence[str]) -> int:
     """Go on where it stopped."""
-    from trms_cli.commands.sweep_screen import SweepScreen
+    from trms_cli.commands.sweep.screen import SweepScreen
 
     folder, settings, options = _read(argv, "resume", _OPTIONS)
     screen = SweepScreen(as_json="--json" in options)
@@ -372,7 +372,7 @@ def resume_command(argv: Sequence[str]) -> int:
 
 def status_command(argv: Sequence[str]) -> int:
     """Tell how it stands."""
-    from trms_cli.commands.sweep_screen import say_outcome
+    from trms_cli.commands.sweep.screen import say_outcome
     from trms_cli.sweeps.outcome import outcome_of
 
     folder, settings, options = _read(argv, "status", ("--json",))
