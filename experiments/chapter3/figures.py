@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments.chapter3.structure_selection import selected
 from experiments.chapter3.study import Study
 from experiments.chapter3.tables import MEMBERS, TITLES, angles, grouped
 from experiments.chapter3.training_picture import (
@@ -21,7 +22,6 @@ from experiments.chapter3.training_picture import (
 )
 from experiments.chapter3.trainings import Trained, recorded
 from trms_cli.identification.blackbox.regressors import predicted, sampled, simulated
-from trms_cli.identification.blackbox.structure_selection import selected
 from trms_cli.identification.validation.residual_tests import residual_tests
 from trms_cli.models.network import NarxStructure, Network
 

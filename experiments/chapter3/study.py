@@ -13,6 +13,8 @@ from functools import partial
 from time import perf_counter
 
 from experiments.chapter3.methods import method
+from experiments.chapter3.structure_selection import AssessedCandidate, Candidate
+from experiments.chapter3.structure_selection import assess as assess_candidate
 from experiments.chapter3.trainings import (
     Job,
     Trained,
@@ -21,8 +23,6 @@ from experiments.chapter3.trainings import (
     run_job,
     settings,
 )
-from trms_cli.identification.blackbox.structure_selection import AssessedCandidate, Candidate
-from trms_cli.identification.blackbox.structure_selection import assess as assess_candidate
 from trms_cli.identification.method import Unwatched
 from trms_cli.identification.problem import FitProblem
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from experiments.chapter3.structure_selection import selected
 from experiments.chapter3.study import Study
 from experiments.chapter3.trainings import Trained
-from trms_cli.identification.blackbox.structure_selection import selected
 
 #: Factor and unit of an output in the tables.
 _SHOWN = {"alpha_v": (1e3, "mrad"), "alpha_h": (1e3, "mrad")}

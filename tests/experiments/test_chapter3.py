@@ -14,12 +14,12 @@ from experiments.chapter3 import networks as shipped
 from experiments.chapter3.figures import draw_all
 from experiments.chapter3.page import filled
 from experiments.chapter3.recordings import cut_at_stops, recording
+from experiments.chapter3.structure_selection import AssessedCandidate, Candidate, selected
 from experiments.chapter3.study import Study, _excitation_jobs, _member_jobs, _table_jobs
 from experiments.chapter3.tables import markdown, plain
 from experiments.chapter3.trainings import PARTS, Job, model_of, recorded, run_job, settings
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.resources import config_folder
-from trms_cli.identification.blackbox.structure_selection import AssessedCandidate, Candidate
 from trms_cli.models.model import names
 from trms_cli.models.narx_file import read_narx_file
 
@@ -212,3 +212,14 @@ class TestShippedNetworks:
             # of the speeds 1.6 rad/s is the tachometer's noise
             assert error < (0.03 if channel.startswith("alpha") else 2.5), channel
         assert set(errors) == set(names(fresh.outputs))
+
+
+def test_the_smallest_structure_within_the_spread_of_the_best_is_selected():
+    def assessed(lags: int, hidden: int, weights: int, *errors: float) -> AssessedCandidate:
+        return AssessedCandidate(Candidate(lags, hidden), weights, errors, errors)
+
+    large = assessed(3, 16, 200, 0.10, 0.11, 0.14)
+    small = assessed(2, 4, 40, 0.12, 0.13, 0.13)
+    smaller = assessed(1, 2, 15, 0.30, 0.31, 0.32)
+    lost = assessed(2, 2, 20, np.inf, 0.1, np.inf)
+    assert selected([large, small, smaller, lost]) is small

@@ -36,71 +36,6 @@ _WORDS = {
 }
 
 
-class CmaSearch:
-    """See :class:`trms_cli.identification.cma_es.CmaEs` for the arguments.
-
-    Parameters
-    ----------
-    start : (n,) array
-        Centre of the first generation, in the unit box.
-    """
-
-    def __init__(
-        self,
-        start: FloatArray,
-        seed: int,
-        *,
-        initial_step: float,
-        individuals: int | None,
-        restarts: int,
-        tolerance: float,
-    ) -> None:
-        self._generator = np.random.default_rng(seed)
-        self._start, self._step = start, initial_step
-        self._individuals, self._left, self._tolerance = individuals, restarts, tolerance
-        self.ended = ""
-        self._strategy = self._new(start)
-
-    def ask(self) -> FloatArray:
-        """The next generation."""
-        points: FloatArray = np.clip(np.array(self._strategy.ask(), dtype=float), 0.0, 1.0)
-        return points
-
-    def tell(self, points: FloatArray, costs: FloatArray) -> None:
-        """Its costs; begins anew elsewhere when the strategy has converged and may."""
-        finite = np.where(np.isfinite(costs), costs, _FAILED)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            self._strategy.tell(list(points), finite.tolist())
-            reasons = self._strategy.stop()
-        if not reasons:
-            return
-        if self._left > 0:
-            self._left -= 1
-            self._individuals = 2 * self._strategy.popsize
-            self._strategy = self._new(self._generator.uniform(0.1, 0.9, len(self._start)))
-            return
-        reason = next(iter(reasons))
-        self.ended = f"converged: {_WORDS.get(reason, reason)}"
-
-    def _new(self, start: FloatArray) -> Any:
-        import cma
-
-        options: dict[str, Any] = {
-            "bounds": [0.0, 1.0],
-            "randn": lambda *shape: self._generator.standard_normal(shape),
-            "verbose": -9,
-            "tolfun": self._tolerance,
-            "tolfunhist": self._tolerance,
-            "seed": np.nan,  # its own generator is not used
-        }
-        if self._individuals is not None:
-            options["popsize"] = self._individuals
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return cma.CMAEvolutionStrategy(np.clip(start, 0.01, 0.99), self._step, options)
-
-
 @dataclass(frozen=True, kw_only=True)
 class CmaEs:
     """Covariance matrix adaptation evolution strategy within bounds."""
@@ -122,25 +57,59 @@ class CmaEs:
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Search; see :class:`trms_cli.identification.method.Method`."""
+        box = Box(problem, self.spread)
+        search = CmaSearch(box.point(problem.starts), problem.seed, self)
         settings = asdict(self)
-        del settings["evaluations"]  # more of them is the same search
-        return search_fit(
-            "cma_es",
-            problem,
-            progress,
-            lambda box, seed: self._search(box, problem, seed),
-            box=Box(problem, self.spread),
-            evaluations=self.evaluations,
-            settings=settings,
-            unit="generation",
-        )
+        budget = settings.pop("evaluations")  # more of them is the same search
+        return search_fit("cma_es", settings, problem, progress, search, box, budget)
 
-    def _search(self, box: Box, problem: FitProblem, seed: int) -> CmaSearch:
-        return CmaSearch(
-            box.point(problem.starts),
-            seed,
-            initial_step=self.initial_step,
-            individuals=self.individuals,
-            restarts=self.restarts,
-            tolerance=self.tolerance,
-        )
+
+class CmaSearch:
+    """The search from the centre of its first generation, (n,) in the unit box."""
+
+    def __init__(self, start: FloatArray, seed: int, settings: CmaEs) -> None:
+        self._generator = np.random.default_rng(seed)
+        self._settings, self._individuals = settings, settings.individuals
+        self._left = settings.restarts
+        self.ended = ""
+        self._strategy = self._new(start)
+
+    def ask(self) -> FloatArray:
+        """The next generation."""
+        points: FloatArray = np.clip(np.array(self._strategy.ask(), dtype=float), 0.0, 1.0)
+        return points
+
+    def tell(self, points: FloatArray, costs: FloatArray) -> None:
+        """Its costs; begins anew elsewhere when the strategy has converged and may."""
+        finite = np.where(np.isfinite(costs), costs, _FAILED)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            self._strategy.tell(list(points), finite.tolist())
+            reasons = self._strategy.stop()
+        if not reasons:
+            return
+        if self._left > 0:
+            self._left -= 1
+            self._individuals = 2 * self._strategy.popsize
+            self._strategy = self._new(self._generator.uniform(0.1, 0.9, len(points[0])))
+            return
+        reason = next(iter(reasons))
+        self.ended = f"converged: {_WORDS.get(reason, reason)}"
+
+    def _new(self, start: FloatArray) -> Any:
+        import cma
+
+        options: dict[str, Any] = {
+            "bounds": [0.0, 1.0],
+            "randn": lambda *shape: self._generator.standard_normal(shape),
+            "verbose": -9,
+            "tolfun": self._settings.tolerance,
+            "tolfunhist": self._settings.tolerance,
+            "seed": np.nan,  # its own generator is not used
+        }
+        if self._individuals is not None:
+            options["popsize"] = self._individuals
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            step = self._settings.initial_step
+            return cma.CMAEvolutionStrategy(np.clip(start, 0.01, 0.99), step, options)

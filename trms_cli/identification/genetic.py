@@ -30,84 +30,6 @@ Selection = Literal["tournament", "random"]
 _FAILED = 1e30
 
 
-class GeneticSearch:
-    """See :class:`trms_cli.identification.genetic.Genetic` for the arguments.
-
-    Parameters
-    ----------
-    first : (individuals, n) array
-        The first generation, in the unit box.
-    """
-
-    ended = ""
-
-    def __init__(
-        self,
-        first: FloatArray,
-        seed: int,
-        *,
-        selection: Selection,
-        crossover: Crossover,
-        crossover_probability: float,
-        crossover_index: float,
-        mutation: Mutation,
-        mutation_probability: float | None,
-        mutation_index: float,
-        mutation_sd: float,
-    ) -> None:
-        from pymoo.algorithms.soo.nonconvex.ga import GA, comp_by_cv_and_fitness
-        from pymoo.core.problem import Problem
-        from pymoo.operators.crossover.pntx import TwoPointCrossover
-        from pymoo.operators.crossover.sbx import SBX
-        from pymoo.operators.crossover.ux import UX
-        from pymoo.operators.mutation.gauss import GaussianMutation
-        from pymoo.operators.mutation.pm import PM
-        from pymoo.operators.selection.rnd import RandomSelection
-        from pymoo.operators.selection.tournament import TournamentSelection
-        from pymoo.termination import get_termination
-
-        individuals, n = first.shape
-        each = 1.0 / n if mutation_probability is None else mutation_probability
-        cross: dict[str, Any] = {
-            "simulated_binary": lambda: SBX(prob=crossover_probability, eta=crossover_index),
-            "uniform": lambda: UX(prob=crossover_probability),
-            "two_point": lambda: TwoPointCrossover(prob=crossover_probability),
-        }
-        mutate: dict[str, Any] = {
-            "polynomial": lambda: PM(prob=1.0, prob_var=each, eta=mutation_index),
-            "gaussian": lambda: GaussianMutation(prob=1.0, prob_var=each, sigma=mutation_sd),
-        }
-        select: dict[str, Any] = {
-            "tournament": lambda: TournamentSelection(func_comp=comp_by_cv_and_fitness),
-            "random": RandomSelection,
-        }
-        self._algorithm = GA(
-            pop_size=individuals,
-            sampling=first,
-            selection=select[selection](),
-            crossover=cross[crossover](),
-            mutation=mutate[mutation](),
-            seed=seed,
-        )
-        self._algorithm.setup(Problem(n_var=n, n_obj=1, xl=np.zeros(n), xu=np.ones(n)), seed=seed)
-        # When to stop is decided outside.
-        self._algorithm.termination = get_termination("n_gen", 10**9)
-        self._asked: Any = None
-
-    def ask(self) -> FloatArray:
-        """The next generation."""
-        self._asked = self._algorithm.ask()
-        points: FloatArray = np.array(self._asked.get("X"), dtype=float)
-        return points
-
-    def tell(self, points: FloatArray, costs: FloatArray) -> None:
-        """Its costs."""
-        self._asked.set("F", np.where(np.isfinite(costs), costs, _FAILED)[:, None])
-        for individual in self._asked:
-            individual.evaluated.add("F")
-        self._algorithm.tell(infills=self._asked)
-
-
 Probability = Annotated[float, Meta(ge=0, le=1)]
 
 
@@ -139,33 +61,73 @@ class Genetic:
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Search; see :class:`trms_cli.identification.method.Method`."""
-        settings = asdict(self)
-        del settings["generations"]  # more of them is the same search
-        return search_fit(
-            "genetic",
-            problem,
-            progress,
-            self._search,
-            box=Box(problem, self.spread),
-            evaluations=self.individuals * self.generations,
-            settings=settings,
-            unit="generation",
-        )
-
-    def _search(self, box: Box, seed: int) -> GeneticSearch:
-        generator = np.random.default_rng([seed, 0])
+        box, generator = Box(problem, self.spread), np.random.default_rng([problem.seed, 0])
         first = box.drawn(self.individuals, generator)
         if self.first == "even":
             first[1:] = generator.uniform(size=first[1:].shape)
-        return GeneticSearch(
-            first,
-            seed,
-            selection=self.selection,
-            crossover=self.crossover,
-            crossover_probability=self.crossover_probability,
-            crossover_index=self.crossover_index,
-            mutation=self.mutation,
-            mutation_probability=self.mutation_probability,
-            mutation_index=self.mutation_index,
-            mutation_sd=self.mutation_sd,
+        search = GeneticSearch(first, problem.seed, self)
+        settings = asdict(self)
+        budget = self.individuals * settings.pop("generations")  # more of them is the same search
+        return search_fit("genetic", settings, problem, progress, search, box, budget)
+
+
+class GeneticSearch:
+    """The search from a first generation, (individuals, n) in the unit box."""
+
+    ended = ""
+
+    def __init__(self, first: FloatArray, seed: int, settings: Genetic) -> None:
+        from pymoo.algorithms.soo.nonconvex.ga import GA, comp_by_cv_and_fitness
+        from pymoo.core.problem import Problem
+        from pymoo.operators.crossover.pntx import TwoPointCrossover
+        from pymoo.operators.crossover.sbx import SBX
+        from pymoo.operators.crossover.ux import UX
+        from pymoo.operators.mutation.gauss import GaussianMutation
+        from pymoo.operators.mutation.pm import PM
+        from pymoo.operators.selection.rnd import RandomSelection
+        from pymoo.operators.selection.tournament import TournamentSelection
+        from pymoo.termination import get_termination
+
+        individuals, n = first.shape
+        pair, each = settings.crossover_probability, settings.mutation_probability
+        each = 1.0 / n if each is None else each
+        cross: dict[str, Any] = {
+            "simulated_binary": lambda: SBX(prob=pair, eta=settings.crossover_index),
+            "uniform": lambda: UX(prob=pair),
+            "two_point": lambda: TwoPointCrossover(prob=pair),
+        }
+        mutate: dict[str, Any] = {
+            "polynomial": lambda: PM(prob=1.0, prob_var=each, eta=settings.mutation_index),
+            "gaussian": lambda: GaussianMutation(
+                prob=1.0, prob_var=each, sigma=settings.mutation_sd
+            ),
+        }
+        select: dict[str, Any] = {
+            "tournament": lambda: TournamentSelection(func_comp=comp_by_cv_and_fitness),
+            "random": RandomSelection,
+        }
+        self._algorithm = GA(
+            pop_size=individuals,
+            sampling=first,
+            selection=select[settings.selection](),
+            crossover=cross[settings.crossover](),
+            mutation=mutate[settings.mutation](),
+            seed=seed,
         )
+        self._algorithm.setup(Problem(n_var=n, n_obj=1, xl=np.zeros(n), xu=np.ones(n)), seed=seed)
+        # When to stop is decided outside.
+        self._algorithm.termination = get_termination("n_gen", 10**9)
+        self._asked: Any = None
+
+    def ask(self) -> FloatArray:
+        """The next generation."""
+        self._asked = self._algorithm.ask()
+        points: FloatArray = np.array(self._asked.get("X"), dtype=float)
+        return points
+
+    def tell(self, points: FloatArray, costs: FloatArray) -> None:
+        """Its costs."""
+        self._asked.set("F", np.where(np.isfinite(costs), costs, _FAILED)[:, None])
+        for individual in self._asked:
+            individual.evaluated.add("F")
+        self._algorithm.tell(infills=self._asked)

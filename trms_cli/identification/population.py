@@ -385,27 +385,17 @@ class Box:
 
 def search_fit(
     method: str,
+    settings: Mapping[str, Any],
     problem: FitProblem,
     progress: Progress,
-    search: Callable[[Box, int], PopulationSearch],
-    *,
+    search: PopulationSearch,
     box: Box,
     evaluations: int,
-    settings: Mapping[str, Any],
-    unit: str,
 ) -> FitResult:
     """Fit by a search, resumed from what ``progress`` has kept.
 
-    Parameters
-    ----------
-    search : callable
-        ``(box, seed)`` to a search.
-    evaluations : int
-        Budget, simulations of all recordings.
-    settings : mapping
-        All that the search depends on besides problem and budget, as plain data.
-    unit : str
-        What a turn of the search is called.
+    ``settings``: all that the search depends on besides problem and budget, as plain data.
+    ``evaluations``: the budget, simulations of all recordings.
     """
     cost = SimulationCost(problem)
     evaluate = on_threads(lambda point: cost(box.values(point)), problem.jobs)
@@ -413,11 +403,11 @@ def search_fit(
 
     def watch(found: SearchResult) -> bool:
         progress.save(journal.state)
-        message = f"{unit} {len(found.costs)}, {found.evaluations} simulations"
+        message = f"generation {len(found.costs)}, {found.evaluations} simulations"
         return progress.update(found.evaluations / evaluations, found.cost, message)
 
     found = evolve(
-        search(box, problem.seed),
+        search,
         evaluate,
         evaluations=evaluations,
         dimension=box.dimension,
@@ -441,7 +431,7 @@ def search_fit(
         seconds=found.seconds,
         details={
             "ended": found.ended or ("stopped" if found.stopped else "the budget was spent"),
-            unit + "s": len(found.costs),
+            "generations": len(found.costs),
             "median_cost": [None if np.isinf(m) else m for _, m in found.costs],
         },
     )

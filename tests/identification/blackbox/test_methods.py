@@ -10,11 +10,6 @@ from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.identification.blackbox.regressors import free_run, predicted, rms, sampled, simulated
-from trms_cli.identification.blackbox.structure_selection import (
-    AssessedCandidate,
-    Candidate,
-    selected,
-)
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.method import FitOutcome, Method, Unwatched
 from trms_cli.identification.problem import FitProblem
@@ -182,14 +177,3 @@ class TestWhatCannotBeFitted:
 
         with pytest.raises(ConfigurationError, match="trms list training"):
             replace(method("narx"), training=3).fit(problem, Unwatched())
-
-
-def test_the_smallest_structure_within_the_spread_of_the_best_is_selected():
-    def assessed(lags: int, hidden: int, weights: int, *errors: float) -> AssessedCandidate:
-        return AssessedCandidate(Candidate(lags, hidden), weights, errors, errors)
-
-    large = assessed(3, 16, 200, 0.10, 0.11, 0.14)
-    small = assessed(2, 4, 40, 0.12, 0.13, 0.13)
-    smaller = assessed(1, 2, 15, 0.30, 0.31, 0.32)
-    lost = assessed(2, 2, 20, np.inf, 0.1, np.inf)
-    assert selected([large, small, smaller, lost]) is small

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.cma_es import CmaSearch
-from trms_cli.identification.genetic import GeneticSearch
+from trms_cli.identification.cma_es import CmaEs, CmaSearch
+from trms_cli.identification.genetic import Genetic, GeneticSearch
 from trms_cli.identification.population import Journal, evolve, on_threads
 
 N = 4
@@ -29,19 +29,12 @@ def bowl(point: np.ndarray) -> float:
 
 def genetic(seed: int = 1, **changes) -> GeneticSearch:
     first = np.random.default_rng(seed).uniform(size=(20, N))
-    settings_ = {
-        "selection": "tournament", "crossover": "simulated_binary", "crossover_probability": 0.9,
-        "crossover_index": 10.0, "mutation": "polynomial", "mutation_probability": None,
-        "mutation_index": 20.0, "mutation_sd": 0.1,
-    }  # fmt: skip
-    return GeneticSearch(first, seed, **{**settings_, **changes})
+    return GeneticSearch(first, seed, Genetic(mutation_sd=0.1, **changes))
 
 
 def cma(seed: int = 1, restarts: int = 0) -> CmaSearch:
-    return CmaSearch(
-        np.full(N, 0.5), seed, initial_step=0.2, individuals=None, restarts=restarts,
-        tolerance=1e-10,
-    )  # fmt: skip
+    settings_ = CmaEs(initial_step=0.2, restarts=restarts, tolerance=1e-10)
+    return CmaSearch(np.full(N, 0.5), seed, settings_)
 
 
 SEARCHES = {"genetic": genetic, "cma": cma, "cma restarted": lambda seed=1: cma(seed, 2)}
