@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.admission import admit, together
+from trms_cli.identification.admission import admit, issues_by_model, together
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.recorded_motion import RecordedMotions
+from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
 from trms_cli.recordings.for_model import Selection
@@ -332,3 +334,67 @@ def test_of_several_models_only_those_are_named_that_an_issue_is_of(recordings):
     beyond = next(i for i in both.issues if i.channel == "u_h")
     assert beyond.problem.startswith("small: u_h ")
     assert [i.severity for i in both.issues] == sorted(i.severity for i in both.issues)
+
+
+def with_zero_at(kind: str, by: float, model: Model = MODEL, **options: object) -> Dataset:
+    """A recording whose pitch is counted from another zero than the level beam."""
+    recording = play(kind, model=model, **options)
+    return dataset(recording, lambda c: c.update(alpha_v=c["alpha_v"] + by), model)
+
+
+@pytest.mark.parametrize("kind", ["prbs", "multilevel", "closed"])
+def test_zero_at_the_hanging_rest_is_told_with_its_cure(kind):
+    (finding,) = issues_by_model(with_zero_at(kind, 0.62, seed=2, prior_seed=2), MODEL)
+    assert (finding.check, finding.channel, finding.severity) == ("zero", "alpha_v", "warning")
+    assert "data.offset={alpha_v: -0.62}" in finding.remedy and "hung" in finding.problem
+
+
+def test_another_zero_is_told_by_its_size():
+    (finding,) = issues_by_model(with_zero_at("prbs", -0.5, seed=1), MODEL)
+    added = float(finding.remedy.split("alpha_v: ")[1].split("}")[0])
+    assert added == pytest.approx(0.5, abs=0.05)
+
+
+def test_the_sister_rig_has_its_own_rest():
+    model = Tras()
+    rest = float(model.rest()[model.state_index("alpha_v")])
+    rig = with_zero_at("closed", -rest, model, scale=(0.4, 0.4), step=0.01)
+    (finding,) = issues_by_model(rig, model)
+    assert f"data.offset={{alpha_v: {rest:.2f}}}" in finding.remedy
+
+
+def test_what_the_priors_allow_is_no_zero():
+    for seed in range(2):
+        assert not issues_by_model(
+            with_zero_at("multilevel", 0.05, seed=seed, prior_seed=seed), MODEL
+        )
+
+
+def test_weight_at_rest_vanishes_where_the_beam_hangs():
+    rest = MODEL.rest()[MODEL.state_index("alpha_v")]
+    left, there, right = RecordedMotions(MODEL).at_rest(
+        "alpha_v", rest + np.array([-0.2, 0.0, 0.2])
+    )
+    assert left > 0 > right
+    assert there == pytest.approx(0, abs=0.05 * left)
+
+
+def recorded(folder: Path, step: float, unit: str = "s") -> str:
+    t = step * np.arange(400)
+    u = np.sign(np.sin(t))
+    rows = "\n".join(f"{a:.6g},{b:g},0,{c:.4f}" for a, b, c in zip(t, u, 0.1 * u, strict=True))
+    file = folder / "clock.csv"
+    file.write_text(f"t[{unit}],u_v[V],u_h[V],alpha_v[rad]\n{rows}\n")
+    return str(file)
+
+
+def test_milliseconds_read_as_seconds_are_refused(tmp_path):
+    with pytest.raises(RecordingError, match="20 s a sample") as error:
+        load_datasets(recorded(tmp_path, 20.0), Newtonian())
+    assert "t[ms]" in str(error.value.remedy)
+
+
+@pytest.mark.parametrize(("step", "unit"), [(20.0, "ms"), (0.02, "s"), (0.8, "s")])
+def test_what_is_fast_enough_to_be_simulated_is_read(tmp_path, step, unit):
+    (dataset,) = load_datasets(recorded(tmp_path, step, unit), Newtonian())
+    assert len(dataset) == 400

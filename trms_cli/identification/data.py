@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.identification.admission_by_model import require_sample_time
+from trms_cli.identification.admission import require_sample_time
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.plants.sensors import Sensors

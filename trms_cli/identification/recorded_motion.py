@@ -1,0 +1,219 @@
+"""Measured motion of a recording beside what a model makes of it.
+
+No fit and no free run: the rotors are driven by the recorded commands, and each axis is put where
+it was measured, moving as it was measured to move. So the signs, units and places of the channels
+can be told from a model that is only roughly right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.core.arrays import FloatArray
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.model import Model, RigAxis, names
+
+#: s, window over which angles are differentiated twice.
+_WINDOW = 0.5
+#: s, longest integration step.
+_STEP = 0.01
+#: A slowly sampled recording is not worth a larger function: signs need no accuracy.
+_MOST_SUBSTEPS = 8
+#: RigAxis and speed that belong to a rotor.
+_OF_ROTOR = {"main": ("pitch", "omega_v"), "tail": ("yaw", "omega_h")}
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """Measured and modelled motion of a dataset, on its time grid."""
+
+    #: dict of str to (n,) array; rotor speeds that the model gives for the recorded commands, by
+    #: state, rad/s
+    speeds: dict[str, FloatArray]
+    #: dict of str to (n,) array; measured, by angle, rad/s²; NaN where it cannot be told
+    accelerations: dict[str, FloatArray]
+    #: dict of str to (n,) array; what the model gives with the axis' own rotor at rest, rad/s²
+    passive: dict[str, FloatArray]
+    thrust: dict[str, FloatArray]  #: dict of str to (n,) array; what its own rotor adds, rad/s²
+
+
+class RecordedMotions:
+    """Motions of datasets under one model.
+
+    ``model``: with equations, angles that are states, and a torque on each axis. Raises ValueError
+    for one of another kind; see :meth:`possible`.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        x, u, p, w = model.symbols()
+        self._axes: dict[str, RigAxis] = {
+            name: axis for name, axis in model.axes.items() if axis.angle in model.state_names
+        }
+        if model.sample_time is not None or not self._axes:
+            raise ValueError(f"model {model.name!r} has no accelerations")
+        angles = [model.state_index(axis.angle) for axis in self._axes.values()]
+        f = model.dynamics(x, u, p, w)
+        torques = [names(model.disturbances).index(a.moment) for a in self._axes.values()]
+        pushed = ca.jacobian(f, ca.vertcat(*[w[i] for i in torques])).sparsity().T.get_triplet()[1]
+        momenta = sorted({i for i in pushed if i not in angles})
+        if len(momenta) != len(angles):
+            raise ValueError(f"model {model.name!r} has no momentum for each axis")
+        self._angles, self._momenta = angles, momenta
+        numbers = ca.DM(model.parameters.values)
+        f = ca.substitute(ca.substitute(f, p, numbers), w, ca.DM.zeros(model.n_w))
+        rates = ca.vertcat(*[f[i] for i in angles])
+        momentum = ca.vertcat(*[x[i] for i in momenta])
+        wanted = ca.SX.sym("rates", len(angles))
+        slope = ca.densify(ca.jacobian(rates, momentum))
+        still = ca.substitute(rates, momentum, ca.SX.zeros(len(momenta)))
+        slope = ca.substitute(slope, momentum, ca.SX.zeros(len(momenta)))
+        solved = ca.solve(slope, wanted - still)
+        acceleration = ca.jtimes(rates, x, f)
+        self._momentum_of = ca.Function("momentum", [x, u, wanted], [solved])
+        self._acceleration = ca.Function("acceleration", [x, u], [acceleration])
+
+    def at_rest(self, angle: str, values: FloatArray) -> FloatArray:
+        """Acceleration with an axis held at angles, all else at rest and without commands.
+
+        ``values``: (n,) array, rad. Returns (n,) array, rad/s²; of pitch, what weight alone makes.
+        """
+        model, n = self.model, len(values)
+        states = np.tile(model.rest()[:, None], (1, n))
+        states[model.state_index(angle)] = values
+        u, still = np.zeros((model.n_u, n)), np.zeros((len(self._angles), n))
+        states[self._momenta] = self._mapped(self._momentum_of, states, u, still)
+        return self._mapped(self._acceleration, states, u)[
+            [axis.angle for axis in self._axes.values()].index(angle)
+        ]
+
+    @staticmethod
+    def possible(model: Model) -> RecordedMotions | None:
+        """For a model of the right kind; None for one that only steps or has no axes."""
+        try:
+            return RecordedMotions(model)
+        except ValueError:
+            return None
+
+    def of(self, dataset: Dataset, speeds: dict[str, FloatArray] | None = None) -> RecordedMotion:
+        """The motion of a dataset.
+
+        ``dataset``: with the model's inputs in the model's order. ``speeds``: dict of str to (n,)
+        array; measured rotor speeds that take the place of the modelled ones.
+        """
+        model, n = self.model, len(dataset)
+        angle = np.tile(model.rest()[self._angles], (n, 1))
+        rate, measured = np.zeros_like(angle), {}
+        for i, axis in enumerate(self._axes.values()):
+            if axis.angle in names(dataset.outputs):
+                value, first, second = _derivatives(dataset.output(axis.angle), dataset.sample_time)
+                angle[:, i], rate[:, i] = value, first
+                measured[axis.angle] = second
+        states = self._driven(dataset, angle, rate)
+        given = speeds or {}
+        for name in given:
+            states[model.state_index(name)] = given[name]
+        u = dataset.commands.T
+        # Momenta belong to the rotor speeds that are used.
+        states[self._momenta] = self._mapped(self._momentum_of, states, u, rate.T)
+        whole = self._mapped(self._acceleration, states, u)
+        passive, thrust = {}, {}
+        rotor_of = {axis: name for name, (axis, _) in _OF_ROTOR.items()}
+        for i, (name, axis) in enumerate(self._axes.items()):
+            if axis.angle not in measured:
+                continue
+            rotor = rotor_of.get(name, "")
+            at_rest, silent = states.copy(), u.copy()
+            speed = _OF_ROTOR[rotor][1] if rotor else ""
+            suffix = speed[-2:]
+            for state in (speed, f"i{suffix}"):
+                if state in model.state_names:
+                    at_rest[model.state_index(state)] = 0.0
+            if model.rotors.get(rotor) in names(model.inputs):
+                silent[names(model.inputs).index(model.rotors[rotor])] = 0.0
+            at_rest[self._momenta] = self._mapped(self._momentum_of, at_rest, silent, rate.T)
+            without = self._mapped(self._acceleration, at_rest, silent)[i]
+            passive[axis.angle], thrust[axis.angle] = without, whole[i] - without
+        modelled = {
+            speed: states[model.state_index(speed)]
+            for _, speed in _OF_ROTOR.values()
+            if speed in model.state_names
+        }
+        return RecordedMotion(modelled, measured, passive, thrust)
+
+    def _driven(self, dataset: Dataset, angle: FloatArray, rate: FloatArray) -> FloatArray:
+        """States (n_x, n) with the rotors simulated and the axes where they were measured."""
+        model = self.model
+        substeps = min(max(1, round(dataset.sample_time / _STEP)), _MOST_SUBSTEPS)
+        discrete = discretise(model, dataset.sample_time, substeps)
+        z, u = ca.SX.sym("z", discrete.n_x), ca.SX.sym("u", model.n_u)
+        axes, rates = ca.SX.sym("axes", len(self._angles)), ca.SX.sym("rates", len(self._angles))
+        placed = ca.SX(z)
+        for column, row in enumerate(self._angles):
+            placed[row] = axes[column]
+        momentum = self._momentum_of(placed[: model.n_x], u, rates)
+        for column, row in enumerate(self._momenta):
+            placed[row] = momentum[column]
+        after = discrete.step(placed, u, ca.DM(model.parameters.values), ca.DM.zeros(model.n_w))
+        step = ca.Function("driven", [z, ca.vertcat(u, axes, rates)], [after])
+        start = discrete.initial(self._start(dataset), dataset.commands[0])
+        table = np.hstack([dataset.commands, angle, rate]).T
+        n = table.shape[1]
+        later = np.asarray(step.mapaccum(n - 1)(start, table[:, :-1])) if n > 1 else start[:, None]
+        states = np.column_stack([start, later])[: model.n_x]
+        states[self._angles] = angle.T
+        return states
+
+    def _start(self, dataset: Dataset) -> FloatArray:
+        """Rest, with the first measured rotor speeds."""
+        start = self.model.rest().copy()
+        for _, speed in _OF_ROTOR.values():
+            if speed in names(dataset.outputs) and speed in self.model.state_names:
+                values = dataset.output(speed)
+                finite = values[np.isfinite(values)]
+                if len(finite):
+                    start[self.model.state_index(speed)] = finite[0]
+        return start
+
+    @staticmethod
+    def _mapped(function: ca.Function, *arguments: FloatArray) -> FloatArray:
+        return np.asarray(function.map(arguments[0].shape[1])(*arguments))
+
+
+def _derivatives(values: FloatArray, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """An angle, its rate and its acceleration; the last NaN near an end or a missing sample."""
+    from scipy.ndimage import binary_dilation
+    from scipy.signal import savgol_filter
+
+    there = np.isfinite(values)
+    if not there.any():
+        return (np.zeros_like(values),) * 2 + (np.full_like(values, np.nan),)
+    at = np.arange(len(values))
+    filled = np.interp(at, at[there], values[there])
+    window = _window(step)
+    if len(values) < window:
+        return filled, np.zeros_like(values), np.full_like(values, np.nan)
+    smooth, first, second = (
+        savgol_filter(filled, window, 3, deriv=order, delta=step) for order in (0, 1, 2)
+    )
+    unsure = binary_dilation(~there, iterations=window // 2)
+    unsure[: window // 2] = unsure[len(unsure) - window // 2 :] = True
+    return smooth, first, np.where(unsure, np.nan, second)
+
+
+def smoothed(values: FloatArray, step: float) -> FloatArray:
+    """Seen through the window through which the measured accelerations are seen, shape (n,)."""
+    from scipy.signal import savgol_filter
+
+    window = _window(step)
+    if len(values) < window:
+        return np.asarray(values)
+    return np.asarray(savgol_filter(values, window, 3))
+
+
+def _window(step: float) -> int:
+    return max(7, 2 * round(_WINDOW / step / 2) + 1)
