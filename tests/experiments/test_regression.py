@@ -101,8 +101,7 @@ class TestMatrix:
             read_matrix(pattern="nobody/*")
 
     @pytest.mark.parametrize(
-        "text",
-        ["", "[]", "every: 3", "{", SMALL.replace("rmse:", "rsme:"), SMALL + "more: 1\n"],
+        "text", ["", "[]", "every: 3", "{", SMALL.replace("rmse:", "rsme:"), SMALL + "more: 1\n"]
     )
     def test_what_is_no_matrix_is_told(self, tmp_path: Path, text: str) -> None:
         file = tmp_path / "matrix.yaml"

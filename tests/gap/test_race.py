@@ -14,12 +14,7 @@ from trms_cli.models.newtonian import Newtonian
 
 from .recorded import QUANTUM, SPEED_NOISE, effect, recording
 
-NAMES = (
-    "yaw_coulomb_friction",
-    "yaw_quadratic_damping",
-    "main_input_delay",
-    "main_actuator_lag",
-)
+NAMES = ("yaw_coulomb_friction", "yaw_quadratic_damping", "main_input_delay", "main_actuator_lag")
 MODEL = Newtonian()
 
 

@@ -26,10 +26,7 @@ BENCH = Sensors(
 )
 #: Commands of different kinds, in V: main rotor and tail rotor.
 SIGNALS: Mapping[str, tuple[ReferenceSignal, ReferenceSignal]] = {
-    "prbs": (
-        Prbs(amplitude=0.3, hold=0.8, offset=0.9),
-        Prbs(amplitude=0.4, hold=0.6, phase=0.5),
-    ),
+    "prbs": (Prbs(amplitude=0.3, hold=0.8, offset=0.9), Prbs(amplitude=0.4, hold=0.6, phase=0.5)),
     "multilevel": (
         Multilevel(amplitude=0.6, shortest=0.5, longest=3.0, offset=0.6, seed=1),
         Multilevel(amplitude=0.6, shortest=0.5, longest=3.0, seed=2),

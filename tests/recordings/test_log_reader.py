@@ -86,10 +86,7 @@ def test_any_bytes_end_in_a_log_or_a_clear_error(
 
 @given(position=st.integers(8, 5000), flip=st.integers(1, 255))
 def test_any_flipped_byte_ends_in_a_log_or_a_clear_error(
-    tmp_path_factory: pytest.TempPathFactory,
-    good_log: bytes,
-    position: int,
-    flip: int,
+    tmp_path_factory: pytest.TempPathFactory, good_log: bytes, position: int, flip: int
 ) -> None:
     data = bytearray(good_log)
     data[position % len(data)] ^= flip

@@ -252,10 +252,7 @@ _HOSTILE: dict[str, tuple[str, Callable[[], bytes]]] = {
         lambda: _mat(_matrix(4, (1, 2**31 - 1), struct.pack("<II", 16, 0))),
     ),
     "a cell array of 2^40 elements": ("mat", lambda: _mat(_matrix(1, (2**20, 2**20)))),
-    "cells in cells in cells": (
-        "mat",
-        lambda: _mat(_nested_cells(3000)),
-    ),
+    "cells in cells in cells": ("mat", lambda: _mat(_nested_cells(3000))),
     "a compressed text of 2^31 letters": (
         "mat",
         lambda: _mat(_packed(_matrix(4, (2**15, 2**16), struct.pack("<II", 1, 0)))),

@@ -251,10 +251,7 @@ def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[Op
 
 
 def _played(
-    trial: _Trial,
-    sample_time: float,
-    model_name: str,
-    kinds: Sequence[tuple[str, _Wave, _Wave]],
+    trial: _Trial, sample_time: float, model_name: str, kinds: Sequence[tuple[str, _Wave, _Wave]]
 ) -> Iterator[OpenLoopExperiment]:
     model = trial.model
     inputs = names(model.inputs)

@@ -346,12 +346,7 @@ class ModelStructure:
             )
         best = min(searches, key=lambda search: search.point.cost)
         found = best.point
-        fit = CandidateFit(
-            found.theta,
-            found.starts,
-            found.cost,
-            best.outcome,
-        )
+        fit = CandidateFit(found.theta, found.starts, found.cost, best.outcome)
         if with_evidence and np.isfinite(found.cost):
             objective = InnovationObjective(self.windows, metric, self.starts(found.theta, centres))
             worth = evidence(objective, found.theta, found.starts, bounds)

@@ -19,12 +19,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
 from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name, to_si
 from trms_cli.recordings.output_file import whole_file
-from trms_cli.recordings.recording import (
-    Recording,
-    require_channels,
-    require_values,
-    unit_fields,
-)
+from trms_cli.recordings.recording import Recording, require_channels, require_values, unit_fields
 
 _HEADER_CELL = re.compile(r"^(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]$")
 _TIME = Channel("t", "time", ("s",), "time")
@@ -146,9 +141,7 @@ def _preamble(path: Path, lines: list[str]) -> tuple[dict[str, str], int]:
         elif text:
             return metadata, index
     raise RecordingError(
-        "there is no header, only # lines",
-        where=str(path),
-        remedy=f"write one as {_EXAMPLE}",
+        "there is no header, only # lines", where=str(path), remedy=f"write one as {_EXAMPLE}"
     )
 
 

@@ -140,22 +140,11 @@ def _delay(
     deviation = float(np.sqrt((len(told) - 1) * np.var(told)))
     # A held command acts on average half a sample after its row.
     lead = 0.5 if of_rotor else 0.0
-    return Delay(
-        cause,
-        effect,
-        (best - lead) * step,
-        max(deviation, 0.05) * step,
-        explained,
-        step,
-    )
+    return Delay(cause, effect, (best - lead) * step, max(deviation, 0.05) * step, explained, step)
 
 
 def _left_over(
-    target: np.ndarray,
-    fixed: np.ndarray,
-    moving: np.ndarray,
-    rows: np.ndarray,
-    shifts: np.ndarray,
+    target: np.ndarray, fixed: np.ndarray, moving: np.ndarray, rows: np.ndarray, shifts: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Squares that remain: without the cause, and per block and shift with it."""
     scale = np.maximum(np.abs(fixed[rows]).max(axis=0), 1e-300)

@@ -25,13 +25,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from trms_cli.core.data_file import (
-    MEBIBYTE,
-    how_to_raise,
-    largest,
-    not_as_written,
-    read_bytes,
-)
+from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, not_as_written, read_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, RUN_SCHEMA, SCORE_METADATA
 from trms_cli.recordings.topics import VIEWER_SCHEMAS

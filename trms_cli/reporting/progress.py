@@ -12,12 +12,7 @@ from time import perf_counter
 from types import FrameType, MappingProxyType, TracebackType
 from typing import Any, Self
 
-from trms_cli.core.errors import (
-    EXIT_INTERRUPTED,
-    EXIT_TERMINATED,
-    ConfigurationError,
-    Terminated,
-)
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, ConfigurationError, Terminated
 from trms_cli.core.notes import note
 
 #: In the fit's folder: what its method has kept to go on from.
@@ -202,13 +197,7 @@ class DiagnoseProgress(FitProgress):
     _COLUMNS = MappingProxyType({"stage": "bold", "step": "dim"})
 
     def __init__(
-        self,
-        file: Path,
-        log: Path,
-        fingerprint: str,
-        *,
-        resume: bool = False,
-        quiet: bool = False,
+        self, file: Path, log: Path, fingerprint: str, *, resume: bool = False, quiet: bool = False
     ) -> None:
         super().__init__(file, resume=resume, quiet=quiet)
         self._log, self._fingerprint, self._stage = log, fingerprint, ""

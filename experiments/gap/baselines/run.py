@@ -155,11 +155,7 @@ def bench_problem(recording: Path) -> GapProblem:
     model = Newtonian()
     datasets = tuple(load_datasets(str(recording), model, options))
     return GapProblem(
-        model=model,
-        model_name="newtonian",
-        datasets=datasets,
-        candidates=bench_effects(),
-        jobs=1,
+        model=model, model_name="newtonian", datasets=datasets, candidates=bench_effects(), jobs=1
     )
 
 

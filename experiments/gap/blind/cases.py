@@ -81,11 +81,7 @@ _SHARES: Mapping[Kind, float] = {
     "unexcited": 0.05,
     "matched": 0.07,
 }
-_KNOWN_OUTSIDE = (
-    "pitch_encoder_eccentricity",
-    "main_thrust_loss_with_pitch",
-    "pitch_cogging",
-)
+_KNOWN_OUTSIDE = ("pitch_encoder_eccentricity", "main_thrust_loss_with_pitch", "pitch_cogging")
 _DEVELOPMENT = SetPlan(
     cases=200,
     final=False,

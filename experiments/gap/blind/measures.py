@@ -196,11 +196,7 @@ _SHARES: tuple[tuple[str, Judge, Judge, Target | None], ...] = (
 
 def _shares(judged: Sequence[JudgedCase]) -> list[Row]:
     return [
-        Row(
-            measure=measure,
-            estimate=share([hit(j) for j in judged if among(j)]),
-            target=target,
-        )
+        Row(measure=measure, estimate=share([hit(j) for j in judged if among(j)]), target=target)
         for measure, among, hit, target in _SHARES
     ]
 

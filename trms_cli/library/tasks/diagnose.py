@@ -80,9 +80,7 @@ def _completed(diagnosis: DiagnosisResult, request: DiagnosisRequest) -> Diagnos
     """With the versions, and the warnings of the admission."""
     warnings = dict.fromkeys((*request.problem.warnings, *diagnosis.warnings))
     return replace(
-        diagnosis,
-        versions=dict(diagnosis.versions) or versions(),
-        warnings=tuple(warnings),
+        diagnosis, versions=dict(diagnosis.versions) or versions(), warnings=tuple(warnings)
     )
 
 

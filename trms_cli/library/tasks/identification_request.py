@@ -23,12 +23,7 @@ from trms_cli.identification.problem import (
     acting_parameters,
     free_parameters,
 )
-from trms_cli.library.tasks.subject import (
-    driven_model,
-    driven_recordings,
-    model_of,
-    several,
-)
+from trms_cli.library.tasks.subject import driven_model, driven_recordings, model_of, several
 from trms_cli.models.model import Model
 
 #: Keys of the configuration that are plugins of their own.

@@ -16,12 +16,7 @@ from trms_cli.identification.admission import Admission, admit, together
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.options import ValidationOptions
-from trms_cli.library.tasks.subject import (
-    driven_model,
-    driven_recordings,
-    model_of,
-    several,
-)
+from trms_cli.library.tasks.subject import driven_model, driven_recordings, model_of, several
 from trms_cli.library.tasks.validated_models import shown_names
 from trms_cli.models.model import Model
 
