@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extended
@@ -16,8 +16,6 @@ from trms_cli.effects.quantisation import Quantisation
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Multiples of the typical range's geometric middle at which an effect is tried.
 _MULTIPLES = (0.3, 1.0, 3.0)

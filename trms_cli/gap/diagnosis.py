@@ -12,9 +12,8 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from trms_cli.core.arrays import FloatArray
 
 SCHEMA = "trms.diagnosis/1"
 Verdict = Literal["effect", "parameters_only", "no_gap", "none_of_these", "undecided"]

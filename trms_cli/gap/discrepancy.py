@@ -13,16 +13,14 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.gap.kalman import FilterGains, LinearSystem, gains, scores, smooth, whiten
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import LONGEST_STEP
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -158,9 +156,7 @@ def usual_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
     return (*equation_channels(model), *gains_)
 
 
-def sensor_channels(
-    model: Model, measured: npt.NDArray[np.bool_]
-) -> tuple[DiscrepancyChannel, ...]:
+def sensor_channels(model: Model, measured: BoolArray) -> tuple[DiscrepancyChannel, ...]:
     """One for each output that is measured."""
     return tuple(
         DiscrepancyChannel(SENSORS.get(name, name), "output", i, model.outputs[i].unit)
@@ -189,7 +185,7 @@ class Discrepancy:
         return kept
 
     @cached_property
-    def fixed(self) -> npt.NDArray[np.bool_]:
+    def fixed(self) -> BoolArray:
         """Channels whose size is not to be estimated, (n_d,)."""
         return np.array([channel.fixed is not None for channel in self.channels])
 
@@ -307,7 +303,7 @@ def likely_shares(
     r: FloatArray,
     shares: FloatArray,
     *,
-    moving: npt.NDArray[np.bool_] | None = None,
+    moving: BoolArray | None = None,
     iterations: int = 8,
     least: FloatArray | float = FLOOR,
 ) -> FloatArray:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.identification.excitation.band import band_of, linearised
 from trms_cli.identification.excitation.excitation import ExcitationPlugin, Plan
@@ -26,8 +26,6 @@ from trms_cli.references.sawtooth import Sawtooth
 from trms_cli.references.signal import ReferenceSignal
 from trms_cli.references.square import Square
 from trms_cli.simulation.rollout import Rollout
-
-FloatArray = npt.NDArray[np.float64]
 
 #: s, of the excitation, and of what leads to its operating point.
 DURATION, LEAD_IN = 32.0, 8.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.candidates import CandidateEffect, joint
 from trms_cli.gap.discrepancy import Discrepancy
 from trms_cli.gap.kalman import FilterGains
@@ -20,8 +20,6 @@ from trms_cli.identification.method import FitOutcome
 from trms_cli.identification.problem import FitProblem, FreeParameter
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

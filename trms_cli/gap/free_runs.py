@@ -18,9 +18,8 @@ from itertools import groupby
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.problem import HORIZONS
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
@@ -223,7 +222,7 @@ def _squared(
     return np.where(present.any(axis=1), mean, np.nan)
 
 
-def _near(anchors: IntArray, begin: IntArray, samples: int) -> npt.NDArray[np.bool_]:
+def _near(anchors: IntArray, begin: IntArray, samples: int) -> BoolArray:
     """Anchors that a start stands in for: one follows within a few samples."""
     after = np.minimum(np.searchsorted(begin, anchors), len(begin) - 1)
     return np.abs(begin[after] - anchors) <= 2 * samples
@@ -235,7 +234,7 @@ def _joined(errors: Sequence[HorizonErrors]) -> HorizonErrors:
     )
 
 
-def _prior_sd(model: Model, step: float) -> npt.NDArray[np.float64]:
+def _prior_sd(model: Model, step: float) -> FloatArray:
     """How far a state may lie from its first guess; one that noise drives, as far as it strays."""
     sd = spreads(model)
     if model.sample_time is not None:

@@ -14,15 +14,13 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
 from trms_cli.gap.blocks import quantum_of
 from trms_cli.gap.diagnosis import GapTest
 from trms_cli.gap.fitting import CandidateFit, InnovationObjective, Metric, ModelStructure
 from trms_cli.models.model import names
-
-FloatArray = npt.NDArray[np.float64]
 
 #: s. Longest lag of the tests, and samples at least and at most.
 _LONGEST_LAG, _FEWEST_LAGS, _MOST_LAGS = 0.5, 4, 25
@@ -113,7 +111,7 @@ def _quanta(structure: ModelStructure) -> FloatArray:
 
 
 def _statistics(
-    z: FloatArray, measured: npt.NDArray[np.bool_], commands: FloatArray, sample_time: float
+    z: FloatArray, measured: BoolArray, commands: FloatArray, sample_time: float
 ) -> dict[tuple[str, int], float]:
     """All statistics by name and output; large ones speak against the model."""
     lags = int(np.clip(round(_LONGEST_LAG / sample_time), _FEWEST_LAGS, _MOST_LAGS))
@@ -147,8 +145,8 @@ def _statistics(
 
 
 def _portmanteau(
-    one: npt.NDArray[np.complex128],
-    other: npt.NDArray[np.complex128],
+    one: ComplexArray,
+    other: ComplexArray,
     lags: int,
     count: int,
     scale: float,

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.discrepancy import (
     Discrepancy,
     DiscrepancyChannel,
@@ -27,8 +27,6 @@ from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.race import RacedCandidate
 from trms_cli.gap.refit import Refit
 from trms_cli.models.model import Model, names
-
-FloatArray = npt.NDArray[np.float64]
 
 #: A sensor of a rig without a gap errs by this share of what it reads.
 _SENSOR_FLOOR = 1e-4
@@ -46,7 +44,7 @@ class Location:
     #: (k,) array; most likely size of each disturbance, as a share of what acts there
     shares: FloatArray
 
-    def share(self, blocks: npt.NDArray[np.int64] | None = None) -> dict[str, float]:
+    def share(self, blocks: IntArray | None = None) -> dict[str, float]:
         """Share of the gap by place, from some blocks (with repetition); None: from all."""
         chosen = slice(None) if blocks is None else blocks
         total = max(float(self.together[chosen].sum()), 1e-9)

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.wording import listing
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NextExperiment
@@ -23,8 +23,6 @@ from trms_cli.gap.separability import Signatures, effect_traces, projected
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.method import FitOutcome
 from trms_cli.simulation.rollout import Rollout
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Effects that are asked after at a time.
 _AT_ONCE = 3

@@ -24,8 +24,8 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.blocks import quantum_of
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
@@ -35,9 +35,6 @@ from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.location import Location
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.race import Race, RacedCandidate
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,15 +9,13 @@ from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.discrepancy import FLOOR
 from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
 from trms_cli.gap.refit import Refit, own_metric
 from trms_cli.gap.separability import EffectTraces, Signatures, projected
-
-FloatArray = npt.NDArray[np.float64]
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")

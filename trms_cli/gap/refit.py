@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.gap.discrepancy import (
     Discrepancy,
@@ -19,8 +19,6 @@ from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter, free_parameters
 from trms_cli.models.model import Model
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Sizes of the discrepancy at which the first fits are made, from generous to tight: a wide one
 #: leads the search past what a tight one would stumble over.

@@ -13,13 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 #: Windows whose columns are whitened at a time.
 _AT_ONCE = 12

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import listing, readable
 from trms_cli.gap.blocks import Parts
@@ -38,8 +38,6 @@ from trms_cli.gap.race import Race, RacedCandidate
 from trms_cli.gap.refit import Refit
 from trms_cli.gap.shrinkage import SealedComparison, Shrinkage
 from trms_cli.models.model import Model, names
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Causes less probable than this are not listed.
 _LEAST_PROBABILITY = 0.002

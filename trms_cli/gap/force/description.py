@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import LAWS, explained_shares
 from trms_cli.gap.force.record import (
-    FloatArray,
     ForceRecord,
-    IntArray,
     blocks,
     correlation_time,
     sample_time,

@@ -32,17 +32,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.force.laws import hysteresis
-from trms_cli.gap.force.record import (
-    BoolArray,
-    FloatArray,
-    ForceRecord,
-    IntArray,
-    blocks,
-    segments,
-    signal_power,
-    thinned,
-)
+from trms_cli.gap.force.record import ForceRecord, blocks, segments, signal_power, thinned
 
 #: Ridge penalties, relative to the number of samples; features have unit variance.
 PENALTIES = (1e-3, 1e-2, 1e-1)

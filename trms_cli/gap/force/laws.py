@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.force.record import (
     MOST_NOISE,
-    FloatArray,
     ForceRecord,
     correlation_time,
     sample_time,

@@ -11,11 +11,8 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from trms_cli.core.arrays import FloatArray, IntArray
 
 #: The largest part of a mean square that is taken for noise, whatever the smoother says of it.
 MOST_NOISE = 0.8

@@ -14,16 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.gap.diagnosis import RegionShare
-from trms_cli.gap.force.record import (
-    BoolArray,
-    FloatArray,
-    ForceRecord,
-    blocks,
-    correlation_time,
-    sample_time,
-    thinned,
-)
+from trms_cli.gap.force.record import ForceRecord, blocks, correlation_time, sample_time, thinned
 
 #: How many are told at most.
 MOST = 3
