@@ -13,15 +13,15 @@ import pytest
 
 from tests.identification.greybox.rigs import recording
 from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
-from trms_cli.gap.experiments import experiments
+from trms_cli.gap.fitting import Refit, refit
 from trms_cli.gap.next_experiment import (
     advise,
     between,
+    experiments,
     predicted_recordings,
     visibility,
     with_rows,
 )
-from trms_cli.gap.refit import Refit, refit
 from trms_cli.identification.problem import free_parameters
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout

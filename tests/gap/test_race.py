@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.gap.blocks import divide, quantum_of, with_noise
 from trms_cli.gap.candidates import applicable_candidates
+from trms_cli.gap.fitting import nominal_parameters, refit
+from trms_cli.gap.problem import divide, quantum_of, with_noise
 from trms_cli.gap.race import EFFORTS, Checkpoint, Race, StructureCache, run_race
-from trms_cli.gap.refit import nominal_parameters, refit
 from trms_cli.gap.separability import effect_traces
 from trms_cli.models.newtonian import Newtonian
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from trms_cli.gap.diagnosis import Cause, Gap
-from trms_cli.gap.shrinkage import Shrinkage
+from trms_cli.gap.free_runs import Shrinkage
 from trms_cli.gap.summary import sentence
 
 

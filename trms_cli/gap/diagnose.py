@@ -12,18 +12,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from trms_cli.gap.blocks import Parts, divide
 from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
 from trms_cli.gap.diagnosis import DiagnosisResult
-from trms_cli.gap.fitting import Metric
+from trms_cli.gap.fitting import Metric, Refit, nominal_parameters, refit
+from trms_cli.gap.free_runs import sealed_comparison
 from trms_cli.gap.innovation_tests import innovation_tests
 from trms_cli.gap.location import locate, smoothed_forces
 from trms_cli.gap.posterior import calibration, posterior_of
-from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.problem import GapProblem, Parts, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, Race, StructureCache, run_race
-from trms_cli.gap.refit import Refit, nominal_parameters, refit
 from trms_cli.gap.separability import EffectTraces, effect_traces
-from trms_cli.gap.shrinkage import sealed_comparison
 from trms_cli.gap.summary import summary_fields
 from trms_cli.identification.method import Progress, Unwatched
 

@@ -17,9 +17,9 @@ import numpy as np
 from scipy import stats
 
 from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
-from trms_cli.gap.blocks import quantum_of
 from trms_cli.gap.diagnosis import GapTest
 from trms_cli.gap.fitting import CandidateFit, InnovationObjective, Metric, ModelStructure
+from trms_cli.gap.problem import quantum_of
 from trms_cli.models.model import names
 
 #: s. Longest lag of the tests, and samples at least and at most.

@@ -22,10 +22,9 @@ from trms_cli.gap.discrepancy import (
     sensor_channels,
     usual_channels,
 )
-from trms_cli.gap.fitting import CandidateFit, ModelStructure
+from trms_cli.gap.fitting import CandidateFit, ModelStructure, Refit
 from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.race import RacedCandidate
-from trms_cli.gap.refit import Refit
 from trms_cli.models.model import Model, names
 
 #: A sensor of a rig without a gap errs by this share of what it reads.

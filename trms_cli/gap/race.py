@@ -13,8 +13,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.discrepancy import FLOOR
-from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
-from trms_cli.gap.refit import Refit, own_metric
+from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure, Refit, own_metric
 from trms_cli.gap.separability import EffectTraces, Signatures, projected
 
 Item = TypeVar("Item")

@@ -10,7 +10,6 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import listing, readable
-from trms_cli.gap.blocks import Parts
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
@@ -26,17 +25,16 @@ from trms_cli.gap.diagnosis import (
     SizeEstimate,
     Traces,
 )
+from trms_cli.gap.fitting import Refit
 from trms_cli.gap.force.description import description
 from trms_cli.gap.force.record import ForceRecord
-from trms_cli.gap.force.regions import regions
-from trms_cli.gap.free_runs import history, start_states
+from trms_cli.gap.force.description import regions
+from trms_cli.gap.free_runs import SealedComparison, Shrinkage, history, start_states
 from trms_cli.gap.location import Location, smoothed_forces
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior
-from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.problem import GapProblem, Parts
 from trms_cli.gap.race import Race, RacedCandidate
-from trms_cli.gap.refit import Refit
-from trms_cli.gap.shrinkage import SealedComparison, Shrinkage
 from trms_cli.models.model import Model, names
 
 #: Causes less probable than this are not listed.

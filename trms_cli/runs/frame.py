@@ -99,7 +99,7 @@ def runs_frame(
 
 def table_of(found: QueryResult) -> Any:
     """An answer of the index as a ``pyarrow.Table``."""
-    from trms_cli.recordings.figure_table import arrow_table
+    from trms_cli.recordings.output_file import arrow_table
 
     columns: dict[str, IndexColumn] = found.columns
     kinds = {name: _TYPES[column.kind] for name, column in columns.items()}

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.gap.blocks import Parts, divide
 from trms_cli.gap.candidates import CandidateEffect, joint
 from trms_cli.gap.diagnosis import FittedParameter, SizeEstimate
-from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.problem import GapProblem, Parts, divide
 from trms_cli.identification.method import Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.problem import (

@@ -30,8 +30,8 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.effects.model_file import load_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.gap.diagnosis import DiagnosisResult, document_of
+from trms_cli.gap.free_runs import _pooled
 from trms_cli.gap.problem import GapProblem
-from trms_cli.gap.shrinkage import _pooled
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, names
 from trms_cli.models.newtonian import Newtonian

@@ -283,7 +283,7 @@ def write_parquet(found: QueryResult, path: Path, *, force: bool) -> None:
 
     Raises RecordingError if there is such a file and not `force`, or it cannot be written.
     """
-    from trms_cli.recordings.figure_table import write_parquet
+    from trms_cli.recordings.output_file import write_parquet
     from trms_cli.runs.frame import table_of
 
     write_parquet(table_of(found), path, force=force)

@@ -7,8 +7,12 @@ blocks longer than the force remembers.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 import numpy as np
-
+from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.gap.diagnosis import RegionShare
+from trms_cli.gap.force.record import ForceRecord, blocks, correlation_time, sample_time, thinned
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import LAWS, explained_shares
@@ -21,7 +25,243 @@ from trms_cli.gap.force.record import (
     signal_power,
     thinned,
 )
-from trms_cli.gap.force.regions import change_time, regions
+
+#: How many are told at most.
+MOST = 3
+#: Chance that a force without any region is given one.
+_FALSE_ALARM = 0.02
+_DRAWS = 600
+#: Length of a block in memories of the force, and how many there are at least.
+_BLOCK, _FEWEST_BLOCKS = 1.0, 10
+#: Hz. Regions are seconds wide.
+_REGION_RATE = 10.0
+#: Shares of time that a condition may hold over.
+_RAREST, _COMMONEST = 0.03, 0.75
+#: By how much, and how many times, the share of energy must exceed that of time.
+_EXCESS, _LIFT = 0.12, 1.3
+#: Energy of the force over its mean square below which nothing can be said.
+_LEAST_ENERGY = 0.2
+#: Part of a rotor's largest speed, or of the largest command, that counts as none.
+_STANDSTILL = 0.1
+_SYMBOL = {"pitch": "alpha_v", "yaw": "alpha_h"}
+_HIGH, _LOW = (0.5, 0.7, 0.85), (0.5, 0.3, 0.15)
+_ROUND = np.array([1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """A condition on what the rig does."""
+
+    text: str  #: In an engineer's words
+    about: str  #: The variable that it is about
+    holds: BoolArray  #: (k,) array of bool; where it holds
+
+
+def regions(record: ForceRecord) -> tuple[RegionShare, ...]:
+    """The most telling regions of a missing force.
+
+    Returns tuple of RegionShare: at most :data:`MOST`, the most telling first: by what is learnt of
+    the energy's whereabouts (Kullback–Leibler divergence of its share from that of time).
+    """
+    record = thinned(record, _REGION_RATE)
+    energy = record.force**2 - record.sd**2
+    total = float(energy.sum())
+    if total <= _LEAST_ENERGY * float(np.sum(record.force**2)) or total <= 0:
+        return ()
+    conditions = [
+        condition
+        for condition in all_conditions(record)
+        if _RAREST <= condition.holds.mean() <= _COMMONEST
+    ]
+    if not conditions:
+        return ()
+    holds = np.array([condition.holds for condition in conditions], dtype=np.float64)
+    in_time = holds.mean(axis=1)
+    in_energy = np.clip(holds @ energy / total, 0.0, 1.0)
+    telling = _divergence(in_energy, in_time)
+    beyond_chance = _significant(record, energy, holds - in_time[:, None])
+    clear = beyond_chance & (in_energy > in_time + _EXCESS) & (in_energy > _LIFT * in_time)
+    chosen: list[int] = []
+    for i in np.argsort(-telling):
+        if len(chosen) < MOST and clear[i] and _adds(i, chosen, conditions, energy):
+            chosen.append(int(i))
+    return tuple(
+        RegionShare(
+            location=record.location, condition=conditions[i].text, share=float(in_energy[i])
+        )
+        for i in chosen
+    )
+
+
+def change_time(record: ForceRecord) -> float | None:
+    """When the strength of the force changed for good, s; None where nothing shows it.
+
+    The time that makes two constant variances most likely. It counts if time is among the regions:
+    the states that the rig visits change too, and a force of the state with them.
+    """
+    when = ("before t", "after t", "first third", "last third")
+    if not any(region.condition.startswith(when) for region in regions(record)):
+        return None
+    return _most_likely_change(thinned(record, _REGION_RATE))
+
+
+def all_conditions(record: ForceRecord) -> tuple[Condition, ...]:
+    """All conditions that are tried, thresholds at quantiles of the recording, rounded."""
+    found: list[Condition] = []
+    for axis, values in record.angles.items():
+        found += _about_an_angle(_SYMBOL[axis], axis, values)
+    for axis, values in record.rates.items():
+        found += _about_a_rate(axis, values)
+    for rotor, values in record.speeds.items():
+        found += _about_a_rotor(rotor, values)
+    for rotor, values in record.commands.items():
+        found += _about_a_command(rotor, values, record)
+    found += _about_time(record)
+    unique = {condition.text: condition for condition in found}
+    return tuple(unique.values())
+
+
+def rounded(value: float) -> float:
+    """To the nearest of 1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8 times a power of ten."""
+    if value == 0 or not np.isfinite(value):
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(abs(value)))
+    nearest = _ROUND[np.argmin(np.abs(np.log(_ROUND * power / abs(value))))]
+    return float(f"{np.sign(value) * nearest * power:.3g}")
+
+
+def _limits(
+    text: str, about: str, values: FloatArray, quantiles: tuple[float, ...]
+) -> Iterator[Condition]:
+    """Values above, or with a ``<`` in the text below, rounded quantiles of themselves."""
+    for at in (rounded(float(quantile)) for quantile in np.quantile(values, quantiles)):
+        holds = values < at if "<" in text else values > at
+        yield Condition(text=text.format(f"{at:g}"), about=about, holds=holds)
+
+
+def _about_an_angle(symbol: str, axis: str, values: FloatArray) -> Iterator[Condition]:
+    about, size = f"{axis} angle", np.abs(values)
+    low, high = ("beam low: ", "beam high: ") if axis == "pitch" else ("", "")
+    yield from _limits(f"|{symbol}| > {{}} rad", about, size, _HIGH)
+    yield from _limits(f"|{symbol}| < {{}} rad", about, size, _LOW[1:])
+    yield from _limits(f"{high}{symbol} > {{}} rad", about, values, _HIGH)
+    yield from _limits(f"{low}{symbol} < {{}} rad", about, values, _LOW)
+
+
+def _about_a_rate(axis: str, values: FloatArray) -> Iterator[Condition]:
+    about, size = f"{axis} rate", np.abs(values)
+    yield from _limits(f"{axis} rate near zero (|rate| < {{}} rad/s)", about, size, _LOW)
+    yield from _limits(f"{axis} moving fast (|rate| > {{}} rad/s)", about, size, _HIGH)
+    yield Condition(text=f"{axis} rate positive", about=about, holds=values > 0)
+    yield Condition(text=f"{axis} rate negative", about=about, holds=values < 0)
+
+
+def _about_a_rotor(rotor: str, values: FloatArray) -> Iterator[Condition]:
+    name, size = f"{rotor} rotor", np.abs(values)
+    about = f"{name} speed"
+    still = rounded(_STANDSTILL * float(size.max(initial=0.0)))
+    text = f"{name} near standstill (|speed| < {still:g} rad/s)"
+    yield Condition(text=text, about=about, holds=size < still)
+    yield Condition(text=f"{name} turning backwards", about=about, holds=values < -0.3 * still)
+    yield Condition(text=f"{name} turning forwards", about=about, holds=values > 0.3 * still)
+    yield from _limits(f"{name} fast (|speed| > {{}} rad/s)", about, size, _HIGH)
+    yield from _limits(f"{name} slow (|speed| < {{}} rad/s)", about, size, _LOW)
+
+
+def _about_a_command(rotor: str, values: FloatArray, record: ForceRecord) -> Iterator[Condition]:
+    about, size = f"{rotor} command", np.abs(values)
+    zero = rounded(_STANDSTILL * float(size.max(initial=0.0)))
+    yield Condition(text=f"{about} near zero (|u| < {zero:g} V)", about=about, holds=size < zero)
+    yield from _limits(f"{about} |u| > {{}} V", about, size, _HIGH)
+    # A step's effect on a slow force shows for about half a second.
+    ago = max(round(0.5 / sample_time(record)), 1)
+    changed = np.zeros(values.size)
+    changed[ago:] = np.abs(values[ago:] - values[:-ago])
+    text = f"{about} changing (by over {{}} V in 0.5 s)"
+    yield from _limits(text, f"change of the {about}", changed, _HIGH[1:])
+
+
+def _about_time(record: ForceRecord) -> Iterator[Condition]:
+    numbers = np.unique(record.recording)
+    if numbers.size > 1:
+        for number in numbers:
+            text = f"recording {number + 1}"
+            yield Condition(text=text, about="time", holds=record.recording == number)
+        return
+    start, end = float(record.time[0]), float(record.time[-1])
+    third = (end - start) / 3
+    first, last = record.time < start + third, record.time > end - third
+    yield Condition(text="first third of the recording", about="time", holds=first)
+    yield Condition(text="last third of the recording", about="time", holds=last)
+    change = _most_likely_change(record)
+    # The grid stands for the search; only the time that was found is put in words.
+    for after in _after(record):
+        yield after
+        text = after.text.replace("after", "before")
+        yield Condition(text=text, about="time", holds=~after.holds)
+    later = record.time >= change
+    yield Condition(text=f"after t = {change:g} s", about="time", holds=later)
+    yield Condition(text=f"before t = {change:g} s", about="time", holds=~later)
+
+
+def _after(record: ForceRecord) -> Iterator[Condition]:
+    for at in np.linspace(record.time[0], record.time[-1], 22)[2:-2]:
+        text = f"after t = {round(float(at)):g} s"
+        yield Condition(text=text, about="time", holds=record.time >= round(float(at)))
+
+
+def _most_likely_change(record: ForceRecord) -> float:
+    """Time of the one change of variance that is most likely, s, to three digits."""
+    square = record.force**2
+    samples = square.size
+    count = np.arange(1, samples)
+    before = np.cumsum(square)[:-1]
+    after = max(float(square.sum()), 1e-300) - before
+    floor = 1e-12 * float(square.mean()) + 1e-300
+    cost = count * np.log(before / count + floor)
+    cost += (samples - count) * np.log(np.maximum(after, 0.0) / (samples - count) + floor)
+    margin = max(samples // 20, 1)
+    at = margin + int(np.argmin(cost[margin:-margin])) if samples > 3 * margin else samples // 2
+    return float(f"{record.time[at]:.3g}")
+
+
+def _adds(i: int, chosen: list[int], conditions: list[Condition], energy: FloatArray) -> bool:
+    """Whether a condition gathers energy within each of the chosen ones too, and is about more."""
+    new = conditions[i]
+    for j in chosen:
+        old = conditions[j]
+        if new.about == old.about:
+            return False
+        in_time = float(new.holds[old.holds].mean())
+        in_energy = float(energy[new.holds & old.holds].sum() / energy[old.holds].sum())
+        if in_energy < max(in_time + _EXCESS, _LIFT * in_time):
+            return False
+    return True
+
+
+def _divergence(share: FloatArray, time: FloatArray) -> FloatArray:
+    def part(p: FloatArray, q: FloatArray) -> FloatArray:
+        return np.where(p > 0, p * np.log(np.maximum(p, 1e-12) / np.maximum(q, 1e-12)), 0.0)
+
+    return part(share, time) + part(1 - share, 1 - time)
+
+
+def _significant(record: ForceRecord, energy: FloatArray, surplus: FloatArray) -> BoolArray:
+    """Which rows of ``surplus`` (condition less its share of time) gather energy beyond chance."""
+    # Of the signed force: the energy of one that acts in half of the recording remembers for ever.
+    memory = correlation_time(record, record.force)
+    duration = record.time.size * sample_time(record)
+    length = min(max(1.0, _BLOCK * memory), duration / _FEWEST_BLOCKS)
+    number = blocks(record, length)
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    sums = np.add.reduceat(surplus * energy, first, axis=1)
+    scale = np.sqrt(np.sum(sums**2, axis=1)) + 1e-300
+    sums = sums / scale[:, None]
+    sign = np.random.default_rng(0).choice([-1.0, 1.0], size=(_DRAWS, sums.shape[1]))
+    largest = np.max(sign @ sums.T, axis=1)
+    found: BoolArray = sums.sum(axis=1) > np.quantile(largest, 1 - _FALSE_ALARM)
+    return found
+
 
 #: t-value of what is told, from about a dozen blocks or more.
 _TOLD = 4.0

@@ -10,7 +10,7 @@ from trms_cli.models.model import Model
 from trms_cli.models.rig_shape import rig_shape
 from trms_cli.recordings.foxglove.messages import SceneEncoder
 from trms_cli.recordings.foxglove.scene_log import SceneLog, Sources, find_sources
-from trms_cli.recordings.foxglove.topics import encoded_topics
+from trms_cli.recordings.foxglove.types import encoded_topics
 from trms_cli.recordings.topics import EncodedTopic, Topic
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 from trms_cli.recordings.chunk_writer import ChunkWriter
 from trms_cli.recordings.foxglove.messages import SceneEncoder, log_line
 from trms_cli.recordings.foxglove.scene_log import PoseMemory, Sources
-from trms_cli.recordings.foxglove.topics import (
+from trms_cli.recordings.foxglove.types import (
     ARROWS,
     BODIES,
     LOG_LINES,

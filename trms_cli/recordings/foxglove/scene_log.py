@@ -13,7 +13,7 @@ from typing import Any
 
 from trms_cli.core.scene import GHOSTS
 from trms_cli.recordings.foxglove.messages import Attitudes, SceneEncoder, log_line
-from trms_cli.recordings.foxglove.topics import ARROWS, BODIES, LOG_LINES, TRANSFORMS
+from trms_cli.recordings.foxglove.types import ARROWS, BODIES, LOG_LINES, TRANSFORMS
 from trms_cli.recordings.run_log import RunLog
 
 #: Where an attitude is read, best first: a simulated rig knows it, another has measured it.
@@ -115,7 +115,7 @@ class SceneLog:
     Parameters
     ----------
     log : RunLog
-        Open, with the topics of :func:`~trms_cli.recordings.foxglove.topics.encoded_topics`.
+        Open, with the topics of :func:`~trms_cli.recordings.foxglove.types.encoded_topics`.
     encoder : SceneEncoder
     sources : Sources
     every : int

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from enum import IntEnum
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import orjson
 from msgspec import Meta, Struct, inspect
+
+from trms_cli.recordings.topics import EncodedTopic
 
 Count = Annotated[int, Meta(ge=0)]
 Nanoseconds = Annotated[int, Meta(ge=0, le=999_999_999)]
@@ -274,3 +277,27 @@ def _schema(kind: inspect.Type) -> dict[str, Any]:
             return {"type": "string", "contentEncoding": "base64"}
     plain = {inspect.FloatType: "number", inspect.StrType: "string", inspect.BoolType: "boolean"}
     return {"type": plain[type(kind)]}
+
+
+TRANSFORMS, BODIES, ARROWS, LOG_LINES = "/tf", "/scene", "/scene/commands", "/log"
+#: All that the viewer alone reads.
+SCENE_TOPICS = (TRANSFORMS, BODIES, ARROWS, LOG_LINES)
+_MESSAGES: dict[str, type[Struct]] = {
+    TRANSFORMS: FrameTransforms,
+    BODIES: SceneUpdate,
+    ARROWS: SceneUpdate,
+    LOG_LINES: Log,
+}
+
+
+def encoded_topics() -> list[EncodedTopic]:
+    """The viewer's topics: frames, bodies, arrows of the commands, events as log lines."""
+    return [
+        EncodedTopic(topic, f"foxglove.{message.__name__}", schema_text(message))
+        for topic, message in _MESSAGES.items()
+    ]
+
+
+def layout() -> bytes:
+    """A layout for these topics and the run's own, to be imported into Foxglove."""
+    return Path(__file__).with_name("layout.json").read_bytes()
