@@ -12,9 +12,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from trms_cli.gap.force.description import all_conditions, change_time, regions, rounded
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.record import ForceRecord, blocks, correlation_time, segments, thinned
-from trms_cli.gap.force.description import all_conditions, change_time, regions, rounded
 
 STEP, SAMPLES = 0.02, 6000
 INERTIA, DAMPING, STIFFNESS = 0.03, 0.004, 0.015  # kg m², N m s/rad, N m/rad

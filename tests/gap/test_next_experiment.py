@@ -19,6 +19,7 @@ from trms_cli.gap.next_experiment import (
     between,
     experiments,
     predicted_recordings,
+    signatures,
     visibility,
     with_rows,
 )
@@ -70,7 +71,7 @@ def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(
 ) -> None:
     pair = [with_rows(known[name], FITTED) for name in EFFECTS[:2]]
     fast, slow = (
-        between(recordings[words].signatures(pair), *EFFECTS[:2], EFFECTS[:2])
+        between(signatures(recordings[words], pair), *EFFECTS[:2], EFFECTS[:2])
         for words in (FAST, SLOW)
     )
     assert fast > 5 * slow
@@ -94,7 +95,7 @@ def test_a_thrust_in_reverse_becomes_visible(plain: Refit, recordings: dict, kno
     name = "tail_thrust_curve"
     curve = known[name]
     reverse = replace(curve, variants=curve.variants[curve.variants[:, 1] != 0])
-    seen = {w: visibility(r.signatures([reverse]), name) for w, r in recordings.items()}
+    seen = {w: visibility(signatures(r, [reverse]), name) for w, r in recordings.items()}
     assert seen["random levels with rotors that reverse"] > 12.5
     advice = advise(
         refit=plain,

@@ -24,7 +24,7 @@ def raced(dataset, checkpoint: Checkpoint | None = None) -> Race:
     parts = divide((dataset,), 10.0, 0.25, MODEL.stops)
     nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
     structures = StructureCache(nominal, parts.block)
-    seen = effect_traces(nominal.structure, nominal.fit, list(found.values()), structures.of)
+    seen = effect_traces(nominal, list(found.values()), structures.of)
     return run_race(nominal, found, seen, structures, EFFORTS["quick"], checkpoint=checkpoint)
 
 
@@ -37,8 +37,7 @@ def friction() -> Race:
 def test_friction_is_told_with_its_size(friction):
     best = friction.entries[0]
     assert best.names == ("yaw_coulomb_friction",)
-    sizes = best.structure.values(best.fit.theta)
-    assert sizes["yaw_coulomb_friction.torque"] == pytest.approx(0.003, rel=0.03)
+    assert best.values["yaw_coulomb_friction.torque"] == pytest.approx(0.003, rel=0.03)
     others = [e.fit.score for e in friction.entries if "yaw_coulomb_friction" not in e.names]
     assert all(best.fit.score > score + 30 for score in others)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -123,16 +124,13 @@ def _answered(
     channels = nominal.metric.discrepancy.channels
     usual = {c.location: constants.usual(c.location) for c in channels if c.fixed is None}
     watch.enter("where")
-    place = locate(nominal.structure, nominal.fit, nominal.metric.discrepancy, usual)
+    place = locate(nominal, usual)
     forces = smoothed_forces(nominal, nominal)
     watch.enter("tests")
     # errors that are smaller than usual are no gap either
     limits = np.array([usual.get(c.location, np.inf) for c in channels])
-    shares = np.minimum(nominal.metric.shares, limits)
-    calm = Metric(nominal.metric.discrepancy, shares)
-    tests = innovation_tests(
-        nominal.structure, nominal.fit, calm, nominal.centres, seed=problem.seed
-    )
+    calm = Metric(nominal.metric.discrepancy, np.minimum(nominal.metric.shares, limits))
+    tests = innovation_tests(replace(nominal, metric=calm), seed=problem.seed)
     posterior = posterior_of(problem, race, candidates, forces, place, constants)
     watch.enter("how far")
     sealed = sealed_comparison(problem, parts, race, posterior)
@@ -168,8 +166,7 @@ def _traces(
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
     return effect_traces(
-        nominal.structure,
-        nominal.fit,
+        nominal,
         chosen,
         structures.of,
         watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(chosen), 1), "traces"),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,7 +25,12 @@ from trms_cli.identification.greybox.map_fit import Point, minimise
 from trms_cli.identification.greybox.objective import Quadratic, triangles
 from trms_cli.identification.greybox.windows import Residuals, Windows
 from trms_cli.identification.method import FitOutcome
-from trms_cli.identification.problem import FitProblem, FreeParameter, free_parameters
+from trms_cli.identification.problem import (
+    FitProblem,
+    FreeParameter,
+    free_parameters,
+    with_values,
+)
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
 
@@ -269,6 +276,61 @@ class CandidateFit:
         return np.sqrt(np.maximum(np.diag(self.evidence.covariance), 0.0))
 
 
+@dataclass(frozen=True)
+class FittedModel:
+    """A structure fitted in a metric."""
+
+    structure: ModelStructure
+    fit: CandidateFit
+    metric: Metric
+    centres: FloatArray  #: (m, n_x) array; of the priors of the windows' starts
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return self.structure.names
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The free parameters by name."""
+        return dict(zip(self.structure.problem.names, self.fit.theta.tolist(), strict=True))
+
+    @property
+    def model(self) -> Model:
+        """The model at the fitted values."""
+        return with_values(self.structure.problem.model, self.values)
+
+    @property
+    def residuals(self) -> FloatArray:
+        """Measured less predicted, (m, c, n_y)."""
+        p = self.structure.problem.all_values(self.fit.theta)
+        return -self.structure.windows.residuals(p, self.fit.starts).r
+
+    def refitted(self, metric: Metric, **search: Any) -> FittedModel:
+        """From where it is, in another metric; ``search``: as of :meth:`ModelStructure.fit`."""
+        point = (self.fit.theta, self.fit.starts)
+        return self.structure.fit(metric, [point], centres=self.centres, **search)
+
+    def in_own_metric(self) -> FittedModel:
+        """Refitted with the discrepancy that is most likely for itself."""
+        discrepancy, shares = self.metric.discrepancy, self.metric.shares
+        return _settled(self, discrepancy, shares, rounds=2, iterations=6, tolerance=0.2)
+
+
+def _settled(
+    fitted: FittedModel, discrepancy: Discrepancy, shares: FloatArray, rounds: int, **search: Any
+) -> FittedModel:
+    """A fit and the sizes of its discrepancy in turn, until these hardly change."""
+    for _ in range(rounds):
+        before = shares
+        shares = likely_shares(discrepancy, fitted.residuals, before)
+        metric = Metric(discrepancy, shares, fitted.metric.robust)
+        fitted = fitted.refitted(metric, **search)
+        if np.max(np.abs(np.log(shares / before))) < 0.1:
+            break
+    return fitted
+
+
 class ModelStructure:
     """The nominal model with effects, ready to be fitted.
 
@@ -308,10 +370,6 @@ class ModelStructure:
         """The free parameters by name as a vector (n_f,); those not named at their starts."""
         return np.array([values.get(p.name, p.start) for p in self.problem.free])
 
-    def values(self, theta: FloatArray) -> dict[str, float]:
-        """The vector (n_f,) by name."""
-        return dict(zip(self.problem.names, theta.tolist(), strict=True))
-
     def starts(self, theta: FloatArray, nominal: FloatArray) -> FloatArray:
         """Starts (m, n_x): those of the nominal model's states as given, the rest estimated."""
         n = nominal.shape[1]
@@ -329,7 +387,7 @@ class ModelStructure:
         iterations: int = 25,
         tolerance: float = 0.05,
         with_evidence: bool = True,
-    ) -> CandidateFit:
+    ) -> FittedModel:
         """Search from some points and keep the best.
 
         ``points``, sequence of (theta, starts). ``centres``, (m, n_nominal states) array: of the
@@ -349,18 +407,19 @@ class ModelStructure:
                 )
             )
         best = min(searches, key=lambda search: search.point.cost)
-        found = best.point
-        fit = CandidateFit(found.theta, found.starts, found.cost, best.outcome)
-        if with_evidence and np.isfinite(found.cost):
-            objective = InnovationObjective(self.windows, metric, self.starts(found.theta, centres))
-            worth = evidence(objective, found.theta, found.starts, bounds)
-            fit = replace(fit, evidence=worth)
-        return fit
+        at, worth = best.point, None
+        if with_evidence and np.isfinite(at.cost):
+            objective = InnovationObjective(self.windows, metric, self.starts(at.theta, centres))
+            worth = evidence(objective, at.theta, at.starts, bounds)
+        fit = CandidateFit(at.theta, at.starts, at.cost, best.outcome, worth)
+        return FittedModel(self, fit, metric, centres)
 
-    def residuals(self, fit: CandidateFit) -> FloatArray:
-        """Measured less predicted at a fit, (m, c, n_y)."""
-        p = self.problem.all_values(fit.theta)
-        return -self.windows.residuals(p, fit.starts).r
+    def held(self) -> ModelStructure:
+        """The same with its parameters as they were."""
+        held = copy.copy(self)
+        free = tuple(replace(p, lower=p.start, upper=p.start) for p in self.problem.free)
+        held.problem = replace(self.problem, free=free)
+        return held
 
 
 #: Sizes of the discrepancy at which the first fits are made, from generous to tight: a wide one
@@ -371,14 +430,10 @@ _UNTOLD = 0.05
 
 
 @dataclass(frozen=True)
-class Refit:
-    """The nominal model, before and after."""
+class Refit(FittedModel):
+    """The nominal model before and after, with the most likely discrepancies of the refit."""
 
-    structure: ModelStructure  #: Without effects beyond the model's own
     raw: CandidateFit  #: With the parameters as they were, in the metric of the refit
-    fit: CandidateFit
-    metric: Metric  #: With the most likely discrepancies of the refit
-    centres: FloatArray  #: (m, n_x) array; of the priors of the windows' starts
 
 
 def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:
@@ -407,10 +462,8 @@ def refit(
     free: Sequence[FreeParameter],
     datasets: Sequence[Dataset],
     block: float,
-    *,
-    robust: float | None = 4.0,
 ) -> Refit:
-    """CandidateFit the nominal model and the size of its discrepancy in turn.
+    """Fit the nominal model and the size of its discrepancy in turn.
 
     The equations are linearised about the states that a smoother reads from the data, with forces
     large enough to follow them: about the model's own simulation they would be those of another
@@ -425,72 +478,25 @@ def refit(
     channels = usual_channels(model)
     count = len(channels)
     first = Discrepancy(windows, linearisation.along(p, centres), channels)
-    trajectory = linearisation.through(p, _followed(first, centres, p))
+    trajectory = linearisation.through(p, _followed(first))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
-    starts = centres
+    point = (theta, centres)
     for share in _FIRST_SHARES:
-        metric = Metric(fitting, np.full(count, share), robust)
-        fit = structure.fit(
-            metric, [(theta, starts)], centres=centres, tolerance=0.5, with_evidence=False
-        )
-        theta, starts = fit.theta, fit.starts
-    followed = _followed(
-        replace(first, trajectory=linearisation.along(structure.problem.all_values(theta), starts)),
-        starts,
-        structure.problem.all_values(theta),
-    )
-    trajectory = linearisation.through(structure.problem.all_values(theta), followed)
+        metric = Metric(fitting, np.full(count, share))
+        fitted = structure.fit(metric, [point], centres=centres, tolerance=0.5, with_evidence=False)
+        point = (fitted.fit.theta, fitted.fit.starts)
+    p = structure.problem.all_values(point[0])
+    trajectory = linearisation.along(p, point[1])
+    trajectory = linearisation.through(p, _followed(replace(first, trajectory=trajectory)))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
-    shares = np.full(count, _FIRST_SHARES[-1])
-    for _ in range(3):
-        before = shares
-        shares = likely_shares(fitting, structure.residuals(fit), shares)
-        metric = Metric(fitting, shares, robust)
-        fit = structure.fit(metric, [(fit.theta, fit.starts)], centres=centres)
-        if np.max(np.abs(np.log(shares / before))) < 0.1:
-            break
-    return Refit(structure, unfitted(structure, fit, metric, centres), fit, metric, centres)
+    fitted = _settled(fitted, fitting, np.full(count, _FIRST_SHARES[-1]), rounds=3)
+    points = [(theta, fitted.fit.starts), (theta, centres)]
+    # with its parameters as they were, only the windows' starts are fitted
+    raw = structure.held().fit(fitted.metric, points, centres=centres).fit
+    return Refit(structure, fitted.fit, fitted.metric, centres, raw)
 
 
-def unfitted(
-    structure: ModelStructure, fit: CandidateFit, metric: Metric, centres: FloatArray
-) -> CandidateFit:
-    """The model with its parameters as they were: only the windows' starts are fitted."""
-    theta = structure.theta({})
-    held = fixed_parameters(structure, theta)
-    return held.fit(metric, [(theta, fit.starts), (theta, centres)], centres=centres)
-
-
-def fixed_parameters(structure: ModelStructure, theta: FloatArray) -> ModelStructure:
-    """The structure with its parameters held."""
-    import copy
-
-    held = copy.copy(structure)
-    free = tuple(
-        replace(p, lower=float(v), upper=float(v))
-        for p, v in zip(structure.problem.free, theta, strict=True)
-    )
-    held.problem = replace(structure.problem, free=free)
-    return held
-
-
-def own_metric(
-    structure: ModelStructure, fit: CandidateFit, metric: Metric, centres: FloatArray
-) -> tuple[CandidateFit, Metric]:
-    """A structure refitted with the discrepancy that is most likely for itself."""
-    for _ in range(2):
-        shares = likely_shares(metric.discrepancy, structure.residuals(fit), metric.shares)
-        change = np.max(np.abs(np.log(shares / metric.shares)))
-        metric = Metric(metric.discrepancy, shares, metric.robust)
-        fit = structure.fit(
-            metric, [(fit.theta, fit.starts)], centres=centres, iterations=6, tolerance=0.2
-        )
-        if change < 0.1:
-            break
-    return fit, metric
-
-
-def _followed(discrepancy: Discrepancy, starts: FloatArray, p: FloatArray) -> FloatArray:
+def _followed(discrepancy: Discrepancy) -> FloatArray:
     """States that follow the data, (m, c, n)."""
     r = discrepancy.windows.target - discrepancy.trajectory.y
     r = np.where(np.isfinite(r), r, 0.0)

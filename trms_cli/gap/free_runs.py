@@ -27,7 +27,6 @@ from trms_cli.gap.race import Race
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
 from trms_cli.identification.greybox.starts import estimated_starts, spreads
-from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 
@@ -385,14 +384,10 @@ def sealed_comparison(
 ) -> SealedComparison:
     """Free runs of the model as it was, refitted, and corrected."""
     refit = race.refit
-    fitted = with_values(problem.model, refit.structure.values(refit.fit.theta))
-    corrected = fitted
+    fitted = corrected = refit.model
     plain = richer = refit.structure.windows.rollout
     if posterior.corrected is not None:
-        entry = posterior.corrected
-        corrected = with_values(
-            entry.structure.problem.model, entry.structure.values(entry.fit.theta)
-        )
-        richer = entry.structure.windows.rollout
+        corrected = posterior.corrected.model
+        richer = posterior.corrected.structure.windows.rollout
     measured = measure_shrinkage(problem, parts, problem.model, fitted, corrected, (plain, richer))
     return SealedComparison(measured, problem.model, fitted, corrected, plain, richer)

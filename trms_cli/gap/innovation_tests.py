@@ -18,7 +18,7 @@ from scipy import stats
 
 from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
 from trms_cli.gap.diagnosis import GapTest
-from trms_cli.gap.fitting import CandidateFit, InnovationObjective, Metric, ModelStructure
+from trms_cli.gap.fitting import FittedModel, InnovationObjective, Metric, ModelStructure
 from trms_cli.gap.problem import quantum_of
 from trms_cli.models.model import names
 
@@ -28,21 +28,15 @@ _LEVEL = 0.05
 _BANDS = 4
 
 
-def innovation_tests(
-    structure: ModelStructure,
-    fit: CandidateFit,
-    metric: Metric,
-    centres: FloatArray,
-    *,
-    draws: int = 40,
-    seed: int = 0,
-) -> tuple[GapTest, ...]:
+def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> tuple[GapTest, ...]:
     """Test every measured channel.
 
-    ``metric``: with the discrepancies that rigs without a gap have. ``centres``,
-    (m, n_x) array: of the windows' starts. ``draws``: of the bootstrap.
+    ``fitted``: in a metric of the discrepancies that rigs without a gap have. ``draws``: of the
+    bootstrap.
     """
-    objective = InnovationObjective(structure.windows, metric, structure.starts(fit.theta, centres))
+    structure, fit, metric = fitted.structure, fitted.fit, fitted.metric
+    starts = structure.starts(fit.theta, fitted.centres)
+    objective = InnovationObjective(structure.windows, metric, starts)
     _, _, residuals = objective.parabola(fit.theta, fit.starts)
     columns = objective.columns(residuals)
     measured = structure.windows.measured

@@ -16,15 +16,13 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.discrepancy import (
     Discrepancy,
-    DiscrepancyChannel,
     likely_shares,
     log_likelihood,
     sensor_channels,
     usual_channels,
 )
-from trms_cli.gap.fitting import CandidateFit, ModelStructure, Refit
+from trms_cli.gap.fitting import FittedModel
 from trms_cli.gap.force.record import ForceRecord
-from trms_cli.gap.race import RacedCandidate
 from trms_cli.models.model import Model, names
 
 #: A sensor of a rig without a gap errs by this share of what it reads.
@@ -51,27 +49,18 @@ class Location:
         return dict(zip(self.locations, gains.tolist(), strict=True))
 
 
-def locate(
-    structure: ModelStructure,
-    fit: CandidateFit,
-    discrepancy: Discrepancy,
-    usual: Mapping[str, float],
-) -> Location:
+def locate(nominal: FittedModel, usual: Mapping[str, float]) -> Location:
     """Try every equation and every measured sensor.
 
-    ``structure``: the nominal model. ``discrepancy``: along the recording.
     ``usual``: share by which each equation errs on rigs without a gap.
     """
-    model = structure.problem.model
-    channels: tuple[DiscrepancyChannel, ...] = (
-        *usual_channels(model),
-        *sensor_channels(model, structure.windows.measured),
-    )
-    every = replace(discrepancy, channels=channels)
+    model, windows = nominal.structure.problem.model, nominal.structure.windows
+    channels = (*usual_channels(model), *sensor_channels(model, windows.measured))
+    every = replace(nominal.metric.discrepancy, channels=channels)
     floor = np.array(
         [_SENSOR_FLOOR if c.kind == "output" else usual.get(c.location, 0.03) for c in channels]
     )
-    r = structure.residuals(fit)
+    r = nominal.residuals
     none = log_likelihood(every, r, floor)
     gains, shares = [], []
     tried = [i for i in range(len(channels)) if channels[i].fixed is None]
@@ -92,7 +81,7 @@ def locate(
     )
 
 
-def smoothed_forces(refit: Refit, entry: Refit | RacedCandidate) -> dict[str, ForceRecord]:
+def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRecord]:
     """The force that each nominal equation lacks beside a fit, read by a smoother from the rest.
 
     In the nominal model's states, along the motion of the refit, with its discrepancy's sizes.
@@ -100,7 +89,7 @@ def smoothed_forces(refit: Refit, entry: Refit | RacedCandidate) -> dict[str, Fo
     structure, along = entry.structure, refit.metric.discrepancy
     model, windows = structure.problem.model, structure.windows
     discrepancy = Discrepancy(refit.structure.windows, along.trajectory, along.channels)
-    x, variance = discrepancy.smoothed(refit.metric.shares, structure.residuals(entry.fit))
+    x, variance = discrepancy.smoothed(refit.metric.shares, entry.residuals)
     n = discrepancy.trajectory.x.shape[-1]
     inside = windows.inside
     states = discrepancy.trajectory.x[..., : model.n_x]

@@ -19,7 +19,7 @@ from trms_cli.core.wording import listing
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
-from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure, Refit
+from trms_cli.gap.fitting import CandidateFit, FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.separability import Signatures, effect_traces, projected
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.excitation.band import band_of, linearised
@@ -333,9 +333,9 @@ class _Question:
     #: Rows of each that the present recordings do not show
     hidden: Mapping[str, tuple[int, ...]] | None = None
 
-    def worth(self, recording: ProjectedRecording) -> tuple[float, ...]:
+    def worth(self, recording: FittedModel) -> tuple[float, ...]:
         """Nats that a recording gives for each thing asked, in the order asked."""
-        signs = recording.signatures(self.candidates)
+        signs = signatures(recording, self.candidates)
         names = [candidate.name for candidate in self.candidates]
         if self.apart:
             first = names[0]
@@ -396,8 +396,7 @@ def advise(
         return _repeated(known, candidates, model_name, step)
     if shares is None:
         shares = np.maximum(FLOOR, _LEFT * refit.metric.shares)
-    metric = Metric(refit.metric.discrepancy, shares, refit.metric.robust)
-    present = ProjectedRecording(refit.structure, refit.fit, metric, refit.centres)
+    present = replace(refit, metric=replace(refit.metric, shares=shares))
     question = _question(known, untested, candidates, values, present)
     if question is None:
         return None
@@ -423,7 +422,7 @@ def _question(
     untested: Sequence[str],
     candidates: Mapping[str, CandidateEffect],
     values: Mapping[str, float],
-    present: ProjectedRecording,
+    present: FittedModel,
 ) -> _Question | None:
     if len(apart) >= 2:
         chosen = [candidates[name] for name in apart[:_AT_ONCE]]
@@ -435,7 +434,7 @@ def _question(
     chosen = [candidates[name] for name in seen]
     if untested:
         chosen = chosen[:_AT_ONCE]
-    signs = present.signatures(chosen)
+    signs = signatures(present, chosen)
     # where nothing was asked after, those that the recordings show least
     chosen = sorted(chosen, key=lambda candidate: visibility(signs, candidate.name))[:_AT_ONCE]
     hidden = {
@@ -520,7 +519,7 @@ def _nats(value: float) -> str:
 
 def predicted_recordings(
     refit: Refit, shares: FloatArray, model_name: str, *, load: bool = False
-) -> Iterator[tuple[OpenLoopExperiment, ProjectedRecording]]:
+) -> Iterator[tuple[OpenLoopExperiment, FittedModel]]:
     """Experiments, and what each records; angles stay in bounds before and after the refit.
 
     ``shares``, (n_d,) array: discrepancy to be reckoned with. ``model_name``: as a command takes
@@ -549,7 +548,7 @@ def predicted_recordings(
             metric = Metric(discrepancy, shares, None)
         except FloatingPointError:  # along this motion the equations say too little
             continue
-        yield experiment, ProjectedRecording(made, fit, metric, starts)
+        yield experiment, FittedModel(made, fit, metric, starts)
 
 
 def _recorded(
@@ -603,26 +602,16 @@ _MOST_ROWS = 6
 _NOTHING = 1.0
 
 
-@dataclass(frozen=True)
-class ProjectedRecording:
-    """A recording, made or predicted, with all that traces are projected in."""
+def signatures(recording: FittedModel, candidates: Sequence[CandidateEffect]) -> Signatures:
+    """Projected traces of some effects at their variants, in a recording made or predicted."""
+    problem = recording.structure.problem
 
-    structure: ModelStructure  #: Of the nominal model
-    fit: CandidateFit
-    metric: Metric
-    centres: FloatArray  #: (m, n_x) array
+    def structure_of(candidate: CandidateEffect) -> ModelStructure:
+        return ModelStructure(
+            problem.model, problem.free, [candidate], problem.datasets, problem.window_length
+        )
 
-    def signatures(self, candidates: Sequence[CandidateEffect]) -> Signatures:
-        """Projected traces of some effects at their variants."""
-        problem = self.structure.problem
-
-        def structure_of(candidate: CandidateEffect) -> ModelStructure:
-            return ModelStructure(
-                problem.model, problem.free, [candidate], problem.datasets, problem.window_length
-            )
-
-        traced = effect_traces(self.structure, self.fit, candidates, structure_of)
-        return projected(self.structure, self.fit, self.metric, self.centres, traced)
+    return projected(recording, effect_traces(recording, candidates, structure_of))
 
 
 def with_rows(candidate: CandidateEffect, values: Mapping[str, float]) -> CandidateEffect:

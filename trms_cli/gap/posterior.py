@@ -29,11 +29,12 @@ from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
 from trms_cli.gap.discrepancy import log_likelihood
+from trms_cli.gap.fitting import FittedModel
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.record import ForceRecord
 from trms_cli.gap.location import Location
 from trms_cli.gap.problem import GapProblem, quantum_of
-from trms_cli.gap.race import Race, RacedCandidate
+from trms_cli.gap.race import Race
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,8 +143,8 @@ class Posterior:
     #: Descending; effects together, or one of :data:`NO_EFFECT`
     probabilities: Mapping[tuple[str, ...], float]
     verdict: Verdict
-    best: RacedCandidate | None  #: The most probable with effects
-    corrected: RacedCandidate | None  #: What goes into the corrected model; None: the refit alone
+    best: FittedModel | None  #: The most probable with effects
+    corrected: FittedModel | None  #: What goes into the corrected model; None: the refit alone
     confusable: tuple[tuple[str, ...], ...]
     features: Features
     #: The probabilities with blocks drawn anew: how much they hang on single blocks
@@ -180,18 +181,14 @@ def excesses(race: Race, constants: Calibration) -> list[FloatArray]:
     discrepancy = refit.metric.discrepancy
     usual = np.array([constants.usual(c.location) for c in discrepancy.channels])
     found = []
-    for structure, fit, metric in [
-        (refit.structure, refit.fit, refit.metric),
-        *((e.structure, e.fit, e.metric) for e in race.entries),
-    ]:
-        if np.all(discrepancy.effective(metric.shares) <= discrepancy.effective(usual) * 1.001):
+    for fitted in (refit, *race.entries):
+        shares = fitted.metric.shares
+        if np.all(discrepancy.effective(shares) <= discrepancy.effective(usual) * 1.001):
             found.append(np.zeros(len(refit.structure.windows)))
             continue
-        r = structure.residuals(fit)
-        calm = np.minimum(metric.shares, usual)
-        excess = log_likelihood(discrepancy, r, metric.shares) - log_likelihood(
-            discrepancy, r, calm
-        )
+        r = fitted.residuals
+        excess = log_likelihood(discrepancy, r, shares)
+        excess -= log_likelihood(discrepancy, r, np.minimum(shares, usual))
         found.append(np.nan_to_num(excess, nan=1e6))
     return found
 
@@ -247,7 +244,7 @@ def _verdict(
     return "effect" if max(together, wider) >= _DECIDED else "undecided"
 
 
-def _confusable(race: Race, best: RacedCandidate) -> tuple[tuple[str, ...], ...]:
+def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:
     """Groups with the best that the scores, or the traces themselves, do not part."""
     own = best.fit.predictive
     group: list[str] = []

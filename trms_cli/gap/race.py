@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -13,7 +13,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.discrepancy import FLOOR
-from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure, Refit, own_metric
+from trms_cli.gap.fitting import FittedModel, ModelStructure, Refit
 from trms_cli.gap.separability import EffectTraces, Signatures, projected
 
 Item = TypeVar("Item")
@@ -45,24 +45,12 @@ EFFORTS = {
 
 
 @dataclass(frozen=True)
-class RacedCandidate:
-    """One that raced."""
-
-    structure: ModelStructure
-    fit: CandidateFit  #: In the metric that is most likely for itself
-    metric: Metric
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self.structure.names
-
-
-@dataclass(frozen=True)
 class Race:
     """All that raced, best first."""
 
     refit: Refit
-    entries: tuple[RacedCandidate, ...]  #: With one effect or several
+    #: With one effect or several, each in the metric that is most likely for itself
+    entries: tuple[FittedModel, ...]
     signatures: Signatures  #: In the refit's metric
     tight: Signatures  #: In the tighter one
 
@@ -90,13 +78,13 @@ class Checkpoint:
             return None
         return tuple(np.array(known[name]) for name in ("theta", "starts", "shares"))  # type: ignore[return-value]
 
-    def add(self, key: str, fit: CandidateFit, metric: Metric) -> None:
+    def add(self, key: str, fitted: FittedModel) -> None:
         """Note where a search ended."""
         with self._lock:
             self._points[key] = {
-                "theta": fit.theta.tolist(),
-                "starts": fit.starts.tolist(),
-                "shares": metric.shares.tolist(),
+                "theta": fitted.fit.theta.tolist(),
+                "starts": fitted.fit.starts.tolist(),
+                "shares": fitted.metric.shares.tolist(),
             }
             self._keep(self._points)
 
@@ -144,78 +132,66 @@ def run_race(
     told the share that is done and what is being done; False stops with what there is.
     """
     checkpoint = checkpoint or Checkpoint()
-    nominal, discrepancy, robust = refit.structure, refit.metric.discrepancy, refit.metric.robust
     shares = np.maximum(FLOOR, refit.metric.shares / _TIGHTER)
-    tight = Metric(discrepancy, shares, robust)
-    wide_signs = projected(nominal, refit.fit, refit.metric, refit.centres, traces)
-    tight_signs = projected(nominal, refit.fit, tight, refit.centres, traces)
+    wide_signs = projected(refit, traces)
+    tight = replace(refit.metric, shares=shares)
+    tight_signs = projected(replace(refit, metric=tight), traces)
     listed = short_list((tight_signs, wide_signs), candidates, effort.listed)
     worth = [n for n in listed if max(s.best(n)[0] for s in (tight_signs, wide_signs)) > _HOPELESS]
     listed = worth or listed[:1]
-    middle = Metric(discrepancy, np.sqrt(shares * refit.metric.shares), robust)
+    middle = replace(refit.metric, shares=np.sqrt(shares * refit.metric.shares))
 
-    def once(
-        key: str, structure: ModelStructure, search: Callable[[], RacedCandidate]
-    ) -> RacedCandidate:
+    def once(key: str, structure: ModelStructure, search: Callable[[], FittedModel]) -> FittedModel:
         """What a search finds, or where it had ended before the race was interrupted."""
         known = checkpoint.point(key)
         if known is None:
             made = search()
-            checkpoint.add(key, made.fit, made.metric)
+            checkpoint.add(key, made)
             return made
         theta, starts, shares = known
-        metric = Metric(discrepancy, shares, robust)
-        fit = structure.fit(metric, [(theta, starts)], centres=refit.centres, iterations=0)
-        return RacedCandidate(structure, fit, metric)
+        metric = replace(refit.metric, shares=shares)
+        return structure.fit(metric, [(theta, starts)], centres=refit.centres, iterations=0)
 
-    def single(name: str) -> RacedCandidate:
+    def single(name: str) -> FittedModel:
         candidate = candidates[name]
         structure = structures.of(candidate)
 
-        def search() -> RacedCandidate:
+        def search() -> FittedModel:
             points = _points(structure, candidate, refit, (tight_signs, wide_signs))
-            fit = structure.fit(middle, points, centres=refit.centres, iterations=12, tolerance=0.5)
-            return RacedCandidate(structure, fit, middle)
+            return structure.fit(
+                middle, points, centres=refit.centres, iterations=12, tolerance=0.5
+            )
 
         return once(f"single {name}", structure, search)
 
-    alone = nominal.fit(
-        middle, [(refit.fit.theta, refit.fit.starts)], centres=refit.centres, iterations=5
-    )
-    refit_score = alone.score
+    refit_score = refit.refitted(middle, iterations=5).fit.score
     entries = _each(single, listed, jobs, watch, 0.0, 0.55, "fitting {}")
     entries.sort(key=lambda e: -e.fit.score)
     finals = entries[: effort.finalists]
 
-    def final(entry: RacedCandidate) -> RacedCandidate:
+    def final(entry: FittedModel) -> FittedModel:
         key = "final " + "+".join(entry.names)
         return once(key, entry.structure, lambda: assessed(entry))
 
-    def assessed(entry: RacedCandidate) -> RacedCandidate:
+    def assessed(entry: FittedModel) -> FittedModel:
         if entry.fit.score < refit_score + _ENTRANCE / 2:
             # it explains nothing: the discrepancy that it leaves is the refit's
-            point = (entry.fit.theta, entry.fit.starts)
-            again = entry.structure.fit(
-                refit.metric, [point], centres=refit.centres, iterations=4, tolerance=0.5
-            )
-            return RacedCandidate(entry.structure, again, refit.metric)
-        return RacedCandidate(
-            entry.structure, *own_metric(entry.structure, entry.fit, entry.metric, refit.centres)
-        )
+            return entry.refitted(refit.metric, iterations=4, tolerance=0.5)
+        return entry.in_own_metric()
 
     finals = _each(final, finals, jobs, watch, 0.55, 0.75, "comparing")
     finals.sort(key=lambda e: -e.fit.score)
-    joint: list[RacedCandidate] = []
+    joint: list[FittedModel] = []
     best = finals[0] if finals else None
     while best is not None and len(best.names) < effort.deepest:
-        partners = _partners(best, refit, traces, candidates, effort.pairs)
+        partners = _partners(best, traces, candidates, effort.pairs)
 
-        def pair(name: str, base: RacedCandidate = best) -> RacedCandidate:
+        def pair(name: str, base: FittedModel = best) -> FittedModel:
             structure = structures.of(*base.structure.effects, candidates[name])
             return once(
                 "joint " + "+".join((*base.names, name)),
                 structure,
-                lambda: _paired(base, candidates[name], refit, traces, structure),
+                lambda: _paired(base, candidates[name], traces, structure),
             )
 
         made = _each(pair, partners, jobs, watch, 0.75, 0.95, "beside " + "+".join(best.names))
@@ -254,63 +230,57 @@ def _points(
     structure: ModelStructure, candidate: CandidateEffect, refit: Refit, signs: Sequence[Signatures]
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Where searches begin: the refit's optimum and the priors' centre, sizes as screened."""
-    nominal = refit.structure.values(refit.fit.theta)
     prior = {p.name: p.prior_mean for p in refit.structure.problem.free}
     points = []
-    rows = []
-    for sign in signs:
-        _, row = sign.best(candidate.name)
-        by = float(np.clip(sign.towards[row] / max(sign.left[row], 1e-12), 0.3, 2.0))
-        sizes = np.array(sign.sizes[row], dtype=float)
-        rows.append(_scaled(candidate, sizes, by))
-    for values, sizes in ((nominal, rows[0]), (prior, rows[-1])):
-        own = {f.name: float(v) for f, v in zip(candidate.free, sizes, strict=True)}
-        theta = structure.theta({**values, **own})
+    for values, sign in ((refit.values, signs[0]), (prior, signs[-1])):
+        theta = structure.theta({**values, **_promising_sizes(candidate, sign, 0.3)})
         points.append((theta, structure.starts(theta, refit.fit.starts)))
     return points
 
 
-def _scaled(candidate: CandidateEffect, sizes: FloatArray, by: float) -> FloatArray:
-    """The sizes that can make the effect vanish, scaled; within bounds."""
-    scaled = sizes.copy()
-    for i, free in enumerate(candidate.free):
-        if i == 0 or free.prior_mean == 0.0:
-            scaled[i] = np.clip(sizes[i] * by, free.lower, free.upper)
-    return scaled
+def _promising_sizes(
+    candidate: CandidateEffect, sign: Signatures, least: float
+) -> dict[str, float]:
+    """Sizes at which the trace explains most of what is left over, by name.
+
+    Of the most promising row those that can make the effect vanish are scaled, by ``least`` to two
+    times, within their bounds.
+    """
+    _, row = sign.best(candidate.name)
+    by = float(np.clip(sign.towards[row] / max(sign.left[row], 1e-12), least, 2.0))
+    sizes = {}
+    for i, (free, size) in enumerate(zip(candidate.free, sign.sizes[row], strict=True)):
+        scaled = i == 0 or free.prior_mean == 0.0
+        sizes[free.name] = float(np.clip(size * by, free.lower, free.upper) if scaled else size)
+    return sizes
 
 
 def _partners(
-    best: RacedCandidate,
-    refit: Refit,
+    best: FittedModel,
     traces: EffectTraces,
     candidates: Mapping[str, CandidateEffect],
     count: int,
 ) -> list[str]:
     """Effects whose traces point at what the best leaves over."""
-    signs = projected(best.structure, best.fit, best.metric, refit.centres, traces)
+    signs = projected(best, traces)
     others = {n: s for n, s in candidates.items() if n not in best.names}
     listed = short_list((signs,), others, count)
     return [name for name in listed if signs.best(name)[0] > _ENTRANCE]
 
 
 def _paired(
-    best: RacedCandidate,
+    best: FittedModel,
     partner: CandidateEffect,
-    refit: Refit,
     traces: EffectTraces,
     structure: ModelStructure,
-) -> RacedCandidate:
-    signs = projected(best.structure, best.fit, best.metric, refit.centres, traces)
-    _, row = signs.best(partner.name)
-    by = float(np.clip(signs.towards[row] / max(signs.left[row], 1e-12), 0.2, 2.0))
-    sizes = _scaled(partner, np.array(signs.sizes[row], dtype=float), by)
-    own = {f.name: float(v) for f, v in zip(partner.free, sizes, strict=True)}
-    theta = structure.theta({**best.structure.values(best.fit.theta), **own})
-    starts = structure.starts(theta, best.fit.starts[:, : refit.centres.shape[1]])
-    fit = structure.fit(
-        best.metric, [(theta, starts)], centres=refit.centres, iterations=12, tolerance=0.5
+) -> FittedModel:
+    sizes = _promising_sizes(partner, projected(best, traces), 0.2)
+    theta = structure.theta({**best.values, **sizes})
+    starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
+    fitted = structure.fit(
+        best.metric, [(theta, starts)], centres=best.centres, iterations=12, tolerance=0.5
     )
-    return RacedCandidate(structure, *own_metric(structure, fit, best.metric, refit.centres))
+    return fitted.in_own_metric()
 
 
 def _each(

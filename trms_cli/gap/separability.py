@@ -16,7 +16,8 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.candidates import CandidateEffect
-from trms_cli.gap.fitting import CandidateFit, Metric, ModelStructure
+from trms_cli.gap.fitting import FittedModel, Metric, ModelStructure
+from trms_cli.gap.kalman import FilterGains, LinearSystem, whiten
 
 #: Windows whose columns are whitened at a time.
 _AT_ONCE = 12
@@ -94,8 +95,7 @@ class EffectTraces:
 
 
 def effect_traces(
-    nominal: ModelStructure,
-    fit: CandidateFit,
+    nominal: FittedModel,
     candidates: Sequence[CandidateEffect],
     structure_of: Callable[[CandidateEffect], ModelStructure],
     *,
@@ -107,8 +107,8 @@ def effect_traces(
     drives. ``structure_of``: makes the structure of one candidate. ``watch``: told how many
     candidates are done; False stops.
     """
-    base = nominal.windows.residuals(nominal.problem.all_values(fit.theta), fit.starts).r
-    theta = nominal.values(fit.theta)
+    base = -nominal.residuals
+    theta = nominal.values
     changes: list[FloatArray] = []
     names: list[str] = []
     sizes: list[FloatArray] = []
@@ -119,7 +119,7 @@ def effect_traces(
         for row in candidate.variants:
             own = {f.name: v for f, v in zip(candidate.free, row, strict=True)}
             vector = structure.theta({**theta, **own})
-            starts = structure.starts(vector, fit.starts)
+            starts = structure.starts(vector, nominal.fit.starts)
             with np.errstate(all="ignore"):
                 r = structure.windows.residuals(structure.problem.all_values(vector), starts).r
             if np.isfinite(r).all():
@@ -129,19 +129,12 @@ def effect_traces(
     return EffectTraces(tuple(names), tuple(sizes), np.array(changes).reshape(-1, *base.shape))
 
 
-def projected(
-    structure: ModelStructure,
-    fit: CandidateFit,
-    metric: Metric,
-    centres: FloatArray,
-    traces: EffectTraces,
-) -> Signatures:
+def projected(fitted: FittedModel, traces: EffectTraces) -> Signatures:
     """Traces, freed of what the starts and parameters of a fitted model could do as well.
 
-    ``structure``: the nominal model, or one with an effect: then its sizes are among the
-    parameters. ``centres``, (m, n_x) array: centres of the priors of the windows'
-    starts.
+    ``fitted``: the nominal model, or one with an effect: then its sizes are among the parameters.
     """
+    structure, fit = fitted.structure, fitted.fit
     windows, problem = structure.windows, structure.problem
     residuals = windows.residuals(problem.all_values(fit.theta), fit.starts, slopes=True)
     base, slopes = residuals.r, residuals.j
@@ -151,12 +144,12 @@ def projected(
     n, n_f, count = windows.n_x, len(fit.theta), len(traces.names)
     total = np.zeros((n_f + count + 1, n_f + count + 1))
     raw = np.zeros(count)
-    gaps = (fit.starts - structure.starts(fit.theta, centres)) / windows.spread
+    gaps = (fit.starts - structure.starts(fit.theta, fitted.centres)) / windows.spread
     for j in range(0, len(windows), _AT_ONCE):
         rows = slice(j, j + _AT_ONCE)
         changes = np.moveaxis(traces.changes[:, rows], 0, -1)
         parts = [slopes[rows] * scales, changes, base[rows][..., None]]
-        white = _part(metric, rows, np.concatenate(parts, axis=-1))
+        white = _part(fitted.metric, rows, np.concatenate(parts, axis=-1))
         flat = white.reshape(white.shape[0], -1, white.shape[-1])
         gram = np.swapaxes(flat, 1, 2) @ flat
         own = gram[:, :n, :n] + np.eye(n)
@@ -184,8 +177,6 @@ def projected(
 
 def _part(metric: Metric, rows: slice, columns: FloatArray) -> FloatArray:
     """Columns of some windows, whitened."""
-    from trms_cli.gap.kalman import FilterGains, LinearSystem, whiten
-
     system, filter_ = metric.discrepancy.system, metric.filter_
     part = LinearSystem(system.f[rows], system.h[rows], system.seen[rows], system.r, system.start)
     gains = FilterGains(

@@ -25,16 +25,15 @@ from trms_cli.gap.diagnosis import (
     SizeEstimate,
     Traces,
 )
-from trms_cli.gap.fitting import Refit
-from trms_cli.gap.force.description import description
+from trms_cli.gap.fitting import FittedModel
+from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.record import ForceRecord
-from trms_cli.gap.force.description import regions
 from trms_cli.gap.free_runs import SealedComparison, Shrinkage, history, start_states
 from trms_cli.gap.location import Location, smoothed_forces
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import GapProblem, Parts
-from trms_cli.gap.race import Race, RacedCandidate
+from trms_cli.gap.race import Race
 from trms_cli.models.model import Model, names
 
 #: Causes less probable than this are not listed.
@@ -99,7 +98,7 @@ def summary_fields(
         "description": tuple(words),
         "warnings": (*problem.warnings, *_remarks(parts, race)),
         "worse": sealed.shrinkage.worse,
-        "refit": refit.structure.values(refit.fit.theta),
+        "refit": refit.values,
         "evidence": {
             **posterior.features.as_json(),
             "shares": {
@@ -189,7 +188,7 @@ def _causes(posterior: Posterior, race: Race) -> tuple[Cause, ...]:
     )
 
 
-def _sizes(entry: RacedCandidate) -> dict[str, SizeEstimate]:
+def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
     fit, sd = entry.fit, entry.fit.sd
     return {
         free.name: SizeEstimate(value=float(fit.theta[i]), sd=float(sd[i]), unit=free.unit)
@@ -256,7 +255,7 @@ def _race(posterior: Posterior, race: Race) -> tuple[RaceEntry, ...]:
     return tuple(sorted(rows, key=lambda row: -row.score))
 
 
-def _moves(race: Race, entry: RacedCandidate | Refit) -> dict[str, float]:
+def _moves(race: Race, entry: FittedModel) -> dict[str, float]:
     """Size of the move of each nominal parameter that has a prior, in its standard deviations."""
     own = set(race.refit.structure.problem.names)
     return {
@@ -266,7 +265,7 @@ def _moves(race: Race, entry: RacedCandidate | Refit) -> dict[str, float]:
     }
 
 
-def _moved(race: Race, entry: RacedCandidate | Refit) -> float:
+def _moved(race: Race, entry: FittedModel) -> float:
     return max(_moves(race, entry).values(), default=0.0)
 
 
@@ -320,7 +319,7 @@ def _advice(
     if best is not None and posterior.confusable and best.names[0] not in NO_EFFECT:
         apart = list(dict.fromkeys(n for group in posterior.confusable for n in group))
         for entry in race.entries:
-            values = {**entry.structure.values(entry.fit.theta), **values}
+            values = {**entry.values, **values}
         shares = best.metric.shares
     try:
         return advise(

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+
 import numpy as np
-from trms_cli.core.arrays import BoolArray, FloatArray
+
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.diagnosis import RegionShare
-from trms_cli.gap.force.record import ForceRecord, blocks, correlation_time, sample_time, thinned
-from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import LAWS, explained_shares
 from trms_cli.gap.force.record import (
