@@ -115,12 +115,7 @@ def sampled_level(candidate: LyapunovCandidate, rays: Rays) -> SampledLevel | No
     radius = start + np.nan_to_num(part) * (shares[last] - start)
     edge = rays.ends * radius[:, None]
     return SampledLevel(
-        level,
-        place,
-        bool(at_end[best]),
-        _log_volume(edge, rays.root),
-        edge,
-        y.shape[0],
+        level, place, bool(at_end[best]), _log_volume(edge, rays.root), edge, y.shape[0]
     )
 
 

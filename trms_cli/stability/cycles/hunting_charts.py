@@ -170,11 +170,7 @@ def nyquist(one: Harmonics) -> Chart:
             )
         )
     return Chart(
-        "hunting_nyquist",
-        panels,
-        "Harmonic balance: a crossing is a cycle.",
-        width=4.8,
-        height=3.8,
+        "hunting_nyquist", panels, "Harmonic balance: a crossing is a cycle.", width=4.8, height=3.8
     )
 
 

@@ -9,16 +9,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.chart import Chart
-from trms_cli.core.findings import (
-    Cell,
-    Column,
-    Findings,
-    Judged,
-    Section,
-    Table,
-    json_data,
-    table,
-)
+from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model
 from trms_cli.stability.cycles.friction_loop import Friction
@@ -171,7 +162,7 @@ def _run_section(result: HuntingResult) -> Section:
     text = [
         f"{result.controller} at {result.words}, started {run.angle[0]:.3g} rad beside "
         f"the reference, {run.time[-1]:.0f} s; the second half is judged. The axis sticks "
-        "where its rate is zero to rounding: friction acts as an impulse that stops it exactly.",
+        "where its rate is zero to rounding: friction acts as an impulse that stops it exactly."
     ]
     blocks = [history(run, label, command)]
     if run.hunts:

@@ -8,18 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.chart import (
-    Axis,
-    Chart,
-    Colour,
-    Curve,
-    Line,
-    Mark,
-    Marker,
-    Panel,
-    Points,
-    Style,
-)
+from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points, Style
 from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model
 from trms_cli.stability.cycles.branch import Branch, EquilibriumBranch, Hopf
@@ -140,11 +129,7 @@ def diagram(
     if not np.all(steady):
         marks.append(
             Curve(
-                curve.commands,
-                np.where(steady, np.nan, values),
-                "unstable rest",
-                "grey",
-                "dashed",
+                curve.commands, np.where(steady, np.nan, values), "unstable rest", "grey", "dashed"
             )
         )
     periods: list[Mark] = []

@@ -271,7 +271,7 @@ def _search_section(result: LimitCycleResult) -> Section:
     )
     text = [
         f"{len(search.motions)} motions of {result.duration:g} s from starts spread evenly over "
-        f"the box {box}, the commands held: {_fates(search)}.",
+        f"the box {box}, the commands held: {_fates(search)}."
     ]
     if result.excluded:
         text.append("No cycle can be, so that none was sought by Newton's method.")

@@ -146,12 +146,7 @@ class Shooting:
         return Pieces(path[:, -1].copy(), by_state, by_period, by_input, path)
 
     def closed(
-        self,
-        nodes: FloatArray,
-        period: float,
-        u: FloatArray,
-        *,
-        row: BranchCondition | None = None,
+        self, nodes: FloatArray, period: float, u: FloatArray, *, row: BranchCondition | None = None
     ) -> Orbit | None:
         """The orbit near a guess, by damped Newton steps; None where there is none.
 

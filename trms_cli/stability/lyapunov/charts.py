@@ -7,18 +7,7 @@ import math
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
-from trms_cli.core.chart import (
-    Axis,
-    Chart,
-    Contour,
-    Curve,
-    Line,
-    Mark,
-    Note,
-    Panel,
-    Points,
-    Region,
-)
+from trms_cli.core.chart import Axis, Chart, Contour, Curve, Line, Mark, Note, Panel, Points, Region
 from trms_cli.stability.intervals.definite import definite
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate

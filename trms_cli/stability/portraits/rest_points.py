@@ -180,10 +180,7 @@ def _shown(vectors: ComplexArray, own: tuple[int, ...]) -> BoolArray:
 
 
 def _on_a_line(
-    section: StateSection,
-    x: FloatArray,
-    eigenvalues: ComplexArray,
-    vectors: ComplexArray,
+    section: StateSection, x: FloatArray, eigenvalues: ComplexArray, vectors: ComplexArray
 ) -> bool:
     """Whether a direction in which nothing pulls moves the coordinates."""
     none = np.abs(eigenvalues) <= _no_rate(eigenvalues)

@@ -18,11 +18,7 @@ from trms_cli.core.wording import symbol
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model
 from trms_cli.stability.portraits.rest_points import RestPoint
-from trms_cli.stability.portraits.section import (
-    PortraitCoordinates,
-    StateSection,
-    rate_names,
-)
+from trms_cli.stability.portraits.section import PortraitCoordinates, StateSection, rate_names
 
 _POINTS = 400
 #: s: the longest step of the trial, and the longest in time constants of the fastest mode. A

@@ -43,10 +43,7 @@ class PortraitTrajectory:
 
 
 def trajectories(
-    section: StateSection,
-    starts: FloatArray,
-    duration: float,
-    step: float,
+    section: StateSection, starts: FloatArray, duration: float, step: float
 ) -> tuple[PortraitTrajectory, ...]:
     """Motions of the whole model from starts (m, n_x) with the section's command held.
 

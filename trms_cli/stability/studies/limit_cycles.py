@@ -79,11 +79,7 @@ class LimitCycles:
         tell(f"{self.starts} motions of {self.duration:g} s")
         shooting = Shooting(model) if smooth and not (proof.proved and proof.everywhere) else None
         search = search_orbits(
-            model,
-            starts_in(point.x, widths, self.starts),
-            point.u,
-            self.duration,
-            shooting,
+            model, starts_in(point.x, widths, self.starts), point.u, self.duration, shooting
         )
         over_command = None
         if smooth:

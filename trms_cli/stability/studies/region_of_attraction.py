@@ -66,13 +66,7 @@ class RegionOfAttraction:
             "study=region_of_attraction", "replay the model from the starts of interest (trms run)"
         )
         options = RegionOptions(
-            self.methods,
-            self.box,
-            self.plane,
-            self.boxes,
-            self.samples,
-            self.grid,
-            self.duration,
+            self.methods, self.box, self.plane, self.boxes, self.samples, self.grid, self.duration
         )
         if subject.loop is not None:
             point = operating_point(model, self.at or _level(model.controlled), "study.at")
