@@ -17,7 +17,6 @@ from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.attraction.estimates import estimates, methods_for
-from trms_cli.stability.attraction.functions import basis_of, quadratic
 from trms_cli.stability.attraction.inclusion import (
     Ellipsoid,
     from_lyapunov_equation,
@@ -25,9 +24,14 @@ from trms_cli.stability.attraction.inclusion import (
     optimise_ellipsoid,
     proved,
 )
-from trms_cli.stability.attraction.level_set import Rays, sampled_level
-from trms_cli.stability.attraction.proof import proved_level
-from trms_cli.stability.attraction.simulation import SETTLED, failures, fates, share_of
+from trms_cli.stability.attraction.level_set import (
+    Rays,
+    basis_of,
+    proved_level,
+    quadratic,
+    sampled_level,
+)
+from trms_cli.stability.attraction.region import SETTLED, failures, fates, share_of
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.intervals.definite import corners, decays, positive_definite
 from trms_cli.stability.intervals.interval import Interval

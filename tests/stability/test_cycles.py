@@ -14,16 +14,16 @@ from trms_cli.models.model import Model, Signal
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.parameters import ParameterSet
+from trms_cli.models.vector_field import has_impulses
 from trms_cli.stability.cycles.absence import absence
 from trms_cli.stability.cycles.branch import born_at, equilibria_over, follow_branch, hopf_points
-from trms_cli.stability.cycles.search import (
+from trms_cli.stability.cycles.orbits import (
+    Shooting,
     continuum,
     half_widths,
-    has_impulses,
     search_orbits,
     starts_in,
 )
-from trms_cli.stability.cycles.shooting import Shooting
 
 
 class Oscillator(Model):

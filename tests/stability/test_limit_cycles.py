@@ -17,8 +17,7 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.vector_field import VectorField
 from trms_cli.observers.full_state import FullState
-from trms_cli.stability.cycles.search import search_orbits
-from trms_cli.stability.cycles.shooting import Shooting
+from trms_cli.stability.cycles.orbits import Shooting, search_orbits
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.studies.limit_cycles import LimitCycles
 from trms_cli.stability.study import Study, silent

@@ -27,9 +27,11 @@ from trms_cli.stability.lyapunov.certificate import (
     StabilityClaim,
     certify,
     identity_residual,
+    motions,
+    on_level,
+    random_directions,
     rig_of,
 )
-from trms_cli.stability.lyapunov.motions import motions, on_level, random_directions
 from trms_cli.stability.studies.lyapunov import Lyapunov
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject

@@ -22,10 +22,9 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate
-from trms_cli.stability.lyapunov.certificate import identity_residual
+from trms_cli.stability.lyapunov.certificate import identity_residual, on_level, random_directions
 from trms_cli.stability.lyapunov.energy import Energy, EnergyWeights
 from trms_cli.stability.lyapunov.level_search import decay_level, definite, stop_level, wells_of
-from trms_cli.stability.lyapunov.motions import on_level, random_directions
 
 RNG = np.random.default_rng(5)
 

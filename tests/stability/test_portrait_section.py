@@ -15,7 +15,7 @@ from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.portraits.rest_points import grid, halving_time, kind_of, period, search
+from trms_cli.stability.portraits.invariant_sets import grid, halving_time, kind_of, period, search
 from trms_cli.stability.portraits.section import default_states, section_of
 from trms_cli.stability.portraits.window import default_window
 

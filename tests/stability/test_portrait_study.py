@@ -24,8 +24,8 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.observers.full_state import FullState
 from trms_cli.stability.portraits.charts import PortraitResult, has_field
+from trms_cli.stability.portraits.invariant_sets import rest_point
 from trms_cli.stability.portraits.report import lead_of_model
-from trms_cli.stability.portraits.rest_points import rest_point
 from trms_cli.stability.portraits.section import section_of
 from trms_cli.stability.portraits.trajectories import ends_of, trajectories
 from trms_cli.stability.studies.phase_portrait import PhasePortrait

@@ -12,10 +12,13 @@ from trms_cli.effects.rotor_friction import RotorFriction
 from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
-from trms_cli.stability.portraits.rest_points import search
+from trms_cli.models.vector_field import has_impulses
+from trms_cli.stability.portraits.invariant_sets import (
+    search,
+    separatrices,
+    sticking_sets,
+)
 from trms_cli.stability.portraits.section import StateSection, section_of
-from trms_cli.stability.portraits.separatrices import separatrices
-from trms_cli.stability.portraits.sticking import has_dry_friction, sticking_sets
 from trms_cli.stability.portraits.trajectories import NEAR, drawn_points, ends_of, trajectories
 from trms_cli.stability.portraits.window import (
     checked_window,
@@ -285,4 +288,4 @@ def test_trajectories_end_on_the_sticking_set():
 
 
 def test_a_model_without_dry_friction_has_no_sticking_set(hover, rests):
-    assert not has_dry_friction(VERTICAL) and sticking_sets(hover, WINDOW, rests) == ()
+    assert not has_impulses(VERTICAL) and sticking_sets(hover, WINDOW, rests) == ()

@@ -132,6 +132,12 @@ class VectorField:
         return found
 
 
+def has_impulses(model: Model) -> bool:
+    """Whether dry friction or stops act on the states: then a motion has no slopes."""
+    x, u, p, w = model.symbols()
+    return not ca.is_equal(ca.densify(model.impulse(x, u, p, w, 0.01)), x, 0)
+
+
 def without_impulses(model: Model) -> Model:
     """The model with its axes gliding freely: no dry friction, no stops.
 

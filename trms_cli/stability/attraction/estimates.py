@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
-from trms_cli.stability.attraction.functions import LyapunovCandidate, basis_of, quadratic
 from trms_cli.stability.attraction.inclusion import (
     Ellipsoid,
     from_lyapunov_equation,
@@ -19,12 +18,17 @@ from trms_cli.stability.attraction.inclusion import (
     optimise_ellipsoid,
 )
 from trms_cli.stability.attraction.level_set import (
+    LevelProof,
+    LyapunovCandidate,
     Rays,
     SampledLevel,
+    basis_of,
     expand_level_set,
+    frame,
+    proved_level,
+    quadratic,
     sampled_level,
 )
-from trms_cli.stability.attraction.proof import LevelProof, frame, proved_level
 from trms_cli.stability.attraction.system import ReducedSystem
 from trms_cli.stability.study import Tell
 

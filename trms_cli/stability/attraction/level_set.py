@@ -1,35 +1,206 @@
-"""The largest level set of V in which V falls, by sampling: an upper bound, and a proposal.
+"""Functions V of the deviation, and the level sets in which they fall: sampled, widened, proved.
 
-On rays from the equilibrium the first point is sought where V̇ ≥ 0, and from the lowest of them V
-is minimised along V̇ = 0. No level above the value that is found can be right; that none below is
-wrong is not shown by this, but by :mod:`trms_cli.stability.attraction.proof`.
+V is a weighted sum of basis functions: the squares and products of the deviations, on request the
+higher monomials up to degree four, and the integrals of the model's own nonlinear rates along one
+axis,
 
-V fitted so that its level set grows: sampled expansion.
+    W_ij(y) = ∫₀^{y_j} [f_i(x̄ + s e_j) − f_i(x̄)] ds
 
-Around a V whose level set {V ≤ c} is right, points are drawn in a larger set, and the weights of a
-richer basis are sought that make V fall at all of them, with the largest margin t:
+(Lur'e and Postnikov's idea: a potential energy is such an integral). The integral is taken by
+Gauss's rule with few nodes; the sum, not the integral, *is* the basis function, and its slopes are
+its own: nothing that is proved of V rests on the quadrature.
+
+Sampling gives an upper bound of the level, and a proposal. On rays from the equilibrium the first
+point is sought where V̇ ≥ 0, and from the lowest of them V is minimised along V̇ = 0. No level above
+the value that is found can be right; that none below is wrong is shown by proof only.
+
+Widening: around a V whose level set {V ≤ c} is right, points are drawn in a larger set, and the
+weights of a richer basis are sought that make V fall at all of them, with the largest margin t:
 
     maximise t   subject to   V̇(y_s) ≤ −t q(y_s),   V(y_s) ≥ 0.02 q(y_s),   mean of V/q = 1
 
 and, near the equilibrium, V̇ ≤ −β V with β a share of the slowest decay there (else V falls by so
 little that no bound shows it); q is the quadratic V to begin with. It is a linear programme, solved
-by HiGHS. Of the solution the
-largest level set is taken (:mod:`~trms_cli.stability.attraction.level_set`), and so on while the
-volume grows. This is the simulation-free form of the sampled search of Topcu, Packard & Seiler
-("Local stability analysis using simulations and sum-of-squares programming", Automatica 44, 2008).
-What is found is a proposal; the proof is another step.
+by HiGHS. Of the solution the largest level set is taken, and so on while the volume grows. This is
+the simulation-free form of the sampled search of Topcu, Packard & Seiler ("Local stability analysis
+using simulations and sum-of-squares programming", Automatica 44, 2008).
+
+Proof, by interval branch and bound. For a level c it is shown, in coordinates y = T z in which V is
+about \\|z\\|², that
+
+1. V̇ < 0 in a small box N around the equilibrium but at the equilibrium itself. With ∇V(y) = H y and
+   f(y) = A y, both H and A averages of second and first derivatives over a segment and so within
+   known bounds, V̇ = yᵀ Hᵀ A y, and the symmetric part of Hᵀ A is negative definite for all of them;
+2. in every box that covers the rest of a large box Z, V̇ < 0 or V > c;
+3. in every box that touches the edge of Z, V > c.
+
+Then no motion leaves {V ≤ c} ∩ Z, for it would have to cross V = c where V falls, or the edge of Z
+where V > c; the set is compact and V falls in all of it but at the equilibrium, to which therefore
+every motion tends (LaSalle). Nothing is asked of V elsewhere.
+
+Boxes are taken lowest V first, so that the search may stop at any time: all below the lowest box
+that is still open is proved. Everything is rounded outwards, and holds for the exact equilibrium.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.stability.attraction.functions import Basis, LyapunovCandidate
+from trms_cli.stability.attraction.system import ReducedSystem, operations
+from trms_cli.stability.intervals.branch_and_bound import BoxSearch, branch_and_bound, halved
+from trms_cli.stability.intervals.definite import corners, positive_definite
+from trms_cli.stability.intervals.enclosure import Enclosure
+from trms_cli.stability.intervals.interval import Interval
+
+_NODES = 6
+#: What an expression with a kink or a jump holds.
+_SWITCHES = {
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_IF_ELSE_ZERO),
+    *(ca.OP_SIGN, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FLOOR, ca.OP_CEIL),
+}
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Basis functions of y."""
+
+    system: ReducedSystem
+    names: tuple[str, ...]  #: ``alpha_v·S_v``, ``∫S_v' d alpha_v``; of each function
+    values: ca.Function  #: ``y → b``, (k, 1)
+
+    @cached_property
+    def rates(self) -> ca.Function:
+        """``y → ḃ`` along the motions, (k, 1)."""
+        y = ca.SX.sym("y", self.system.n)
+        f = self.system.function(y, ca.DM.zeros(self.system.model.n_x))
+        return ca.Function("rates", [y], [ca.jacobian(self.values(y), y) @ f])
+
+    def at(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """b and ḃ at many deviations (m, n), each (m, k)."""
+        return np.array(self.values(y.T)).T, np.array(self.rates(y.T)).T
+
+
+@dataclass(frozen=True)
+class LyapunovCandidate:
+    """V = weights · b."""
+
+    basis: Basis
+    weights: FloatArray  #: (k,) array
+
+    @property
+    def system(self) -> ReducedSystem:
+        return self.basis.system
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """``y → V``."""
+        y = ca.SX.sym("y", self.system.n)
+        value = ca.dot(ca.SX(ca.DM(self.weights)), self.basis.values(y))
+        return ca.Function("V", [y], [value])
+
+    @cached_property
+    def both(self) -> ca.Function:
+        """``(y, e) → V, V̇``."""
+        y, e = self.system.symbols()
+        value = self.function(y)
+        rate = ca.jacobian(value, y) @ self.system.function(y, e)
+        return ca.Function("both", [y, e], [value, rate])
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """``(y, e) → ∂²V/∂y²``, dense; e is not used."""
+        y, e = self.system.symbols()
+        return ca.Function("hessian", [y, e], [ca.densify(ca.hessian(self.function(y), y)[0])])
+
+    @cached_property
+    def P(self) -> FloatArray:
+        """Half the second derivative at the equilibrium: V ≈ yᵀPy near it, (n, n)."""
+        zero = np.zeros(self.system.n)
+        return 0.5 * np.array(self.hessian(zero, np.zeros(self.system.model.n_x)))
+
+    def at(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """V and V̇ at many deviations (m, n), each (m,)."""
+        value, rate = self.both(y.T, np.zeros(self.system.model.n_x))
+        return np.array(value).ravel(), np.array(rate).ravel()
+
+    def values(self, y: FloatArray) -> FloatArray:
+        """V at many deviations (m, n), (m,)."""
+        return np.array(self.function(y.T)).ravel()
+
+
+def quadratic(system: ReducedSystem, P: FloatArray) -> LyapunovCandidate:
+    """V = yᵀPy."""
+    basis = basis_of(system)
+    weights = [P[i, j] * (1.0 if i == j else 2.0) for i, j in _pairs(system.n)]
+    return LyapunovCandidate(basis, np.array(weights))
+
+
+def basis_of(system: ReducedSystem, degree: int = 2, *, integrals: bool = False) -> Basis:
+    """Monomials of degrees 2 to ``degree`` (at most 4), and on request the integrals of the rates.
+
+    Integrals are those of rates that are curved along an axis, and smooth.
+    """
+    y = ca.SX.sym("y", system.n)
+    found: list[ca.SX] = []
+    labels: list[str] = []
+    for size in range(2, degree + 1):
+        for group in itertools.combinations_with_replacement(range(system.n), size):
+            term = ca.SX(1)
+            for i in group:
+                term *= y[i]
+            found.append(term)
+            labels.append(_power(system.names, group))
+    if integrals:
+        for i, j in _curved_pairs(system):
+            found.append(_integral(system, y, i, j))
+            labels.append(f"∫{system.names[i]}' d{system.names[j]}")
+    return Basis(system, tuple(labels), ca.Function("basis", [y], [ca.vertcat(*found)]))
+
+
+def _pairs(n: int) -> list[tuple[int, int]]:
+    return list(itertools.combinations_with_replacement(range(n), 2))
+
+
+def _power(names: Sequence[str], group: tuple[int, ...]) -> str:
+    parts = []
+    for i in dict.fromkeys(group):
+        count = group.count(i)
+        parts.append(names[i] + ("" if count == 1 else "²³⁴"[count - 2]))
+    return "·".join(parts)
+
+
+def _curved_pairs(system: ReducedSystem) -> list[tuple[int, int]]:
+    """(i, j) where ∂f_i/∂y_j depends on y_j, smoothly: along which axis a rate is curved."""
+    y, e = system.symbols()
+    slopes = system.slopes(y, e)
+    found = []
+    for i, j in itertools.product(range(system.n), repeat=2):
+        slope = ca.Function("slope", [y, e], [slopes[i, j]])
+        # A rate with a kink would give V, summed at nodes, slopes that jump.
+        if ca.jacobian_sparsity(slopes[i, j], y[j]).nnz() and not operations(slope) & _SWITCHES:
+            found.append((i, j))
+    return found
+
+
+def _integral(system: ReducedSystem, y: ca.SX, i: int, j: int) -> ca.SX:
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    zero = ca.DM.zeros(system.model.n_x)
+    at_rest = system.function(ca.DM.zeros(system.n), zero)[i]
+    total = ca.SX(0)
+    for node, weight in zip(nodes, weights, strict=True):
+        along = ca.SX.zeros(system.n)
+        along[j] = 0.5 * (1.0 + node) * y[j]
+        total += 0.5 * weight * (system.function(along, zero)[i] - ca.SX(at_rest))
+    return total * y[j]
+
 
 _RADII = 120
 _REFINED = 8
@@ -247,3 +418,130 @@ def _fitted(
     if found.status != 0 or found.x[-1] <= 0.0:
         return None
     return LyapunovCandidate(basis, found.x[:-1] / size)
+
+
+#: Boxes that are halved at once.
+_BATCH = 1024
+#: A box narrower than this share of Z is not halved again.
+_NARROWEST = 2.0**-16
+#: Sides of Z beyond those of the sampled level set.
+_BEYOND = 1.05
+#: Parts of the segments over which slopes are averaged.
+_PARTS = 8
+
+
+@dataclass(frozen=True)
+class LevelProof:
+    """What branch and bound proved."""
+
+    level: float  #: V falls in {V < level}, which is attracted; 0 where nothing is proved
+    boxes: int  #: That were looked at
+    complete: bool  #: Whether all boxes up to the level that was proposed are closed
+    inner: float  #: Size of the box N as a share of Z
+    frame: FloatArray  #: (n, n) array; T: Z is the image of the unit cube
+
+
+def proved_level(
+    candidate: LyapunovCandidate,
+    sampled: SampledLevel,
+    most: int,
+    share: float = 1.0,
+    tell: Callable[[str], None] | None = None,
+) -> LevelProof:
+    """Prove as much of a sampled level set as a number of boxes allows.
+
+    A share of the sampled level is tried: on the level itself V̇ = 0.
+    """
+    search = _Search(candidate, sampled)
+    inner = search.inner()
+    if inner == 0.0:
+        return LevelProof(0.0, 0, False, 0.0, search.T)
+    target = share * sampled.level
+    stuck, count = np.inf, 1
+
+    def visit(boxes: Interval, keys: FloatArray) -> tuple[Interval, FloatArray, int]:
+        nonlocal stuck, count
+        # Only what lies below the lowest box that cannot be closed is worth the trouble.
+        boxes = boxes[keys < min(target, stuck)]
+        halves = halved(boxes, np.argmax(boxes.width, axis=1))
+        value, falls = search.bounds(halves)
+        edge = np.any((halves.lower <= -1.0) | (halves.upper >= 1.0), axis=1)
+        core = np.all((halves.lower >= -inner) & (halves.upper <= inner), axis=1)
+        open_ = ~core & (edge | ~falls) & (value < target)
+        narrow = open_ & (halves.width.max(axis=1) < 2.0 * _NARROWEST)
+        stuck = min(stuck, float(value[narrow].min(initial=np.inf)))
+        open_ &= ~narrow
+        spent = len(value)
+        if tell and (count + spent) // (32 * _BATCH) != count // (32 * _BATCH):
+            done = max(0.0, min(target, float(keys.min()))) / target
+            tell(f"{count + spent} boxes, proved to {done:.0%} of the level")
+        count += spent
+        return halves[open_], value[open_], spent
+
+    whole = Interval(-np.ones((1, candidate.system.n)), np.ones((1, candidate.system.n)))
+    result = branch_and_bound(
+        BoxSearch(whole, search.bounds(whole)[0], 1),
+        visit,
+        budget=most,
+        enough=lambda lowest: lowest >= min(target, stuck),
+        chunk=_BATCH,
+        whole_chunks=True,
+    )
+    reached = min(target, stuck, result.lowest)
+    return LevelProof(max(reached, 0.0), result.examined, reached >= target, inner, search.T)
+
+
+def frame(candidate: LyapunovCandidate, sampled: SampledLevel) -> FloatArray:
+    """T of a cube around the sampled level set, in the axes of V's second derivative, (n, n)."""
+    value, vectors = np.linalg.eigh(candidate.P)
+    root = vectors / np.sqrt(np.maximum(value, 1e-12 * value[-1]))
+    reach = np.abs(np.linalg.solve(root, sampled.edge.T)).max(axis=1)
+    return np.asarray(root * (_BEYOND * reach))
+
+
+class _Search:
+    """Bounds of V and V̇ in coordinates in which Z is the unit cube."""
+
+    def __init__(self, candidate: LyapunovCandidate, sampled: SampledLevel) -> None:
+        system = candidate.system
+        self.T = frame(candidate, sampled)
+        self._candidate, self._error = candidate, system.error
+        z, e = system.symbols()
+        y = ca.DM(self.T) @ z
+        both = ca.Function("both", [z, e], [ca.vertcat(*candidate.both(y, e))])
+        self._both = Enclosure(both)
+        self._hessian = Enclosure(ca.Function("H", [z, e], [candidate.hessian(y, e)]))
+        self._slopes = Enclosure(ca.Function("A", [z, e], [system.slopes(y, e)]))
+
+    def bounds(self, box: Interval) -> tuple[FloatArray, np.ndarray]:
+        """Lower bounds of V, and whether V̇ < 0 is proved, in each box."""
+        rough = self._both(box, self._error)[0]
+        value, falls = rough.lower[:, 0].copy(), rough.upper[:, 1] < 0.0
+        left = np.flatnonzero(~falls)
+        if len(left):
+            fine = self._both.mean_value(box[left], self._error)
+            value[left], falls[left] = fine.lower[:, 0], fine.upper[:, 1] < 0.0
+        return np.where(np.isnan(value), -np.inf, value), falls
+
+    def inner(self) -> float:
+        """Size of the largest cube N, a power of two, in which the first step holds; 0 for none."""
+        size = 1.0
+        while size > 1e-9:
+            if self._falls_in(size):
+                return size
+            size *= 0.5
+        return 0.0
+
+    def _falls_in(self, size: float) -> bool:
+        n = self._candidate.system.n
+        r = np.nextafter(size * (np.arange(_PARTS) + 1.0) / _PARTS, np.inf)[:, None]
+        box = Interval(-r * np.ones(n), r * np.ones(n))
+        H = _square(self._hessian(box, self._error)[0]).mean()[None]
+        A = corners(_square(self._slopes(box, self._error)[0]).mean())
+        T = Interval.point(self.T[None])
+        return bool(np.all(positive_definite(-(T.transposed @ (H.transposed @ (A @ T))))))
+
+
+def _square(matrices: Interval) -> Interval:
+    """A matrix of one row and column is a matrix."""
+    return matrices if matrices.lower.ndim == 3 else matrices[:, :, None]

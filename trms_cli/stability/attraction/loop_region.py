@@ -31,13 +31,14 @@ from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.attraction import report
 from trms_cli.stability.attraction.region import (
     AttractionRegion,
+    ConfidenceShare,
     RegionOptions,
     StartSet,
     attraction_region,
     plane_axes,
     require_states,
+    share_of,
 )
-from trms_cli.stability.attraction.simulation import ConfidenceShare, share_of
 from trms_cli.stability.attraction.system import around, require_attractive
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.study import Tell

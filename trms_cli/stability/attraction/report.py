@@ -23,8 +23,12 @@ from trms_cli.core.chart import (
 from trms_cli.core.findings import Column, Judged, Section, Table, rounded, table
 from trms_cli.models.model import names
 from trms_cli.stability.attraction.estimates import Method, RegionEstimate
-from trms_cli.stability.attraction.region import AttractionRegion, EstimateTest
-from trms_cli.stability.attraction.simulation import SETTLED, ConfidenceShare
+from trms_cli.stability.attraction.region import (
+    SETTLED,
+    AttractionRegion,
+    ConfidenceShare,
+    EstimateTest,
+)
 from trms_cli.stability.attraction.system import written
 
 METHOD = (

@@ -27,7 +27,7 @@ from trms_cli.models.continuation import follow
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, refined
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.cycles.shooting import MARGIN, BranchCondition, Orbit, Shooting, packed
+from trms_cli.stability.cycles.orbits import MARGIN, BranchCondition, Orbit, Shooting, packed
 from trms_cli.stability.local.linear import Linear
 
 #: Growth below this is rounding, 1/s.

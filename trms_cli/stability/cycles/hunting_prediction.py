@@ -33,8 +33,7 @@ import numpy.typing as npt
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.stability.cycles.friction_loop import FrictionLaw, FrictionLoop
-from trms_cli.stability.cycles.stick_slip import Cycle, StickSlip
+from trms_cli.stability.cycles.stick_slip import Cycle, FrictionLaw, FrictionLoop, StickSlip
 
 #: Errors at a stick at which the map is looked at, over what F_s moves; see :func:`errors_of`.
 _LEAST, _MOST, _COUNT = 1e-3, 4.0, 28

@@ -34,7 +34,7 @@ Lagrangian: M and C from the energies of the rig's bodies, N = −C + friction a
 
 The energy-like function V of a rig at a constant command, and its decay as a quadratic form.
 
-With q̇ = Ω, α̃ = α − ᾱ, and s what settles in the rotors (:mod:`.rotor`, :mod:`.beam`)::
+With q̇ = Ω, α̃ = α − ᾱ, and s what settles in the rotors (above)::
 
     V = ½ q̇ᵀΓM q̇ + Σ γ_i U_i(α_i) + Σ c_i ∫s_i dω_i          kinetic, potential, stored
         + α̃ᵀΓE M q̇ + ½ α̃ᵀΓE K α̃                                with E ≠ 0: a strict function

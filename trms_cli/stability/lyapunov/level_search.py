@@ -20,7 +20,7 @@ and the lowest middle of a box at which Q is found indefinite bounds it from abo
 Weights of V, and the largest level set on which it is proved to fall.
 
 Along rays from the equilibrium it is sampled where Q stops being definite; the weights whose set
-{V < c} has the largest volume are taken, and the level is then proved (:mod:`.falling`). Sampling
+{V < c} has the largest volume are taken, and the level is then proved. Sampling
 only proposes.
 """
 

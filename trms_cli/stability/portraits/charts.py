@@ -21,10 +21,8 @@ from trms_cli.core.chart import (
     Panel,
     Points,
 )
-from trms_cli.stability.portraits.rest_points import RestPoint, grid
+from trms_cli.stability.portraits.invariant_sets import RestPoint, Separatrix, StickingSet, grid
 from trms_cli.stability.portraits.section import StateSection
-from trms_cli.stability.portraits.separatrices import Separatrix
-from trms_cli.stability.portraits.sticking import StickingSet
 from trms_cli.stability.portraits.trajectories import (
     PortraitTrajectory,
     TrajectoryEnd,
@@ -79,11 +77,7 @@ class PortraitResult:
 
 
 def portrait(
-    result: PortraitResult,
-    name: str,
-    caption: str,
-    ends: Sequence[TrajectoryEnd],
-    labels: Sequence[str],
+    result: PortraitResult, caption: str, ends: Sequence[TrajectoryEnd], labels: Sequence[str]
 ) -> Chart:
     """The figure, in the plane or in space, its ends told apart by labels of the legend."""
     in_space = len(result.section.coordinates) == 3
@@ -114,7 +108,9 @@ def portrait(
     ]
     marks += _rest_points(result)
     panel = Panel(axes[0], axes[1], marks, z=axes[2] if in_space else None)
-    return Chart(name, [panel], caption, columns=1, width=5.6 if in_space else 6.6, height=4.8)
+    return Chart(
+        "phase_portrait", [panel], caption, columns=1, width=5.6 if in_space else 6.6, height=4.8
+    )
 
 
 def is_hidden(result: PortraitResult, held: StickingSet) -> bool:

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.findings import Column, Judged, Table, table
+from trms_cli.core.chart import Chart
+from trms_cli.core.findings import Column, Judged, Section, Table, table
 from trms_cli.core.wording import listing, symbol
 from trms_cli.models.model import names
-from trms_cli.stability.portraits.charts import PortraitResult, has_field, is_hidden
-from trms_cli.stability.portraits.rest_points import RestPoint, halving_time, period
+from trms_cli.stability.portraits.charts import PortraitResult, has_field, is_hidden, portrait
+from trms_cli.stability.portraits.invariant_sets import RestPoint, StickingSet, halving_time, period
 from trms_cli.stability.portraits.section import StateSection
-from trms_cli.stability.portraits.sticking import StickingSet
 from trms_cli.stability.portraits.trajectories import NEAR, TrajectoryEnd
 
 #: A mode this much faster than the slowest one is told apart in words.
@@ -451,14 +451,23 @@ def _slowest(rest: RestPoint) -> str | None:
     return f"{what} in {seconds(halving_time(moving.max()))} s"
 
 
-def ends_table(section: StateSection, ends: Sequence[TrajectoryEnd], total: int) -> Table:
+def chart(result: PortraitResult) -> Chart:
+    """The figure with its caption and legend."""
+    ends = merged(result.ends)
+    labels = [legend(result.section, end, result.rests) for end in ends]
+    return portrait(result, caption(result), ends, labels)
+
+
+def ends_section(result: PortraitResult) -> Section:
     """Where trajectories end, how many, how soon."""
+    section, total = result.section, len(result.trajectories)
+    ends = result.ends if result.loop else merged(result.ends)
 
     def words(end: TrajectoryEnd) -> str:
         at = end.what == "rest outside" and end.rest is not None
         return label(section, end) + (f", at {place(section, end.rest)}" if at else "")  # type: ignore[arg-type]
 
-    return table(
+    shown = table(
         ends,
         [
             Column("the trajectory", words),
@@ -472,6 +481,7 @@ def ends_table(section: StateSection, ends: Sequence[TrajectoryEnd], total: int)
         ],
         f"Times until a trajectory stays within {100 * NEAR:g} % of the window's width of its end.",
     )
+    return Section("Where the trajectories end", (), [shown])
 
 
 def results(result: PortraitResult) -> dict[str, Any]:

@@ -19,9 +19,8 @@ import numpy as np
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.models.operating_point import refined
 from trms_cli.stability.closed_loop import run_loop
-from trms_cli.stability.portraits.rest_points import RestPoint, rest_point
+from trms_cli.stability.portraits.invariant_sets import RestPoint, StickingSet, rest_point
 from trms_cli.stability.portraits.section import StateSection
-from trms_cli.stability.portraits.sticking import StickingSet
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts
 

@@ -18,7 +18,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.stability.portraits.rest_points import search
+from trms_cli.stability.portraits.invariant_sets import search
 from trms_cli.stability.portraits.section import PortraitCoordinates, StateSection
 
 #: rad. A little more than half a turn: rest points of a pendulum on both sides.

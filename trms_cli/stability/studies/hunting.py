@@ -16,12 +16,6 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.cycles.friction_loop import (
-    Friction,
-    FrictionLaw,
-    friction_loop,
-    frictions_of,
-)
 from trms_cli.stability.cycles.hunting_findings import HuntingResult, findings_of
 from trms_cli.stability.cycles.hunting_prediction import harmonics, predict, swings
 from trms_cli.stability.cycles.hunting_runs import (
@@ -31,7 +25,13 @@ from trms_cli.stability.cycles.hunting_runs import (
     axis_run,
     with_sizes,
 )
-from trms_cli.stability.cycles.stick_slip import StickSlip
+from trms_cli.stability.cycles.stick_slip import (
+    Friction,
+    FrictionLaw,
+    StickSlip,
+    friction_loop,
+    frictions_of,
+)
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject, not_level, usual_point
 

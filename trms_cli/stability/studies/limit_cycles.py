@@ -12,17 +12,17 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import names
+from trms_cli.models.vector_field import has_impulses
 from trms_cli.stability.cycles.absence import absence
 from trms_cli.stability.cycles.branch import at_the_point, follow_over
 from trms_cli.stability.cycles.orbit_findings import LimitCycleResult, findings_of
-from trms_cli.stability.cycles.search import (
+from trms_cli.stability.cycles.orbits import (
+    Shooting,
     different,
     half_widths,
-    has_impulses,
     search_orbits,
     starts_in,
 )
-from trms_cli.stability.cycles.shooting import Shooting
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject, not_level, usual_point
 

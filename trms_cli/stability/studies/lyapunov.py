@@ -14,21 +14,19 @@ from trms_cli.core.chart import Chart
 from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.models.operating_point import OperatingPoint, operating_point
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.lyapunov import charts, report
+from trms_cli.stability.lyapunov import report
 from trms_cli.stability.lyapunov.certificate import (
     EnergyRig,
+    LevelMotions,
     LyapunovCertificate,
     StabilityClaim,
     certify,
-    rig_of,
-)
-from trms_cli.stability.lyapunov.motions import (
-    LevelMotions,
     motions,
     motions_claim,
     on_level,
     plane_directions,
     random_directions,
+    rig_of,
 )
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
@@ -121,8 +119,8 @@ def _sections(
     if certificate.inner > 0.0:
         sets.append(report.extent_table(certificate))
     sets += [
-        charts.plane_chart(certificate, paths, display),
-        charts.decay_chart(seen, bool(further) and all(claim.holds for claim in further)),
+        report.plane_chart(certificate, paths, display),
+        report.decay_chart(seen, bool(further) and all(claim.holds for claim in further)),
     ]
     return [
         Section(
@@ -132,7 +130,7 @@ def _sections(
                 "s is how fast a rotor settles, ω̇ = −s(ω). The function is a reconstruction: those "
                 "of the thesis are not public.",
             ),
-            [charts.well_chart(certificate)],
+            [report.well_chart(certificate)],
         ),
         Section(
             "Claims",
