@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli import __version__
 from trms_cli.code_generation.measure import Measured
@@ -25,6 +24,7 @@ from trms_cli.code_generation.observer_source import ObserverSource, observer_so
 from trms_cli.code_generation.readme import readme
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
@@ -34,7 +34,6 @@ from trms_cli.observers.recursive_filter import RecursiveFilter
 from trms_cli.references.trajectory import ReferenceTrajectory
 
 _TEMPLATES = Path(__file__).parent
-FloatArray = npt.NDArray[np.float64]
 
 #: N m, of the torques that stand for a filter's: no two are equal, as in a real loop.
 _TORQUE_SD = 1e-4

@@ -22,6 +22,7 @@ from trms_cli.code_generation.observer_source import ObserverSource
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.reference_forecast import smooth_rates
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.qp import Daqp
 from trms_cli.models.model import names
@@ -30,7 +31,6 @@ _TEMPLATES = Path(__file__).parent
 _FALLBACKS = {"shifted_plan": "SHIFTED_PLAN", "hold": "HOLD", "steady_input": "STEADY_INPUT"}
 #: Lines of generated C that a compiler takes in a minute or two.
 _MOST_CODE = 8_000_000
-FloatArray = npt.NDArray[np.float64]
 _EXPORT = "CASADI_SYMBOL_EXPORT "
 #: A function of the generated file that starts at a line's beginning, with its body.
 _FUNCTION = re.compile(

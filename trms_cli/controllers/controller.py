@@ -7,13 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from trms_cli.core.arrays import FloatArray
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Status(enum.Enum):

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.controller import Command, Status
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import SimulationError
 
-FloatArray = npt.NDArray[np.float64]
 #: The last plan shifted in time, the last command, the steady-state input of the reference, or the
 #: end of the run.
 Policy = Literal["shifted_plan", "hold", "steady_input", "stop"]

@@ -46,25 +46,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
-from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
 from trms_cli.controllers.reference_forecast import ReferenceForecast
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import Positive
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState, Target
 
-FloatArray = npt.NDArray[np.float64]
-_Positive = Annotated[float, Meta(gt=0)]
-_NotNegative = Annotated[float, Meta(ge=0)]
 #: Part of the largest thrust that a reference may ask for; the rest is left to the feedback.
 _FOR_REFERENCE = 0.9
 _LAGS = 3  # on the reference
@@ -333,10 +329,10 @@ class FeedbackLinearisationState:
 class FeedbackLinearisation:
     """Feedback linearisation with rotor loops."""
 
-    poles: Mapping[str, tuple[_Positive, _Positive, _Positive, _Positive]] = field(
+    poles: Mapping[str, tuple[Positive, Positive, Positive, Positive]] = field(
         default_factory=lambda: {"pitch": (3.0, 3.0, 3.0, 0.7), "yaw": (3.0, 3.0, 3.0, 0.7)}
     )  #: Rates p_1 … p_4 of each axis' error, 1/s; their sum is the rotor loop's
-    reference_lag: Mapping[str, _Positive] = field(
+    reference_lag: Mapping[str, Positive] = field(
         default_factory=lambda: {"pitch": 0.35, "yaw": 0.25}
     )  #: Each of three lags on the reference of an axis, s
     #: Whether a reference that has been a ramp or a sine is carried on by the delay of its lags
@@ -345,8 +341,8 @@ class FeedbackLinearisation:
     #: Whether the observer's disturbance is part of the model's acceleration
     use_disturbance: bool = True
     #: How fast the integral takes back what a rotor at its fastest cannot give, s
-    tracking_time: _Positive = 0.5
-    sample_time: _Positive | None = None  #: Control period, s; None takes every sample
+    tracking_time: Positive = 0.5
+    sample_time: Positive | None = None  #: Control period, s; None takes every sample
 
     def __post_init__(self) -> None:
         for key, given in (("poles", self.poles), ("reference_lag", self.reference_lag)):

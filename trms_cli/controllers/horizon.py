@@ -25,14 +25,15 @@ from typing import Annotated
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.reference_forecast import smooth_rates
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.model import Model, names
 
@@ -47,7 +48,6 @@ __all__ = [
     "check_names",
 ]
 
-FloatArray = npt.NDArray[np.float64]
 
 #: Arguments of both compiled functions: initial state with memory, plan, last command, parameters,
 #: disturbances, references, steady-state target; then what stays the same during a run: weights of
@@ -63,8 +63,6 @@ REGION_ARGUMENTS = ("centre", "root", "radius")
 
 #: Added under the root of ‖L ξ_N‖², whose slope would else be no number at the centre.
 _SMOOTH = 1e-20
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +159,7 @@ class TerminalPrice:
     region: bool = False
 
 
-def blocks_of(prediction_horizon: int, lengths: tuple[int, ...]) -> npt.NDArray[np.int64]:
+def blocks_of(prediction_horizon: int, lengths: tuple[int, ...]) -> IntArray:
     """Block index of each control period, shape (N,).
 
     Blocks beyond the horizon are left out; the last one lasts to its end.
@@ -250,7 +248,7 @@ class Horizon:
     def __init__(
         self,
         discrete: DiscreteModel,
-        blocks: npt.NDArray[np.int64],
+        blocks: IntArray,
         weights: Weights,
         soft_limits: SoftLimits,
         terminal: TerminalPrice | None,
@@ -458,9 +456,7 @@ def _stage(discrete: DiscreteModel, with_sensitivities: bool) -> ca.Function:
     return ca.Function("stage", [x, u, p, w], ca.cse([discrete.step(x, u, p, w)]))
 
 
-def _propagated(
-    sensitivity: ca.MX, a: ca.MX, b: ca.MX, k: int, blocks: npt.NDArray[np.int64]
-) -> ca.MX:
+def _propagated(sensitivity: ca.MX, a: ca.MX, b: ca.MX, k: int, blocks: IntArray) -> ca.MX:
     """∂x_{k+1}/∂z for the blocks begun so far: S⁺ = A S, plus B in the present block."""
     if k == 0:
         return b

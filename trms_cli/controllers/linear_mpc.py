@@ -35,7 +35,6 @@ from time import perf_counter
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.controller import (
     Command,
@@ -55,6 +54,7 @@ from trms_cli.controllers.horizon import (
     check_problem,
 )
 from trms_cli.controllers.reference_forecast import ReferenceForecast
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.qp import Daqp, Qp, QpResult, QpSolver
@@ -63,13 +63,11 @@ from trms_cli.models.linearisation import Linearisation, require_drivable
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import SteadyState, Target
 
-FloatArray = npt.NDArray[np.float64]
 _KEY = "controller.operating_point"
 #: Least part of its effect at the operating point that an input must have in a linear model.
 _LEAST_EFFECT = 0.3
 #: A target whose inputs moved less keeps its linear model, V.
 _SAME_TARGET = 0.01
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -22,25 +22,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
-from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import SteadyState, Target
-
-FloatArray = npt.NDArray[np.float64]
-_Positive = Annotated[float, Meta(gt=0)]
-_NotNegative = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -80,15 +75,15 @@ class Lqr:
     #: Controlled angles at which the model is linearised, rad
     operating_point: Mapping[str, float] = field(default_factory=lambda: {"alpha_h": 0.5})
     #: Of the controlled angles, 1/rad²; 1/(error that is worth one volt)²
-    output_weights: Mapping[str, _Positive] = field(default_factory=dict)
+    output_weights: Mapping[str, Positive] = field(default_factory=dict)
     #: Of the controlled angles' rates, 1/(rad/s)²
-    rate_weights: Mapping[str, _NotNegative] = field(default_factory=dict)
+    rate_weights: Mapping[str, NotNegative] = field(default_factory=dict)
     #: Of the integrals of the controlled angles' errors, 1/(rad s)²
-    integral_weights: Mapping[str, _Positive] = field(default_factory=dict)
-    input_weights: Mapping[str, _Positive] = field(default_factory=dict)  #: 1/V²
+    integral_weights: Mapping[str, Positive] = field(default_factory=dict)
+    input_weights: Mapping[str, Positive] = field(default_factory=dict)  #: 1/V²
     use_disturbance: bool = True  #: Whether the steady state is that at the estimated disturbance
-    tracking_time: _Positive = 1.0  #: How fast the integral unwinds at a limit, s
-    sample_time: _Positive | None = None  #: Control period, s; None takes every sample
+    tracking_time: Positive = 1.0  #: How fast the integral unwinds at a limit, s
+    sample_time: Positive | None = None  #: Control period, s; None takes every sample
 
     def preview(self, setup: ControlSetup) -> int:
         return 0

@@ -20,7 +20,6 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import (
@@ -44,14 +43,13 @@ from trms_cli.controllers.horizon import (
 from trms_cli.controllers.newton_region import RegionDesign, TerminalRegion
 from trms_cli.controllers.newton_step import NewtonStep
 from trms_cli.controllers.reference_forecast import ReferenceForecast
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import SimulationError
 from trms_cli.core.qp import Daqp, QpSolver
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState, Target
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class TerminalRegions:
@@ -328,7 +326,7 @@ def _tracking(model: Model, given: Mapping[str, float], sizes: FloatArray) -> Ma
     }
 
 
-def _shift_matrix(blocks: npt.NDArray[np.int64]) -> FloatArray:
+def _shift_matrix(blocks: IntArray) -> FloatArray:
     """Mean of the plan, one control period later, over each block, shape (n_blocks, n_blocks).
 
     ``plan @ shift`` is the shifted plan; what a column's sum lacks to one belongs to the time

@@ -35,14 +35,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.horizon import Horizon
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import Target
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Directions in which the decrease is checked, and around the worst of which it is once more.
 _DIRECTIONS, _WORST, _ROUNDS = 512, 16, 6

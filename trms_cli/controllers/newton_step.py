@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.horizon import Horizon
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.qp import Qp, QpResult, QpSolver
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import Target
-
-FloatArray = npt.NDArray[np.float64]
 
 _ARMIJO = 1e-4
 _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)

@@ -18,7 +18,6 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
@@ -26,9 +25,9 @@ from trms_cli.controllers.fallback import Policy, fall_back
 from trms_cli.controllers.horizon import HorizonSettings, Positive
 from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
 from trms_cli.controllers.ocp import InteriorPoint, Method, OcpSolution, build
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 
-FloatArray = npt.NDArray[np.float64]
 #: Keys that have another meaning than those of ``newton_mpc``.
 _OWN = {"max_iterations", "tolerance", "fallback"}
 #: A scaled terminal residual above this counts as a relaxed equality.

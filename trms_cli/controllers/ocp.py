@@ -32,15 +32,13 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.horizon import ARGUMENTS, Horizon
 from trms_cli.controllers.reference_forecast import smooth_rates
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import COMPILER_FLAGS, cache_folder, compiler
 from trms_cli.core.errors import ConfigurationError
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Method = Literal["fatrop", "ipopt"]
 
 #: A barrier that starts low does not throw the last plan away.

@@ -44,10 +44,8 @@ from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
 from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, AxisMargins, Gains, PidDesign
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.model import Model
-
-_Positive = Annotated[float, Meta(gt=0)]
-_NotNegative = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(slots=True)
@@ -114,19 +112,19 @@ class Pid:
     #: M, the bound on the peak of the sensitivity in tuning
     max_sensitivity: Annotated[float, Meta(gt=1)] = 1.6
     #: ρ by axis, s: weight of the rate against the angle in tuning; 3 where none is given
-    smoothness: Mapping[str, _Positive] = field(default_factory=dict)
-    derivative_filter: _Positive = 0.04  #: T_f, s
+    smoothness: Mapping[str, Positive] = field(default_factory=dict)
+    derivative_filter: Positive = 0.04  #: T_f, s
     #: τ_f, s; also of the rate that pitch passes to yaw. A rotor faster than this gets no lead.
-    lead_filter: _Positive = 0.07
+    lead_filter: Positive = 0.07
     #: b, the part of the reference that the proportional term sees
     setpoint_weight: Annotated[float, Meta(ge=0, le=1)] = 1.0
     #: Time constant of each of the three lags on the reference, s; 0 for none, None for the rotor's
     #: τ, but at least 10 T
-    reference_lag: _NotNegative | None = None
+    reference_lag: NotNegative | None = None
     #: T_t, s, but not less than T τ/τ_f. None takes √(k_d/k_i), and 1 s where either is 0.
-    tracking_time: _Positive | None = None
+    tracking_time: Positive | None = None
     feed_forward: bool = True
-    sample_time: _Positive | None = None  #: Control period, s; None takes every sample
+    sample_time: Positive | None = None  #: Control period, s; None takes every sample
 
     def __post_init__(self) -> None:
         if not self.operating_points:

@@ -18,15 +18,12 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.result_cache import cached_result
 from trms_cli.models import steady_state
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState, Target
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 #: Inputs of the curve are this part of the range apart. It also is the cell in which the infinite
 #: slope at a standing rotor is replaced by a finite one.

@@ -32,7 +32,6 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
@@ -43,15 +42,13 @@ from trms_cli.controllers.pid_feed_forward import (
     rotor_lag,
     rotor_tables,
 )
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import kept
 from trms_cli.core.result_cache import cached_result
 from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 _FREQUENCIES = 110
 #: Searched, times the plant's gain: ln(1 + k_p), log₁₀ k_i (per s), log₁₀ k_d (s). A slightly

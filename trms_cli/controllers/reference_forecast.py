@@ -24,9 +24,8 @@ from collections import deque
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from trms_cli.core.arrays import FloatArray
 
 #: Differences that have to agree with the recursion.
 _WINDOW = 6

@@ -21,7 +21,6 @@ from time import perf_counter
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
@@ -34,8 +33,7 @@ from trms_cli.controllers.robust.regulation import (
     RegulationDesign,
     no_law,
 )
-
-FloatArray = npt.NDArray[np.float64]
+from trms_cli.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
@@ -43,11 +42,12 @@ from trms_cli.controllers.robust.regulation import (
     RegulationDesign,
     no_law,
 )
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import NotNegative
 from trms_cli.core.result_cache import cached_result
 
-FloatArray = npt.NDArray[np.float64]
 #: Share to which the farthest states are brought nearer where no law is found for them.
 _SHORTER = 0.8
 _SHORTENINGS = 12
@@ -74,7 +74,7 @@ class Family:
 
     inverses: FloatArray  #: (N, n, n) array; Q_i⁻¹, from the outermost
     gains: FloatArray  #: (N, m, n) array
-    blends: npt.NDArray[np.bool_]  #: (N,) array of bool
+    blends: BoolArray  #: (N,) array of bool
     rings: Rings
     #: (m,) array; room of the inputs that the family was made for, in units of the scales
     input_bounds: FloatArray
@@ -259,7 +259,7 @@ class RobustMpcOffline(RegulationDesign):
     widest: Mapping[str, Positive] = field(default_factory=dict)
     #: Half-width of the references that the family serves, rad; beyond, its certificate does not
     #: hold
-    targets: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    targets: Mapping[str, NotNegative] = field(default_factory=dict)
     rings: Annotated[int, Meta(ge=1)] = 12  #: Ellipsoids
     #: States that the innermost is made for, as a share of the farthest
     smallest: Annotated[float, Meta(gt=0, lt=1)] = 0.02

@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal
 
+from trms_cli.core.arrays import BoolArray, FloatArray
+
 if TYPE_CHECKING:  # findings without a chart are told before NumPy is loaded
     import numpy as np
     import numpy.typing as npt
@@ -93,8 +95,8 @@ class Flow:
 
     x: Values  #: (n,), (m,); grid lines, equally spaced
     y: Values  #: (n,), (m,); grid lines, equally spaced
-    u: npt.NDArray[np.float64]  #: (m, n); components at ``(x[j], y[i])``
-    v: npt.NDArray[np.float64]  #: (m, n); components at ``(x[j], y[i])``
+    u: FloatArray  #: (m, n); components at ``(x[j], y[i])``
+    v: FloatArray  #: (m, n); components at ``(x[j], y[i])``
     colour: Colour = "grey"
     density: float = 1.0  #: of lines, relative to the usual
 
@@ -105,7 +107,7 @@ class Contour:
 
     x: Values  #: (n,), (m,)
     y: Values  #: (n,), (m,)
-    values: npt.NDArray[np.float64]  #: (m, n); at ``(x[j], y[i])``; NaN where there is none
+    values: FloatArray  #: (m, n); at ``(x[j], y[i])``; NaN where there is none
     levels: Sequence[float]
     label: str = ""
     colour: Colour = "blue"
@@ -120,7 +122,7 @@ class Region:
 
     x: Values  #: (n,), (m,)
     y: Values  #: (n,), (m,)
-    inside: npt.NDArray[np.bool_]  #: (m, n) bool; whether ``(x[j], y[i])`` belongs to it
+    inside: BoolArray  #: (m, n) bool; whether ``(x[j], y[i])`` belongs to it
     label: str = ""
     colour: Colour = "sky"
     opacity: float = 0.25  #: 0 to 1

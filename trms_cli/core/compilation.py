@@ -23,6 +23,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
+
 #: ``-ffp-contract=off`` keeps every operation as it is written, so that adding a term that is
 #: zero leaves all bits as they were. No ``-march=native``: a cache folder may be shared by the
 #: machines of a cluster.
@@ -33,8 +35,6 @@ _QUICKLY = ("-O1", *COMPILER_FLAGS[2:])
 _ENVIRONMENT_SWITCH = "TRMS_COMPILE"  # "0" turns compilation off
 #: Functions that a process keeps at hand; each may be that of many runs.
 _MOST_LOADED = 128
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def cache_folder() -> Path:

@@ -17,10 +17,9 @@ from typing import Annotated, Any, Protocol
 
 import daqp
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
-FloatArray = npt.NDArray[np.float64]
+from trms_cli.core.arrays import FloatArray
 
 _HARD, _EQUALITY, _SOFT = 0, 5, 8
 _REASONS = {

@@ -7,11 +7,11 @@ lagged command is known exactly; each integration step receives its mean over th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
 from trms_cli.effects.first_order import first_order
 from trms_cli.models.model import Model, Signal
@@ -23,7 +23,7 @@ class ActuatorLag(Effect):
     """Lag of one command."""
 
     rotor: Literal["main", "tail"]
-    time_constant: Annotated[float, Meta(ge=0)]  #: τ, s
+    time_constant: NotNegative  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

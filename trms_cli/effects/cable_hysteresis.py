@@ -18,6 +18,7 @@ from typing import Annotated, Literal
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, axis_of
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import Parameter
@@ -31,7 +32,7 @@ class CableHysteresis(Effect):
     """Bouc–Wen hysteresis."""
 
     axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=0)]  #: T, N m: half the height of the loop
+    torque: NotNegative  #: T, N m: half the height of the loop
     #: rad: the travel after a reversal over which the torque turns
     width: Annotated[float, Meta(ge=_NARROWEST)]
     #: β: 1/2 unloads along a straight line, 1 along the same exponential as it loads (Dahl)

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, axis_of
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
@@ -22,8 +23,8 @@ class CableStiffness(Effect):
     """A spring that may harden."""
 
     axis: Literal["pitch", "yaw"]
-    stiffness: Annotated[float, Meta(ge=0)]  #: k, N m/rad
-    cubic: Annotated[float, Meta(ge=0)] = 0.0  #: k₃, N m/rad³
+    stiffness: NotNegative  #: k, N m/rad
+    cubic: NotNegative = 0.0  #: k₃, N m/rad³
     neutral: Annotated[float, Meta(ge=-3.2, le=3.2)] = 0.0  #: α₀, rad
 
     def parameters(self) -> tuple[Parameter, ...]:

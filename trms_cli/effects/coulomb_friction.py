@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
@@ -21,7 +21,7 @@ class CoulombFriction(Effect):
     """Coulomb friction."""
 
     axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=0)]  #: F_c, N m
+    torque: NotNegative  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

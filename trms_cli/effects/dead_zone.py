@@ -7,11 +7,11 @@ that needs ``d`` before it moves), so that the drive stays continuous.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
@@ -22,7 +22,7 @@ class DeadZone(Effect):
     """Dead zone of one command."""
 
     rotor: Literal["main", "tail"]
-    width: Annotated[float, Meta(ge=0)]  #: d, V: to either side of zero
+    width: NotNegative  #: d, V: to either side of zero
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

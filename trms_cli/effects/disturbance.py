@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, axis_of
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import Parameter
@@ -29,7 +30,7 @@ class Disturbance(Effect):
     """Coloured torque; it begins at zero."""
 
     axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=0)]  #: σ, N m: standard deviation in the long run
+    torque: NotNegative  #: σ, N m: standard deviation in the long run
     time: Annotated[float, Meta(ge=_SHORTEST)]  #: τ, s: time over which it forgets itself
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -12,6 +12,7 @@ from typing import Annotated
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.thrust import check_thrust, thrust_torque
 from trms_cli.models.model import Model
@@ -25,10 +26,10 @@ _THINNEST = 1e-2
 class GroundEffect(Effect):
     """Cushion of air under the main rotor."""
 
-    gain: Annotated[float, Meta(ge=0)]  #: g: share of the thrust that is added at the table itself
+    gain: NotNegative  #: g: share of the thrust that is added at the table itself
     scale: Annotated[float, Meta(ge=_THINNEST)]  #: h₀, m: height over which it falls to 1/e
     #: h_level, m: height of the rotor over the table with the beam level
-    level_height: Annotated[float, Meta(ge=0)]
+    level_height: NotNegative
 
     @property
     def locations(self) -> tuple[str, ...]:

@@ -12,11 +12,11 @@ proportion to the speed of the rotor, whichever way it turns.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.thrust import AXIS, check_thrust, thrust_torque
 from trms_cli.models.model import Model
@@ -32,7 +32,7 @@ class Inflow(Effect):
 
     rotor: Literal["main", "tail"]
     #: k, rad/m: speed of the rotor over the axial speed that would take all its thrust
-    coefficient: Annotated[float, Meta(ge=0)]
+    coefficient: NotNegative
 
     @property
     def locations(self) -> tuple[str, ...]:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import Parameter
@@ -24,9 +24,9 @@ class InputDelay(Effect):
     """Transport delay of one command."""
 
     rotor: Literal["main", "tail"]
-    delay: Annotated[float, Meta(ge=0)]  #: s
+    delay: NotNegative  #: s
     #: Bound of the delay, s; the past commands that are kept reach back this far
-    longest: Annotated[float, Meta(gt=0)] = 0.2
+    longest: Positive = 0.2
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -20,6 +20,7 @@ from typing import Annotated
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, axis_of
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
@@ -32,7 +33,7 @@ _STANDARD_GRAVITY = 9.80665
 class MassImbalance(Effect):
     """A point mass fixed to the beam."""
 
-    mass: Annotated[float, Meta(ge=0)]  #: m, kg
+    mass: NotNegative  #: m, kg
     #: l, m: along the beam from the pitch axis, positive towards the tail (raises the nose)
     arm: Annotated[float, Meta(ge=-1, le=1)]
     #: h, m: above the beam; negative is below it, like the counterweight

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, axis_of
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
@@ -18,7 +18,7 @@ class QuadraticDamping(Effect):
     """Damping that grows with the square of the rate."""
 
     axis: Literal["pitch", "yaw"]
-    coefficient: Annotated[float, Meta(ge=0)]  #: c, N m s²/rad²
+    coefficient: NotNegative  #: c, N m s²/rad²
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -8,11 +8,11 @@ itself (the straight-through derivative: that of the mean over a quantum), and n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
@@ -26,7 +26,7 @@ class Quantisation(Effect):
     """Resolution of one angle."""
 
     axis: Literal["pitch", "yaw"]
-    quantum: Annotated[float, Meta(ge=0)]  #: q, rad
+    quantum: NotNegative  #: q, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -7,11 +7,11 @@ there, by the same impulses as the friction of an axis (:mod:`trms_cli.models.dr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import (
     Effect,
     EffectContext,
@@ -28,7 +28,7 @@ class RotorFriction(Effect):
     """Coulomb friction of one rotor."""
 
     rotor: Literal["main", "tail"]
-    torque: Annotated[float, Meta(ge=0)]  #: F_c, N m
+    torque: NotNegative  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

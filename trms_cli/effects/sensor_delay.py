@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import Parameter
@@ -25,9 +25,9 @@ class SensorDelay(Effect):
     """Transport delay of one measured angle."""
 
     axis: Literal["pitch", "yaw"]
-    delay: Annotated[float, Meta(ge=0)]  #: d, s
+    delay: NotNegative  #: d, s
     #: Bound of the delay, s; the past angles that are kept reach back this far
-    longest: Annotated[float, Meta(gt=0)] = 0.1
+    longest: Positive = 0.1
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

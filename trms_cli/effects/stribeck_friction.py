@@ -17,6 +17,7 @@ from typing import Annotated, Literal
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
@@ -30,8 +31,8 @@ class StribeckFriction(Effect):
     """Stribeck friction; with no excess it is Coulomb friction, bit for bit."""
 
     axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=0)]  #: F_c, N m: friction of the turning axis
-    excess: Annotated[float, Meta(ge=0)]  #: e = F_s/F_c − 1: break-away torque over it
+    torque: NotNegative  #: F_c, N m: friction of the turning axis
+    excess: NotNegative  #: e = F_s/F_c − 1: break-away torque over it
     #: v_s, rad/s: rate at which the excess has fallen to 1/e
     velocity: Annotated[float, Meta(ge=_SLOWEST)]
 

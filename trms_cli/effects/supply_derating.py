@@ -17,6 +17,7 @@ from typing import Annotated, Literal
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
 from trms_cli.effects.first_order import first_order
 from trms_cli.models.model import Model, Signal, names
@@ -30,7 +31,7 @@ class SupplyDerating(Effect):
     rotor: Literal["main", "tail"]
     #: Share of the gain that is lost at full load for ever
     depth: Annotated[float, Meta(ge=0, le=1)]
-    time_constant: Annotated[float, Meta(ge=0)]  #: τ, s
+    time_constant: NotNegative  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -7,11 +7,11 @@ exactly; no time constant is too short.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import casadi as ca
-from msgspec import Meta
 
+from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import SPEEDS, Effect, EffectContext, output_row, rotor_input
 from trms_cli.effects.first_order import first_order_ramp
 from trms_cli.models.model import Model, Signal
@@ -23,7 +23,7 @@ class TachoLag(Effect):
     """Low-pass filter of one measured rotor speed."""
 
     rotor: Literal["main", "tail"]
-    time_constant: Annotated[float, Meta(ge=0)]  #: τ, s
+    time_constant: NotNegative  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.ranges import Positive
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.thrust import check_thrust, thrust_torque
 from trms_cli.models.model import Model
@@ -33,7 +34,7 @@ class ThrustCurve(Effect):
     exponent: Annotated[float, Meta(ge=-1, le=1)]  #: e, added to the model's exponent (of about 2)
     #: r, share by which the thrust in reverse differs from the model's
     reverse: Annotated[float, Meta(ge=-1, le=1)]
-    reference: Annotated[float, Meta(gt=0)]  #: ω₀, rad/s
+    reference: Positive  #: ω₀, rad/s
 
     @property
     def locations(self) -> tuple[str, ...]:

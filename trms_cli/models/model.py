@@ -21,12 +21,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
 from trms_cli.models.parameters import ParameterSet
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

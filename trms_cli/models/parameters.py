@@ -11,8 +11,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
@@ -73,7 +73,7 @@ class ParameterSet:
         return tuple(self._by_name)
 
     @property
-    def values(self) -> npt.NDArray[np.float64]:
+    def values(self) -> FloatArray:
         """Values in order, shape (n_p,)."""
         return np.array([parameter.value for parameter in self], dtype=float)
 

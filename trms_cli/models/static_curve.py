@@ -20,12 +20,10 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.data_file import MEBIBYTE, read_bytes
 from trms_cli.core.errors import ModelError
-
-FloatArray = npt.NDArray[np.float64]
 
 _HEADER = "u[1],omega[rpm],thrust[N]"
 #: Factor to rad/s.

@@ -22,11 +22,12 @@ from typing import Annotated
 import casadi as ca
 import msgspec
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
@@ -35,14 +36,10 @@ from trms_cli.models.state_kinds import kinds_of_disturbances, kinds_of_states
 from trms_cli.models.state_noise import noise_of_states
 from trms_cli.observers.observer import ObserverSetup
 
-FloatArray = npt.NDArray[np.float64]
-
 #: Longest explicit integration step over which the rig's dynamics are smooth, s.
 _LONGEST_SUBSTEP = 0.02
 #: Standard deviations never fall below this part of the initial ones.
 _FLOOR = 1e-9
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
 
 
 class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -138,9 +135,9 @@ class FilterOptions:
     substeps: Annotated[int, Meta(ge=1)] | None = None
     #: Innovations beyond this many of their standard deviations are taken for outliers, channel by
     #: channel; None believes everything
-    gate: Annotated[float, Meta(gt=0)] | None = 20.0
+    gate: Positive | None = 20.0
     #: s; a channel that was rejected without a break for so long is believed again
-    longest_rejection: Annotated[float, Meta(gt=0)] = 0.5
+    longest_rejection: Positive = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)

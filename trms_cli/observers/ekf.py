@@ -9,16 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.process_cache import kept
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.kalman_step import exact_measurement, exact_transition, kalman_step
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import RecursiveFilter
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

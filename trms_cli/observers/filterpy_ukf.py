@@ -15,17 +15,16 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.process_cache import kept
+from trms_cli.core.ranges import NotNegative
 from trms_cli.observers.augmentation import Augmentation
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterStep, GatedFilter
 from trms_cli.observers.ukf import SigmaPoints, dynamics_stage, measurement_stage
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +35,7 @@ class FilterpyUkf(GatedFilter):
 
     #: ``alpha``, ``beta``, ``kappa``: Spread of the sigma points; see :class:`SigmaPoints`
     alpha: Annotated[float, Meta(gt=0, le=1)] = 1.0
-    beta: Annotated[float, Meta(ge=0)] = 2.0
+    beta: NotNegative = 2.0
     kappa: float = 0.0
 
     def bind(self, setup: ObserverSetup, augmented: Augmentation) -> tuple[FilterStep, FloatArray]:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discrete import copied_states
@@ -22,8 +22,6 @@ from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
 from trms_cli.models.rest import resting_state
 from trms_cli.observers.observer import ObserverSetup
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass

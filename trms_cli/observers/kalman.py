@@ -19,8 +19,8 @@ from typing import Literal
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.linearisation import Linearisation
 from trms_cli.models.state_kinds import kinds_of_states
@@ -29,8 +29,6 @@ from trms_cli.observers.augmentation import Augmentation, augment
 from trms_cli.observers.kalman_step import exact_measurement, exact_transition, kalman_step
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState, RecursiveFilter
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Samples within which a covariance settles that settles at all: half an hour at 50 Hz.
 _MOST_SAMPLES = 100_000

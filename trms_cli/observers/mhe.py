@@ -35,10 +35,12 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.qp import Daqp, Qp
+from trms_cli.core.ranges import Positive
 from trms_cli.models.estimate import Estimate
 from trms_cli.observers.augmentation import Augmentation, FilterOptions, augment
 from trms_cli.observers.ekf import Ekf
@@ -46,8 +48,6 @@ from trms_cli.observers.kalman_step import diagonal, exact_measurement, exact_tr
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState, RecursiveFilter
 from trms_cli.observers.ukf import Ukf
-
-FloatArray = npt.NDArray[np.float64]
 
 _ARRIVAL: dict[str, type[RecursiveFilter]] = {"ekf": Ekf, "ukf": Ukf}
 #: A result this many standard deviations from the arrival filter's, without any bound to explain
@@ -225,7 +225,7 @@ class Mhe(FilterOptions):
     :class:`trms_cli.observers.augmentation.FilterOptions`.
     """
 
-    horizon: Annotated[float, Meta(gt=0)] = 0.3  #: s, length of the window; at least one sample
+    horizon: Positive = 0.3  #: s, length of the window; at least one sample
     #: Gauss–Newton steps a sample; the window is linearised anew along the last result at each
     #: sample, so that one is seldom far from the optimum
     iterations: Annotated[int, Meta(ge=1)] = 1

@@ -6,14 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, names
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

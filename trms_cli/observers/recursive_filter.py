@@ -28,14 +28,12 @@ from typing import Protocol
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.estimate import Estimate
 from trms_cli.observers.augmentation import Augmentation, FilterOptions, augment
 from trms_cli.observers.observer import ObserverSetup
-
-FloatArray = npt.NDArray[np.float64]
 
 INPUTS = (
     *("m", "P", "memory", "u", "y", "mask", "advance", "known"),
@@ -45,7 +43,6 @@ OUTPUTS = (
     *("m_next", "P_next", "memory_next", "health", "sd", "d", "d_sd"),
     *("predicted", "innovation", "innovation_sd", "rejected"),
 )
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass
@@ -61,7 +58,7 @@ class Gate:
     squared: FloatArray
     #: (n_y,) int array; samples that a watched channel has been rejected, or a believed one has
     #: agreed, in a row
-    run: npt.NDArray[np.int64]
+    run: IntArray
     open: BoolArray  #: (n_y,) bool array; channels believed again
     #: (n_y,) array; 1 for what the last sample's gate held back; zeros for a gate that is always
     #: open
@@ -137,7 +134,7 @@ class FilterState:
     estimate: Estimate  #: Views of its outputs
     prior_mean: FloatArray  #: Before the first measurement
     prior_covariance: FloatArray  #: where the filter recovers to
-    present: npt.NDArray[np.bool_]  #: (n_y,) bool array; channels that the last measurement had
+    present: BoolArray  #: (n_y,) bool array; channels that the last measurement had
     gate: Gate
     #: (n, n) array or None; covariance after every sample, of a filter with a steady gain
     settled: FloatArray | None = None

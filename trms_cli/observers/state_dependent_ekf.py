@@ -48,8 +48,8 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.process_cache import kept
@@ -60,7 +60,6 @@ from trms_cli.observers.kalman_step import exact_measurement, kalman_step
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import RecursiveFilter
 
-FloatArray = npt.NDArray[np.float64]
 _NODES = 6
 
 

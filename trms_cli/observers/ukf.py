@@ -28,11 +28,12 @@ from typing import Annotated
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import kept
+from trms_cli.core.ranges import NotNegative
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel, InitialSd, ProcessNoise
 from trms_cli.observers.kalman_step import diagonal, disturbances, gain_stage, gated
 from trms_cli.observers.observer import ObserverSetup
@@ -40,8 +41,6 @@ from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS, RecursiveFilter
 from trms_cli.observers.recursive_filter import FilterState as UkfState
 
 __all__ = ["InitialSd", "ProcessNoise", "Ukf", "UkfState"]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -228,7 +227,7 @@ class Ukf(RecursiveFilter):
     #: ``alpha``, ``beta``, ``kappa``: Spread of the sigma points; see :class:`SigmaPoints`. With α
     #: = 1 and κ = 0 no weight is negative.
     alpha: Annotated[float, Meta(gt=0, le=1)] = 1.0
-    beta: Annotated[float, Meta(ge=0)] = 2.0
+    beta: NotNegative = 2.0
     kappa: float = 0.0
 
     def compose(

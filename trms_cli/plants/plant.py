@@ -6,12 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from trms_cli.core.arrays import FloatArray
 from trms_cli.models.model import Signal
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

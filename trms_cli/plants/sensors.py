@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-
-FloatArray = npt.NDArray[np.float64]
+from trms_cli.core.ranges import NotNegative
 
 #: A perfect channel still gets this declared noise (its unit), so that an observer's covariance
 #: stays invertible.
@@ -26,9 +25,9 @@ class Sensors:
 
     channels: tuple[str, ...] | None = None  #: Measured outputs; None takes all that the model has
     #: Standard deviation of white noise per channel, rad or rad/s
-    noise_sd: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    noise_sd: Mapping[str, NotNegative] = field(default_factory=dict)
     #: Resolution per channel (an encoder's step, a tacho's bit), rad or rad/s; 0 for none
-    quantum: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
+    quantum: Mapping[str, NotNegative] = field(default_factory=dict)
     #: Share of the samples that are lost, each sample with all its channels
     loss_probability: Annotated[float, Meta(ge=0, lt=1)] = 0.0
 

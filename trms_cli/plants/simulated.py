@@ -24,6 +24,7 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.process_cache import kept
+from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.discrete import SteppedModel, copied_states, root_of
@@ -153,10 +154,10 @@ class SimulatedRig:
     #: Draws all parameters from their priors first; None keeps the model's values
     prior_seed: Annotated[int, Meta(ge=0)] | None = None
     #: Multiplies the priors' standard deviations for that draw
-    prior_scale: Annotated[float, Meta(ge=0)] = 1.0
+    prior_scale: NotNegative = 1.0
     #: What the rig has and the model does not know
     effects: Mapping[str, Effect] = field(default_factory=dict)
-    integration_step: Annotated[float, Meta(gt=0)] = 0.005  #: Longest integration step, s
+    integration_step: Positive = 0.005  #: Longest integration step, s
     sensors: Sensors = field(default_factory=Sensors)
     initial: Mapping[str, Annotated[float, Meta(ge=-_FASTEST, le=_FASTEST)]] = field(
         default_factory=dict

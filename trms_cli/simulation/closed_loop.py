@@ -16,7 +16,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.controller import (
     Command,
@@ -25,6 +24,7 @@ from trms_cli.controllers.controller import (
     ControlSetup,
     Status,
 )
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, Signal, names
@@ -41,7 +41,6 @@ from trms_cli.simulation.supervisor import (
     Unsupervised,
 )
 
-FloatArray = npt.NDArray[np.float64]
 #: Called once a simulated second with the time (s) and the largest present tracking error (rad).
 Progress = Callable[[float, float], None]
 #: A run is kept in memory until it is scored; beyond this the keys are a slip.

@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.controller import Command
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import SimulationError
 
-FloatArray = npt.NDArray[np.float64]
 #: Takes kind, source, sentence and value of an event.
 Tell = Callable[[str, str, str, float], None]
 

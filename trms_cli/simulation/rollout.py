@@ -27,13 +27,11 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction, compiled_library
 from trms_cli.core.errors import ModelError
 from trms_cli.models.discretisation import Method, discretise
 from trms_cli.models.model import Model, Signal
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 #: s. Longest integration step unless another is asked for.
 LONGEST_STEP = 0.02

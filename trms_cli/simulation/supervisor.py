@@ -22,20 +22,18 @@ import enum
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
-from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, Status
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import Positive
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, names
 
-FloatArray = npt.NDArray[np.float64]
-Positive = Annotated[float, Meta(gt=0)]
 #: Takes a kind, a source and a sentence.
 Tell = Callable[[str, str, str], None]
 

@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.qp import FloatArray, Qp, QpResult
+from trms_cli.core.ranges import Positive
 
 
 @dataclass
@@ -25,7 +26,7 @@ class Osqp:
 
     #: Absolute and relative. The library's own default, 1e-3, leaves errors of 2e-2 in an input
     #: sequence.
-    tolerance: Annotated[float, Meta(gt=0)] = 1e-8
+    tolerance: Positive = 1e-8
     max_iterations: Annotated[int, Meta(ge=1)] = 50000
 
     def start(self) -> _Workspace:

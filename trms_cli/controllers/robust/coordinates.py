@@ -37,15 +37,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.newton_mpc import typical_sizes
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Longest explicit integration step over which the rig's dynamics are smooth, s.
 _LONGEST_SUBSTEP = 0.05

@@ -41,9 +41,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from trms_cli.core.arrays import FloatArray
+
 Lyapunov = Literal["common", "parameter_dependent"]
 
 #: ρ, relative to γ in units in which the stage cost of typical deviations is about one.

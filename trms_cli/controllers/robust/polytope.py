@@ -20,12 +20,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.controllers.robust.coordinates import Coordinates, ThrustDemand
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
-
-FloatArray = npt.NDArray[np.float64]
 
 _BATCH = 128
 _NODES = 4
@@ -88,7 +86,7 @@ class Polytope:
         left = flat - theta @ self.directions
         return np.asarray(np.linalg.norm(left.reshape(coefficients.shape), 2, axis=(1, 2)))
 
-    def inside(self, coefficients: FloatArray) -> npt.NDArray[np.bool_]:
+    def inside(self, coefficients: FloatArray) -> BoolArray:
         """Whether the components of coefficients (N, n, n + m) are within the box, shape (N,)."""
         theta = (coefficients - self.centre).reshape(len(coefficients), -1) @ self.directions.T
         return np.all((theta >= self.lower) & (theta <= self.upper), axis=1)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup
@@ -16,15 +15,13 @@ from trms_cli.controllers.lqr import in_order
 from trms_cli.controllers.robust.coordinates import Coordinates, thrust_demand
 from trms_cli.controllers.robust.lmi import Task
 from trms_cli.controllers.robust.polytope import Coefficients, Polytope, RegulationTarget, StateBox
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models import steady_state
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
-
-FloatArray = npt.NDArray[np.float64]
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
 
 #: Share of a bound on the input below which a target is held by its own input alone.
 _NO_ROOM = 0.02

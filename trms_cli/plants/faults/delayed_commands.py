@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from trms_cli.plants.faults.fault import FaultRun, FaultSetup, FloatArray, NotNegative, Positive
+from trms_cli.core.arrays import FloatArray
+from trms_cli.core.ranges import NotNegative, Positive
+from trms_cli.plants.faults.fault import FaultRun, FaultSetup
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,14 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trms_cli.plants.faults.fault import (
-    FaultRun,
-    FaultSetup,
-    FloatArray,
-    NotNegative,
-    Positive,
-    Share,
-)
+from trms_cli.core.arrays import FloatArray
+from trms_cli.core.ranges import NotNegative, Positive
+from trms_cli.plants.faults.fault import FaultRun, FaultSetup, Share
 
 
 @dataclass(frozen=True, kw_only=True)
