@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -10,34 +9,36 @@ import numpy as np
 from trms_cli.controllers.controller import Command, Status
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import SimulationError
+from trms_cli.models.steady_state import Target
 
 #: The last plan shifted in time, the last command, the steady-state input of the reference, or the
 #: end of the run.
 Policy = Literal["shifted_plan", "hold", "steady_input", "stop"]
+
+NOT_FINITE = "the estimate or the reference is not finite"
 
 
 def fall_back(
     who: str,
     policy: Policy,
     reason: str,
-    candidates: Mapping[str, FloatArray | None],
+    planned: FloatArray | None,
+    target: Target | None,
+    last: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
 ) -> Command:
-    """The declared command of a sample that has no solution.
+    """The declared command of a sample that has no solution; ``hold`` where there is no such one.
+
+    Raises SimulationError under the policy ``stop``.
 
     Parameters
     ----------
     who : str
         The controller, for the message that ends a run.
-    candidates : dict of str to (n_u,) array or None
-        Command of each policy that there is now; ``hold`` is always there and finite.
+    planned, last : (n_u,) array
+        What the plan has for now, None without one; the last command, finite.
     bounds : (lower, upper)
         Of the inputs, V.
-
-    Raises
-    ------
-    SimulationError
-        Under the policy ``stop``.
     """
     if policy == "stop":
         raise SimulationError(
@@ -45,14 +46,16 @@ def fall_back(
             where="controller",
             remedy="choose another controller.fallback to go on",
         )
+    steady = None if target is None else target.u
     acting: str = policy
-    chosen = candidates.get(acting)
+    chosen = {"shifted_plan": planned, "steady_input": steady, "hold": last}[policy]
     if chosen is None or not np.isfinite(chosen).all():
-        acting, chosen = "hold", candidates["hold"]
-    assert chosen is not None
-    return Command(
-        np.clip(chosen, *bounds),
-        Status.FAILED,
-        fallback=acting,
-        message=f"{reason}; {acting.replace('_', ' ')} acts",
-    )
+        acting, chosen = "hold", last
+    words = f"{reason}; {acting.replace('_', ' ')} acts"
+    return Command(np.clip(chosen, *bounds), Status.FAILED, fallback=acting, message=words)
+
+
+def held(last: FloatArray, reason: str) -> Command:
+    """The last command, (n_u,) and finite, of a law that has no answer."""
+    words = f"{reason}; the last command is held"
+    return Command(last.copy(), Status.FAILED, fallback="hold", message=words)

@@ -50,7 +50,8 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
+from trms_cli.controllers.fallback import NOT_FINITE, held
 from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.arrays import FloatArray
@@ -388,7 +389,7 @@ class FeedbackLinearisation:
         reference = sample.reference[0]
         given = x.tolist() + sample.estimate.disturbance.tolist() + reference.tolist()
         if not math.isfinite(sum(given)):
-            return _held(previous, "the estimate or the reference is not finite")
+            return held(previous, NOT_FINITE)
         w = sample.estimate.disturbance * float(self.use_disturbance)
         axes = state.parts.axes
         rate, a, change, mobility, arms, thrusts = state.parts.motion.evaluate(x, previous, w)
@@ -416,16 +417,16 @@ class FeedbackLinearisation:
         try:
             wanted = (moments + np.linalg.solve(mobility, v - a - change / rotor)) / arms
         except np.linalg.LinAlgError:
-            return _held(previous, "the moments have no influence on the axes here")
+            return held(previous, "the moments have no influence on the axes here")
         if not math.isfinite(float(wanted.sum()) + float(jerk.sum())):
-            return _held(previous, "the model's moments are not finite at this estimate")
+            return held(previous, "the model's moments are not finite at this estimate")
         forces = np.clip(wanted, *ends)
         speeds = [axis.speed.at(f) for axis, f in zip(axes, forces.tolist(), strict=True)]
         now = x[[axis.rotor for axis in axes]]
         u = state.parts.command.evaluate(x, previous, w, rotor * (speeds - now))[0].copy()
         lacking = mobility @ (arms * (forces - wanted))
         if not math.isfinite(float(u.sum()) + float(lacking.sum())):
-            return _held(previous, "the model's moments are not finite at this estimate")
+            return held(previous, "the model's moments are not finite at this estimate")
         largest = np.abs(np.diag(mobility) * arms * (ends[1] - ends[0]))
         self._integrate(state, u, ki * error, lacking, largest)
         _advance(state, jerk)
@@ -472,12 +473,3 @@ def _guided(
     # Whatever the rig does now, to come to rest is never forbidden.
     least, most = np.minimum(reach.min(axis=0), 0.0), np.maximum(reach.max(axis=0), 0.0)
     return np.clip(jerk, (least - acceleration) * rotor, (most - acceleration) * rotor)
-
-
-def _held(previous: FloatArray, why: str) -> Command:
-    return Command(
-        previous.copy(),
-        Status.FAILED,
-        fallback="hold",
-        message=f"{why}; the last command is held",
-    )

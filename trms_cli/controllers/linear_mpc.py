@@ -43,7 +43,7 @@ from trms_cli.controllers.controller import (
     Prediction,
     Status,
 )
-from trms_cli.controllers.fallback import Policy, fall_back
+from trms_cli.controllers.fallback import NOT_FINITE, Policy, fall_back
 from trms_cli.controllers.horizon import (
     HorizonSettings,
     NotNegative,
@@ -439,7 +439,7 @@ class LinearMpcState:
         x, w = sample.estimate.x, sample.estimate.disturbance
         values = x.tolist() + w.tolist() + sample.reference.ravel().tolist()
         if not math.isfinite(sum(values)):
-            return "the estimate or the reference is not finite"
+            return NOT_FINITE
         n_x = self.model.n_x
         if self._started and len(self._full) > n_x:
             p, w = self.model.parameters.values, self._disturbance
@@ -549,15 +549,7 @@ class LinearMpcState:
         """The declared command of a sample that has no solution."""
         planned = None
         if self.age is not None:
-            planned = self.plan[:, self.blocks[min(self.age, len(self.blocks) - 1)]].copy()
-        return fall_back(
-            "linear_mpc",
-            self.config.fallback,
-            reason,
-            {
-                "shifted_plan": planned,
-                "steady_input": None if self.target is None else self.target.u.copy(),
-                "hold": sample.previous_command.copy(),
-            },
-            (self.lower, self.upper),
-        )
+            planned = self.plan[:, self.blocks[min(self.age, len(self.blocks) - 1)]]
+        bounds, last = (self.lower, self.upper), sample.previous_command
+        policy = self.config.fallback
+        return fall_back("linear_mpc", policy, reason, planned, self.target, last, bounds)

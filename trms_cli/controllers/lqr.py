@@ -26,7 +26,8 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
+from trms_cli.controllers.fallback import NOT_FINITE, held
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
@@ -154,12 +155,7 @@ class Lqr:
         reference = sample.reference[0]
         w = estimate.disturbance
         if not math.isfinite(sum(estimate.x.tolist()) + sum(w.tolist()) + sum(reference.tolist())):
-            return Command(
-                previous.copy(),
-                Status.FAILED,
-                fallback="hold",
-                message="the estimate or the reference is not finite; the last command is held",
-            )
+            return held(previous, NOT_FINITE)
         message = self._aim(state, reference, w)
         x, x_s, target = estimate.x, state.target.x, state.target
         if state.advance_memory is not None:

@@ -29,6 +29,7 @@ from trms_cli.controllers.controller import (
     Prediction,
     Status,
 )
+from trms_cli.controllers.fallback import NOT_FINITE, Policy, fall_back
 from trms_cli.controllers.horizon import (
     Horizon,
     HorizonSettings,
@@ -45,7 +46,6 @@ from trms_cli.controllers.newton_step import NewtonStep
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.core.errors import SimulationError
 from trms_cli.core.qp import Daqp, QpSolver
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
@@ -284,32 +284,11 @@ class NewtonMpcState:
             np.vstack([inputs, inputs[-1]]),
         )
 
-    def fall_back(self, policy: str, reason: str) -> Command:
-        """The declared command of a sample whose solve failed.
-
-        Raises SimulationError: Under the policy ``stop``.
-        """
-        if policy == "stop":
-            raise SimulationError(
-                f"newton_mpc: {reason}",
-                where="controller",
-                remedy="choose another controller.fallback to go on",
-            )
-        candidates: dict[str, FloatArray | None] = {
-            "shifted_plan": self.newton.plan[:, 0].copy(),
-            "steady_input": self.target.u.copy() if self.target is not None else None,
-            "hold": self._last_command.copy(),
-        }
-        chosen = candidates[policy]
-        if chosen is None or not np.isfinite(chosen).all():
-            policy, chosen = "hold", candidates["hold"]
-        assert chosen is not None
-        return Command(
-            np.clip(chosen, self.newton.lower, self.newton.upper),
-            Status.FAILED,
-            fallback=policy,
-            message=f"{reason}; {policy.replace('_', ' ')} acts",
-        )
+    def fall_back(self, who: str, policy: Policy, reason: str) -> Command:
+        """The declared command of a sample whose solve failed."""
+        newton = self.newton
+        bounds, planned = (newton.lower, newton.upper), newton.plan[:, 0]
+        return fall_back(who, policy, reason, planned, self.target, self._last_command, bounds)
 
 
 def _tracking(model: Model, given: Mapping[str, float], sizes: FloatArray) -> Mapping[str, float]:
@@ -375,7 +354,7 @@ class NewtonMpc(HorizonSettings):
     tolerance: Positive = 1e-4  #: Converged when no input moves more than this, V
     #: What acts when a solve fails: the last plan shifted in time, the last command, the
     #: steady-state input of the reference, or the end of the run
-    fallback: Literal["shifted_plan", "hold", "steady_input", "stop"] = "shifted_plan"
+    fallback: Policy = "shifted_plan"
     qp: QpSolver = field(default_factory=Daqp)
 
     def init(self, setup: ControlSetup) -> NewtonMpcState:
@@ -389,12 +368,12 @@ class NewtonMpc(HorizonSettings):
         state.begin_sample(sample)
         newton, target = state.newton, state.target
         if not state.inputs_finite:
-            return state.fall_back(self.fallback, "the estimate or the reference is not finite")
+            return state.fall_back("newton_mpc", self.fallback, NOT_FINITE)
         begin_linearise = newton.linearise_time
         begin_qp = newton.qp_time
         outcome = newton.solve(self.max_iterations, self.tolerance, state.other_start)
         if outcome.failed:
-            return state.fall_back(self.fallback, outcome.message)
+            return state.fall_back("newton_mpc", self.fallback, outcome.message)
         if outcome.terminal_residual > state.relaxed_above and target is not None:
             status = Status.RELAXED
         elif outcome.converged:

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.fallback import Policy, fall_back
+from trms_cli.controllers.fallback import NOT_FINITE, Policy
 from trms_cli.controllers.horizon import HorizonSettings, Positive
 from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
 from trms_cli.controllers.ocp import InteriorPoint, Method, OcpSolution, build
@@ -94,10 +94,10 @@ class Nmpc(HorizonSettings):
         shared = state.shared
         shared.begin_sample(sample)
         if not shared.inputs_finite:
-            return state.fall_back("the estimate or the reference is not finite", sample)
+            return state.fall_back(NOT_FINITE)
         found, message = state.solved()
         if found is None:
-            return state.fall_back(message, sample)
+            return state.fall_back(message)
         newton, evaluate = shared.newton, shared.newton.horizon.evaluate
         newton.plan[:] = found.plan
         state.evaluate(newton.plan)
@@ -235,18 +235,7 @@ class NmpcState:
             words.append("the reference is out of reach; the nearest steady state is the target")
         return "; ".join([*words, *([message] if message else [])])
 
-    def fall_back(self, reason: str, sample: ControlSample) -> Command:
+    def fall_back(self, reason: str) -> Command:
         """The declared command of a sample that has no solution."""
-        shared, target = self.shared, self.shared.target
         self._multipliers = None
-        return fall_back(
-            "nmpc",
-            self.config.fallback,
-            reason,
-            {
-                "shifted_plan": shared.newton.plan[:, 0].copy(),
-                "steady_input": None if target is None else target.u.copy(),
-                "hold": sample.previous_command.copy(),
-            },
-            (shared.newton.lower, shared.newton.upper),
-        )
+        return self.shared.fall_back("nmpc", self.config.fallback, reason)

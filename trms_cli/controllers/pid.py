@@ -39,7 +39,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
+from trms_cli.controllers.fallback import NOT_FINITE, held
 from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
 from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, AxisMargins, Gains, PidDesign
 from trms_cli.core.errors import ConfigurationError
@@ -195,12 +196,7 @@ class Pid:
         reference = sample.reference[0].tolist()
         u = sample.previous_command.copy()
         if not math.isfinite(sum(x) + sum(reference)):
-            return Command(
-                u,
-                Status.FAILED,
-                fallback="hold",
-                message="the estimate or the reference is not finite; the last command is held",
-            )
+            return held(u, NOT_FINITE)
         weight = self.setpoint_weight
         for axis in state.axes:
             angle, gains = x[axis.state], axis.gains

@@ -15,7 +15,6 @@ which the yaw has a gain where the tail rotor stands still, are those of
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Annotated, Literal
@@ -24,9 +23,11 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.fallback import NOT_FINITE, held
 from trms_cli.controllers.robust.lmi import Certificate, Inequalities, LmiSolution, Task, certify
 from trms_cli.controllers.robust.polytope import StateBox, box
 from trms_cli.controllers.robust.regulation import (
+    LAW_NOT_FINITE,
     Aim,
     Positive,
     Regulation,
@@ -123,14 +124,9 @@ class RobustMpc(RegulationDesign):
         """One sample: target, polytope, law, certificate, command."""
         regulation = state.regulation
         x, w = sample.estimate.x, sample.estimate.disturbance
-        total = sum(x.tolist()) + sum(w.tolist()) + float(sample.reference.sum())
-        if not math.isfinite(total):
-            return Command(
-                np.clip(sample.previous_command, regulation.lower, regulation.upper),
-                Status.FAILED,
-                fallback="hold",
-                message="the estimate or the reference is not finite; the last command is held",
-            )
+        last = regulation.limited(sample.previous_command)
+        if not regulation.is_finite(sample):
+            return held(last, NOT_FINITE)
         if not self.disturbance_compensation:
             w = np.zeros_like(w)
         aim = regulation.aim(sample, state.aim, w)
@@ -148,22 +144,21 @@ class RobustMpc(RegulationDesign):
         solution = state.inequalities.solve(task)
         command: Command
         if solution is None:
-            command = self._fall_back(state, sample, x, aim, z, "no law was found")
+            command = self._fall_back(state, last, x, aim, z, "no law was found")
         else:
             certificate = certify(task, solution)
             if certificate.stable:
                 state.law = Law(solution, certificate, task, region)
                 command = self._acting(state, x, aim, z, state.law)
             else:
-                command = self._fall_back(
-                    state, sample, x, aim, z, "the solution's certificate does not hold"
-                )
+                reason = "the solution's certificate does not hold"
+                command = self._fall_back(state, last, x, aim, z, reason)
             command.iterations = solution.iterations
         command.linearise_time, command.qp_time = made - began, perf_counter() - made
-        if not np.isfinite(command.u).all():  # an estimate beyond all bounds
-            command.u = np.clip(sample.previous_command, regulation.lower, regulation.upper)
-            command.status, command.fallback = Status.FAILED, "hold"
-            command.message = "the law is not finite at this estimate; the last command is held"
+        if not np.isfinite(command.u).all():
+            instead = held(last, LAW_NOT_FINITE)
+            command.u, command.status = instead.u, instead.status
+            command.fallback, command.message = instead.fallback, instead.message
         return command
 
     def region(self, regulation: Regulation, aim: Aim, z: FloatArray) -> StateBox:
@@ -187,9 +182,7 @@ class RobustMpc(RegulationDesign):
         words = [aim.message] if aim.message else []
         certain = law.certificate.constrained
         if not certain:
-            words.append(
-                "no law keeps to the limits for all time from here; this one is cut to them"
-            )
+            words.append(_CUT)
         return Command(
             u,
             Status.OK if certain else Status.RELAXED,
@@ -202,7 +195,7 @@ class RobustMpc(RegulationDesign):
     def _fall_back(
         self,
         state: RobustMpcState,
-        sample: ControlSample,
+        last: FloatArray,
         x: FloatArray,
         aim: Aim,
         z: FloatArray,
@@ -213,18 +206,15 @@ class RobustMpc(RegulationDesign):
         if policy == "last_law" and law is not None:
             u = regulation.command(x, aim, z, law.solution.K @ z)
         elif policy == "hold":
-            u = np.clip(sample.previous_command, regulation.lower, regulation.upper)
+            u = last
         else:
             policy = "steady_input"
-            u = np.clip(aim.steady.u, regulation.lower, regulation.upper)
-        return Command(
-            u,
-            Status.FAILED,
-            fallback=policy,
-            message=f"{reason}; {policy.replace('_', ' ')} acts",
-        )
+            u = regulation.limited(aim.steady.u)
+        words = f"{reason}; {policy.replace('_', ' ')} acts"
+        return Command(u, Status.FAILED, fallback=policy, message=words)
 
 
+_CUT = "no law keeps to the limits for all time from here; this one is cut to them"
 #: Deviations of all angles, rad, for one of which there must be a law.
 _PROBES = (0.3, 0.1, 0.03)
 

@@ -31,11 +31,13 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.fallback import NOT_FINITE, held
 from trms_cli.controllers.robust import lmi, polytope
 from trms_cli.controllers.robust import regulation as regulation_
 from trms_cli.controllers.robust.lmi import Certificate, Inequalities, LmiSolution, Task, certify
 from trms_cli.controllers.robust.polytope import box
 from trms_cli.controllers.robust.regulation import (
+    LAW_NOT_FINITE,
     Aim,
     Positive,
     Regulation,
@@ -292,7 +294,7 @@ class RobustMpcOffline(RegulationDesign):
         x, w = sample.estimate.x, sample.estimate.disturbance
         total = sum(x.tolist()) + sum(w.tolist()) + float(sample.reference.sum())
         if not math.isfinite(total):
-            return _held(sample, regulation, "the estimate or the reference is not finite")
+            return held(regulation.limited(sample.previous_command), NOT_FINITE)
         if not self.disturbance_compensation:
             w = np.zeros_like(w)
         aim = regulation.aim(sample, state.aim, w)
@@ -302,7 +304,7 @@ class RobustMpcOffline(RegulationDesign):
         K, ring, level = family.gain(z / state.share)
         u = regulation.command(x, aim, z, K @ z)
         if not np.isfinite(u).all():  # an estimate beyond all bounds
-            return _held(sample, regulation, "the law is not finite at this estimate")
+            return held(regulation.limited(sample.previous_command), LAW_NOT_FINITE)
         message, status = aim.message, Status.OK
         if ring < 0:
             status = Status.RELAXED
@@ -315,15 +317,6 @@ class RobustMpcOffline(RegulationDesign):
             message=message,
             out_of_reach=aim.steady.projected,
         )
-
-
-def _held(sample: ControlSample, regulation: Regulation, reason: str) -> Command:
-    return Command(
-        np.clip(sample.previous_command, regulation.lower, regulation.upper),
-        Status.FAILED,
-        fallback="hold",
-        message=f"{reason}; the last command is held",
-    )
 
 
 def _angles(

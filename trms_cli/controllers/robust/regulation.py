@@ -26,6 +26,8 @@ from trms_cli.models.steady_state import SteadyState
 #: Share of a bound on the input below which a target is held by its own input alone.
 _NO_ROOM = 0.02
 _NO_STOP = math.pi  # rad, of an axis without stops
+#: Of an estimate beyond all bounds.
+LAW_NOT_FINITE = "the law is not finite at this estimate"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +190,17 @@ class Regulation:
             v = self.coordinates.command(x, v, aim.target.w)
         if not np.isfinite(v).all():
             v = aim.steady.u
-        return np.minimum(np.maximum(v, self.lower), self.upper)
+        return self.limited(v)
+
+    def limited(self, u: FloatArray) -> FloatArray:
+        """Commands (n_u,) cut to their limits."""
+        return np.minimum(np.maximum(u, self.lower), self.upper)
+
+    def is_finite(self, sample: ControlSample) -> bool:
+        """Whether estimate and references are numbers."""
+        x, w = sample.estimate.x, sample.estimate.disturbance
+        total = sum(x.tolist()) + sum(w.tolist()) + float(sample.reference.sum())
+        return math.isfinite(total)
 
     def input_bounds(self, aim: Aim) -> FloatArray:
         """What the limits leave around the steady inputs, in units of the scales, shape (m,)."""
