@@ -14,7 +14,7 @@ import casadi as ca
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
 from trms_cli.effects.first_order import first_order
-from trms_cli.models.model import Model, Signal
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import Parameter
 
 
@@ -26,19 +26,7 @@ class ActuatorLag(Effect):
     time_constant: NotNegative  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "time_constant",
-                self.time_constant,
-                "s",
-                lower=0.0,
-                typical=(0.005, 0.1),
-                description="time constant τ",
-            ),
-        )
-
-    def check(self, model: Model) -> None:
-        rotor_input(model, self.rotor)
+        return (self.size("time_constant", "s", (0.005, 0.1), "time constant τ"),)
 
     def memory(self, step: float) -> tuple[Signal, ...]:
         return (Signal("lagged", "V", "command after the lag"),)

@@ -19,8 +19,8 @@ import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, axis_of
-from trms_cli.models.model import Model, Signal
+from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import Parameter
 
 #: rad: narrower loops would be stiffer than any integration step allows.
@@ -41,26 +41,9 @@ class CableHysteresis(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "torque",
-                self.torque,
-                "N*m",
-                lower=0.0,
-                typical=(0.002, 0.01),
-                description="half height T",
-            ),
-            Parameter(
-                "width",
-                self.width,
-                "rad",
-                lower=_NARROWEST,
-                typical=(0.05, 0.3),
-                description="turning travel",
-            ),
+            self.size("torque", "N*m", (0.002, 0.01), "half height T"),
+            self.size("width", "rad", (0.05, 0.3), "turning travel"),
         )
-
-    def check(self, model: Model) -> None:
-        axis_of(model, self.axis)
 
     def states(self) -> tuple[Signal, ...]:
         return (Signal("memory", "1", "share of the hysteresis torque, −1 to 1"),)

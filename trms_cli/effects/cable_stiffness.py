@@ -13,8 +13,7 @@ import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, axis_of
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.models.parameters import Parameter
 
 
@@ -29,30 +28,10 @@ class CableStiffness(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "stiffness",
-                self.stiffness,
-                "N*m/rad",
-                lower=0.0,
-                typical=(0.002, 0.02),
-                description="k",
-            ),
-            Parameter(
-                "cubic", self.cubic, "N*m/rad^3", lower=0.0, typical=(0.0, 0.01), description="k₃"
-            ),
-            Parameter(
-                "neutral",
-                self.neutral,
-                "rad",
-                lower=-3.2,
-                upper=3.2,
-                typical=(-0.3, 0.3),
-                description="free angle α₀",
-            ),
+            self.size("stiffness", "N*m/rad", (0.002, 0.02), "k"),
+            self.size("cubic", "N*m/rad^3", (0.0, 0.01), "k₃"),
+            self.size("neutral", "rad", (-0.3, 0.3), "free angle α₀"),
         )
-
-    def check(self, model: Model) -> None:
-        axis_of(model, self.axis)
 
     def disturbance(self, at: EffectContext) -> ca.SX:
         stretch = at.angle(self.axis) - at.sizes["neutral"]

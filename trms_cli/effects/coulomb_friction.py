@@ -11,8 +11,7 @@ from typing import Literal
 import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import Effect, EffectContext, resisting_impulse
 from trms_cli.models.parameters import Parameter
 
 
@@ -24,19 +23,7 @@ class CoulombFriction(Effect):
     torque: NotNegative  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "torque",
-                self.torque,
-                "N*m",
-                lower=0.0,
-                typical=(0.002, 0.02),
-                description="Coulomb torque F_c",
-            ),
-        )
-
-    def check(self, model: Model) -> None:
-        axis_of(model, self.axis)
+        return (self.size("torque", "N*m", (0.002, 0.02), "Coulomb torque F_c"),)
 
     def impulse(self, at: EffectContext, duration: float) -> ca.SX:
         return resisting_impulse(at, self.axis, at.sizes["torque"], duration)

@@ -13,7 +13,6 @@ import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
-from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
 
 
@@ -25,19 +24,7 @@ class DeadZone(Effect):
     width: NotNegative  #: d, V: to either side of zero
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "width",
-                self.width,
-                "V",
-                lower=0.0,
-                typical=(0.025, 0.15),
-                description="half width d",
-            ),
-        )
-
-    def check(self, model: Model) -> None:
-        rotor_input(model, self.rotor)
+        return (self.size("width", "V", (0.025, 0.15), "half width d"),)
 
     def input_path(
         self, at: EffectContext, window: tuple[float, float], step: float

@@ -17,8 +17,8 @@ import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, axis_of
-from trms_cli.models.model import Model, Signal
+from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import Parameter
 
 #: s: what changes faster is white noise to every integration step.
@@ -35,26 +35,9 @@ class Disturbance(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "torque",
-                self.torque,
-                "N*m",
-                lower=0.0,
-                typical=(0.002, 0.02),
-                description="standard deviation σ",
-            ),
-            Parameter(
-                "time",
-                self.time,
-                "s",
-                lower=_SHORTEST,
-                typical=(0.3, 3.0),
-                description="correlation time τ",
-            ),
+            self.size("torque", "N*m", (0.002, 0.02), "standard deviation σ"),
+            self.size("time", "s", (0.3, 3.0), "correlation time τ"),
         )
-
-    def check(self, model: Model) -> None:
-        axis_of(model, self.axis)
 
     def states(self) -> tuple[Signal, ...]:
         return (Signal("torque", "N*m", "exogenous torque"),)

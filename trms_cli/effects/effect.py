@@ -8,10 +8,12 @@ leaves every bit of a simulation as it was.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import get_type_hints
 
 import casadi as ca
 
@@ -109,9 +111,39 @@ class Effect(ABC):
     def parameters(self) -> tuple[Parameter, ...]:
         """The sizes as parameters, by short name; the effect's name is put before them."""
 
-    @abstractmethod
+    def size(
+        self,
+        name: str,
+        unit: str,
+        typical: tuple[float, float],
+        description: str,
+        upper: float | None = None,
+    ) -> Parameter:
+        """One of the fields as a parameter.
+
+        Its bounds are those of the field's annotation, or a nearer upper one; ``typical`` is the
+        range that rigs span.
+        """
+        lower, highest = _ranges(type(self)).get(name, (-math.inf, math.inf))
+        return Parameter(
+            name,
+            getattr(self, name),
+            unit,
+            lower=lower,
+            upper=highest if upper is None else upper,
+            typical=typical,
+            description=description,
+        )
+
     def check(self, model: Model) -> None:
-        """Raise :class:`ModelError` if the model lacks what the effect acts on."""
+        """Raise :class:`ModelError` if the model lacks what the effect acts on.
+
+        By default that is its ``axis`` and its ``rotor``, where it has such fields.
+        """
+        if hasattr(self, "axis"):
+            axis_of(model, self.axis)
+        if hasattr(self, "rotor"):
+            rotor_input(model, self.rotor)
 
     @property
     def locations(self) -> tuple[str, ...]:
@@ -179,6 +211,17 @@ class Effect(ABC):
     def noise_sd(self, at: EffectContext, step: float) -> ca.SX:
         """Standard deviation of what noise adds to each of :meth:`states` in a step (s)."""
         return ca.SX.zeros(len(self.states()))
+
+
+@lru_cache(maxsize=128)
+def _ranges(kind: type[Effect]) -> dict[str, tuple[float, float]]:
+    """Least and largest value of each field whose annotation has them."""
+    ranges = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        for limits in getattr(hint, "__metadata__", ()):
+            lower = -math.inf if limits.ge is None else float(limits.ge)
+            ranges[name] = (lower, math.inf if limits.le is None else float(limits.le))
+    return ranges
 
 
 def rotor_input(model: Model, rotor: str) -> int:

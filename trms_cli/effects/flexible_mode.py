@@ -38,32 +38,9 @@ class FlexibleMode(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "share",
-                self.share,
-                "1",
-                lower=0.0,
-                upper=10.0,
-                typical=(0.2, 2.0),
-                description="share c seen",
-            ),
-            Parameter(
-                "frequency",
-                self.frequency,
-                "Hz",
-                lower=_SLOWEST,
-                typical=(2.0, 12.0),
-                description="frequency ω₀/2π",
-            ),
-            Parameter(
-                "damping",
-                self.damping,
-                "1",
-                lower=0.0,
-                upper=0.9,
-                typical=(0.01, 0.05),
-                description="damping ratio ζ",
-            ),
+            self.size("share", "1", (0.2, 2.0), "share c seen"),
+            self.size("frequency", "Hz", (2.0, 12.0), "frequency ω₀/2π"),
+            self.size("damping", "1", (0.01, 0.05), "damping ratio ζ"),
         )
 
     def check(self, model: Model) -> None:

@@ -37,17 +37,8 @@ class GroundEffect(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "gain", self.gain, "1", lower=0.0, typical=(0.1, 0.6), description="g, at the table"
-            ),
-            Parameter(
-                "scale",
-                self.scale,
-                "m",
-                lower=_THINNEST,
-                typical=(0.03, 0.2),
-                description="height h₀ of the cushion",
-            ),
+            self.size("gain", "1", (0.1, 0.6), "g, at the table"),
+            self.size("scale", "m", (0.03, 0.2), "height h₀ of the cushion"),
         )
 
     def check(self, model: Model) -> None:

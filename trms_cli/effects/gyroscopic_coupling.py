@@ -36,14 +36,8 @@ class GyroscopicCoupling(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "inertia",
-                self.inertia,
-                "kg*m^2",
-                lower=-1e-2,
-                upper=1e-2,
-                typical=(1e-05, 6e-05),
-                description="inertia J of the rotor, beyond the model's",
+            self.size(
+                "inertia", "kg*m^2", (1e-05, 6e-05), "inertia J of the rotor, beyond the model's"
             ),
         )
 

@@ -39,16 +39,7 @@ class Inflow(Effect):
         return (f"{self.rotor}_thrust",)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "coefficient",
-                self.coefficient,
-                "rad/m",
-                lower=0.0,
-                typical=(5.0, 60.0),
-                description="inflow k",
-            ),
-        )
+        return (self.size("coefficient", "rad/m", (5.0, 60.0), "inflow k"),)
 
     def check(self, model: Model) -> None:
         check_thrust(model, self.rotor)

@@ -15,7 +15,7 @@ import casadi as ca
 
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
-from trms_cli.models.model import Model, Signal
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import Parameter
 
 
@@ -29,24 +29,11 @@ class InputDelay(Effect):
     longest: Positive = 0.2
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "delay",
-                self.delay,
-                "s",
-                lower=0.0,
-                upper=self._reach,
-                typical=(0.005, 0.1),
-                description="transport delay d",
-            ),
-        )
+        return (self.size("delay", "s", (0.005, 0.1), "transport delay d", upper=self._reach),)
 
     @property
     def _reach(self) -> float:
         return max(self.longest, self.delay)
-
-    def check(self, model: Model) -> None:
-        rotor_input(model, self.rotor)
 
     def memory(self, step: float) -> tuple[Signal, ...]:
         kept = math.ceil(self._reach / step - 1e-9)

@@ -41,32 +41,9 @@ class MassImbalance(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "mass",
-                self.mass,
-                "kg",
-                lower=0.0,
-                typical=(0.002, 0.02),
-                description="added mass m",
-            ),
-            Parameter(
-                "arm",
-                self.arm,
-                "m",
-                lower=-1,
-                upper=1,
-                typical=(-0.28, 0.28),
-                description="l, positive towards the tail",
-            ),
-            Parameter(
-                "height",
-                self.height,
-                "m",
-                lower=-1,
-                upper=1,
-                typical=(-0.28, 0.05),
-                description="h, above the beam",
-            ),
+            self.size("mass", "kg", (0.002, 0.02), "added mass m"),
+            self.size("arm", "m", (-0.28, 0.28), "l, positive towards the tail"),
+            self.size("height", "m", (-0.28, 0.05), "h, above the beam"),
         )
 
     def check(self, model: Model) -> None:

@@ -8,8 +8,7 @@ from typing import Literal
 import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, axis_of
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.models.parameters import Parameter
 
 
@@ -21,19 +20,7 @@ class QuadraticDamping(Effect):
     coefficient: NotNegative  #: c, N m s²/rad²
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "coefficient",
-                self.coefficient,
-                "N*m*s^2/rad^2",
-                lower=0.0,
-                typical=(0.002, 0.02),
-                description="damping coefficient c",
-            ),
-        )
-
-    def check(self, model: Model) -> None:
-        axis_of(model, self.axis)
+        return (self.size("coefficient", "N*m*s^2/rad^2", (0.002, 0.02), "damping coefficient c"),)
 
     def disturbance(self, at: EffectContext) -> ca.SX:
         rate = at.rate(self.axis)

@@ -29,16 +29,7 @@ class Quantisation(Effect):
     quantum: NotNegative  #: q, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "quantum",
-                self.quantum,
-                "rad",
-                lower=0.0,
-                typical=(0.001, 0.007),
-                description="quantum q",
-            ),
-        )
+        return (self.size("quantum", "rad", (0.001, 0.007), "quantum q"),)
 
     def check(self, model: Model) -> None:
         output_row(model, axis_of(model, self.axis).angle)

@@ -31,16 +31,7 @@ class RotorFriction(Effect):
     torque: NotNegative  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "torque",
-                self.torque,
-                "N*m",
-                lower=0.0,
-                typical=(0.0005, 0.002),
-                description="Coulomb torque F_c",
-            ),
-        )
+        return (self.size("torque", "N*m", (0.0005, 0.002), "Coulomb torque F_c"),)
 
     def check(self, model: Model) -> None:
         speed_row(model, self.rotor)

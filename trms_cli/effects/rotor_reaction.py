@@ -39,23 +39,12 @@ class RotorReaction(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "drag",
-                self.drag,
-                "N*m*s^2/rad^2",
-                lower=-1e-4,
-                upper=1e-4,
-                typical=_TYPICAL_DRAG[self.rotor],
-                description="drag coefficient c",
-            ),
-            Parameter(
+            self.size("drag", "N*m*s^2/rad^2", _TYPICAL_DRAG[self.rotor], "drag coefficient c"),
+            self.size(
                 "inertia",
-                self.inertia,
                 "kg*m^2",
-                lower=-1e-2,
-                upper=1e-2,
-                typical=_TYPICAL_INERTIA[self.rotor],
-                description="inertia J that the acceleration of the rotor meets",
+                _TYPICAL_INERTIA[self.rotor],
+                "inertia J that the acceleration of the rotor meets",
             ),
         )
 

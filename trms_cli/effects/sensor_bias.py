@@ -21,17 +21,7 @@ class SensorBias(Effect):
     bias: Annotated[float, Meta(ge=-1, le=1)]  #: b, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "bias",
-                self.bias,
-                "rad",
-                lower=-1.0,
-                upper=1.0,
-                typical=(-0.035, 0.035),
-                description="bias b",
-            ),
-        )
+        return (self.size("bias", "rad", (-0.035, 0.035), "bias b"),)
 
     def check(self, model: Model) -> None:
         output_row(model, axis_of(model, self.axis).angle)

@@ -30,17 +30,7 @@ class SensorDelay(Effect):
     longest: Positive = 0.1
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "delay",
-                self.delay,
-                "s",
-                lower=0.0,
-                upper=self._reach,
-                typical=(0.02, 0.1),
-                description="transport delay d",
-            ),
-        )
+        return (self.size("delay", "s", (0.02, 0.1), "transport delay d", upper=self._reach),)
 
     @property
     def _reach(self) -> float:

@@ -18,8 +18,7 @@ import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import Effect, EffectContext, resisting_impulse
 from trms_cli.models.parameters import Parameter
 
 #: Below this rate (rad/s) the falling branch would be too steep for any integration step.
@@ -38,29 +37,10 @@ class StribeckFriction(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "torque",
-                self.torque,
-                "N*m",
-                lower=0.0,
-                typical=(0.002, 0.02),
-                description="Coulomb torque F_c",
-            ),
-            Parameter(
-                "excess", self.excess, "1", lower=0.0, typical=(0.1, 1.0), description="F_s/F_c − 1"
-            ),
-            Parameter(
-                "velocity",
-                self.velocity,
-                "rad/s",
-                lower=_SLOWEST,
-                typical=(0.01, 0.1),
-                description="Stribeck velocity v_s",
-            ),
+            self.size("torque", "N*m", (0.002, 0.02), "Coulomb torque F_c"),
+            self.size("excess", "1", (0.1, 1.0), "F_s/F_c − 1"),
+            self.size("velocity", "rad/s", (0.01, 0.1), "Stribeck velocity v_s"),
         )
-
-    def check(self, model: Model) -> None:
-        axis_of(model, self.axis)
 
     def impulse(self, at: EffectContext, duration: float) -> ca.SX:
         torque, excess, velocity = (at.sizes[key] for key in ("torque", "excess", "velocity"))

@@ -20,7 +20,7 @@ from msgspec import Meta
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
 from trms_cli.effects.first_order import first_order
-from trms_cli.models.model import Model, Signal, names
+from trms_cli.models.model import Signal, names
 from trms_cli.models.parameters import Parameter
 
 
@@ -35,27 +35,9 @@ class SupplyDerating(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "depth",
-                self.depth,
-                "1",
-                lower=0.0,
-                upper=1.0,
-                typical=(0.0, 0.1),
-                description="gain lost at full load",
-            ),
-            Parameter(
-                "time_constant",
-                self.time_constant,
-                "s",
-                lower=0.0,
-                typical=(10.0, 300.0),
-                description="time constant τ",
-            ),
+            self.size("depth", "1", (0.0, 0.1), "gain lost at full load"),
+            self.size("time_constant", "s", (10.0, 300.0), "time constant τ"),
         )
-
-    def check(self, model: Model) -> None:
-        rotor_input(model, self.rotor)
 
     def memory(self, step: float) -> tuple[Signal, ...]:
         return (Signal("warmth", "1", "0 cold, 1 after full load for ever"),)

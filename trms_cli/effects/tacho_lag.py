@@ -26,16 +26,7 @@ class TachoLag(Effect):
     time_constant: NotNegative  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "time_constant",
-                self.time_constant,
-                "s",
-                lower=0.0,
-                typical=(0.005, 0.1),
-                description="time constant τ",
-            ),
-        )
+        return (self.size("time_constant", "s", (0.005, 0.1), "time constant τ"),)
 
     def check(self, model: Model) -> None:
         rotor_input(model, self.rotor)

@@ -42,24 +42,8 @@ class ThrustCurve(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(
-                "exponent",
-                self.exponent,
-                "1",
-                lower=-1.0,
-                upper=1.0,
-                typical=(-0.3, 0.3),
-                description="e, beyond the model's exponent",
-            ),
-            Parameter(
-                "reverse",
-                self.reverse,
-                "1",
-                lower=-1.0,
-                upper=1.0,
-                typical=(-0.3, 0.3),
-                description="r, share of the thrust in reverse",
-            ),
+            self.size("exponent", "1", (-0.3, 0.3), "e, beyond the model's exponent"),
+            self.size("reverse", "1", (-0.3, 0.3), "r, share of the thrust in reverse"),
         )
 
     def check(self, model: Model) -> None:
