@@ -21,38 +21,20 @@ class Chirp:
 
     (the formulas of ``scipy.signal.chirp``, which a test compares with; importing it would cost
     more than the whole start of a run). After the sweep the last value is held.
-
-    Parameters
-    ----------
-    amplitude : float
-        Peak deviation from the offset, rad.
-    frequency : float
-        Frequency at the start, Hz.
-    final_frequency : float
-        Frequency at the end of the sweep, Hz; may be lower than the first.
-    duration : float
-        Time of the sweep, s.
-    sweep : "linear" or "logarithmic"
-        Whether the frequency grows by equal steps or by equal factors in equal times.
-    offset : float
-        Mean value, and the value before ``start``, rad.
-    phase : float
-        Lead as a fraction of a period.
-    start : float
-        Time at which the sweep begins, s.
     """
 
-    amplitude: float
-    frequency: Frequency
+    amplitude: float  #: Peak deviation from the offset, rad
+    frequency: Frequency  #: Frequency at the start, Hz
+    #: Frequency at the end of the sweep, Hz; may be lower than the first
     final_frequency: Frequency
-    duration: Duration
+    duration: Duration  #: Time of the sweep, s
+    #: Whether the frequency grows by equal steps or by equal factors in equal times
     sweep: Literal["linear", "logarithmic"] = "linear"
-    offset: float = 0.0
-    phase: float = 0.0
-    start: float = 0.0
+    offset: float = 0.0  #: Mean value, and the value before ``start``, rad
+    phase: float = 0.0  #: Lead as a fraction of a period
+    start: float = 0.0  #: Time at which the sweep begins, s
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         elapsed = np.asarray(times, dtype=float) - self.start
         swept = np.clip(elapsed, 0.0, self.duration)
         ratio = self.final_frequency / self.frequency

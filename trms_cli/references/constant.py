@@ -11,16 +11,9 @@ from trms_cli.references.signal import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Constant:
-    """``r(t) = offset``.
+    """``r(t) = offset``."""
 
-    Parameters
-    ----------
-    offset : float
-        The value, rad.
-    """
-
-    offset: float = 0.0
+    offset: float = 0.0  #: The value, rad
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         return np.full(np.shape(times), self.offset)

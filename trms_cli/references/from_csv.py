@@ -29,29 +29,15 @@ class FromCsv:
     """A column of a CSV file, its time counted from the first row.
 
     Before the first row the first value holds, after the last row the last one.
-
-    Parameters
-    ----------
-    file : str
-        Path of the CSV file.
-    column : str
-        Name of the column without its unit, e.g. ``r_v``.
-    interpolation : "hold" or "linear"
-        Whether a value holds until the next row, or a straight line joins the two.
-    start : float
-        Time of the first row in the run, s.
-    scale : float
-        Factor on the values.
-    offset : float
-        Added to the scaled values, rad.
     """
 
-    file: str
-    column: str
+    file: str  #: Path of the CSV file
+    column: str  #: Name of the column without its unit, e.g. ``r_v``.
+    #: Whether a value holds until the next row, or a straight line joins the two
     interpolation: Literal["hold", "linear"] = "hold"
-    start: float = 0.0
-    scale: float = 1.0
-    offset: float = 0.0
+    start: float = 0.0  #: Time of the first row in the run, s
+    scale: float = 1.0  #: Factor on the values
+    offset: float = 0.0  #: Added to the scaled values, rad
 
     def __post_init__(self) -> None:
         # read now: a wrong file is to be reported before the run begins
@@ -64,7 +50,6 @@ class FromCsv:
         return time - time[0], values
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         time, values = self._table
         elapsed = np.asarray(times, dtype=float) - self.start
         if self.interpolation == "linear":

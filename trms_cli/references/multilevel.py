@@ -22,31 +22,17 @@ _BLOCK = 512
 
 @dataclass(frozen=True, kw_only=True)
 class Multilevel:
-    """``offset + a_k`` from one drawn time to the next, ``a_k`` drawn within ±amplitude.
+    """``offset + a_k`` from one drawn time to the next, ``a_k`` drawn within ±amplitude."""
 
-    Parameters
-    ----------
-    amplitude : float
-        Largest deviation from the offset, rad (of a command, in its own unit).
-    levels : int or None
-        Number of equally distant levels from −amplitude to +amplitude; None for any value.
-    shortest, longest : float
-        Between these the holding times are drawn uniformly, s.
-    seed : int
-        Of both draws: another seed, another signal.
-    offset : float
-        Middle of the levels, and the value before ``start``, rad.
-    start : float
-        Time at which the signal begins, s.
-    """
-
-    amplitude: float
+    amplitude: float  #: Largest deviation from the offset, rad (of a command, in its own unit)
+    #: Number of equally distant levels from −amplitude to +amplitude; None for any value
     levels: Annotated[int, msgspec.Meta(ge=2)] | None = None
+    #: ``shortest``, ``longest``: between these the holding times are drawn uniformly, s
     shortest: Duration
     longest: Duration
-    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
-    offset: float = 0.0
-    start: float = 0.0
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0  #: Of both draws: another seed, another signal
+    offset: float = 0.0  #: Middle of the levels, and the value before ``start``, rad
+    start: float = 0.0  #: Time at which the signal begins, s
 
     def __post_init__(self) -> None:
         if self.shortest > self.longest:
@@ -75,7 +61,6 @@ class Multilevel:
         return np.concatenate(levels), np.concatenate(ends)
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         elapsed = np.asarray(times, dtype=float) - self.start
         levels, ends = self._drawn(float(np.max(elapsed, initial=0.0)))
         wave = self.amplitude * levels[np.searchsorted(ends, elapsed + EDGE, side="right")]

@@ -27,30 +27,18 @@ class Multisine:
     With K harmonics ``f_1 … f_K`` and Schroeder's phases ``φ_k = −π k(k − 1)/K``::
 
         r(t) = offset + amplitude / peak · Σ_k cos(2π f_k (t − start + phase/frequency) + φ_k)
-
-    Parameters
-    ----------
-    amplitude : float
-        Largest deviation from the offset within a period, rad.
-    frequency : float
-        Distance between two harmonics, Hz; the signal repeats after ``1/frequency``.
-    lowest, highest : float
-        Band, Hz.
-    offset : float
-        Mean value, and the value before ``start``, rad.
-    phase : float
-        Lead as a fraction of the whole period; two axes with different phases are less alike.
-    start : float
-        Time at which the signal begins, s.
     """
 
-    amplitude: float
+    amplitude: float  #: Largest deviation from the offset within a period, rad
+    #: Distance between two harmonics, Hz; the signal repeats after ``1/frequency``
     frequency: Frequency
+    #: ``lowest``, ``highest``: band, Hz
     lowest: Frequency
     highest: Frequency
-    offset: float = 0.0
+    offset: float = 0.0  #: Mean value, and the value before ``start``, rad
+    #: Lead as a fraction of the whole period; two axes with different phases are less alike
     phase: float = 0.0
-    start: float = 0.0
+    start: float = 0.0  #: Time at which the signal begins, s
 
     def __post_init__(self) -> None:
         if self.lowest > self.highest:
@@ -92,7 +80,6 @@ class Multisine:
         return total
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         cycles = (np.asarray(times, dtype=float) - self.start) * self.frequency + self.phase
         wave = self._scale * self._sum(cycles)
         return self.offset + np.where(has_started(times, self.start), wave, 0.0)

@@ -29,30 +29,16 @@ class Prbs:
 
     The sequence repeats after ``2**bits − 1`` bits; its spectrum is flat up to about
     ``0.44 / hold`` Hz.
-
-    Parameters
-    ----------
-    amplitude : float
-        Half of the distance between the two levels, rad.
-    hold : float
-        Time of one bit, s.
-    bits : int
-        Length of the shift register.
-    offset : float
-        Middle of the two levels, and the value before ``start``, rad.
-    phase : float
-        Lead as a fraction of the whole sequence; 0.5 on the second axis makes the two axes
-        uncorrelated.
-    start : float
-        Time at which the sequence begins, s.
     """
 
-    amplitude: float
-    hold: Duration
-    bits: Annotated[int, msgspec.Meta(ge=2, le=16)] = 8
-    offset: float = 0.0
+    amplitude: float  #: Half of the distance between the two levels, rad
+    hold: Duration  #: Time of one bit, s
+    bits: Annotated[int, msgspec.Meta(ge=2, le=16)] = 8  #: Length of the shift register
+    offset: float = 0.0  #: Middle of the two levels, and the value before ``start``, rad
+    #: Lead as a fraction of the whole sequence; 0.5 on the second axis makes the two axes
+    #: uncorrelated
     phase: float = 0.0
-    start: float = 0.0
+    start: float = 0.0  #: Time at which the sequence begins, s
 
     @cached_property
     def _levels(self) -> Array:
@@ -66,7 +52,6 @@ class Prbs:
         return 2.0 * np.array(bits) - 1.0
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         length = self._levels.size
         elapsed = (np.asarray(times, dtype=float) - self.start) / self.hold
         # a whole number of bits, so that the edges stay where they are without a phase

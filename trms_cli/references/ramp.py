@@ -11,26 +11,13 @@ from trms_cli.references.signal import Array, Duration
 
 @dataclass(frozen=True, kw_only=True)
 class Ramp:
-    """From ``offset`` to ``offset + amplitude`` within ``duration``, then at rest.
+    """From ``offset`` to ``offset + amplitude`` within ``duration``, then at rest."""
 
-    Parameters
-    ----------
-    amplitude : float
-        Height, rad; the slope is ``amplitude / duration``.
-    duration : float
-        Time of the rise, s.
-    offset : float
-        Value before the ramp, rad.
-    start : float
-        Time at which the ramp begins, s.
-    """
-
-    amplitude: float
-    duration: Duration
-    offset: float = 0.0
-    start: float = 0.0
+    amplitude: float  #: Height, rad; the slope is ``amplitude / duration``
+    duration: Duration  #: Time of the rise, s
+    offset: float = 0.0  #: Value before the ramp, rad
+    start: float = 0.0  #: Time at which the ramp begins, s
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         elapsed = (np.asarray(times, dtype=float) - self.start) / self.duration
         return self.offset + self.amplitude * np.clip(elapsed, 0.0, 1.0)

@@ -16,32 +16,17 @@ class Sawtooth:
     """Rises in a straight line from ``offset − amplitude`` to ``offset + amplitude``, and back.
 
     Like a sine it begins at the offset, rising, so that it starts without a jump.
-
-    Parameters
-    ----------
-    amplitude : float
-        Peak deviation from the offset, rad; negative begins by falling.
-    frequency : float
-        Hz.
-    width : float
-        Fraction of the period spent rising: 1 is a sawtooth that drops at once, 0.5 a triangle.
-    offset : float
-        Mean value, and the value before ``start``, rad.
-    phase : float
-        Lead as a fraction of a period.
-    start : float
-        Time at which the wave begins, s.
     """
 
-    amplitude: float
-    frequency: Frequency
+    amplitude: float  #: Peak deviation from the offset, rad; negative begins by falling
+    frequency: Frequency  #: Hz
+    #: Fraction of the period spent rising: 1 is a sawtooth that drops at once, 0.5 a triangle
     width: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0
-    offset: float = 0.0
-    phase: float = 0.0
-    start: float = 0.0
+    offset: float = 0.0  #: Mean value, and the value before ``start``, rad
+    phase: float = 0.0  #: Lead as a fraction of a period
+    start: float = 0.0  #: Time at which the wave begins, s
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         lead = self.phase + self.width / 2
         cycles = cycles_since_start(times, self.start, self.frequency, lead)
         position = cycles - np.floor(cycles)

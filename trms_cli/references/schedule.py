@@ -14,18 +14,10 @@ from trms_cli.references.signal import EDGE, Array, ReferenceSignal, require_sig
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """A signal and the time from which it holds.
+    """A signal and the time from which it holds."""
 
-    Parameters
-    ----------
-    start : float
-        s since the begin of the run.
-    signal : ReferenceSignal
-        What to follow until the next piece starts.
-    """
-
-    start: float
-    signal: ReferenceSignal
+    start: float  #: s since the begin of the run
+    signal: ReferenceSignal  #: What to follow until the next piece starts
 
     def __post_init__(self) -> None:
         require_signal(self.signal, "signal")
@@ -33,22 +25,13 @@ class Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """Follows the piece that started last; ``offset`` before the first one.
+    """Follows the piece that started last; ``offset`` before the first one."""
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        By rising ``start``.
-    clock : "local" or "global"
-        Whether a piece's signal sees the time since the piece started, or since the run began.
-        "global" keeps a wave in step when another signal interrupts it.
-    offset : float
-        Value before the first piece, rad.
-    """
-
-    pieces: Sequence[Piece]
+    pieces: Sequence[Piece]  #: By rising ``start``
+    #: Whether a piece's signal sees the time since the piece started, or since the run began.
+    #: "global" keeps a wave in step when another signal interrupts it.
     clock: Literal["local", "global"] = "local"
-    offset: float = 0.0
+    offset: float = 0.0  #: Value before the first piece, rad
 
     def __post_init__(self) -> None:
         if not self.pieces:
@@ -76,7 +59,6 @@ class Schedule:
                 )
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         times = np.asarray(times, dtype=float)
         starts = np.array([piece.start for piece in self.pieces])
         active = np.searchsorted(starts, times + EDGE, side="right") - 1

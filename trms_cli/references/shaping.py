@@ -16,12 +16,12 @@ import importlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.ranges import Positive
 from trms_cli.references.signal import Array, ReferenceSignal
 
 #: Distance between the points at which the motion is planned, s. Between them the reference is
@@ -35,24 +35,13 @@ _UNLIMITED = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Shaping:
-    """How fast a reference may move; a limit that is ``None`` does not bind.
+    """How fast a reference may move; a limit that is ``None`` does not bind."""
 
-    Parameters
-    ----------
-    max_rate : float, optional
-        rad/s.
-    max_acceleration : float, optional
-        rad/s².
-    max_jerk : float, optional
-        rad/s³.
-    initial : float, optional
-        Where the shaped reference begins at t = 0, at rest, rad: where the rig is. ``None``
-        begins at the signal's own first value.
-    """
-
-    max_rate: Annotated[float, msgspec.Meta(gt=0)] | None = None
-    max_acceleration: Annotated[float, msgspec.Meta(gt=0)] | None = None
-    max_jerk: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    max_rate: Positive | None = None  #: rad/s
+    max_acceleration: Positive | None = None  #: rad/s²
+    max_jerk: Positive | None = None  #: rad/s³
+    #: Where the shaped reference begins at t = 0, at rest, rad: where the rig is. ``None`` begins
+    #: at the signal's own first value.
     initial: float | None = 0.0
 
     def __post_init__(self) -> None:
@@ -74,17 +63,10 @@ class ShapedSignal:
 
     The grid is planned from t = 0 onward as far as it is needed and then remembered: each point
     depends only on the points before it, so that what was asked for first cannot matter.
-
-    Parameters
-    ----------
-    signal : ReferenceSignal
-        What is to be followed.
-    shaping : Shaping
-        The limits.
     """
 
-    signal: ReferenceSignal
-    shaping: Shaping
+    signal: ReferenceSignal  #: What is to be followed
+    shaping: Shaping  #: The limits
     _grid: _Grid = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

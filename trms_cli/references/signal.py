@@ -7,20 +7,20 @@ s. Before ``start`` a signal rests at ``offset``.
 
 from __future__ import annotations
 
-from typing import Annotated, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.ranges import Positive
 
 Array = NDArray[np.float64]
 
 #: Hz, of anything that repeats.
-Frequency = Annotated[float, msgspec.Meta(gt=0)]
+Frequency = Positive
 #: s, a length of time.
-Duration = Annotated[float, msgspec.Meta(gt=0)]
+Duration = Positive
 
 #: Edges closer to a sample than this belong to it (s, or periods): ``0.1 * 3`` is past 0.3, and
 #: an edge must not move by one sample because of that.

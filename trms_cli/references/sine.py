@@ -11,30 +11,15 @@ from trms_cli.references.signal import Array, Frequency, has_started
 
 @dataclass(frozen=True, kw_only=True)
 class Sine:
-    """``offset + amplitude·sin(2π(frequency·(t − start) + phase))``.
+    """``offset + amplitude·sin(2π(frequency·(t − start) + phase))``."""
 
-    Parameters
-    ----------
-    amplitude : float
-        Peak deviation from the offset, rad.
-    frequency : float
-        Hz.
-    offset : float
-        Mean value, and the value before ``start``, rad.
-    phase : float
-        Lead as a fraction of a period; 0.25 makes a cosine.
-    start : float
-        Time at which the wave begins, s.
-    """
-
-    amplitude: float
-    frequency: Frequency
-    offset: float = 0.0
-    phase: float = 0.0
-    start: float = 0.0
+    amplitude: float  #: Peak deviation from the offset, rad
+    frequency: Frequency  #: Hz
+    offset: float = 0.0  #: Mean value, and the value before ``start``, rad
+    phase: float = 0.0  #: Lead as a fraction of a period; 0.25 makes a cosine
+    start: float = 0.0  #: Time at which the wave begins, s
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         cycles = (np.asarray(times, dtype=float) - self.start) * self.frequency + self.phase
         wave = self.amplitude * np.sin(2 * np.pi * cycles)
         return self.offset + np.where(has_started(times, self.start), wave, 0.0)

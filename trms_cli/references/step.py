@@ -11,22 +11,11 @@ from trms_cli.references.signal import Array, has_started
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """``offset`` before ``start``, ``offset + amplitude`` from then on.
+    """``offset`` before ``start``, ``offset + amplitude`` from then on."""
 
-    Parameters
-    ----------
-    amplitude : float
-        Height of the step, rad; negative steps down.
-    offset : float
-        Value before the step, rad.
-    start : float
-        Time of the step, s.
-    """
-
-    amplitude: float
-    offset: float = 0.0
-    start: float = 0.0
+    amplitude: float  #: Height of the step, rad; negative steps down
+    offset: float = 0.0  #: Value before the step, rad
+    start: float = 0.0  #: Time of the step, s
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         return self.offset + np.where(has_started(times, self.start), self.amplitude, 0.0)

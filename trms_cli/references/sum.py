@@ -13,15 +13,9 @@ from trms_cli.references.signal import Array, ReferenceSignal, require_signal
 
 @dataclass(frozen=True, kw_only=True)
 class Sum:
-    """``r(t) = Σ terms_i(t)``.
+    """``r(t) = Σ terms_i(t)``."""
 
-    Parameters
-    ----------
-    terms : sequence of ReferenceSignal
-        At least one.
-    """
-
-    terms: Sequence[ReferenceSignal]
+    terms: Sequence[ReferenceSignal]  #: At least one
 
     def __post_init__(self) -> None:
         if not self.terms:
@@ -32,5 +26,4 @@ class Sum:
             require_signal(term, f"terms[{index}]")
 
     def sample(self, times: Array) -> Array:
-        """Value at each time, ``times: (n,) s -> (n,) rad``."""
         return np.sum([term.sample(times) for term in self.terms], axis=0)

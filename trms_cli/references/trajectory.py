@@ -19,25 +19,17 @@ AXES = ("alpha_v", "alpha_h", "omega_v", "omega_h")
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceTrajectory:
-    """What pitch and yaw, or the speeds of rotors on a bench, are to follow.
+    """What pitch and yaw, or the speeds of rotors on a bench, are to follow."""
 
-    Parameters
-    ----------
-    alpha_v : ReferenceSignal, optional
-        Pitch, rad. ``None`` on a rig that turns in the horizontal plane only.
-    alpha_h : ReferenceSignal, optional
-        Yaw, rad. ``None`` on a rig that moves in the vertical plane only.
-    omega_v, omega_h : ReferenceSignal, optional
-        Speeds of the main and the tail rotor, rad/s, where they are what is controlled.
-    shaping : Shaping, optional
-        Limits on the rate, acceleration and jerk of each; ``None`` leaves the signals as they
-        are.
-    """
-
+    #: Pitch, rad. ``None`` on a rig that turns in the horizontal plane only.
     alpha_v: ReferenceSignal | None = None
+    #: Yaw, rad. ``None`` on a rig that moves in the vertical plane only.
     alpha_h: ReferenceSignal | None = None
+    #: ``omega_v``, ``omega_h``: speeds of the main and the tail rotor, rad/s, where they are what
+    #: is controlled
     omega_v: ReferenceSignal | None = None
     omega_h: ReferenceSignal | None = None
+    #: Limits on the rate, acceleration and jerk of each; ``None`` leaves the signals as they are
     shaping: Shaping | None = None
 
     def __post_init__(self) -> None:
