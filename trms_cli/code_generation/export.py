@@ -151,23 +151,10 @@ def export(
 ) -> Export:
     """The files of a controller in C.
 
-    Parameters
-    ----------
-    controller, observer
-        As a closed loop has them; the observer goes along if it is a filter.
-    reference : ReferenceTrajectory
-        Followed in the samples that come with it.
-    name : str
-        A C identifier, in small letters.
-    samples : int
-        Control periods in them.
-    observing : ObserverSetup, optional
-        Channels and noise that the observer is made for.
-
-    Raises
-    ------
-    ConfigurationError
-        For what has no C.
+    ``controller``, ``observer``: as a closed loop has them; the observer goes along if it is a
+    filter. ``reference``: followed in the samples that come with it. ``name``: a C identifier, in
+    small letters. ``samples``: control periods in them. ``observing``: channels and noise that the
+    observer is made for. Raises ConfigurationError for what has no C.
     """
     check_exportable(controller)
     part = None

@@ -340,21 +340,9 @@ def newton_source(
 ) -> ControllerSource:
     """C of a Newton MPC.
 
-    Parameters
-    ----------
-    setup : ControlSetup
-        The model that it believes and its period.
-    name : str
-        Prefix of all names: ``NAME_step``.
-    title : str
-        First line of both files.
-    observer : ObserverSource, optional
-        A filter to go with it.
-
-    Raises
-    ------
-    ConfigurationError
-        For what has no C: it names the key.
+    ``setup``: the model that it believes and its period. ``name``: prefix of all names:
+    ``NAME_step``. ``title``: first line of both files. ``observer``: a filter to go with it. Raises
+    ConfigurationError for what has no C: it names the key.
     """
     check_exportable(controller)
     state = controller.init(setup)

@@ -31,14 +31,9 @@ def fall_back(
 
     Raises SimulationError under the policy ``stop``.
 
-    Parameters
-    ----------
-    who : str
-        The controller, for the message that ends a run.
-    planned, last : (n_u,) array
-        What the plan has for now, None without one; the last command, finite.
-    bounds : (lower, upper)
-        Of the inputs, V.
+    ``who``: the controller, for the message that ends a run. ``planned``, ``last``: (n_u,); what
+    the plan has for now, None without one; the last command, finite. ``bounds``: (lower, upper); of
+    the inputs, V.
     """
     if policy == "stop":
         raise SimulationError(

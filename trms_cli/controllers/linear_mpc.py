@@ -139,25 +139,11 @@ class Limits:
 class Condensed:
     """One linear model over one horizon.
 
-    Parameters
-    ----------
-    A, B : (n, n), (n, n_u) arrays
-    blocks : (N,) int array
-        Block of each period.
-    cost : StageCost
-    terminal : (m, n + n_u) array or None
-        L; see :meth:`StageCost.terminal`.
-    limited : list of int
-        States that have soft limits.
-
-    Attributes
-    ----------
-    hessian : (n_z, n_z) array
-        Of the objective in v, block by block; slightly regularised.
-    limited_slopes : (n_limited·N, n_z) array
-        Of the limited states, period by period.
-    effect : (n_u,) array
-        How far each input held over the whole horizon moves the weighted states.
+    ``A``, ``B``: (n, n), (n, n_u). ``blocks``: (N,); block of each period. ``terminal``: (m, n +
+    n_u) or None; L; see :meth:`StageCost.terminal`. ``limited``: states that have soft limits.
+    ``hessian``: (n_z, n_z); of the objective in v, block by block; slightly regularised.
+    ``limited_slopes``: (n_limited·N, n_z); of the limited states, period by period. ``effect``:
+    (n_u,); how far each input held over the whole horizon moves the weighted states.
     """
 
     #: Added to the Hessian's diagonal, 1/V²: inputs without influence stay where they are.
@@ -213,14 +199,8 @@ class Condensed:
     def gradient(self, free: FloatArray, goals: FloatArray, last: FloatArray) -> FloatArray:
         """Of the objective at v = 0.
 
-        Parameters
-        ----------
-        free : (N + 1, n) array
-            From :meth:`free`.
-        goals : (N, n) array
-            Where the states should be, relative to x_s.
-        last : (n_u,) array
-            The last command, relative to u_s.
+        ``free``: (N + 1, n); from :meth:`free`. ``goals``: (N, n); where the states should be,
+        relative to x_s. ``last``: (n_u,); the last command, relative to u_s.
         """
         shifted = free.copy()
         shifted[1:] -= goals
@@ -244,14 +224,8 @@ class Condensed:
     ) -> Qp:
         """The quadratic program in v: rows of limited moves (hard), then of states (soft).
 
-        Parameters
-        ----------
-        gradient, free
-            From :meth:`gradient` and :meth:`free`.
-        x_s, u_s
-            The steady state.
-        last : (n_u,) array
-            The last command, relative to u_s.
+        ``gradient``, ``free``: from :meth:`gradient` and :meth:`free`. ``x_s``, ``u_s``: the steady
+        state. ``last``: (n_u,); the last command, relative to u_s.
         """
         blocks = len(gradient) // len(last)
         lower, upper = (np.tile(bound - u_s, blocks) for bound in (limits.lower, limits.upper))
@@ -346,11 +320,8 @@ class LinearMpc(HorizonSettings):
 class LinearMpcState:
     """What changes during a run: target, linear model, plan, memory of the input path.
 
-    Attributes
-    ----------
-    target : Target or None
-    plan : (n_u, n_blocks) array
-        V; only with ``age``, the control periods since it was made, None before the first.
+    ``plan``: (n_u, n_blocks); V; only with ``age``, the control periods since it was made, None
+    before the first.
     """
 
     def __init__(self, config: LinearMpc, setup: ControlSetup) -> None:

@@ -55,17 +55,10 @@ from trms_cli.models.steady_state import SteadyState, Target
 class TerminalRegions:
     """Regions of the targets met so far, and which iteration a target calls for.
 
-    Parameters
-    ----------
-    design : RegionDesign
-    newton : NewtonStep
-        The iteration whose horizon ends in a region.
-    equality : NewtonStep
-        The iteration that ends in the steady state. Made beforehand, since a run has no time to
-        compile it when a target turns up that has no region.
+    ``newton``: the iteration whose horizon ends in a region. ``equality``: the iteration that ends
+    in the steady state. Made beforehand, since a run has no time to compile it when a target turns
+    up that has no region.
 
-    Notes
-    -----
     A region serves all targets within the same cell of a grid (a share of the states' typical
     sizes and of the inputs' range): an estimated disturbance moves the target a little at every
     sample, and a design takes milliseconds.

@@ -70,16 +70,10 @@ class TerminalRegion:
 class RegionDesign:
     """Regions of one horizon, target by target.
 
-    Parameters
-    ----------
-    horizon : Horizon
-        Its model, weights and soft limits are used, not its length.
-    largest_moves : (n_u,) array
-        Largest change of an input in one control period, V.
-    weight : float
-        Of all states and inputs in the local law's cost, relative to the objective's.
-    decay : float
-        Share of the slowest mode's decay that V keeps back for the nonlinearity, in [0, 1).
+    ``horizon``: its model, weights and soft limits are used, not its length. ``largest_moves``:
+    (n_u,); largest change of an input in one control period, V. ``weight``: of all states and
+    inputs in the local law's cost, relative to the objective's. ``decay``: share of the slowest
+    mode's decay that V keeps back for the nonlinearity, in [0, 1).
     """
 
     def __init__(

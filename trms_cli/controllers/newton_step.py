@@ -42,21 +42,10 @@ class NewtonResult:
 class NewtonStep:
     """The iteration, with its plan and buffers.
 
-    Parameters
-    ----------
-    horizon : Horizon
-    qp : QpSolver
-    largest_moves : (n_u,) array
-        Largest change of an input in one control period, V; infinite for none.
-
-    Attributes
-    ----------
-    plan : (n_u, n_blocks) array
-        The present inputs; always within the bounds.
-    reference : (n_r, N) array
-        To be filled before :meth:`solve`.
-    trajectory : (n_full, N) array
-        States that the plan leads to.
+    ``largest_moves``: (n_u,); largest change of an input in one control period, V; infinite for
+    none. ``plan``: (n_u, n_blocks); the present inputs; always within the bounds. ``reference``:
+    (n_r, N); to be filled before :meth:`solve`. ``trajectory``: (n_full, N); states that the plan
+    leads to.
     """
 
     def __init__(self, horizon: Horizon, qp: QpSolver, largest_moves: FloatArray) -> None:

@@ -137,12 +137,8 @@ class _Found:
 class NmpcState:
     """What changes during a run: the plan with its target, and the solver's multipliers.
 
-    Attributes
-    ----------
-    shared : NewtonMpcState
-        Sample, target, plan and memory of the input path, as of ``newton_mpc``.
-    iterations, seconds : int, float
-        Of the last sample's solves.
+    ``shared``: sample, target, plan and memory of the input path, as of ``newton_mpc``.
+    ``iterations``, ``seconds``: of the last sample's solves.
     """
 
     def __init__(self, config: Nmpc, setup: ControlSetup) -> None:

@@ -78,21 +78,9 @@ class OcpSolution:
 class InteriorPoint:
     """A method on a problem; keeps nothing between two solves.
 
-    Parameters
-    ----------
-    ocp : Ocp
-    method : {"fatrop", "ipopt"}
-    max_iterations : int
-    tolerance : float
-        Scaled residual of the optimality conditions.
-    machine_code : bool
-        Whether the derivatives run as compiled C; CasADi's virtual machine takes several times as
-        long, and needs no compiler.
-
-    Raises
-    ------
-    ConfigurationError
-        If this CasADi came without the method.
+    ``tolerance``: scaled residual of the optimality conditions. ``machine_code``: whether the
+    derivatives run as compiled C; CasADi's virtual machine takes several times as long, and needs
+    no compiler. Raises ConfigurationError if this CasADi came without the method.
     """
 
     def __init__(

@@ -393,21 +393,9 @@ def tuned(
     A grid that is drawn together around the best: deterministic,
     and done before an optimiser would have been imported.
 
-    Parameters
-    ----------
-    plants : sequence of AxisPlant
-        The axis at each operating point.
-    peak : float
-        M, above 1.
-    smoothness : float
-        ρ, s.
-    where : str
-        Configuration key, for messages.
-
-    Raises
-    ------
-    ConfigurationError
-        If no gains in the searched range meet the bound.
+    ``plants``: the axis at each operating point. ``peak``: M, above 1. ``smoothness``: ρ, s.
+    ``where``: configuration key, for messages. Raises ConfigurationError if no gains in the
+    searched range meet the bound.
     """
     inputs = [array for plant in plants for array in (plant.A, plant.b, plant.c)]
     return cached_result(

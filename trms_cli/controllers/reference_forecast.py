@@ -61,12 +61,7 @@ def smooth_rates(r: ca.MX, period: float) -> ca.MX:
 class ReferenceForecast:
     """Forecasts of each axis' reference.
 
-    Parameters
-    ----------
-    horizon : int
-        Control periods to look ahead; 0 for no forecast.
-    axes : int
-        Number of references.
+    ``horizon``: control periods to look ahead; 0 for no forecast. ``axes``: number of references.
     """
 
     def __init__(self, horizon: int, axes: int) -> None:

@@ -88,18 +88,8 @@ class Family:
     def gain(self, z: FloatArray) -> tuple[FloatArray, int, float]:
         """The law at a deviation.
 
-        Parameters
-        ----------
-        z : (n,) array
-            In units of the scales, over :meth:`share`.
-
-        Returns
-        -------
-        K : (m, n) array
-        ring : int
-            The smallest ellipsoid that holds z; −1 outside of all, where the outermost gain acts.
-        level : float
-            z'Q⁻¹z there.
+        ``z``: (n,); in units of the scales, over :meth:`share`. Returns K, (m, n); the smallest
+        ellipsoid that holds z, −1 outside of all, where the outermost gain acts; and z'Q⁻¹z there.
         """
         levels = (self.inverses @ z) @ z
         ring = int(np.searchsorted(levels, 1.0, side="right")) - 1
@@ -122,19 +112,9 @@ def make_family(
 ) -> Family:
     """The family for all of some targets, from the cache if it was made before.
 
-    Parameters
-    ----------
-    aims : sequence of Aim
-        The first is the one whose room for the inputs counts.
-    farthest : (k, n) array
-        The farthest states, in units of the scales.
-    positions : sequence of float
-        Shares of them, from 1 down.
-
-    Raises
-    ------
-    ConfigurationError
-        If no law is found even near the target.
+    ``aims``: the first is the one whose room for the inputs counts. ``farthest``: (k, n); the
+    farthest states, in units of the scales. ``positions``: shares of them, from 1 down. Raises
+    ConfigurationError if no law is found even near the target.
     """
     inputs = [
         regulation.coordinates.step.serialize(),

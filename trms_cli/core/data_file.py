@@ -41,17 +41,8 @@ def largest(usual: int) -> int:
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a file.
 
-    Parameters
-    ----------
-    most : int
-        Bytes; :func:`largest` for what a user may raise.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    RecordingError
-        If it is larger.
+    ``most``: bytes; :func:`largest` for what a user may raise. Raises OSError if it cannot be read.
+    Raises RecordingError if it is larger.
     """
     with path.open("rb") as file:
         about = os.fstat(file.fileno())
@@ -81,12 +72,8 @@ def how_to_raise(size: int) -> str:
 def read_json(path: Path, most: int = LARGEST_DOCUMENT) -> Any:
     """A document of JSON.
 
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    ValueError
-        If it is no JSON, too large, or nested too deeply.
+    Raises OSError if it cannot be read. Raises ValueError if it is no JSON, too large, or nested
+    too deeply.
     """
     try:
         data = read_bytes(path, most)

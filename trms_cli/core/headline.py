@@ -13,14 +13,8 @@ _FILE = "from_file"
 def headline(choices: Mapping[str, str], *, follows: bool = True, rig: str = "") -> str:
     """``lqr · ref square · observer ukf · model fit · plant simulated (newtonian)``.
 
-    Parameters
-    ----------
-    choices : mapping of str to str
-        As :func:`shown_choices` gives them.
-    follows : bool
-        Whether the controller follows a reference.
-    rig : str
-        Name of the rig's model; "" if it is not known.
+    ``choices``: as :func:`shown_choices` gives them. ``follows``: whether the controller follows a
+    reference. ``rig``: name of the rig's model; "" if it is not known.
     """
     parts = [choices.get("controller", "")]
     parts += [f"ref {choices.get('ref', '')}"] if follows else []

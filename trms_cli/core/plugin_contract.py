@@ -40,15 +40,9 @@ def check_contract(plugin: Any, key: str) -> None:
 def plugin_failure(error: Exception, parts: Mapping[str, Any], time: float) -> TrmsError | None:
     """What a plugin has to answer for, in words; None if no plugin was at work.
 
-    Parameters
-    ----------
-    error : Exception
-        As it came out of the loop. One that is in words already is returned itself, with the
-        plugin's key before the key that it names.
-    parts : dict of str to object
-        The plugins by their key in the configuration.
-    time : float
-        Simulated time that was reached, s.
+    ``error``: as it came out of the loop. One that is in words already is returned itself, with the
+    plugin's key before the key that it names. ``parts``: the plugins by their key in the
+    configuration. ``time``: simulated time that was reached, s.
     """
     key = _at_work(error, parts)
     if isinstance(error, TrmsError):

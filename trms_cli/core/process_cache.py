@@ -46,19 +46,10 @@ _lock = Lock()
 def kept(compute: Callable[P, T], *inputs: P.args, **options: P.kwargs) -> T:
     """``compute(*inputs, **options)``, or what it gave for equal inputs before.
 
-    Parameters
-    ----------
-    compute : callable
-        A function of a module, pure: its result follows from its arguments alone. What it raises
-        is not kept.
-    *inputs, **options
-        Plain data, arrays, dataclasses, models: whatever can be pickled. With an input that
-        cannot (one that holds a closure, or CasADi symbols), it is computed each time.
-
-    Returns
-    -------
-    T
-        Shared with others: it is to be read only.
+    ``compute``: a function of a module, pure: its result follows from its arguments alone. What it
+    raises is not kept. ``*inputs``, ``**options``: plain data, arrays, dataclasses, models:
+    whatever can be pickled. With an input that cannot (one that holds a closure, or CasADi
+    symbols), it is computed each time. The result is shared with others, and to be read only.
     """
     content = _content((compute, inputs, options))
     if content is None:

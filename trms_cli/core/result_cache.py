@@ -21,16 +21,10 @@ def cached_result(
 ) -> T:
     """The result of a pure computation, from the user's cache folder when it is there.
 
-    Parameters
-    ----------
-    source : str
-        File of the code that computes (``__file__``): an edit of it makes the result anew.
-    inputs : iterable
-        All that the result depends on: arrays, numbers, text.
-    kind : type
-        Of the result; a type that msgspec reads and writes as JSON. Numbers keep every bit.
-    compute : callable
-        Without arguments. What it raises is not kept.
+    ``source``: file of the code that computes (``__file__``): an edit of it makes the result anew.
+    ``inputs``: all that the result depends on: arrays, numbers, text. ``kind``: of the result; a
+    type that msgspec reads and writes as JSON. Numbers keep every bit. ``compute``: without
+    arguments. What it raises is not kept.
     """
     digest = hashlib.sha256(Path(source).read_bytes())
     for value in inputs:

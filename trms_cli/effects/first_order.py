@@ -17,18 +17,8 @@ def first_order(
     ``v⁺ = e v + (1 − e) target`` and ``mean = target + (v − target) (1 − e) τ/h`` with
     ``e = exp(−h/τ)``. For τ = 0 both are ``target``, bit for bit, and their derivatives are finite.
 
-    Parameters
-    ----------
-    state : casadi.SX
-        v at the beginning of the window.
-    time_constant : casadi.SX
-        τ, s, not negative.
-    duration : float
-        h, s.
-
-    Returns
-    -------
-    (mean, after) : casadi.SX
+    ``state``: v at the beginning of the window. ``time_constant``: τ, s, not negative.
+    ``duration``: h, s.
     """
     divisor = ca.fmax(time_constant, duration / _LONGEST)
     kept = ca.exp(-duration / divisor)
@@ -42,16 +32,8 @@ def first_order_ramp(error: ca.SX, rise: ca.SX, time_constant: ca.SX, duration: 
     ``e⁺ = exp(−h/τ) e − (1 − exp(−h/τ)) (τ/h) rise`` for ``e = v − target``. For τ = 0 it is zero,
     bit for bit, with finite derivatives.
 
-    Parameters
-    ----------
-    error : casadi.SX
-        v − target at the beginning of the window.
-    rise : casadi.SX
-        Change of the target over the window.
-    time_constant : casadi.SX
-        τ, s, not negative.
-    duration : float
-        h, s.
+    ``error``: v − target at the beginning of the window. ``rise``: change of the target over the
+    window. ``time_constant``: τ, s, not negative. ``duration``: h, s.
     """
     divisor = ca.fmax(time_constant, duration / _LONGEST)
     kept = ca.exp(-duration / divisor)

@@ -64,14 +64,9 @@ class SolutionCurve:
 class ImplicitCurve:
     """``g(y) = 0``, n equations in n + 1 unknowns; all lengths are in units of what counts of each.
 
-    Parameters
-    ----------
-    g, y : (n, 1), (n + 1, 1)
-        The equations and the symbols of their unknowns; the last one is varied.
-    signals : sequence of Signal
-        What the first n unknowns are.
-    lower, upper, scale : (n + 1,) arrays
-        Range of each unknown, and the size of it that counts.
+    ``g``, ``y``: (n, 1), (n + 1, 1); the equations and the symbols of their unknowns; the last one
+    is varied. ``signals``: what the first n unknowns are. ``lower``, ``upper``, ``scale``: (n +
+    1,); range of each unknown, and the size of it that counts.
     """
 
     def __init__(

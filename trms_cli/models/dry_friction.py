@@ -58,20 +58,11 @@ def resisted(
 ) -> ca.SX:
     """States after dry friction has acted on an axis or rotor for a time.
 
-    Parameters
-    ----------
-    model : Model
-        Its continuous part is used.
-    at : (x, u, p, w)
-        States at the end of the interval, inputs that reached the motors, parameters,
-        disturbances.
-    part : str
-        An axis of the model, or one of its rotors.
-    torque : casadi.SX, callable or None
-        N m, not negative; a function of the rate (rad/s), for which the mean rate over the
-        interval is found by iteration; None removes the whole rate (an inelastic stop).
-    duration : float
-        s.
+    ``model``: its continuous part is used. ``at``: (x, u, p, w); states at the end of the interval,
+    inputs that reached the motors, parameters, disturbances. ``part``: an axis of the model, or one
+    of its rotors. ``torque``: N m, not negative; a function of the rate (rad/s), for which the mean
+    rate over the interval is found by iteration; None removes the whole rate (an inelastic stop).
+    ``duration``: s.
     """
     free_rate, change, gain, acceleration = _resistance_function(model, part, duration)(*at)
     x = at[0]

@@ -77,23 +77,11 @@ class MeasuredInterface:
 def interface_of(axis: str, table: str | None, limit: float | None, where: str) -> InterfaceCircuit:
     """The circuit of a motor.
 
-    Parameters
-    ----------
-    axis : str
-        Suffix of its gain, ``v`` or ``h``.
-    table : str or None
-        Path of a measured curve; None takes the gain of the parameter set.
-    limit : float or None
-        Where the voltage saturates to either side, V; None: where the table does, or nowhere.
-    where : str
-        Beginning of the configuration keys ``<where>interface`` and ``<where>voltage_limit``.
-
-    Raises
-    ------
-    ConfigurationError
-        For a limit that is not above zero.
-    ModelError
-        For a table that cannot be used.
+    ``axis``: suffix of its gain, ``v`` or ``h``. ``table``: path of a measured curve; None takes
+    the gain of the parameter set. ``limit``: where the voltage saturates to either side, V; None:
+    where the table does, or nowhere. ``where``: beginning of the configuration keys
+    ``<where>interface`` and ``<where>voltage_limit``. Raises ConfigurationError for a limit that is
+    not above zero. Raises ModelError for a table that cannot be used.
     """
     if limit is not None and not limit > 0:
         raise ConfigurationError(

@@ -93,14 +93,9 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
     turn at the speed of their command, rates are zero. The balance of torques of an axis counts
     only if its angle is not measured.
 
-    Parameters
-    ----------
-    measured : dict of str to float
-        By channel, NaN where missing; channels that are no states are ignored.
-    command : (n_u,) array
+    ``measured``: by channel, NaN where missing; channels that are no states are ignored.
+    ``command``: (n_u,).
 
-    Notes
-    -----
     States that only remember an output or input take its value.
     """
     x = model.rest()

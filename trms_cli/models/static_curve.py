@@ -43,28 +43,11 @@ def read_table(
 ) -> dict[str, FloatArray]:
     """Read a table, its columns in any order; lines that begin with ``#`` are skipped.
 
-    Parameters
-    ----------
-    where : str
-        The configuration key, for messages.
-    what : str
-        What the table holds, in words: ``a static curve``.
-    header : str
-        How its first line is usually written.
-    columns : dict of str to dict of str to float
-        Factor to SI by unit, of every column that there must be.
-    fewest : int
-        Least number of rows.
-
-    Returns
-    -------
-    dict of str to (n,) array
-        In SI, in the order of the file.
-
-    Raises
-    ------
-    ModelError
-        If there is no such file, or its content is not such a table; with the line.
+    ``where``: the configuration key, for messages. ``what``: what the table holds, in words: ``a
+    static curve``. ``header``: how its first line is usually written. ``columns``: factor to SI by
+    unit, of every column that there must be. ``fewest``: least number of rows. Returns (n,) columns
+    in SI, in the order of the file. Raises ModelError if there is no such file, or its content is
+    not such a table; with the line.
     """
     try:
         text = read_bytes(Path(path), _MOST).decode("utf-8-sig")
@@ -215,18 +198,9 @@ def rising_spline(x: FloatArray, y: FloatArray) -> RisingSpline | None:
 def read_static_curve(path: str, where: str) -> StaticCurve:
     """Read a table of steady values from CSV.
 
-    Parameters
-    ----------
-    path : str
-        Columns ``u[1]``, ``omega[rpm]`` or ``omega[rad/s]``, ``thrust[N]`` in any order; lines
-        that begin with ``#`` are skipped.
-    where : str
-        The configuration key, for messages.
-
-    Raises
-    ------
-    ModelError
-        If there is no such file, or its content is not such a table.
+    ``path``: columns ``u[1]``, ``omega[rpm]`` or ``omega[rad/s]``, ``thrust[N]`` in any order;
+    lines that begin with ``#`` are skipped. ``where``: the configuration key, for messages. Raises
+    ModelError if there is no such file, or its content is not such a table.
     """
     table = read_table(
         path,

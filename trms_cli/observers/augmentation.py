@@ -91,17 +91,9 @@ def by_state(
 ) -> FloatArray:
     """A table's value for each state: by name where given, else by kind.
 
-    Parameters
-    ----------
-    kinds, augmented : tuples of str
-        Kind and name of each state of the filter, disturbances included.
-    key : str
-        Where names are given in the observer's configuration, for messages.
-
-    Raises
-    ------
-    ConfigurationError
-        For a name that the filter does not have.
+    ``kinds``, ``augmented``: kind and name of each state of the filter, disturbances included.
+    ``key``: where names are given in the observer's configuration, for messages. Raises
+    ConfigurationError for a name that the filter does not have.
     """
     for name in table.states:
         if name not in augmented:

@@ -34,14 +34,9 @@ def gain_stage(n: int, n_y: int) -> ca.Function:
 def gated(mask: ca.MX, innovation: ca.MX, variance: ca.MX, gate: ca.MX) -> ca.MX:
     """1 for each channel that is there and within its gate, else 0, (n_y, 1).
 
-    Parameters
-    ----------
-    mask : (n_y, 1)
-        1 where there is a sample.
-    innovation, variance : (n_y, 1)
-        And what is expected of its square.
-    gate : (n_y, 1)
-        Squared width in standard deviations; infinite: open.
+    ``mask``: (n_y, 1); 1 where there is a sample. ``innovation``, ``variance``: (n_y, 1); and what
+    is expected of its square. ``gate``: (n_y, 1); squared width in standard deviations; infinite:
+    open.
     """
     return mask * (innovation * innovation <= gate * variance)
 
@@ -66,16 +61,9 @@ def kalman_step(
 ) -> ca.Function:
     """One sample; see :mod:`trms_cli.observers.recursive_filter` for inputs and outputs.
 
-    Parameters
-    ----------
-    name : str
-        A valid C identifier.
-    transition : casadi.Function
-        ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
-    measurement : casadi.Function
-        ``(z, u, p) → y, H``.
-    restate : casadi.Function, optional
-        ``(z, memory, u, p, known) → z`` with the torques that the estimate is to tell.
+    ``name``: a valid C identifier. ``transition``: ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
+    ``measurement``: ``(z, u, p) → y, H``. ``restate``: ``(z, memory, u, p, known) → z`` with the
+    torques that the estimate is to tell.
     """
     model = augmented.model
     n, n_y, n_m = augmented.n, len(augmented.channels), augmented.n_m

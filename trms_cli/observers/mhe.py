@@ -143,21 +143,10 @@ def bounded(
 ) -> tuple[Qp, FloatArray, FloatArray]:
     """The same step with bounds, as a quadratic program.
 
-    Parameters
-    ----------
-    inputs, outputs : dicts
-        Of :func:`smoothing_step`, by name.
-    rows : (k,) int array
-        Entries of z that are bounded.
-    lower, upper : (k,) arrays
-
-    Returns
-    -------
-    qp : Qp
-        In ξ, shape (n (length + 1),).
-    centre : (n, length + 1) array
-    slopes : (length + 1, n, n (length + 1)) array
-        The trajectory is ``centre[:, k] + slopes[k] @ ξ``.
+    ``inputs``, ``outputs``: of :func:`smoothing_step`, by name. ``rows``: (k,); entries of z that
+    are bounded. ``lower``, ``upper``: (k,). Returns the program in ξ, (n (length + 1),), with
+    ``centre``, (n, length + 1), and ``slopes``, (length + 1, n, n (length + 1)): the trajectory is
+    ``centre[:, k] + slopes[k] @ ξ``.
     """
     Z, A, H = inputs["trajectory"], outputs["A"], outputs["H"]
     n, count = Z.shape

@@ -126,22 +126,10 @@ def state_dependent(
 ) -> StateDependentForm:
     """The state-dependent form of a model around an origin.
 
-    Parameters
-    ----------
-    model : Model
-        Its derivative is used, or its step if it only steps; input paths with memory, sensors and
-        impulses are not part of it.
-    origin_x : (n_x,) array, optional
-        Rest by default.
-    origin_u : (n_u,) array, optional
-        Zero by default.
-    nodes : int
-        Of the Gauss–Legendre sums.
-
-    Raises
-    ------
-    ModelError
-        For an origin of another size, or without nodes.
+    ``model``: its derivative is used, or its step if it only steps; input paths with memory,
+    sensors and impulses are not part of it. ``origin_x``: (n_x,); rest by default. ``origin_u``:
+    (n_u,); zero by default. ``nodes``: of the Gauss–Legendre sums. Raises ModelError for an origin
+    of another size, or without nodes.
     """
     x_0 = np.asarray(model.rest() if origin_x is None else origin_x, dtype=float)
     u_0 = np.zeros(model.n_u) if origin_u is None else np.asarray(origin_u, dtype=float)

@@ -57,12 +57,8 @@ class RecordedRig:
     def load(self, model: Model) -> RecordedRun:
         """Read the recording and check it against the model.
 
-        Raises
-        ------
-        RecordingError
-            If it cannot be read or is not evenly sampled.
-        ConfigurationError
-            If its channels or units are not those of the model; it tells what to do.
+        Raises RecordingError if it cannot be read or is not evenly sampled. Raises
+        ConfigurationError if its channels or units are not those of the model; it tells what to do.
         """
         return self.selection().read(self.file, model)[0]
 

@@ -77,10 +77,7 @@ def with_stops(model: Model) -> dict[str, Effect]:
 class StoppedSteps(SteppedModel):
     """A model that only steps, its angles within the stops.
 
-    Parameters
-    ----------
-    base : Model
-        With a ``sample_time``.
+    ``base``: with a ``sample_time``.
     """
 
     def __init__(self, base: Model) -> None:

@@ -63,17 +63,9 @@ class FromCsv:
 def read_columns(path: Path, column: str) -> tuple[Array, Array]:
     """Time and one column of a CSV file, in SI units: an angle, or a command by its name.
 
-    Returns
-    -------
-    time : (n,) s
-        Strictly rising.
-    values : (n,) rad, or V or 1 for a command
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read, has no such column, an unknown unit, or a cell that is not
-        a finite number; it names the file and the line.
+    Returns the times, (n,) s and strictly rising, and the values, (n,) rad, or V or 1 for a
+    command. Raises RecordingError if the file cannot be read, has no such column, an unknown unit,
+    or a cell that is not a finite number; it names the file and the line.
     """
     from trms_cli.recordings.channels import find_channel, to_si
 

@@ -26,12 +26,8 @@ class TimeFunction:
     def sample(self, times: Array) -> Array:
         """Value at each time, ``times: (n,) s -> (n,)``.
 
-        Raises
-        ------
-        ConfigurationError
-            If the values are not one for each time.
-        SimulationError
-            If the function fails, or gives what is no number: with its file, line and the time.
+        Raises ConfigurationError if the values are not one for each time. Raises SimulationError if
+        the function fails, or gives what is no number: with its file, line and the time.
         """
         times = np.asarray(times, dtype=float)
         try:

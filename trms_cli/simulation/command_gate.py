@@ -18,13 +18,8 @@ Tell = Callable[[str, str, str, float], None]
 class CommandGate:
     """Cuts commands to the limits, holds what is not finite, and tells when either begins or ends.
 
-    Parameters
-    ----------
-    inputs : tuple of str
-    limits : ((n_u,), (n_u,)) arrays
-        Lower and upper, V.
-    tell : callable
-        Takes kind, source, sentence and value (V) of an event.
+    ``limits``: (n_u,) each; lower and upper, V. ``tell``: takes kind, source, sentence and value
+    (V) of an event.
     """
 
     def __init__(

@@ -31,12 +31,8 @@ class Sink(Protocol):
 class History:
     """Keeps the rows of a run by topic, and passes them on.
 
-    Parameters
-    ----------
-    units : dict of str to dict of str to str
-        Unit of each field of each topic, the fields in the order of the rows.
-    sink : Sink or None
-        The log; None keeps the rows in memory only.
+    ``units``: unit of each field of each topic, the fields in the order of the rows. ``sink``: the
+    log; None keeps the rows in memory only.
     """
 
     def __init__(self, units: dict[str, dict[str, str]], sink: Sink | None) -> None:

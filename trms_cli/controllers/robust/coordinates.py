@@ -127,22 +127,10 @@ class Coordinates:
 
     ``v`` has the command of each rotor, or the ψ of the next period for those regulated by thrust.
 
-    Parameters
-    ----------
-    model : Model
-    period : float
-        s.
-    thrust_inputs : sequence of str
-        Commands whose rotors are regulated by their thrust; those that the model does not have
-        are passed over.
-    smallest_speed : float
-        ε, rad/s.
-
-    Raises
-    ------
-    ConfigurationError
-        For a model without a derivative, with memory in its input path, or with more coordinates
-        than linear matrix inequalities are solved for in a control period.
+    ``period``: s. ``thrust_inputs``: commands whose rotors are regulated by their thrust; those
+    that the model does not have are passed over. ``smallest_speed``: ε, rad/s. Raises
+    ConfigurationError for a model without a derivative, with memory in its input path, or with more
+    coordinates than linear matrix inequalities are solved for in a control period.
     """
 
     def __init__(

@@ -133,16 +133,8 @@ def decrease_on(
 ) -> tuple[FloatArray, FloatArray]:
     """A common law's decrease on coefficients that need not be in the polytope.
 
-    Parameters
-    ----------
-    coefficients : (N, n, n + m) array
-
-    Returns
-    -------
-    contraction : (N,) array
-        As in :class:`Certificate`.
-    slack : (N,) array
-        Least eigenvalue of the scaled inequality, stage cost included.
+    ``coefficients``: (N, n, n + m). Returns the contraction, (N,), as in :class:`Certificate`, and
+    the slack, (N,): least eigenvalue of the scaled inequality, stage cost included.
     """
     n = task.A.shape[1]
     Q = solution.Q[0]
@@ -200,23 +192,11 @@ class LmiSolution:
 class Inequalities:
     """The problem for given sizes.
 
-    Parameters
-    ----------
-    n, m, q : int
-        Coordinates, inputs, rows of C.
-    vertices : int
-    bounded : sequence of int
-        Coordinates whose bounds may be finite.
-    states : int
-        k, for which the bound is to be least.
-    lyapunov : {"common", "parameter_dependent"}
-    solver : {"clarabel", "scs"}
-    max_iterations : int
-        Of an interior-point method; a first-order one has a thousand times as many.
-    soft : bool
-        Whether the constraints may be relaxed.
-    nested : bool
-        Whether the ellipsoid is to lie within another: :meth:`solve`'s ``inside``.
+    ``n``, ``m``, ``q``: coordinates, inputs, rows of C. ``bounded``: coordinates whose bounds may
+    be finite. ``states``: k, for which the bound is to be least. ``max_iterations``: of an
+    interior-point method; a first-order one has a thousand times as many. ``soft``: whether the
+    constraints may be relaxed. ``nested``: whether the ellipsoid is to lie within another:
+    :meth:`solve`'s ``inside``.
     """
 
     def __init__(

@@ -95,13 +95,8 @@ class Polytope:
 def box(coefficients: FloatArray, components: int, margin: float) -> Polytope:
     """The box of the samples' principal components.
 
-    Parameters
-    ----------
-    coefficients : (N, n, n + m) array
-    components : int
-        K; there are 2^K vertices.
-    margin : float
-        Share by which each side is longer than the samples reach.
+    ``coefficients``: (N, n, n + m). ``components``: K; there are 2^K vertices. ``margin``: share by
+    which each side is longer than the samples reach.
     """
     N, n, columns = coefficients.shape
     centre = (coefficients.min(axis=0) + coefficients.max(axis=0)) / 2
@@ -126,20 +121,11 @@ def box(coefficients: FloatArray, components: int, margin: float) -> Polytope:
 class Coefficients:
     """Samples the coefficients around a target.
 
-    Parameters
-    ----------
-    coordinates : Coordinates
-    demands : tuple of ThrustDemand
-        Of the rotors regulated by thrust: their ν is the input in place of ψ⁺.
-    scale_z : (n,) array
-    scale_v : (m,) array
-        Units in which the coefficients are given.
-    points : int
-        Samples of the region.
-    band : float
-        Distance of ψ from its target, (rad/s)², below which the coefficients at that distance are
-        taken: nearer, the slope of a rotor's speed in its thrust has no bound, while the speed
-        itself, which is all that the beam feels of it, has.
+    ``demands``: of the rotors regulated by thrust: their ν is the input in place of ψ⁺.
+    ``scale_z``: (n,). ``scale_v``: (m,); units in which the coefficients are given. ``points``:
+    samples of the region. ``band``: distance of ψ from its target, (rad/s)², below which the
+    coefficients at that distance are taken: nearer, the slope of a rotor's speed in its thrust has
+    no bound, while the speed itself, which is all that the beam feels of it, has.
     """
 
     def __init__(

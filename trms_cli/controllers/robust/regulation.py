@@ -70,15 +70,8 @@ class Aim:
 class Regulation:
     """The regulation of one model to its steady states.
 
-    Parameters
-    ----------
-    design : RegulationDesign
-    setup : ControlSetup
-
-    Raises
-    ------
-    ConfigurationError
-        For a model that it does not work with, or names that the model does not have.
+    Raises ConfigurationError for a model that it does not work with, or names that the model does
+    not have.
     """
 
     def __init__(self, design: RegulationDesign, setup: ControlSetup) -> None:

@@ -54,12 +54,7 @@ class FaultSetup:
 class FaultRun:
     """A fault during one run; what it leaves alone passes through.
 
-    Attributes
-    ----------
-    active : range
-        Samples during which it acts.
-    words : str
-        What it does, for the log.
+    ``active``: samples during which it acts. ``words``: what it does, for the log.
     """
 
     def __init__(self, active: range, words: str) -> None:
