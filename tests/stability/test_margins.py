@@ -23,6 +23,7 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.references.constant import Constant
 from trms_cli.stability.closed_loop import run_loop
+from trms_cli.stability.loops.frequency_response import held_by_friction
 from trms_cli.stability.loops.margins import (
     DiskMargin,
     classical_margins,
@@ -31,7 +32,6 @@ from trms_cli.stability.loops.margins import (
     disk_margin,
     interpolated,
 )
-from trms_cli.stability.loops.measurement import held_by_friction
 from trms_cli.stability.studies.margins import Margins
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject

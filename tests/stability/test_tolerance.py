@@ -17,23 +17,18 @@ from trms_cli.effects.extended_model import effect_names, extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.stability.closed_loop import LoopRun, run_loop
-from trms_cli.stability.loops.impairments import (
-    AxisFriction,
-    CommandDelay,
-    Delayed,
-    GainError,
-    impairments_of,
-)
 from trms_cli.stability.loops.tolerance import (
     Bounds,
+    Delayed,
+    Impairment,
     ImpairmentLimits,
     RunVerdict,
     TrialRun,
     find_failure,
+    impairments_of,
 )
-from trms_cli.stability.loops.tolerance_findings import _sentence
 from trms_cli.stability.studies.margins import Margins
-from trms_cli.stability.studies.tolerance import Tolerance
+from trms_cli.stability.studies.tolerance import Tolerance, _sentence
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
 
@@ -135,7 +130,7 @@ class TestWhatGoesWrong:
         for rotor in ("main", "tail"):
             rig = extended(rig, {f"{rotor}_late": InputDelay(rotor=rotor, delay=delay)})
         loop, offset = loop_of(lqr()), {"alpha_v": -0.05, "alpha_h": -0.05}
-        path = CommandDelay().path(MODEL, POINT, 0.02, delay)
+        path = Impairment("delay").path(MODEL, POINT, 0.02, delay)
         ours = run_loop(MODEL, loop, POINT, 8.0, offset=offset, path=path)
         theirs = run_loop(rig, loop, POINT, 8.0, offset=offset)
         # of a whole number of samples it is the same, else the mean over a sample differs a little
@@ -148,17 +143,18 @@ class TestWhatGoesWrong:
         assert given == pytest.approx([1.0, 1.0, 0.75 * 2 + 0.25 * 1, 2.75, 3.75])
 
     def test_a_gain_acts_on_all_of_a_command_within_its_limits(self):
-        large = GainError(1, "u_h", up=True).path(MODEL, POINT, 0.02, 3.0)
+        large = Impairment("gain", "u_h", up=True).path(MODEL, POINT, 0.02, 3.0)
         assert large(0, np.array([1.0, 0.5])) == pytest.approx([1.0, 1.5])
         assert large(0, np.array([1.0, -1.0])) == pytest.approx([1.0, -2.5])
-        small = GainError(0, "u_v", up=False)
+        small = Impairment("gain", "u_v")
         assert small.shown(4.0) == 0.25
         assert small.path(MODEL, POINT, 0.02, 4.0)(0, np.ones(2)) == pytest.approx([0.25, 1.0])
-        changes = GainError(0, "u_v", up=True, of_changes=True).path(MODEL, POINT, 0.02, 2.0)
+        changed = Impairment("gain", "u_v", up=True, of_changes=True)
+        changes = changed.path(MODEL, POINT, 0.02, 2.0)
         assert changes(0, POINT.u + 0.1) == pytest.approx(POINT.u + np.array([0.2, 0.1]))
 
     def test_friction_is_an_effect_on_the_rig(self):
-        rig = AxisFriction("pitch").rig(MODEL, 0.004)
+        rig = Impairment("friction", "pitch").rig(MODEL, 0.004)
         assert effect_names(rig) == ("added_friction_pitch",)
         assert rig.parameters["added_friction_pitch.torque"].value == 0.004
 
@@ -235,14 +231,14 @@ class TestTheStudy:
 
 
 def test_a_gain_too_small_is_stood_down_to_a_factor():
-    impairment = GainError(0, "u_v", up=False)
+    impairment = Impairment("gain", "u_v")
     found = search((2.0, 4.0), lambda size: size < 1.8, nothing=1.0)
     told = _sentence(ImpairmentLimits(impairment, found, found, None, True))
     assert "stood down to ×0." in told and "up to" not in told
     found = search((2.0, 4.0), lambda size: True, nothing=1.0)
     told = _sentence(ImpairmentLimits(impairment, found, found, None, True))
     assert "stood down to ×0.25, the most tried" in told
-    told = _sentence(ImpairmentLimits(GainError(0, "u_v", up=True), found, found, None, True))
+    told = _sentence(ImpairmentLimits(replace(impairment, up=True), found, found, None, True))
     assert "stood up to ×4" in told
 
 

@@ -24,6 +24,11 @@ class LoopParts:
     sample_time: float  #: s, of the observer and the controller's clock
     names: dict[str, str]  #: The options chosen: ``controller``, ``observer``
 
+    @property
+    def control_period(self) -> float:
+        """The controller's own sample time, or the loop's, s."""
+        return getattr(self.controller, "sample_time", None) or self.sample_time
+
 
 @dataclass(frozen=True)
 class Subject:

@@ -1,11 +1,4 @@
-"""The test signal of a frequency response: a multisine of few lines, held over control periods.
-
-All harmonics of the lowest line at first, then lines a constant factor apart, up to half the
-controller's rate. What lies between the lines is left empty on purpose: power found there is not
-the answer of a linear loop. Phases after M. R. Schroeder, "Synthesis of low-peak-factor signals
-and binary sequences with low autocorrelation", IEEE Trans. Information Theory 16(1), 1970.
-
-The frequency response of a closed loop, measured as on the bench.
+"""The frequency response of a closed loop, measured as on the bench.
 
 A frequency response analyser between controller and rig adds a small periodic signal d to one
 command at a time, and reads what the controller asks for, u_c, and what reaches the motors,
@@ -20,6 +13,16 @@ rate, sees a sampled signal: the response is that of the sampled loop, hold and 
 exactly, up to half that rate. Whether it is that of a linear loop is tested: the answer to another
 signal, half as strong and on all inputs at once, has to be the one that T predicts.
 
+The test signal is a multisine of few lines, held over control periods: all harmonics of the lowest
+line at first, then lines a constant factor apart, up to half the controller's rate. What lies
+between the lines is left empty on purpose: power found there is not the answer of a linear loop.
+Phases after M. R. Schroeder, "Synthesis of low-peak-factor signals and binary sequences with low
+autocorrelation", IEEE Trans. Information Theory 16(1), 1970.
+
+Set-valued friction at rest takes up any torque below its own: a test signal of a few millivolts
+then does not turn the axis, and what is read of its loop is no response, but zero. The linear loop
+that margins are about is that of the rig as it glides.
+
 Sources: Ljung, "System Identification", 2nd ed. 1999, sec. 6.2 and 13.5 (closed loops, the joint
 input-output approach); Pintelon & Schoukens, "System Identification: A Frequency Domain Approach",
 2nd ed. 2012, ch. 2–4 (periodic signals, lines left empty to detect distortion).
@@ -30,18 +33,22 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
-from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.models.operating_point import OperatingPoint, operating_point
+from trms_cli.models.steady_state import SteadyState
+from trms_cli.models.vector_field import VectorField, without_impulses
 from trms_cli.stability.closed_loop import Enough, LoopRun, run_loop
 from trms_cli.stability.study import Tell
-from trms_cli.stability.subject import LoopParts
+from trms_cli.stability.subject import LoopParts, Subject
 
 
 @dataclass(frozen=True)
@@ -86,18 +93,11 @@ def harmonics_of(step: float, lowest: float) -> int:
 
 
 def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> ExcitationPeriod:
-    """A multisine of a controller's band.
+    """A multisine of a controller's band: a control period (s), the lowest line (rad/s).
 
-    Parameters
-    ----------
-    step : float
-        Control period, s.
-    lowest : float
-        Lowest line, rad/s; the period is the whole even number of control periods closest to it.
-    ratio : float
-        Of a line to the one below it, where the harmonics are denser than that.
-    seed : int
-        0: Schroeder's phases; else random ones, of another signal of the same spectrum.
+    It repeats after the whole even number of control periods closest to that of the lowest line;
+    ``ratio`` is that of a line to the one below it, where the harmonics are denser than that. Seed
+    0 has Schroeder's phases, another random ones: another signal of the same spectrum.
     """
     half = max(2, harmonics_of(step, lowest))
     lines = [1]
@@ -198,7 +198,7 @@ class Analyser:
 
         Raises NoLoopError.
         """
-        step = getattr(loop.controller, "sample_time", None) or loop.sample_time
+        step = loop.control_period
         probe = multisine(step, self.lowest, self.ratio)
         other = multisine(step, self.lowest, self.ratio, seed=1)
         lower, upper = model.input_bounds()
@@ -214,10 +214,10 @@ class Analyser:
         answers: list[_Answer] = []
         for doing, added in zip(words, [*one_by_one, together], strict=True):
             tell(doing)
-            answers.append(self._answer(model, loop, point, probe.length, added))
-            if answers[-1].gone:
-                last = answers[-1]
+            last = _experiment(model, loop, point, added, self.periods * probe.length * step)
+            if last.gone:
                 return NoResponse(last.run, last.gone, last.leaves, last.reversed)
+            answers.append(last)
         each, check = answers[:-1], answers[-1]
         T = np.stack(
             [
@@ -245,21 +245,12 @@ class Analyser:
             duration=sum(a.run.time.size for a in answers) * loop.sample_time,
         )
 
-    def _answer(
-        self, model: Model, loop: LoopParts, point: OperatingPoint, length: int, added: FloatArray
-    ) -> _Answer:
-        """One experiment: a period (N, n_u) is added to the commands until they repeat."""
-        step = getattr(loop.controller, "sample_time", None) or loop.sample_time
-        adder = _Adder(added, round(step / loop.sample_time))
-        run = run_loop(model, loop, point, self.periods * length * step, path=adder)
-        return _answered(model, point, run, adder)
-
 
 def _require_answer(model: Model, loop: LoopParts, point: OperatingPoint, step: FloatArray) -> None:
     """Refuse a controller whose commands are the same with and without a step added to them."""
-    period = getattr(loop.controller, "sample_time", None) or loop.sample_time
-    plain = run_loop(model, loop, point, _SOON * period)
-    pushed = run_loop(model, loop, point, _SOON * period, path=lambda k, u: u + step)
+    duration = _SOON * loop.control_period
+    plain = run_loop(model, loop, point, duration)
+    pushed = run_loop(model, loop, point, duration, path=lambda k, u: u + step)
     if np.array_equal(plain.u, pushed.u):
         raise NoLoopError
 
@@ -280,21 +271,18 @@ class _Adder:
             self.commands.append(u.copy())
         return np.asarray(u + self._added[(k // self.ratio) % length])
 
-    @property
-    def last(self) -> FloatArray:
-        """The last whole period of the commands, (N, n_u)."""
+    def period(self, back: int = 0) -> FloatArray:
+        """The last whole period of the commands, or one before, (N, n_u); empty where none is."""
         length = len(self._added)
-        end = len(self.commands) // length * length
-        return np.array(self.commands[end - length : end])
+        end = (len(self.commands) // length - back) * length
+        return np.array(self.commands[max(end - length, 0) : max(end, 0)])
 
     @property
     def drift(self) -> float:
         """Change of the answer from the last period but one to the last."""
-        length = len(self._added)
-        end = len(self.commands) // length * length
-        if end < 2 * length:
+        last, before = self.period(), self.period(1)
+        if not len(before):
             return np.inf
-        last, before = self.last, np.array(self.commands[end - 2 * length : end - length])
         moved = float(np.linalg.norm(last - last.mean(axis=0)))
         return float(np.linalg.norm(last - before)) / moved if moved > 0 else 0.0
 
@@ -314,10 +302,16 @@ class _Answer:
     leaves: bool
 
 
-def _answered(model: Model, point: OperatingPoint, run: LoopRun, adder: _Adder) -> _Answer:
+def _experiment(
+    model: Model, loop: LoopParts, point: OperatingPoint, added: FloatArray, duration: float
+) -> _Answer:
+    """A period (N, n_u) is added to the commands until they repeat, for a duration (s) at most."""
+    adder = _Adder(added, round(loop.control_period / loop.sample_time))
+    run = run_loop(model, loop, point, duration, path=adder)
+    commands = adder.period()
     rows = [model.state_index(name) for name in model.controlled]
     angles = run.x[:, rows] - point.x[rows]
-    samples = min(len(angles), adder.last.shape[0] * adder.ratio or len(angles))
+    samples = min(len(angles), len(commands) * adder.ratio or len(angles))
     last = angles[-samples:]
     rest = last.mean(axis=0)
     swing = np.abs(last - rest).max(axis=0)
@@ -339,8 +333,137 @@ def _answered(model: Model, point: OperatingPoint, run: LoopRun, adder: _Adder) 
                 f"{name} stays within {away:.2g} rad, but after {seconds:.0f} s the answer to the "
                 f"test signal still changes by {100 * adder.drift:.0f} % from period to period"
             )
-    speeds = [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
     turned = tuple(
-        name for name in speeds if np.ptp(np.sign(run.x[:, model.state_index(name)])) > 0
+        name for name in _speeds(model) if np.ptp(np.sign(run.x[:, model.state_index(name)])) > 0
     )
-    return _Answer(run, adder.last, adder.drift, rest, swing, limited, turned, gone, leaves)
+    return _Answer(run, commands, adder.drift, rest, swing, limited, turned, gone, leaves)
+
+
+def _speeds(model: Model) -> list[str]:
+    """The states that are rotors' speeds."""
+    return [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
+
+
+#: Step of the commands, as a share of half their range: any dry friction takes up so little.
+_STEP = 1e-6
+#: s that the rig has to answer, and part of the free motion below which it has not.
+_WAIT, _HELD = 0.5, 0.01
+
+
+def held_by_friction(model: Model, point: OperatingPoint) -> tuple[str, ...]:
+    """Angles and rotor speeds that a small step of the commands moves without dry friction alone.
+
+    A model that only steps from sample to sample has no friction of this kind.
+    """
+    if model.sample_time is not None:
+        return ()
+    lower, upper = model.input_bounds()
+    commands = np.vstack([point.u, point.u + _STEP * (upper - lower) / 2])
+    starts = np.vstack([point.x, point.x])
+    field = VectorField(model)
+    moved = []
+    for impulses in (True, False):
+        ends = field.motions(starts, commands, _WAIT, _WAIT / 10, impulses=impulses)
+        moved.append(np.abs(ends[:, 1] - ends[:, 0]).max(axis=0))
+    with_friction, free = moved
+    rows = {name: model.state_index(name) for name in (*model.controlled, *_speeds(model))}
+    return tuple(name for name, i in rows.items() if with_friction[i] < _HELD * free[i])
+
+
+#: Level, and yaw where the cable pulls and the tail rotor turns: at ω_h = 0 its thrust, ω|ω|, has
+#: no slope, and no linear loop of yaw exists.
+DEFAULT = {"alpha_v": 0.0, "alpha_h": 0.3}
+#: Harmonics of the lowest line up to half the controller's rate: fewer are no curve.
+_FEWEST = 10
+#: Samples per swing of the rig: of its clock, over which it is integrated in one go, and of the
+#: controller, whose loop ends at half its rate.
+_OF_THE_RIG, _OF_THE_CONTROLLER = 10, 2
+
+
+def point_of(subject: Subject, at: Mapping[str, float]) -> OperatingPoint:
+    """The operating point asked for; :data:`DEFAULT` where nothing is.
+
+    Raises TrmsError.
+    """
+    model = subject.model
+    at = at or {name: value for name, value in DEFAULT.items() if name in model.controlled}
+    if model.sample_time is None:
+        return operating_point(model, at)
+    for name in at:
+        if name not in model.controlled:
+            raise ConfigurationError(
+                f"model {subject.name!r} only steps from sample to sample, and where it rests is "
+                f"found by its angles, not by {name!r}",
+                where=f"at.{name}",
+                remedy=nearest(name, model.controlled),
+            )
+    wanted = np.array([at.get(name, 0.0) for name in model.controlled])
+    target = SteadyState(model).solve(wanted)
+    if not target.exact:
+        reached = ", ".join(
+            f"{name}={value:.4g}"
+            for name, value in zip(model.controlled, target.reference_reached, strict=True)
+        )
+        raise ConfigurationError(
+            f"model {subject.name!r} finds no rest there",
+            where="at",
+            remedy=f"the closest that it has: {reached}" if target.converged else "",
+        )
+    return OperatingPoint(target.x, target.u)
+
+
+def measured(
+    analyser: Analyser, subject: Subject, loop: LoopParts, point: OperatingPoint, tell: Tell
+) -> FrequencyResponse | NoResponse:
+    """The response; that of the rig without its dry friction where that holds it at the point.
+
+    Raises ConfigurationError if the controller does not answer, samples slower than the rig swings,
+    or leaves no band above the lowest line.
+    """
+    _require_band(analyser.lowest, subject, loop, point)
+    held = held_by_friction(subject.model, point)
+    rig = without_impulses(subject.model) if held else subject.model
+    try:
+        return replace(analyser.measure(rig, loop, point, tell), held=held)
+    except NoLoopError:
+        raise ConfigurationError(
+            f"the commands of controller={loop.names['controller']} do not depend on what it sees: "
+            "there is no loop",
+            where="controller",
+            remedy="choose one that feeds back, as controller=lqr; without a controller, "
+            "study=local tells the rig's own modes",
+        ) from None
+
+
+def _require_band(lowest: float, subject: Subject, loop: LoopParts, point: OperatingPoint) -> None:
+    """Refuse a sampling that is slower than the rig, and a lowest line too close to its end."""
+    step = loop.control_period
+    swing = _fastest_swing(loop.model, point)
+    periods = (
+        ("sim.sample_time", "the loop", loop.sample_time, _OF_THE_RIG),
+        ("controller.sample_time", "the controller", step, _OF_THE_CONTROLLER),
+    )
+    for where, who, period, fewest in periods:
+        most = 2 * math.pi / (fewest * swing) if swing else math.inf
+        if period > most:
+            raise ConfigurationError(
+                f"{who} samples every {period:g} s, slower than the rig moves: it swings at "
+                f"{swing:.2g} rad/s there, and at least {fewest} samples of a swing are needed",
+                where=where,
+                remedy=f"{where}=0.02; at the most {most:.2g} s",
+            )
+    if harmonics_of(step, lowest) < _FEWEST:
+        raise ConfigurationError(
+            f"a response from {lowest:g} rad/s on cannot be measured: the controller samples every "
+            f"{step:g} s, so that it ends at half its rate, {math.pi / step:.3g} rad/s",
+            where="lowest",
+            remedy=f"study.lowest of at most {math.pi / step / _FEWEST:.2g} rad/s",
+        )
+
+
+def _fastest_swing(model: Model, point: OperatingPoint) -> float:
+    """Largest frequency of the rig's own swings, rad/s; 0 without one, or without equations."""
+    if model.sample_time is not None:
+        return 0.0
+    A, _ = VectorField(model).linearised(point.x[: model.n_x], point.u)
+    return float(np.abs(np.linalg.eigvals(A).imag).max())

@@ -1,4 +1,7 @@
-"""What the margins of a loop are, in sentences, tables, figures and data."""
+"""What the margins of a loop are, in sentences, tables, figures and data.
+
+The figures: Bode, Nyquist with its disks, sensitivities.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,33 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from trms_cli.controllers.controller import Status
+from trms_cli.core.arrays import ComplexArray, FloatArray
+from trms_cli.core.chart import (
+    Axis,
+    Chart,
+    Colour,
+    Curve,
+    Line,
+    Mark,
+    Marker,
+    Panel,
+    Points,
+    Region,
+)
 from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.loops import margin_charts
 from trms_cli.stability.loops.frequency_response import NoResponse
 from trms_cli.stability.loops.margins import (
     ClassicalMargins,
     DiskMargin,
+    LoopMargins,
     MarginResult,
     StabilityLimit,
+    diagonal_mu,
+    largest_singular_value,
 )
 from trms_cli.stability.subject import LoopParts, Subject
 
@@ -37,11 +57,8 @@ TITLE = "Margins of a loop"
 
 def condition_of(subject: Subject, loop: LoopParts, point: OperatingPoint) -> str:
     """``lqr with full_state on newtonian, u_v = 1.41 V, u_h = 0.35 V: alpha_v = 0, …``."""
-    parts = loop.names
-    return (
-        f"{parts['controller']} with {parts['observer']} on {subject.name} at "
-        f"{point.words(subject.model)}"
-    )
+    law = f"{loop.names['controller']} with {loop.names['observer']}"
+    return f"{law} on {subject.name} at {point.words(subject.model)}"
 
 
 def no_response_findings(
@@ -51,10 +68,15 @@ def no_response_findings(
     model, run = subject.model, response.run
     rows = [model.state_index(name) for name in model.controlled]
     where = condition_of(subject, loop, point)
-    words = warning_of_statuses(run.statuses)
     turned = "" if response.leaves else _warning_of_reversed(response.reversed)
-    chart = margin_charts.departure(
-        run.time, run.x[:, rows] - point.x[rows], model.controlled, where
+    marks: list[Mark] = [Line(y=0.0)]
+    for i, name, colour in zip(rows, model.controlled, _COLOURS, strict=False):
+        marks.append(Curve(run.time, run.x[:, i] - point.x[i], name, colour))
+    departure = Chart(
+        "margins_departure",
+        [Panel(Axis("time", "s"), Axis("distance from the point", "rad"), marks)],
+        f"The loop does not hold: {where}.",
+        width=6.5,
     )
     return Findings(
         TITLE,
@@ -74,11 +96,11 @@ def no_response_findings(
                     "unstable here, swings by itself (study=hunting and study=limit_cycles look "
                     "for that), or settles slower than the study waits (study.periods)."
                 ],
-                [chart],
+                [departure],
             )
         ],
         {"holds": False, "what_it_did": response.words, "statuses": dict(run.statuses)},
-        [words for words in (words, turned) if words],
+        [words for words in (warning_of_statuses(run.statuses), turned) if words],
     )
 
 
@@ -89,7 +111,7 @@ def margin_findings(
     where = condition_of(subject, loop, point)
     if margins.response.held:
         where += ", without its dry friction"
-    several = len(margins.loops) > 1
+    tables = [_single_table(margins), *([_together_table(margins)] * (len(margins.loops) > 1))]
     sections = [
         Section(
             "Margins",
@@ -99,17 +121,9 @@ def margin_findings(
                 "change at which its Nyquist curve runs through −1. A margin of the delay holds "
                 "for a linear loop; study=tolerance compares it with the simulated one."
             ],
-            [_single_table(margins), *([_together_table(margins)] if several else [])],
+            tables,
         ),
-        Section(
-            "Figures",
-            [],
-            [
-                margin_charts.bode(margins, where),
-                margin_charts.nyquist(margins, where),
-                margin_charts.sensitivity(margins, where),
-            ],
-        ),
+        Section("Figures", [], [draw(margins, where) for draw in (_bode, _nyquist, _sensitivity)]),
         Section("How it was measured", [_method(margins)], [_quality_table(margins)]),
     ]
     return Findings(
@@ -132,9 +146,12 @@ def _lead(margins: MarginResult, where: str) -> list[str]:
                 "nothing."
             )
             continue
+        lost = (
+            f"{math.degrees(c.phase.value):.0f}° may be lost" if c.phase else "no phase leads to −1"
+        )
         sentences.append(
             f"{loop.name}: the gain may grow {_factor(c.up)} and shrink {_factor(c.down)}, "
-            f"{_degrees_lost(c.phase)}, {_delay(c.delay)}; the sensitivity peaks at "
+            f"{lost}, {_delay(c.delay)}; the sensitivity peaks at "
             f"{loop.sensitivity.value:.2f} ({loop.sensitivity.omega:.2g} rad/s)."
         )
     m = margins.response
@@ -153,13 +170,13 @@ def _lead(margins: MarginResult, where: str) -> list[str]:
     lead = [first, *gliding_words(m.held), *sentences]
     if len(margins.loops) > 1:
         c, disk = margins.together, margins.disk_each
-        lead.append(
-            f"All commands changed alike: the gain may grow {_factor(c.up)}, {_delay(c.delay)}."
-        )
-        lead.append(
-            f"All commands at once, each by its own factor: {_disk_words(disk)} "
-            f"(disk margin {disk.alpha:.2f} at {disk.omega:.2g} rad/s)."
-        )
+        most = "any gain above" if math.isinf(disk.gain_up) else f"{disk.gain_up:.2f}"
+        lead += [
+            f"All commands changed alike: the gain may grow {_factor(c.up)}, {_delay(c.delay)}.",
+            f"All commands at once, each by its own factor: gains from {disk.gain_down:.2f} to "
+            f"{most} and phases of ±{math.degrees(disk.phase):.0f}° are stood together "
+            f"(disk margin {disk.alpha:.2f} at {disk.omega:.2g} rad/s).",
+        ]
     return lead
 
 
@@ -181,37 +198,30 @@ def _factor(limit: StabilityLimit | None) -> str:
     return f"{limit.value:.3g} times" if limit.value > 1 else f"to {limit.value:.2g} of it"
 
 
-def _degrees_lost(limit: StabilityLimit | None) -> str:
-    if limit is None:
-        return "no phase leads to −1"
-    return f"{math.degrees(limit.value):.0f}° may be lost"
-
-
 def _delay(limit: StabilityLimit | None) -> str:
     if limit is None:
         return "no delay matters in the measured band"
     return f"{limit.value:.3g} s of delay may be added"
 
 
-def _disk_words(disk: DiskMargin) -> str:
-    up = "any gain above" if math.isinf(disk.gain_up) else f"{disk.gain_up:.2f}"
-    return (
-        f"gains from {disk.gain_down:.2f} to {up} and phases of ±{math.degrees(disk.phase):.0f}° "
-        "are stood together"
-    )
-
-
 def _single_table(margins: MarginResult) -> Table:
+    def judged_gain(loop: LoopMargins) -> Judged:
+        up = value_of(loop.margins.up)
+        return _judged(up, up is None or up >= _GOOD_GAIN)
+
+    def judged_peak(loop: LoopMargins) -> Judged:
+        return _judged(loop.sensitivity.value, loop.sensitivity.value <= _GOOD_PEAK)
+
     return table(
         margins.loops,
         [
             Column("loop", "name"),
-            Column("gain up", lambda loop: _judged_gain(loop.margins.up)),
+            Column("gain up", judged_gain),
             Column("gain down", lambda loop: value_of(loop.margins.down)),
             Column("phase [°]", lambda loop: _judged_phase(loop.margins.phase)),
             Column("delay [s]", lambda loop: value_of(loop.margins.delay)),
             Column("crossover [rad/s]", lambda loop: loop.margins.crossover or None),
-            Column("peak |S|", lambda loop: _judged_peak(loop.sensitivity.value)),
+            Column("peak |S|", judged_peak),
             Column("modulus margin", lambda loop: 1 / loop.sensitivity.value),
             Column("peak |T|", lambda loop: loop.complementary.value),
             Column("disk α", lambda loop: loop.disk.alpha),
@@ -251,10 +261,6 @@ def value_of(limit: StabilityLimit | None, degrees: bool = False) -> float | Non
     return math.degrees(limit.value) if degrees else limit.value
 
 
-def _judged_gain(limit: StabilityLimit | None) -> Judged:
-    return Judged(value_of(limit), "good" if limit is None or limit.value >= _GOOD_GAIN else "bad")
-
-
 def _judged_phase(limit: StabilityLimit | None) -> Judged:
     value = value_of(limit, degrees=True)
     if value is None or value >= _GOOD_PHASE:
@@ -262,8 +268,8 @@ def _judged_phase(limit: StabilityLimit | None) -> Judged:
     return Judged(value, "doubtful" if value >= _POOR_PHASE else "bad")
 
 
-def _judged_peak(value: float) -> Judged:
-    return Judged(value, "good" if value <= _GOOD_PEAK else "bad")
+def _judged(value: float | str | None, good: bool) -> Judged:
+    return Judged(value, "good" if good else "bad")
 
 
 def _method(margins: MarginResult) -> str:
@@ -287,13 +293,12 @@ def _quality_table(margins: MarginResult) -> Table:
         ["bound of what the interpolation misses", _share(margins.interpolation, _BETWEEN)],
         ["control samples at a limit", m.limited],
     ]
-    for label, count in m.statuses.items():
-        rows.append([f"control samples that ended {label}", count])
+    rows += [[f"control samples that ended {label}", n] for label, n in m.statuses.items()]
     return Table(["quality of the measurement", "found"], rows, on_screen=False)
 
 
 def _share(value: float, most: float) -> Judged:
-    return Judged(f"{100 * value:.2g} %", "good" if value <= most else "bad")
+    return _judged(f"{100 * value:.2g} %", value <= most)
 
 
 def warning_of_statuses(
@@ -413,3 +418,175 @@ def _classical_data(c: ClassicalMargins) -> dict[str, float | None]:
 def _disk_data(disk: DiskMargin) -> dict[str, float]:
     keys = ("alpha", "omega", "gain_down", "gain_up", "phase")
     return {key: getattr(disk, key) for key in keys}
+
+
+_COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple")
+_OMEGA = Axis("ω", "rad/s", log=True)
+#: Side of what the Nyquist figure shows of the plane around the unit circle, and its least and
+#: largest reach to the left: as far as the crossing of the real axis asks for.
+_REACH, _LEAST_LEFT, _MOST_LEFT = 1.35, -2.2, -4.0
+#: What the Bode figure shows of the phase, and the sensitivity's of sizes.
+_DEGREES, _SIZES = (-390.0, 90.0), (0.01, 5.0)
+#: Points along each side of a shaded disk's grid.
+_GRID = 301
+
+
+def _bode(margins: MarginResult, condition: str) -> Chart:
+    """Gain and phase of each loop, the others closed, with the lines at which it was measured."""
+    size: list[Mark] = [Line(y=1.0)]
+    phase: list[Mark] = [Line(y=-180.0)]
+    lines = margins.response.omega
+    at_lines = 1 / np.diagonal(margins.response.S, axis1=1, axis2=2) - 1
+    for i, (loop, colour) in enumerate(zip(margins.loops, _COLOURS, strict=False)):
+        curve, label = margins.single[:, i], f"loop of {loop.name}"
+        size.append(Curve(margins.omega, np.abs(curve), label, colour))
+        size.append(Points(lines, np.abs(at_lines[:, i]), "lines measured", "dot", "ink", size=1.6))
+        degrees = _degrees(curve)
+        phase.append(Curve(margins.omega, degrees, label, colour))
+        up, lost = loop.margins.up, loop.margins.phase
+        if up is not None:
+            at = float(np.interp(up.omega, margins.omega, np.abs(curve)))
+            size.append(Points([up.omega], [at], "limit of the gain", "triangle", colour))
+        if lost is not None:
+            at = float(np.interp(lost.omega, margins.omega, degrees))
+            phase.append(Points([lost.omega], [at], "limit of the phase", "square", colour))
+    return Chart(
+        "margins_bode",
+        [
+            Panel(_OMEGA, Axis("|L|", log=True), size, "Gain"),
+            Panel(_OMEGA, Axis("arg L", "°", _DEGREES), phase, "Phase"),
+        ],
+        f"Each loop opened at its command, the others closed: {condition}.",
+    )
+
+
+def _degrees(curve: ComplexArray) -> FloatArray:
+    """The phase without jumps, between −360° and 0 where the gain is last 1."""
+    phase = np.unwrap(np.angle(curve))
+    above = np.flatnonzero(np.abs(curve) >= 1)
+    at = int(above[-1]) if above.size else len(curve) // 2
+    turns = math.ceil(phase[at] / (2 * math.pi))
+    return np.asarray(np.degrees(phase - 2 * math.pi * turns))
+
+
+def _nyquist(margins: MarginResult, condition: str) -> Chart:
+    """Nyquist curves beside the unit circle, with the largest disk around −1 that they leave."""
+    panels = []
+    for i, (loop, colour) in enumerate(zip(margins.loops, _COLOURS, strict=False)):
+        curve = margins.single[:, i]
+        real, imaginary = _window(loop)
+        shown = _within(curve, real, imaginary)
+        gaps = np.flatnonzero(np.isnan(shown.real))
+        cut = int(gaps[-1]) + 1 if gaps.size else 0
+        low, high = shown[:cut], shown[cut:]
+        turn = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
+        marks: list[Mark] = [
+            Line(x=0.0),
+            Line(y=0.0),
+            Curve(turn.real, turn.imag, "|L| = 1", "grey", "dashed", 0.8),
+            _disk(loop, real, imaginary),
+            # low frequencies that come by on their own, without the arrow that a gap would mislead
+            *(
+                Curve(part.real, part.imag, f"loop of {loop.name}", colour, arrow=part is high)
+                for part in (low, high)
+                if np.isfinite(part.real).sum() > 1
+            ),
+        ]
+        limits: tuple[tuple[StabilityLimit | None, str, Marker], ...] = (
+            (loop.margins.up, "limit of the gain", "triangle"),
+            (loop.margins.down, "limit of the gain", "triangle"),
+            (loop.margins.phase, "limit of the phase", "square"),
+        )
+        for limit, label, marker in limits:
+            if limit is None:
+                continue
+            at = _at_frequency(margins.omega, curve, limit.omega)
+            if real[0] <= at.real <= real[1] and abs(at.imag) <= imaginary[1]:
+                marks.append(Points([at.real], [at.imag], label, marker, "ink", size=5))
+        marks.append(Points([-1.0], [0.0], "−1", "cross", "alarm", size=9))
+        panels.append(
+            Panel(
+                Axis("Re L", limits=real),
+                Axis("Im L", limits=imaginary),
+                marks,
+                f"Loop of {loop.name}",
+                equal=True,
+            )
+        )
+    return Chart(
+        "margins_nyquist",
+        panels,
+        f"Nyquist curves for ω > 0, around the unit circle: {condition}. No gain and phase within "
+        "the disk leads to −1.",
+        columns=2,
+        width=4.6,
+        height=4.2,
+    )
+
+
+def _window(loop: LoopMargins) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Limits of the real and the imaginary axis: the unit circle, and what the disk reaches."""
+    disk = loop.disk
+    left = -disk.gain_up if disk.alpha < 2 else _MOST_LEFT
+    real = (max(_MOST_LEFT, min(_LEAST_LEFT, 1.1 * left)), _REACH)
+    half = (real[1] - real[0]) / 2
+    return real, (-half, half)
+
+
+def _within(
+    curve: ComplexArray, real: tuple[float, float], imaginary: tuple[float, float]
+) -> ComplexArray:
+    """The curve inside a window, broken (NaN) where it is outside."""
+    inside = (curve.real >= real[0]) & (curve.real <= real[1])
+    inside &= (curve.imag >= imaginary[0]) & (curve.imag <= imaginary[1])
+    return np.asarray(np.where(inside, curve, complex(np.nan, np.nan)))
+
+
+def _at_frequency(omega: FloatArray, curve: ComplexArray, wanted: float) -> complex:
+    """A curve's value at a frequency between two of its own."""
+    return complex(np.interp(wanted, omega, curve.real), np.interp(wanted, omega, curve.imag))
+
+
+def _disk(loop: LoopMargins, real: tuple[float, float], imaginary: tuple[float, float]) -> Region:
+    """Values of L from which a change within the disk margin leads to −1: −1/f, f in D(α)."""
+    x, y = np.linspace(*real, _GRID), np.linspace(*imaginary, _GRID)
+    z = x[None, :] + 1j * y[:, None]
+    # f = (1 + δ/2)/(1 − δ/2) = −1/L solved for δ; at L = 1 it has no solution
+    inside = 2 * np.abs(1 + z) < loop.disk.alpha * np.abs(1 - z)
+    return Region(x, y, inside, "disk margin", "orange")
+
+
+def _sensitivity(margins: MarginResult, condition: str) -> Chart:
+    """What each frequency is amplified by, and how large a disk it leaves."""
+    S, T, omega = margins.S, margins.T, margins.omega
+    size: list[Mark] = [Line(y=1.0)]
+    disks: list[Mark] = [Line(y=2.0)]
+    for i, (loop, colour) in enumerate(zip(margins.loops, _COLOURS, strict=False)):
+        size.append(Curve(omega, np.abs(S[:, i, i]), f"|S| of {loop.name}", colour))
+        size.append(Curve(omega, np.abs(T[:, i, i]), f"|T| of {loop.name}", colour, "dashed"))
+        top = [loop.sensitivity, loop.complementary]
+        size.append(
+            Points([p.omega for p in top], [p.value for p in top], "peaks", "dot", "ink", size=4)
+        )
+        apart = 2 / np.abs(S[:, i, i] - T[:, i, i])
+        disks.append(Curve(omega, apart, f"{loop.name} alone", colour))
+    panels = [Panel(_OMEGA, Axis("size", limits=_SIZES, log=True), size, "Each loop")]
+    if len(margins.loops) > 1:
+        both: list[Mark] = [
+            Line(y=1.0),
+            Curve(omega, largest_singular_value(S), "σ̄(S)", "purple"),
+            Curve(omega, largest_singular_value(T), "σ̄(T)", "purple", "dashed"),
+        ]
+        panels.append(Panel(_OMEGA, Axis("size", limits=_SIZES, log=True), both, "Both loops"))
+        disks.append(Curve(omega, 2 / diagonal_mu(S - T), "each by its own factor", "ink"))
+        apart = 2 / largest_singular_value(S - T)
+        disks.append(Curve(omega, apart, "any change, coupling too", "grey", "dashed"))
+    panels.append(Panel(_OMEGA, Axis("size α of the disk", limits=(0.0, 2.1)), disks, "Disks"))
+    return Chart(
+        "margins_sensitivity",
+        panels,
+        f"Sensitivity S, complementary sensitivity T, and the disk that each frequency leaves: "
+        f"{condition}.",
+        columns=len(panels),
+        width=4.0,
+    )

@@ -1,32 +1,135 @@
-"""What a run of a loop came to, from the last two thirds of it.
+"""How much of each impairment a loop stands in simulation, and what its linear margins foretell.
 
-Each third's mean error and swing (half of the range) of each angle tell whether the loop has
-settled, is still on its way, rests beside the point, or swings on.
+What goes wrong between a controller and its rig (late commands, wrong gains, dry friction) has one
+size each, of which a given one means that nothing is wrong. A coarse scan, then bisection finds the
+first size that a loop does not stand. Nothing says that a loop which fails at one size fails at all
+larger ones, so all sizes of the scan are tried; the bisection then closes in on the first failure
+that the scan shows. A shorter failure between two sizes of the scan is not seen.
 
-The first size of an impairment that a loop does not stand: a coarse scan, then bisection.
-
-Nothing says that a loop which fails at one size fails at all larger ones, so all sizes of the
-scan are tried; the bisection then closes in on the first failure that the scan shows. A shorter
-failure between two sizes of the scan is not seen.
-
-How much of each impairment a loop stands in simulation, and what its linear margins foretell.
+What a run came to is told from the last two thirds of it: each third's mean error and swing (half
+of the range) of each angle tell whether the loop has settled, is still on its way, rests beside the
+point, or swings on.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extended
+from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.closed_loop import LoopRun, run_loop
-from trms_cli.stability.loops.impairments import GainError, Impairment
+from trms_cli.stability.closed_loop import LoopRun, Path, run_loop
 from trms_cli.stability.loops.margins import MarginResult
 from trms_cli.stability.subject import LoopParts, Subject
+
+ImpairmentKind = Literal["delay", "gain", "friction"]
+_UNITS: dict[ImpairmentKind, str] = {"delay": "s", "gain": "", "friction": "N m"}
+
+
+@dataclass(frozen=True)
+class Impairment:
+    """One way in which a loop is made worse; larger sizes are worse.
+
+    *Delay*: all commands reach the motors late. *Gain*: one command reaches its motor too large, or
+    too small, within its limits. *Friction*: Coulomb friction of an axis.
+    """
+
+    kind: ImpairmentKind
+    of: str = ""  #: The input of a gain, the axis of friction
+    up: bool = False  #: Whether a gain is too large: a factor of size, else of 1/size
+    #: Whether a gain changes only the command's distance to the point's, as in linear theory
+    of_changes: bool = False
+
+    @property
+    def key(self) -> str:
+        """``delay``, ``gain_up_u_v``, ``friction_pitch``."""
+        side = ("up" if self.up else "down") if self.kind == "gain" else ""
+        return "_".join(part for part in (self.kind, side, self.of) if part)
+
+    @property
+    def words(self) -> str:
+        """``delay of all commands``, ``gain of u_v too large``, ``Coulomb friction of pitch``."""
+        if self.kind == "gain":
+            return f"gain of {self.of} too {'large' if self.up else 'small'}"
+        return "delay of all commands" if self.kind == "delay" else f"Coulomb friction of {self.of}"
+
+    @property
+    def unit(self) -> str:
+        return _UNITS[self.kind]
+
+    @property
+    def none(self) -> float:
+        """The size at which nothing is wrong."""
+        return 1.0 if self.kind == "gain" else 0.0
+
+    def shown(self, size: float) -> float:
+        """The size as it is told: a gain of 1/size for one that is too small."""
+        return 1 / size if self.kind == "gain" and not self.up else size
+
+    def amount(self, size: float) -> str:
+        """The size in words: ``0.1 s``, ``2``, ``0.004 N m``."""
+        return f"{self.shown(size):.3g} {self.unit}".rstrip()
+
+    def rig(self, model: Model, size: float) -> Model:
+        """The rig that has it."""
+        if self.kind != "friction":
+            return model
+        friction = CoulombFriction(axis=self.of, torque=size)  # type: ignore[arg-type]
+        return extended(model, {f"added_{self.key}": friction})
+
+    def path(
+        self, model: Model, point: OperatingPoint, sample_time: float, size: float
+    ) -> Path | None:
+        """What its commands pass; None where they pass as they are."""
+        if self.kind == "delay":
+            return Delayed(size / sample_time, point.u)
+        if self.kind == "friction":
+            return None
+        factor = np.ones(model.n_u)
+        factor[names(model.inputs).index(self.of)] = self.shown(size)
+        lower, upper = model.input_bounds()
+        around = point.u if self.of_changes else np.zeros(model.n_u)
+        # the amplifier behind the wrong gain has the limits that the command has
+        return lambda k, u: np.clip(around + factor * (u - around), lower, upper)
+
+
+def impairments_of(model: Model) -> tuple[Impairment, ...]:
+    """All that fit a rig; one that only steps cannot gain friction."""
+    gains = [Impairment("gain", u, up) for u in names(model.inputs) for up in (True, False)]
+    axes = model.axes if model.sample_time is None else ()
+    return (Impairment("delay"), *gains, *(Impairment("friction", axis) for axis in axes))
+
+
+@dataclass
+class Delayed:
+    """Commands as they were a time ago.
+
+    Between two samples the delayed command has its mean over the sample: the mixture of two
+    neighbours, so that any time is possible.
+    """
+
+    samples: float  #: The time over the sample time
+    before: FloatArray  #: (n_u,) array; in force before the first command
+    _past: deque[FloatArray] = field(init=False)
+    _share: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        whole = int(self.samples)
+        self._share = self.samples - whole
+        self._past = deque([self.before.copy() for _ in range(whole + 2)], maxlen=whole + 2)
+
+    def __call__(self, k: int, u: FloatArray) -> FloatArray:
+        self._past.append(u.copy())
+        return np.asarray((1 - self._share) * self._past[1] + self._share * self._past[0])
+
 
 Kind = Literal[
     "settles", "dies out", "still creeping", "rests beside", "chatters", "swings", "is lost"
@@ -139,7 +242,7 @@ class TrialRun:
 
 @dataclass(frozen=True)
 class FailureBracket:
-    """What a search found."""
+    """Where a loop first fails."""
 
     tried: tuple[TrialRun, ...]  #: By size
     below: TrialRun  #: The largest size before the first failure
@@ -202,25 +305,22 @@ class ToleranceTrial:
     lost: float  #: rad from the point at which a run is ended
 
     def errors(self, x: FloatArray) -> FloatArray:
-        """Controlled angles' distances from the point, rad, (n, n_r)."""
+        """Controlled angles' distances from the point, rad, (…, n_r), at states (…, n_x)."""
         model = self.subject.model
         rows = [model.state_index(name) for name in model.controlled]
-        return np.asarray(x[:, rows] - self.point.x[rows])
+        return np.asarray((x - self.point.x)[..., rows])
 
     def at(self, impairment: Impairment, size: float) -> TrialRun:
         """A run with the impairment at a size; at ``impairment.none`` nothing is wrong."""
         model = self.subject.model
-        rows = [model.state_index(name) for name in model.controlled]
-        goal = self.point.x[rows]
 
         def gone(x: FloatArray) -> str:
-            far = float(np.abs(x[rows] - goal).max())
+            far = float(np.abs(self.errors(x)).max())
             return f"an angle is {far:.2g} rad away" if far > self.lost else ""
 
         wrong = size != impairment.none
         rig = impairment.rig(model, size) if wrong else model
-        time = self.loop.sample_time
-        path = impairment.path(model, self.point, time, size) if wrong else None
+        path = impairment.path(model, self.point, self.loop.sample_time, size) if wrong else None
         run = run_loop(
             rig, self.loop, self.point, self.duration, offset=self.offset, path=path, until=gone
         )
@@ -232,7 +332,7 @@ class ToleranceTrial:
 
 @dataclass(frozen=True)
 class ImpairmentLimits:
-    """What was found of an impairment."""
+    """How much of an impairment a loop stands."""
 
     impairment: Impairment
     back: FailureBracket  #: Up to where the loop comes back to the point
@@ -260,11 +360,11 @@ def limits_of(
             runs[size] = trial.at(impairment, size)
         return runs[size]
 
-    def found(fails: Callable[[TrialRun], bool]) -> FailureBracket:
+    def search(fails: Callable[[TrialRun], bool]) -> FailureBracket:
         return find_failure(sizes, runs[impairment.none], attempt, precision, fails)
 
-    calm = found(lambda tried: not tried.verdict.calm)
-    back = found(lambda tried: not tried.verdict.back)
+    calm = search(lambda tried: not tried.verdict.calm)
+    back = search(lambda tried: not tried.verdict.back)
     return ImpairmentLimits(impairment, back, calm, *_predicted(impairment, margins))
 
 
@@ -272,13 +372,12 @@ def _predicted(impairment: Impairment, margins: MarginResult | None) -> tuple[fl
     """The size at which the linear loop becomes unstable, and whether it says anything."""
     if margins is None or impairment.kind == "friction":
         return None, False
-    if not isinstance(impairment, GainError):
-        delay = margins.together.delay
-        return (None if delay is None else delay.value), True
-    own = margins.loops[impairment.channel].margins
-    if impairment.up:
-        return (None if own.up is None else own.up.value), True
-    return (None if own.down is None else 1 / own.down.value), True
+    if impairment.kind == "delay":
+        limit = margins.together.delay
+    else:
+        own = next(loop.margins for loop in margins.loops if loop.name == impairment.of)
+        limit = own.up if impairment.up else own.down
+    return (None if limit is None else impairment.shown(limit.value)), True
 
 
 #: Factor within which a foretold and a simulated limit count as the same.
@@ -296,10 +395,9 @@ def explanation(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
     impairment, limit, predicted = limits.impairment, limits.calm.limit, limits.predicted
     if not limits.foretold:
         return ""
-    if isinstance(impairment, GainError) and not impairment.up:
-        held = _range_ends(limits, impairment, trial)
-        if held:
-            return held
+    held = _range_ends(limits, trial)
+    if held:
+        return held
     most = limits.calm.tried[-1].size
     if limit is None and (predicted is None or predicted > most):
         return "none within the scan, as foretold"
@@ -310,18 +408,15 @@ def explanation(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
     near = replace(trial, offset=offset, bounds=trial.bounds.closer(_CLOSER))
     closer = near.at(impairment, between)
     stable = predicted is None or between < predicted
-    words = (
-        "later than foretold"
-        if limit is None or (predicted and limit > predicted)
-        else ("sooner than foretold")
-    )
+    later = limit is None or (predicted and limit > predicted)
+    words = f"{'later' if later else 'sooner'} than foretold"
     if closer.verdict.calm == stable:
         return (
             f"{words}; from a start {_CLOSER:g} times closer the linear loop is right: a large "
             f"swing is not linear{_at_limits(limits, trial)}"
         )
     too = f"{words}, from a start {_CLOSER:g} times closer too"
-    if isinstance(impairment, GainError):
+    if impairment.kind == "gain":
         changes = near.at(replace(impairment, of_changes=True), between)
         if changes.verdict.calm == stable:
             return (
@@ -332,13 +427,17 @@ def explanation(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
     return too
 
 
-def _range_ends(limits: ImpairmentLimits, gain: GainError, trial: ToleranceTrial) -> str:
-    """A word where the command that holds the point is out of the range at the wrong gain."""
-    lower, upper = trial.subject.model.input_bounds()
-    u = float(trial.point.u[gain.channel])
-    bound = float((upper if u > 0 else lower)[gain.channel])
-    above = limits.back.above
-    if not u or above is None or bound / u > above.size:
+def _range_ends(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
+    """A word where the command that holds the point is out of the range at too small a gain."""
+    gain, above = limits.impairment, limits.back.above
+    if gain.kind != "gain" or gain.up or above is None:
+        return ""
+    model = trial.subject.model
+    channel = names(model.inputs).index(gain.of)
+    lower, upper = model.input_bounds()
+    u = float(trial.point.u[channel])
+    bound = float((upper if u > 0 else lower)[channel])
+    if not u or bound / u > above.size:
         return ""
     return (
         f"holding the point takes {abs(u):.3g} V: with a gain below {u / bound:.2g} the command "

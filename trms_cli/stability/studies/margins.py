@@ -9,10 +9,9 @@ from typing import Annotated
 from msgspec import Meta
 
 from trms_cli.core.findings import Findings
-from trms_cli.stability.loops.frequency_response import Analyser, NoResponse
+from trms_cli.stability.loops.frequency_response import Analyser, NoResponse, measured, point_of
 from trms_cli.stability.loops.margin_findings import margin_findings, no_response_findings
 from trms_cli.stability.loops.margins import MarginResult
-from trms_cli.stability.loops.measurement import measured, point_of
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
