@@ -67,44 +67,34 @@ class Linear:
 
     @cached_property
     def _slopes(self) -> ca.Function:
-        x, u, p, w = self.model.symbols()
-        f = self._rates(x, u, p, w)
-        found = [ca.densify(ca.jacobian(f, v)) for v in (x, u, w)]
-        y = ca.densify(ca.jacobian(self.model.measurement(x, u, p), x))
-        return ca.Function("slopes", [x, u, p], [*_still([*found, y], w)])
+        x, u, p, w, f = self._symbols()
+        y = self.model.measurement(x, u, p)
+        return _still([ca.jacobian(f, v) for v in (x, u, w)] + [ca.jacobian(y, x)], w, [x, u, p])
 
     @cached_property
     def _a(self) -> ca.Function:
-        x, u, p, w = self.model.symbols()
-        a = ca.densify(ca.jacobian(self._rates(x, u, p, w), x))
-        return ca.Function("a", [x, u, p], _still([a], w))
+        x, u, p, w, f = self._symbols()
+        return _still([ca.jacobian(f, x)], w, [x, u, p])
 
     @cached_property
     def _change(self) -> ca.Function:
-        x, u, p, w = self.model.symbols()
-        a = ca.vec(ca.densify(ca.jacobian(self._rates(x, u, p, w), x)))
+        x, u, p, w, f = self._symbols()
+        a = ca.vec(ca.densify(ca.jacobian(f, x)))
         along = ca.vertcat(x, u, p)
         direction = ca.SX.sym("direction", along.shape[0])
-        slope = ca.densify(ca.jtimes(a, along, direction))
-        return ca.Function("change", [x, u, p, direction], _still([slope], w))
+        return _still([ca.jtimes(a, along, direction)], w, [x, u, p, direction])
 
     def matrices(
         self, x: FloatArray, u: FloatArray, side: Side = "mean", p: FloatArray | None = None
     ) -> Matrices:
         """A, B, E and C at a point."""
-        p = self.parameters if p is None else p
-        sides = [[np.array(m) for m in self._slopes(at, u, p)] for at in self._sides(x, u, side, p)]
-        a, b, e, c = (np.mean(found, axis=0) for found in zip(*sides, strict=True))
-        return Matrices(a, b, e, c, self.model.sample_time)
+        return Matrices(*self._averaged(self._slopes, x, u, side, p), self.model.sample_time)
 
     def a(
         self, x: FloatArray, u: FloatArray, side: Side = "mean", p: FloatArray | None = None
     ) -> FloatArray:
         """A alone."""
-        p = self.parameters if p is None else p
-        found = [np.array(self._a(at, u, p)) for at in self._sides(x, u, side, p)]
-        mean: FloatArray = np.mean(found, axis=0)
-        return mean
+        return self._averaged(self._a, x, u, side, p)[0]
 
     def change(
         self,
@@ -115,14 +105,8 @@ class Linear:
         p: FloatArray | None = None,
     ) -> FloatArray:
         """dA along a direction (dx, du, dp), (n_x + n_u + n_p,); exact."""
-        p = self.parameters if p is None else p
         n = self.model.n_x
-        found = [
-            np.array(self._change(at, u, p, direction)).reshape(n, n, order="F")
-            for at in self._sides(x, u, side, p)
-        ]
-        mean: FloatArray = np.mean(found, axis=0)
-        return mean
+        return self._averaged(self._change, x, u, side, p, direction)[0].reshape(n, n, order="F")
 
     def switches(
         self, x: FloatArray, u: FloatArray, p: FloatArray | None = None
@@ -132,7 +116,7 @@ class Linear:
         n = self.model.n_x
         if not self._differs(x, u, p, np.ones(n)).any():
             return ()
-        found = []
+        switches = []
         for i in range(n):
             away = np.zeros(n)
             away[i] = 1.0
@@ -142,8 +126,22 @@ class Linear:
                 upper, lower = self._at([x + step, x - step], u, p)
                 entries = tuple((int(r), int(c)) for r, c in np.argwhere(jumps))
                 values = (tuple(float(side[e]) for e in entries) for side in (upper, lower))
-                found.append(Switch(i, entries, *values))
-        return tuple(found)
+                switches.append(Switch(i, entries, *values))
+        return tuple(switches)
+
+    def _averaged(
+        self,
+        function: ca.Function,
+        x: FloatArray,
+        u: FloatArray,
+        side: Side,
+        p: FloatArray | None,
+        *more: FloatArray,
+    ) -> list[FloatArray]:
+        """The outputs of a function of (x, u, p, …), of one side of a switch or the mean of both."""
+        p = self.parameters if p is None else p
+        sides = [function.call([at, u, p, *more]) for at in self._sides(x, u, side, p)]
+        return [np.mean([np.array(m) for m in parts], axis=0) for parts in zip(*sides, strict=True)]
 
     def _sides(
         self, x: FloatArray, u: FloatArray, side: Side, p: FloatArray
@@ -171,13 +169,15 @@ class Linear:
         many = np.array(self._a(np.array(points).T, u, p))
         return np.split(many, len(points), axis=1)
 
-    def _rates(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        if self.model.sample_time is None:
-            return self.model.dynamics(x, u, p, w)
-        return self.model.transition(x, u, p, w)
+    def _symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+        """x, u, p and w, and the rates or the step of the model."""
+        x, u, p, w = self.model.symbols()
+        stepping = self.model.sample_time is not None
+        f = (self.model.transition if stepping else self.model.dynamics)(x, u, p, w)
+        return x, u, p, w, f
 
 
-def _still(expressions: list[ca.SX], w: ca.SX) -> list[ca.SX]:
-    """Expressions without disturbance."""
-    found: list[ca.SX] = ca.substitute(expressions, [w], [ca.SX.zeros(w.shape[0])])
-    return found
+def _still(expressions: list[ca.SX], w: ca.SX, inputs: list[ca.SX]) -> ca.Function:
+    """A function of dense expressions, without disturbance."""
+    dense = [ca.densify(expression) for expression in expressions]
+    return ca.Function("slopes", inputs, ca.substitute(dense, [w], [ca.SX.zeros(w.shape[0])]))

@@ -185,10 +185,8 @@ class Modes:
     @property
     def verdict(self) -> Verdict:
         """Of the whole."""
-        found = {mode.verdict for mode in self.modes}
-        if "unstable" in found:
-            return "unstable"
-        return "marginal" if "marginal" in found else "stable"
+        order: tuple[Verdict, ...] = ("stable", "marginal", "unstable")
+        return max((mode.verdict for mode in self.modes), key=order.index, default="stable")
 
 
 def rate_of(value: complex, sample_time: float | None) -> complex:
@@ -213,7 +211,7 @@ def modes_of_matrix(
     ``parts`` says what each state is of.
     """
     values, left, right = spectrum(a)
-    found, forgotten = [], 0
+    modes, forgotten = [], 0
     for group in _together(values):
         value = complex(values[group].mean())
         if sample_time is not None and abs(value) < _FORGOTTEN:
@@ -228,7 +226,7 @@ def modes_of_matrix(
             share, defective = _joint(a, values[group], value)
         participation = share / share.sum()
         rate = rate_of(value, sample_time)
-        found.append(
+        modes.append(
             EigenMode(
                 mode_name(parts, participation, rate),
                 rate,
@@ -240,8 +238,10 @@ def modes_of_matrix(
                 sample_time is not None and value.real < 0 and abs(value.imag) <= STILL,
             )
         )
-    found.sort(key=lambda mode: (-abs(mode.eigenvalue), mode.name))
-    return Modes(tuple(_told_apart(found)), forgotten)
+    modes.sort(key=lambda mode: (-abs(mode.eigenvalue), mode.name))
+    named = told_apart([mode.name for mode in modes], "faster", "slower")
+    modes = [replace(mode, name=name) for mode, name in zip(modes, named, strict=True)]
+    return Modes(tuple(modes), forgotten)
 
 
 def spectrum(a: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -279,7 +279,8 @@ def _together(values: ComplexArray) -> list[list[int]]:
 
 def _joint(a: FloatArray, values: ComplexArray, value: complex) -> tuple[FloatArray, bool]:
     """Participation of a multiple eigenvalue, and whether it lacks eigenvectors."""
-    balanced, scales = scipy.linalg.matrix_balance(a, permute=False, separate=False)[:2]
+    # The diagonal of a projector does not depend on the balancing's scales.
+    balanced = scipy.linalg.matrix_balance(a, permute=False, separate=False)[0]
     reach = 2.0 * max(float(np.abs(values - value).max()), _TOGETHER * (1.0 + abs(value)))
     form, basis, count = scipy.linalg.schur(
         balanced, output="complex", sort=lambda z: abs(z - value) <= reach
@@ -290,20 +291,17 @@ def _joint(a: FloatArray, values: ComplexArray, value: complex) -> tuple[FloatAr
     if count < len(form):
         projector[:count, count:] = scipy.linalg.solve_sylvester(own, -rest, cross)
     projector = basis @ projector @ basis.conj().T
-    # The diagonal of a projector does not depend on the balancing's scales.
-    del scales
     chained = np.abs(own - np.diag(np.diag(own))).max(initial=0.0)
     return np.abs(np.diag(projector)), bool(chained > 1e-5 * (1.0 + abs(value)))
 
 
-def _told_apart(modes: Sequence[EigenMode]) -> list[EigenMode]:
-    """Equal names with a word of what differs."""
-    found = list(modes)
-    for name in {mode.name for mode in modes}:
-        same = [i for i, mode in enumerate(found) if mode.name == name]
-        if len(same) < 2:
-            continue
-        words = ("faster", "slower") if len(same) == 2 else [str(k + 1) for k in range(len(same))]
+def told_apart(names: Sequence[str], first: str, second: str) -> list[str]:
+    """Names, equal ones with a word of what differs: two by words in their order, more by number."""
+    distinct = list(names)
+    for name in set(names):
+        same = [i for i, other in enumerate(names) if other == name]
+        words = (first, second) if len(same) == 2 else [str(k + 1) for k in range(len(same))]
         for i, word in zip(same, words, strict=True):
-            found[i] = replace(found[i], name=f"{name} ({word})")
-    return found
+            if len(same) > 1:
+                distinct[i] = f"{name} ({word})"
+    return distinct
