@@ -22,10 +22,12 @@ from trms_cli.stability.local.access import (
     observability_gramian,
     observable,
     scales_of,
+    sensor_sets,
+    set_words,
     stationary_gramian,
+    torque_estimates,
     volts_to_move,
 )
-from trms_cli.stability.local.constant_torques import sensor_sets, set_words, torque_estimates
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.local.modes import modes_of
 from trms_cli.stability.studies.controllability import Controllability

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.stability.equilibria.isolation import Roots, isolate
+from trms_cli.stability.equilibria.proof import Roots, isolate
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 

@@ -28,15 +28,16 @@ from trms_cli.stability.local.modes import (
     modes_of,
     modes_of_matrix,
     parts_of,
+    spectrum_of,
 )
 from trms_cli.stability.local.stability_map import StabilityMap, map_section
 from trms_cli.stability.local.sweep import (
     OperatingPath,
+    Track,
     match_spectra,
-    spectrum_of,
     sweep_eigenvalues,
+    tracks_of,
 )
-from trms_cli.stability.local.tracks import Track, tracks_of
 from trms_cli.stability.studies.controllability import Controllability
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.studies.root_locus import RootLocus

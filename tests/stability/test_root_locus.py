@@ -21,8 +21,7 @@ from trms_cli.stability.local.sensitivity import (
     state_words,
 )
 from trms_cli.stability.local.stability_map import stability_map
-from trms_cli.stability.local.sweep import OperatingPath, sweep_eigenvalues
-from trms_cli.stability.local.tracks import crossings, tracks_of
+from trms_cli.stability.local.sweep import OperatingPath, crossings, sweep_eigenvalues, tracks_of
 from trms_cli.stability.studies.root_locus import RootLocus
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject

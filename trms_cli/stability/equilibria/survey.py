@@ -16,8 +16,12 @@ from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.continuation import SolutionCurve
 from trms_cli.models.model import Model, names
-from trms_cli.stability.equilibria.curves import CurveEquations, EquilibriumPoint
-from trms_cli.stability.equilibria.landmarks import Landmark, landmarks
+from trms_cli.stability.equilibria.curves import (
+    CurveEquations,
+    EquilibriumPoint,
+    Landmark,
+    landmarks,
+)
 from trms_cli.stability.equilibria.proof import Proof, Prover, RangePiece, over_range
 from trms_cli.stability.equilibria.rest_system import RestSystem, rest_system
 from trms_cli.stability.intervals.interval import Interval

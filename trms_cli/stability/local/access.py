@@ -1,10 +1,10 @@
-"""Sizes that make numbers of different units comparable: states, inputs, sensors, disturbances.
+"""What inputs can move and sensors can see of a linear model: modes, energies, constant torques.
 
-An angle counts as 0.1 rad and its rate as 0.1 rad/s, an input as its limit. Any other state
-counts as a tenth of what a full command moves it by in the end (``−A⁺B u_max``): a rotor's speed,
-a current.
+Sizes make numbers of different units comparable. An angle counts as 0.1 rad and its rate as
+0.1 rad/s, an input as its limit. Any other state counts as a tenth of what a full command moves it
+by in the end (``−A⁺B u_max``): a rotor's speed, a current.
 
-Gramians over a finite time and for ever, of stable and of unstable systems alike.
+Gramians over a finite time and for ever, of stable and of unstable systems alike:
 
     W_c(T) = ∫₀ᵀ e^{At} B Bᵀ e^{Aᵀt} dt        W_o(T) = ∫₀ᵀ e^{Aᵀt} Cᵀ C e^{At} dt
 
@@ -17,22 +17,26 @@ the Lyapunov equation of a stable A.
 The least energy ``∫ |u|² dt`` that moves ``c x`` by d in the time T from rest is ``d²/(c W_c cᵀ)``
 (Kailath, Linear Systems, 1980, sec. 9.2).
 
-What inputs can move and sensors can see, mode by mode.
-
 The test of Popov, Belevitch and Hautus (PBH): the eigenvalue λ is controllable by B if and only if
 ``[λI − A, B]`` has full rank; its smallest singular value, in scaled units, is how much of a change
 of A and B takes it away (Eising 1984, Syst. Control Lett. 4). What the inputs reach is exactly the
 span of the Krylov matrix ``[B, AB, …]``: where a mode is out of reach, its left eigenvector is
 orthogonal to B, which is told as zero when it is below what the operating point is exact to.
-
 Sensors are the dual: ``[λI − A; C]`` and the right eigenvector.
 
-What inputs move and sensors see at a point and along a line, gathered for a report.
+A constant torque is a state without a rate beside the others, ``ẋ = A x + e d, ḋ = 0``. What the
+sensors see of (A, C) at all is found first: the span of Cᵀ under the resolvent ``(A − μI)⁻ᵀ``,
+which has the same invariant subspaces as A and no fast modes that would swamp the slow ones. In
+that quotient the torque is observable if and only if ``[A e; C 0]`` has full column rank; several
+torques are told at once as far as the rank goes (Davison & Smith 1971, Automatica 7). The error is
+that of the best linear estimate from readings with white noise over a time, the initial state known
+to ten motions worth speaking of (1 rad, 1 rad/s) and the torque not at all.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -40,6 +44,8 @@ import numpy as np
 import scipy.linalg
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
 from trms_cli.stability.local.linear import Matrices
 from trms_cli.stability.local.modes import STILL, EigenMode, modes_of, parts_of
@@ -57,6 +63,12 @@ class Scales:
     x: FloatArray  #: (n_x,) array
     u: FloatArray  #: (n_u,) array; limits
     y: FloatArray  #: (n_y,) array; standard deviation of one reading of each output
+
+    def of(self, m: Matrices) -> Matrices:
+        """A linear model in these sizes; torques stay in their unit."""
+        x = self.x[:, None]
+        b, c = m.b * self.u[None, :] / x, m.c * self.x[None, :] / self.y[:, None]
+        return Matrices(m.a * self.x[None, :] / x, b, m.e / x, c, m.sample_time)
 
 
 def scales_of(model: Model, matrices: Matrices, angle_noise: float, other_noise: float) -> Scales:
@@ -131,8 +143,7 @@ def stationary_gramian(
 def hankel_values(controllable: FloatArray, observable: FloatArray) -> FloatArray:
     """Hankel singular values of two Gramians, largest first."""
     values = np.linalg.eigvals(controllable @ observable)
-    found: FloatArray = np.sort(np.sqrt(np.maximum(values.real, 0.0)))[::-1]
-    return found
+    return np.asarray(np.sort(np.sqrt(np.maximum(values.real, 0.0)))[::-1])
 
 
 def volts_to_move(
@@ -165,8 +176,7 @@ def _steps(flow: FloatArray, first: FloatArray, count: int) -> FloatArray:
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
-    symmetric: FloatArray = 0.5 * (matrix + matrix.T)
-    return symmetric
+    return np.asarray(0.5 * (matrix + matrix.T))
 
 
 Grade = Literal["none", "weak", "yes"]
@@ -184,61 +194,62 @@ WEAK_REACH, WEAK_SIGHT = 1.0, 3.0
 class PbhResult:
     """What an input, or a sensor set, has to do with a mode."""
 
+    grade: Grade
     #: Smallest singular value of the scaled PBH matrix, 1/s (1 of a model that steps). Zero: out of
     #: reach.
     margin: float
     #: Of inputs: how far a full command can pump the mode in the time given, relative to a motion
     #: worth speaking of. Of sensors: the reading of such a motion in standard deviations.
     strength: float
-    grade: Grade
 
 
 def controllable(
     matrices: Matrices, scales: Scales, mode: EigenMode, inputs: list[int], duration: float
 ) -> PbhResult:
     """How well some inputs move a mode."""
-    a, b = _scaled_a(matrices.a, scales), _scaled_b(matrices.b, scales)[:, inputs]
-    margin, floor = _margin(a, b, _value(mode, matrices))
+    scaled = scales.of(matrices)
+    b = scaled.b[:, inputs]
     # w in scaled states, its own motion of size one.
     left, _ = _eigenvectors(mode, scales)
-    driving = np.abs(left @ b)
-    size = float(driving.sum()) * _pumping(mode, duration, matrices.sample_time)
-    return _graded(mode, margin, floor, size, WEAK_REACH)
+    # ∫₀ᵀ e^{Re λ t} dt: what a command in step with the mode adds up to; per sample of a step.
+    rate, step = mode.eigenvalue.real, matrices.sample_time
+    total = duration if abs(rate) * duration < 1e-9 else float(np.expm1(rate * duration) / rate)
+    pumped = float(np.abs(left @ b).sum()) * (total if step is None else total / step)
+    return _graded(mode, scaled.a, b, step, pumped, WEAK_REACH)
 
 
 def observable(
     matrices: Matrices, scales: Scales, mode: EigenMode, outputs: list[int]
 ) -> PbhResult:
     """How well some sensors see a mode."""
-    a = _scaled_a(matrices.a, scales)
-    c = (matrices.c * scales.x[None, :] / scales.y[:, None])[outputs]
-    margin, floor = _margin(a.T, _normalised(c).T, _value(mode, matrices))
+    scaled = scales.of(matrices)
+    c = scaled.c[outputs]
     _, right = _eigenvectors(mode, scales)
-    return _graded(mode, margin, floor, float(np.abs(c @ right).max(initial=0.0)), WEAK_SIGHT)
-
-
-def _margin(a: FloatArray, b: FloatArray, value: complex) -> tuple[float, float]:
-    """Smallest singular value of [λI − A, B], and what of it would be rounding."""
-    pencil = np.hstack([value * np.eye(len(a)) - a, b])
-    values = np.linalg.svd(pencil, compute_uv=False)
-    return float(values[-1]), _PBH_ROUNDING * float(max(1.0, values[0]))
+    reading = float(np.abs(c @ right).max(initial=0.0))
+    # Rows of size one: a margin is to tell structure, not the quality of the sensor.
+    size = np.abs(c).max(axis=1, keepdims=True, initial=0.0)
+    rows = c / np.where(size > 0, size, 1.0)
+    return _graded(mode, scaled.a.T, rows.T, matrices.sample_time, reading, WEAK_SIGHT)
 
 
 def _graded(
-    mode: EigenMode, margin: float, floor: float, strength: float, weak: float
+    mode: EigenMode,
+    a: FloatArray,
+    b: FloatArray,
+    step: float | None,
+    strength: float,
+    weak: float,
 ) -> PbhResult:
+    """By the smallest singular value of [λI − A, B], and by the strength."""
+    value = mode.eigenvalue if step is None else complex(np.exp(mode.eigenvalue * step))
+    value = value if abs(value.imag) > STILL else complex(value.real)
+    sizes = np.linalg.svd(np.hstack([value * np.eye(len(a)) - a, b]), compute_uv=False)
+    margin, rounding = float(sizes[-1]), _PBH_ROUNDING * float(max(1.0, sizes[0]))
     # One eigenvector of several says nothing of the others: there the margin decides.
-    none = strength <= _NOTHING or (mode.multiplicity > 1 and margin <= floor)
-    if none:
-        return PbhResult(0.0, strength if mode.multiplicity > 1 else 0.0, "none")
-    return PbhResult(margin, strength, "weak" if strength < weak else "yes")
-
-
-def _pumping(mode: EigenMode, duration: float, sample_time: float | None) -> float:
-    """∫₀ᵀ e^{Re λ t} dt: what a command in step with the mode adds up to; per sample of a step."""
-    rate = mode.eigenvalue.real
-    total = duration if abs(rate) * duration < 1e-9 else float(np.expm1(rate * duration) / rate)
-    return total if sample_time is None else total / sample_time
+    several = mode.multiplicity > 1
+    if strength <= _NOTHING or (several and margin <= rounding):
+        return PbhResult("none", 0.0, strength if several else 0.0)
+    return PbhResult("weak" if strength < weak else "yes", margin, strength)
 
 
 def _eigenvectors(mode: EigenMode, scales: Scales) -> tuple[ComplexArray, ComplexArray]:
@@ -247,31 +258,6 @@ def _eigenvectors(mode: EigenMode, scales: Scales) -> tuple[ComplexArray, Comple
     left = mode.left * scales.x
     size = float(np.abs(right).max())
     return left * size, right / size
-
-
-def _value(mode: EigenMode, matrices: Matrices) -> complex:
-    if matrices.sample_time is None:
-        value = mode.eigenvalue
-    else:
-        value = complex(np.exp(mode.eigenvalue * matrices.sample_time))
-    return value if abs(value.imag) > STILL else complex(value.real)
-
-
-def _scaled_a(a: FloatArray, scales: Scales) -> FloatArray:
-    scaled: FloatArray = a * scales.x[None, :] / scales.x[:, None]
-    return scaled
-
-
-def _scaled_b(b: FloatArray, scales: Scales) -> FloatArray:
-    scaled: FloatArray = b * scales.u[None, :] / scales.x[:, None]
-    return scaled
-
-
-def _normalised(c: FloatArray) -> FloatArray:
-    """Rows of size one: a margin is to tell structure, not the quality of the sensor."""
-    size = np.abs(c).max(axis=1, keepdims=True, initial=0.0)
-    rows: FloatArray = c / np.where(size > 0, size, 1.0)
-    return rows
 
 
 @dataclass(frozen=True)
@@ -292,10 +278,8 @@ class Gramians:
 
 def gramians(matrices: Matrices, scales: Scales, duration: float) -> Gramians:
     """The scaled Gramians of all inputs and all sensors."""
-    step = matrices.sample_time
-    a = matrices.a * scales.x[None, :] / scales.x[:, None]
-    b = matrices.b * scales.u[None, :] / scales.x[:, None]
-    c = matrices.c * scales.x[None, :] / scales.y[:, None]
+    scaled, step = scales.of(matrices), matrices.sample_time
+    a, b, c = scaled.a, scaled.b, scaled.c
     forever, seen = stationary_gramian(a, b, step), stationary_gramian(a.T, c.T, step)
     hankel, residual = None, None
     if forever is not None and seen is not None:
@@ -319,14 +303,14 @@ def gramians(matrices: Matrices, scales: Scales, duration: float) -> Gramians:
 
 def volts_table(model: Model, matrices: Matrices, scales: Scales, duration: float) -> FloatArray:
     """Least rms command of each input alone that moves each state by its size, (n_x, n_u)."""
-    found = np.empty((model.n_x, model.n_u))
+    volts = np.empty((model.n_x, model.n_u))
+    a = scales.of(matrices).a
     for j in range(model.n_u):
-        b = (matrices.b[:, [j]]) / scales.x[:, None]
-        a = matrices.a * scales.x[None, :] / scales.x[:, None]
+        b = matrices.b[:, [j]] / scales.x[:, None]
         gramian = controllability_gramian(a, b, duration, matrices.sample_time)
         for i in range(model.n_x):
-            found[i, j] = volts_to_move(gramian, np.eye(model.n_x)[i], 1.0, duration)
-    return found
+            volts[i, j] = volts_to_move(gramian, np.eye(model.n_x)[i], 1.0, duration)
+    return volts
 
 
 @dataclass(frozen=True)
@@ -393,13 +377,173 @@ def input_gains(
             for i, row in enumerate(rows):
                 volts = volts_to_move(gramian, np.eye(model.n_x)[row], MOTION, duration)
                 per_volt[k, i, j] = MOTION / volts
-                mode = _of_axis(modes, axis_of.get(model.controlled[i], ""), row)
-                if mode is not None:
+                axis = axis_of.get(model.controlled[i], "")
+                # The mode that the state takes part in most, of its axis's own if there are any.
+                own = [mode for mode in modes if axis and mode.name.startswith(axis)] or modes
+                if own:
+                    mode = max(own, key=lambda mode: float(mode.participation[row]))
                     margin[k, i, j] = controllable(matrices, scales, mode, [j], duration).margin
     return InputGains(per_volt, margin)
 
 
-def _of_axis(modes: tuple[EigenMode, ...], axis: str, row: int) -> EigenMode | None:
-    """The mode that a state takes part in most, of those named after its axis if there are any."""
-    own = [mode for mode in modes if axis and mode.name.startswith(axis)] or list(modes)
-    return max(own, key=lambda mode: mode.participation[row], default=None)
+def sensor_sets(
+    model: Model, given: Sequence[Sequence[str]] | None, where: str = "study.sensors"
+) -> tuple[tuple[str, ...], ...]:
+    """The sets asked for, or the usual ones.
+
+    The usual ones are everything, the angles with each tachometer, the angles alone, and each
+    sensor alone.
+
+    Raises ConfigurationError for a name that the model does not measure, and for an empty set.
+    """
+    known = names(model.outputs)
+    if given is not None:
+        for one in given:
+            for name in one:
+                if name not in known:
+                    raise ConfigurationError(
+                        f"{name!r} is not measured", where=where, remedy=nearest(name, known)
+                    )
+            if not one:
+                raise ConfigurationError(
+                    "an empty set of sensors given",
+                    where=where,
+                    remedy="give names, as 'study.sensors=[[alpha_v,alpha_h],[alpha_v]]'",
+                )
+        return tuple(tuple(dict.fromkeys(one)) for one in given)
+    angles = tuple(signal.name for signal in model.outputs if signal.unit == "rad")
+    others = [name for name in known if name not in angles]
+    sets = [known, *((*angles, name) for name in others), angles, *((name,) for name in known)]
+    return tuple(dict.fromkeys(one for one in sets if one))
+
+
+def set_words(model: Model, sensors: Sequence[str]) -> str:
+    """``all``, ``angles``, ``angles, omega_v``, ``alpha_v``."""
+    known = names(model.outputs)
+    if len(sensors) == len(known) and len(known) > 1:
+        return "all"
+    angles = tuple(signal.name for signal in model.outputs if signal.unit == "rad")
+    if len(angles) > 1 and set(angles) <= set(sensors):
+        return ", ".join(["angles", *(name for name in sensors if name not in angles)])
+    return ", ".join(sensors)
+
+
+#: Directions that are this small beside the others are none.
+_RANK = 1e-6
+#: 1/s: where the resolvent is taken, beside what a rig's eigenvalues are likely to be.
+_SHIFT = 0.7391
+#: Standard deviation of the initial state in motions worth speaking of.
+_PRIOR = 10.0
+
+
+@dataclass(frozen=True)
+class TorqueEstimate:
+    """Whether sensors tell a constant torque."""
+
+    name: str  #: Of the disturbance
+    seen: bool  #: If it is the only one
+    #: Standard deviation of its estimate after each of the times asked for, in its unit; None where
+    #: it is not seen
+    errors: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class TorqueEstimates:
+    """All constant torques by one set of sensors."""
+
+    torques: tuple[TorqueEstimate, ...]
+    together: int  #: How many of them can be told at once
+
+
+def torque_estimates(
+    matrices: Matrices,
+    scales: Scales,
+    outputs: list[int],
+    names: tuple[str, ...],
+    durations: tuple[float, ...],
+    reading_time: float,
+) -> TorqueEstimates:
+    """Which constant torques some sensors, by their positions, tell.
+
+    Torques by their names are columns of ``matrices.e``; errors are after each of the durations (s)
+    of readings ``reading_time`` (s) apart; a model that steps is read at each step.
+    """
+    scaled, step = scales.of(matrices), matrices.sample_time
+    a, e, c = scaled.a, scaled.e, scaled.c[outputs]
+    steady = a if step is None else a - np.eye(len(a))
+    basis = _seen_basis(steady, c)
+    own_a, own_c, own_e = basis.T @ steady @ basis, c @ basis, basis.T @ e
+    sizes = np.abs(own_e).max(axis=0, initial=0.0)
+    acts = sizes > _RANK * np.abs(e).max(axis=0, initial=0.0)
+    torques = []
+    for j, name in enumerate(names):
+        seen = bool(acts[j]) and _rank(own_a, own_e[:, [j]], own_c) == len(own_a) + 1
+        errors = tuple(
+            _error(a, e[:, [j]], c, duration, step, reading_time) if seen else None
+            for duration in durations
+        )
+        torques.append(TorqueEstimate(name, seen, errors))
+    together = _rank(own_a, own_e[:, acts], own_c) - len(own_a) if acts.any() else 0
+    return TorqueEstimates(tuple(torques), together)
+
+
+def _error(
+    a: FloatArray,
+    column: FloatArray,
+    c: FloatArray,
+    duration: float,
+    step: float | None,
+    reading_time: float,
+) -> float | None:
+    """Standard deviation of the torque's estimate."""
+    n = len(a)
+    size = float(np.abs(column).max())
+    joint = np.block(
+        [[a, column / size], [np.zeros((1, n)), np.eye(1) * (0.0 if step is None else 1.0)]]
+    )
+    read = np.hstack([c, np.zeros((len(c), 1))])
+    information = observability_gramian(joint, read, duration, step)
+    # Readings add up as an integral over the time between two of them; a step is a reading.
+    information = information / reading_time if step is None else information * step
+    information[np.arange(n), np.arange(n)] += _PRIOR**-2
+    # The information that is left of the torque when the state is estimated with it.
+    known = information[:n, :n]
+    cross = information[:n, n]
+    left = float(information[n, n] - cross @ np.linalg.solve(known, cross))
+    if left <= 1e-12 * information[n, n]:
+        return None
+    return float(1.0 / (np.sqrt(left) * size))
+
+
+def _seen_basis(a: FloatArray, c: FloatArray) -> FloatArray:
+    """Orthonormal basis of what C sees of A, (n, k)."""
+    n = len(a)
+    resolvent = np.linalg.inv(a - _SHIFT * np.eye(n)).T
+    basis = np.zeros((n, 0))
+    fresh = c.T
+    for _ in range(n):
+        added = []
+        for column in fresh.T:
+            size = float(np.linalg.norm(column))
+            if size == 0.0:
+                continue
+            rest = column / size
+            for _ in range(2):  # twice is enough: Gram–Schmidt loses digits once
+                rest = rest - basis @ (basis.T @ rest)
+            left = float(np.linalg.norm(rest))
+            if left > _RANK:
+                added.append(rest / left)
+                basis = np.hstack([basis, (rest / left)[:, None]])
+        if not added:
+            break
+        fresh = resolvent @ np.array(added).T
+    return basis
+
+
+def _rank(a: FloatArray, e: FloatArray, c: FloatArray) -> int:
+    """Rank of [A e; C 0], its rows and columns brought to one size."""
+    whole = np.block([[a, e], [c, np.zeros((len(c), e.shape[1]))]])
+    for axis in (1, 0, 1, 0):
+        size = np.abs(whole).max(axis=axis, keepdims=True)
+        whole = whole / np.where(size > 0, size, 1.0)
+    return int(np.linalg.matrix_rank(whole, tol=_RANK))

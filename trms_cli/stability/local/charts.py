@@ -21,7 +21,7 @@ from trms_cli.core.chart import (
     Style,
 )
 from trms_cli.stability.local.modes import STILL, Modes
-from trms_cli.stability.local.tracks import Crossing, Locus, Track
+from trms_cli.stability.local.sweep import Crossing, Locus, Track
 
 _OF_PART: dict[str, Colour] = {
     "pitch": "blue",

@@ -88,7 +88,8 @@ class Linear:
         self, x: FloatArray, u: FloatArray, side: Side = "mean", p: FloatArray | None = None
     ) -> Matrices:
         """A, B, E and C at a point."""
-        return Matrices(*self._averaged(self._slopes, x, u, side, p), self.model.sample_time)
+        a, b, e, c = self._averaged(self._slopes, x, u, side, p)
+        return Matrices(a, b, e, c, self.model.sample_time)
 
     def a(
         self, x: FloatArray, u: FloatArray, side: Side = "mean", p: FloatArray | None = None
@@ -138,7 +139,7 @@ class Linear:
         p: FloatArray | None,
         *more: FloatArray,
     ) -> list[FloatArray]:
-        """The outputs of a function of (x, u, p, …), of one side of a switch or the mean of both."""
+        """The outputs of a function of (x, u, p, …), of one side of a switch or their mean."""
         p = self.parameters if p is None else p
         sides = [function.call([at, u, p, *more]) for at in self._sides(x, u, side, p)]
         return [np.mean([np.array(m) for m in parts], axis=0) for parts in zip(*sides, strict=True)]

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 import scipy.linalg
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
@@ -210,7 +211,8 @@ def modes_of_matrix(
 
     ``parts`` says what each state is of.
     """
-    values, left, right = spectrum(a)
+    whole = spectrum_of(a)
+    values = whole.values
     modes, forgotten = [], 0
     for group in _together(values):
         value = complex(values[group].mean())
@@ -221,18 +223,18 @@ def modes_of_matrix(
             value = complex(value.real, 0.0)
         i = group[0]
         if len(group) == 1:
-            share, defective = np.abs(left[:, i] * right[:, i]), False
+            participation, defective = whole.participation(i), False
         else:
             share, defective = _joint(a, values[group], value)
-        participation = share / share.sum()
+            participation = share / share.sum()
         rate = rate_of(value, sample_time)
         modes.append(
             EigenMode(
                 mode_name(parts, participation, rate),
                 rate,
                 participation,
-                right[:, i],
-                left[:, i],
+                whole.right[:, i],
+                whole.left[:, i],
                 len(group),
                 defective,
                 sample_time is not None and value.real < 0 and abs(value.imag) <= STILL,
@@ -244,17 +246,38 @@ def modes_of_matrix(
     return Modes(tuple(modes), forgotten)
 
 
-def spectrum(a: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Eigenvalues and the left and right eigenvectors as columns, ``leftᵢᵀ rightᵢ = 1``.
+@dataclass(frozen=True)
+class EigenSpectrum:
+    """Eigenvalues of one matrix in an order, with eigenvectors."""
 
-    Where a defective eigenvalue makes that impossible the product is kept off zero.
+    values: ComplexArray  #: (n,) complex array; of the matrix: λ, or z of a model that steps
+    #: ``left``, ``right``: (n, n) complex arrays; columns, ``leftᵢᵀ rightᵢ = 1``
+    left: ComplexArray
+    right: ComplexArray
+
+    def ordered(self, order: npt.NDArray[np.intp]) -> EigenSpectrum:
+        """The same in another order."""
+        return EigenSpectrum(self.values[order], self.left[:, order], self.right[:, order])
+
+    def participation(self, i: int) -> FloatArray:
+        """Shares of the states in mode i."""
+        share = np.abs(self.left[:, i] * self.right[:, i])
+        return np.asarray(share / share.sum())
+
+
+def spectrum_of(a: FloatArray) -> EigenSpectrum:
+    """The spectrum of a matrix, in LAPACK's order.
+
+    Where a defective eigenvalue makes ``leftᵢᵀ rightᵢ = 1`` impossible the product is kept off
+    zero.
     """
     values, left, right = scipy.linalg.eig(a, left=True, right=True)
     left = left.conj()  # scipy's are of vᴴA = λvᴴ
     product = np.sum(left * right, axis=0)
-    small = np.abs(product) < 1e-14
-    product = np.where(small, 1e-14, product)
-    return values.astype(complex), (left / product).astype(complex), right.astype(complex)
+    product = np.where(np.abs(product) < 1e-14, 1e-14, product)
+    return EigenSpectrum(
+        values.astype(complex), (left / product).astype(complex), right.astype(complex)
+    )
 
 
 def _together(values: ComplexArray) -> list[list[int]]:
@@ -296,7 +319,7 @@ def _joint(a: FloatArray, values: ComplexArray, value: complex) -> tuple[FloatAr
 
 
 def told_apart(names: Sequence[str], first: str, second: str) -> list[str]:
-    """Names, equal ones with a word of what differs: two by words in their order, more by number."""
+    """Names, equal ones with what differs: two by a word in their order, more by a number."""
     distinct = list(names)
     for name in set(names):
         same = [i for i, other in enumerate(names) if other == name]

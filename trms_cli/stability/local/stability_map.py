@@ -17,9 +17,14 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import Column, Section, rounded, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.modes import STILL, rate_of
-from trms_cli.stability.local.sweep import OperatingPath, headed, sweep_eigenvalues, unit_of
+from trms_cli.stability.local.sweep import (
+    OperatingPath,
+    headed,
+    locus_of,
+    sweep_eigenvalues,
+    unit_of,
+)
 from trms_cli.stability.local.tables import amount_words, crossing_data
-from trms_cli.stability.local.tracks import locus_of
 from trms_cli.stability.study import Tell
 
 #: Boundary points are located to this share of a cell.

@@ -1,17 +1,18 @@
-"""Eigenvalues followed along a line of operating points.
+"""Eigenvalues followed along a line of operating points, as modes, and where they cross the axis.
+
+The sweep, over an angle, a command or a parameter, begins where the request stands and goes both
+ways until the range ends, the equilibrium ends (a fold), or a command or angle reaches its limit.
 
 Two spectra are matched by what their eigenvectors have in common and by how far the eigenvalues
 move. For left and right eigenvectors with ``wᵀv = 1`` the product ``(w_iᵀ v'_j)(w'_jᵀ v_i)`` is 1
 for the same mode and near 0 for another, whatever the units of the states. The assignment is the
-best of all one-to-one ones (Jonker & Volgenant 1987, as in SciPy).
+best of all one-to-one ones (Jonker & Volgenant 1987, as in SciPy). Between two points whose
+eigenvalues cannot be matched with certainty more points are put.
 
-What is varied and over which range, as asked for.
-
-Operating points and spectra over an angle, a command or a parameter.
-
-The sweep begins where the request stands and goes both ways until the range ends, the equilibrium
-ends (a fold), or a command or angle reaches its limit. Between two points whose eigenvalues cannot
-be matched with certainty more points are put.
+The tracks are modes: conjugate partners together, named by who takes part. Where one crosses the
+imaginary axis is located to rounding, by Brent's method on Re λ with the operating point solved
+anew for each value. A pair that crosses off zero frequency is a Hopf point of the rig's equations
+if nothing else happens there; what crosses at zero is the end or the exchange of an equilibrium.
 """
 
 from __future__ import annotations
@@ -22,8 +23,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import brentq, linear_sum_assignment
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
@@ -36,35 +36,19 @@ from trms_cli.models.operating_point import (
     prescribes_angles,
 )
 from trms_cli.stability.local.linear import Linear, Side
-from trms_cli.stability.local.modes import spectrum
+from trms_cli.stability.local.modes import (
+    STILL,
+    EigenSpectrum,
+    mode_name,
+    parts_of,
+    rate_of,
+    shares_of_parts,
+    spectrum_of,
+    told_apart,
+)
 
 #: Weight of a move of an eigenvalue by its own size against eigenvectors with nothing in common.
 _MOVE = 1.0
-
-
-@dataclass(frozen=True)
-class EigenSpectrum:
-    """Eigenvalues of one matrix in an order, with eigenvectors."""
-
-    values: ComplexArray  #: (n,) complex array; of the matrix: λ, or z of a model that steps
-    #: ``left``, ``right``: (n, n) complex arrays; columns, ``leftᵢᵀ rightᵢ = 1``
-    left: ComplexArray
-    right: ComplexArray
-
-    def ordered(self, order: npt.NDArray[np.intp]) -> EigenSpectrum:
-        """The same in another order."""
-        return EigenSpectrum(self.values[order], self.left[:, order], self.right[:, order])
-
-    def participation(self, i: int) -> FloatArray:
-        """Shares of the states in mode i."""
-        share = np.abs(self.left[:, i] * self.right[:, i])
-        shares: FloatArray = share / share.sum()
-        return shares
-
-
-def spectrum_of(a: FloatArray) -> EigenSpectrum:
-    """The spectrum of a matrix, in LAPACK's order."""
-    return EigenSpectrum(*spectrum(a))
 
 
 def match_spectra(before: EigenSpectrum, after: EigenSpectrum) -> tuple[EigenSpectrum, float]:
@@ -135,6 +119,8 @@ _SURE, _DEEPEST = 0.6, 6
 _SLOW, _CORNER = 10.0, 0.04
 #: The end of a branch is located to this share of the range.
 _END = 1e-5
+#: Share of a step down to which it is halved.
+_SHORTEST = 2.0**-10
 #: rad, 1: range of an angle without stops, and of a command without limits.
 _WIDE = 1.0
 
@@ -160,6 +146,11 @@ class EigenvalueSweep:
     @property
     def values(self) -> FloatArray:
         return np.array([place.value for place in self.places])
+
+    @property
+    def states(self) -> FloatArray:
+        """(n, n_x), of the operating points."""
+        return np.array([place.point.x for place in self.places])
 
     @property
     def eigenvalues(self) -> ComplexArray:
@@ -204,30 +195,32 @@ class OperatingPath:
         """
         kind = _kind(self.model, name)
         other = copy.copy(self)
-        base = self._base
-        if kind == "parameter":
-            p = base.p.copy()
-            p[self.model.parameters.names.index(name)] = value
-            other._base = replace(base, p=p)
+        if kind == "parameter" or (kind == "angle") == self._base.by_angle:
+            other._base = self._with(name, value)
+            other.at = self.at if kind == "parameter" else self.at | {name: value}
             return other
-        if (kind == "angle") != base.by_angle and not np.any(base.values):
-            base = self.balance.held({name: value})
-            other._base = replace(base, p=self._base.p)
-            other.at = {name: value}
-            return other
-        if (kind == "angle") != base.by_angle:
+        if np.any(self._base.values):
             raise ConfigurationError(
                 f"{name} is {'an angle' if kind == 'angle' else 'a command'}, and "
                 f"{', '.join(self.at)} held",
                 where="study.against",
                 remedy="hold angles and vary an angle, or hold commands and vary a command",
             )
-        order = self.model.controlled if base.by_angle else names(self.model.inputs)
-        values = base.values.copy()
-        values[order.index(name)] = value
-        other._base = replace(base, values=values)
-        other.at = self.at | {name: value}
+        other._base = replace(self.balance.held({name: value}), p=self._base.p)
+        other.at = {name: value}
         return other
+
+    def _with(self, name: str, value: float) -> TrimCondition:
+        """What is held, with one value changed."""
+        kind = _kind(self.model, name)
+        if kind == "parameter":
+            p = self._base.p.copy()
+            p[self.model.parameters.names.index(name)] = value
+            return replace(self._base, p=p)
+        order = self.model.controlled if kind == "angle" else names(self.model.inputs)
+        values = self._base.values.copy()
+        values[order.index(name)] = value
+        return replace(self._base, values=values)
 
     @property
     def unit(self) -> str:
@@ -241,23 +234,12 @@ class OperatingPath:
 
     def held(self, value: float) -> TrimCondition:
         """What is held at a value."""
-        if self.kind == "parameter":
-            p = self._base.p.copy()
-            p[self.model.parameters.names.index(self.over)] = value
-            return replace(self._base, p=p)
-        order = self.model.controlled if self.kind == "angle" else names(self.model.inputs)
-        values = self._base.values.copy()
-        values[order.index(self.over)] = value
-        return replace(self._base, values=values)
+        return self._with(self.over, value)
 
     def direction(self) -> TrimCondition:
         """Rates of change of what is held, per unit of what is varied."""
-        values, p = np.zeros_like(self._base.values), np.zeros_like(self._base.p)
-        one = self.held(1.0)
-        zero = self.held(0.0)
-        return TrimCondition(
-            self._base.by_angle, values + one.values - zero.values, p + one.p - zero.p
-        )
+        one, zero = self.held(1.0), self.held(0.0)
+        return TrimCondition(one.by_angle, one.values - zero.values, one.p - zero.p)
 
     def first(self, low: float, high: float) -> LocusPoint:
         """The place where a sweep begins: where the request stands, or the end next to it.
@@ -291,12 +273,20 @@ class OperatingPath:
         self, last: LocusPoint, value: float, shortest: float = 1e-3
     ) -> LocusPoint | None:
         """The place at another value on the same branch, its eigenvalues matched."""
+        matched = self.matched(last, value, shortest)
+        return None if matched is None else matched[0]
+
+    def matched(
+        self, last: LocusPoint, value: float, shortest: float
+    ) -> tuple[LocusPoint, float] | None:
+        """The same, and how sure the match is; ``shortest`` as of :meth:`TrimSolver.advance`."""
         held = self.held(value)
         point = self.balance.advance(last.held, held, last.point, shortest)
         if point is None or not self._within(point):
             return None
         place = self.place(value, point)
-        return replace(place, spectrum=match_spectra(last.spectrum, place.spectrum)[0])
+        spectrum, sure = match_spectra(last.spectrum, place.spectrum)
+        return replace(place, spectrum=spectrum), sure
 
     def range(
         self, given: tuple[float, float] | None, where: str = "study.range"
@@ -376,34 +366,30 @@ def sweep_eigenvalues(
 def _one_way(
     path: OperatingPath, begin: LocusPoint, values: FloatArray
 ) -> tuple[list[LocusPoint], str]:
-    found: list[LocusPoint] = []
-    last = begin
+    places = [begin]
     for value in values:
-        between = _filled(path, last, float(value), 0)
+        between = _filled(path, places[-1], float(value), 0)
         if between is None:
-            end, why = _end(path, last, float(value))
-            return [*found, *([end] if end is not None else [])], why
-        found += between
-        last = found[-1]
-    return found, ""
+            end, why = _end(path, places[-1], float(value))
+            return [*places[1:], *([end] if end is not None else [])], why
+        places += between
+    return places[1:], ""
 
 
 def _filled(
     path: OperatingPath, last: LocusPoint, value: float, depth: int
 ) -> list[LocusPoint] | None:
     """Places up to a value, with further ones between where the matching is unsure."""
-    held = path.held(value)
-    point = path.balance.advance(last.held, held, last.point)
-    if point is None or not path._within(point):
+    matched = path.matched(last, value, _SHORTEST)
+    if matched is None:
         return None
-    place = path.place(value, point)
-    spectrum, sure = match_spectra(last.spectrum, place.spectrum)
-    if (sure < _SURE or _leaps(last.spectrum, spectrum)) and depth < _DEEPEST:
+    place, sure = matched
+    if (sure < _SURE or _leaps(last.spectrum, place.spectrum)) and depth < _DEEPEST:
         first = _filled(path, last, 0.5 * (last.value + value), depth + 1)
         second = None if first is None else _filled(path, first[-1], value, depth + 1)
         if first is not None and second is not None:
             return [*first, *second]
-    return [replace(place, spectrum=spectrum)]
+    return [place]
 
 
 def _leaps(before: EigenSpectrum, after: EigenSpectrum) -> bool:
@@ -420,11 +406,11 @@ def _end(path: OperatingPath, last: LocusPoint, value: float) -> tuple[LocusPoin
     good, bad, span = last, value, abs(value - last.value)
     while abs(bad - good.value) > _END * span:
         middle = 0.5 * (good.value + bad)
-        found = path.following(good, middle, 0.5)
-        if found is None:
+        place = path.following(good, middle, 0.5)
+        if place is None:
             bad = middle
         else:
-            good = found
+            good = place
     beyond = path.balance.advance(good.held, path.held(bad), good.point, 0.5)
     at = f"{path.over} = {good.value:.4g} {path.unit}".rstrip()
     why = f"the equilibrium ends at {at}"
@@ -472,3 +458,205 @@ def _kind(model: Model, over: str) -> Kind:
         where="study.over",
         remedy=nearest(over, (*model.controlled, *names(model.inputs), *model.parameters.names)),
     )
+
+
+#: Modes this many times as fast as the fastest motion of an axis have no room in a plane with it.
+_FAR = 8.0
+
+
+@dataclass(frozen=True)
+class Track:
+    """A mode over a sweep."""
+
+    name: str  #: After the states that take part, on average
+    part: str  #: The part of the rig with the largest share
+    members: tuple[int, ...]  #: Columns of the sweep: one, or a pair that is conjugate somewhere
+    rates: ComplexArray  #: (n, m) complex array; λ of the members, 1/s
+    #: Too fast to be shown beside the motions of the axes: armature currents, a network's memory
+    fast: bool
+
+    @property
+    def slowest(self) -> ComplexArray:
+        """The member with the largest real part and a frequency of at least zero, (n,)."""
+        best = np.argmax(self.rates.real + 1e-12 * (self.rates.imag > 0), axis=1)
+        chosen = self.rates[np.arange(len(best)), best]
+        return np.asarray(chosen.real + 1j * np.abs(chosen.imag))
+
+    @property
+    def pace(self) -> float:
+        """Typical |λ|, 1/s."""
+        return float(np.median(np.abs(self.rates)))
+
+
+@dataclass(frozen=True)
+class Locus:
+    """Eigenvalues over a range as modes, and where they cross the imaginary axis."""
+
+    path: OperatingPath
+    sweep: EigenvalueSweep
+    tracks: tuple[Track, ...]
+    crossings: tuple[Crossing, ...]
+
+    def name(self, crossing: Crossing) -> str:
+        """The mode that crosses, by what it is of there.
+
+        That is the name of its track, unless the mode has become another along the range: its
+        largest share is of another part, or it swings there and does not elsewhere.
+        """
+        track = next(track for track in self.tracks if crossing.track in track.members)
+        shares = crossing.place.spectrum.participation(crossing.track)
+        parts = parts_of(self.path.model)
+        part = next(iter(shares_of_parts(parts, shares)))
+        swings = crossing.frequency > 0.0
+        if part == track.part and swings == ("swing" in track.name):
+            return track.name
+        # A real one grows on one side of the crossing: that is what it is called after.
+        rate = complex(0.0, crossing.frequency) if swings else complex(1.0)
+        return mode_name(parts, shares, rate)
+
+
+def locus_of(path: OperatingPath, sweep: EigenvalueSweep) -> Locus:
+    """The modes of a sweep and their crossings."""
+    return Locus(path, sweep, tracks_of(path.model, sweep), crossings(path, sweep))
+
+
+def tracks_of(model: Model, sweep: EigenvalueSweep) -> tuple[Track, ...]:
+    """The modes of a sweep, the slowest motions of the rig first."""
+    parts = parts_of(model)
+    rates = rates_of(sweep, model.sample_time)
+    tracks = []
+    for members in _partners(rates):
+        taking_part = [[place.spectrum.participation(i) for i in members] for place in sweep.places]
+        shares = np.mean(taking_part, axis=(0, 1))
+        own = rates[:, members]
+        swings = np.abs(own.imag).max(axis=1) > STILL
+        typical = own[np.flatnonzero(swings)[0], 0] if swings.mean() >= 0.5 else own.real.mean()
+        name = mode_name(parts, shares, complex(typical.real, abs(typical.imag)))
+        part = next(iter(shares_of_parts(parts, shares)))
+        tracks.append(Track(name, part, tuple(members), own, fast=False))
+    tracks.sort(key=lambda track: track.pace)
+    moving = [t.pace for t in tracks if t.part in model.axes and not t.name.startswith("past")]
+    paces = [track.pace for track in tracks if np.isfinite(track.pace) and track.pace > STILL]
+    limit = _FAR * max(moving or [min(paces, default=1.0)])
+    named = told_apart([track.name for track in tracks], "slower", "faster")
+    return tuple(
+        replace(track, name=name, fast=not track.pace <= limit)
+        for track, name in zip(tracks, named, strict=True)
+    )
+
+
+def cell(rates: ComplexArray, digits: int = 3) -> str:
+    """λ of a mode at a point: ``−0.047 ± 1.83j``, or two real ones."""
+    if np.abs(rates.imag).max() > STILL:
+        return f"{_number(rates.real.mean(), digits)} ± {np.abs(rates.imag).max():.{digits}g}j"
+    return ", ".join(_number(value, digits) for value in sorted(rates.real))
+
+
+def _number(value: float, digits: int) -> str:
+    if not np.isfinite(value):
+        return "−∞"
+    return f"{0.0 if abs(value) <= STILL else value:.{digits}g}".replace("-", "−")
+
+
+def _partners(rates: ComplexArray) -> list[list[int]]:
+    """Columns, each with the one that it is conjugate to where it swings."""
+    left = list(range(rates.shape[1]))
+    groups = []
+    while left:
+        i = left.pop(0)
+        swings = np.flatnonzero(np.abs(rates[:, i].imag) > STILL)
+        partner = None
+        if swings.size:
+            votes = [
+                min(left, key=lambda j: abs(rates[k, j] - rates[k, i].conjugate()), default=None)
+                for k in swings
+            ]
+            counted = [j for j in votes if j is not None]
+            best = max(set(counted), key=counted.count) if counted else None
+            if best is not None and np.median(
+                np.abs(rates[swings, best] - rates[swings, i].conj())
+            ) <= 1e-6 * (1.0 + np.median(np.abs(rates[swings, i]))):
+                partner = best
+        if partner is not None:
+            left.remove(partner)
+        groups.append([i] if partner is None else [i, partner])
+    return groups
+
+
+#: Values are located to this share of the step that they are searched in.
+_EXACT = 1e-12
+#: A real part (1/s) that is larger than this where its sign changes has jumped.
+_JUMPED = 1e-6
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A crossing of the imaginary axis."""
+
+    track: int  #: Of the sweep
+    value: float  #: Of what is varied
+    frequency: float  #: Im λ there, rad/s; 0 for a real eigenvalue
+    unstable_above: bool  #: Whether the mode is unstable for larger values
+    jumps: bool  #: Whether Re λ jumps there (a switch is passed) instead of going through zero
+    place: LocusPoint
+
+    @property
+    def kind(self) -> str:
+        """``Hopf`` or ``real``."""
+        return "Hopf" if self.frequency > STILL else "real"
+
+
+def rates_of(sweep: EigenvalueSweep, sample_time: float | None) -> np.ndarray:
+    """λ along a sweep, (n, n_x) complex, 1/s."""
+    rates = [[rate_of(value, sample_time) for value in row] for row in sweep.eigenvalues]
+    return np.array(rates, dtype=complex)
+
+
+def crossings(path: OperatingPath, sweep: EigenvalueSweep) -> tuple[Crossing, ...]:
+    """All crossings of a sweep by rising value, one for each conjugate pair."""
+    T = path.model.sample_time
+    rates = rates_of(sweep, T)
+    crossed = []
+    for k, (before, after) in enumerate(zip(sweep.places, sweep.places[1:], strict=False)):
+        for track in range(rates.shape[1]):
+            a, b = rates[k, track], rates[k + 1, track]
+            if min(abs(a.real), abs(b.real)) <= STILL or a.real * b.real > 0:
+                continue
+            crossing = _located(path, before, after, track)
+            if crossing is not None and crossing.frequency > -STILL:
+                crossed.append(crossing)
+    return tuple(crossed)
+
+
+def _located(
+    path: OperatingPath, before: LocusPoint, after: LocusPoint, track: int
+) -> Crossing | None:
+    T = path.model.sample_time
+
+    def place_at(value: float) -> LocusPoint | None:
+        place = path.following(before, value)
+        if place is None:
+            return None
+        # The far end settles which of two modes that meet in between is which.
+        if abs(value - after.value) < abs(value - before.value):
+            place = replace(place, spectrum=match_spectra(after.spectrum, place.spectrum)[0])
+        return place
+
+    def growth(value: float) -> float:
+        place = place_at(value)
+        return np.nan if place is None else rate_of(place.spectrum.values[track], T).real
+
+    low, high = growth(before.value), growth(after.value)
+    if not low * high < 0:
+        return None
+    span = abs(after.value - before.value)
+    try:
+        value = brentq(growth, before.value, after.value, xtol=_EXACT * span)
+    except (ValueError, RuntimeError):
+        return None
+    place = place_at(value)
+    if place is None:
+        return None
+    rate = rate_of(place.spectrum.values[track], T)
+    frequency = rate.imag if abs(rate.imag) > STILL else 0.0
+    return Crossing(track, value, frequency, high > 0, abs(rate.real) > _JUMPED, place)

@@ -12,8 +12,7 @@ from trms_cli.core.findings import Cell, Column, Judged, Judgement, Table, round
 from trms_cli.models.model import Model
 from trms_cli.stability.local.linear import Switch
 from trms_cli.stability.local.modes import STILL, EigenMode, Modes, parts_of, shares_of_parts
-from trms_cli.stability.local.sweep import unit_of
-from trms_cli.stability.local.tracks import Locus, cell
+from trms_cli.stability.local.sweep import Locus, cell, unit_of
 
 _JUDGED: dict[str, Judgement] = {"stable": "good", "marginal": "doubtful", "unstable": "bad"}
 #: Rows of the table over a range.

@@ -15,7 +15,14 @@ from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.charts import locus_charts, points_alone
 from trms_cli.stability.local.linear import Side, Switch
 from trms_cli.stability.local.modes import EigenMode, Modes, modes_of
-from trms_cli.stability.local.sweep import OperatingPath, line_of, sweep_eigenvalues, usual_line
+from trms_cli.stability.local.sweep import (
+    Locus,
+    OperatingPath,
+    line_of,
+    locus_of,
+    sweep_eigenvalues,
+    usual_line,
+)
 from trms_cli.stability.local.tables import (
     amount_words,
     crossing_data,
@@ -28,7 +35,6 @@ from trms_cli.stability.local.tables import (
     range_table,
     switch_words,
 )
-from trms_cli.stability.local.tracks import Locus, locus_of
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 

@@ -39,7 +39,15 @@ from trms_cli.stability.local.stability_map import (
     map_section,
     stability_map,
 )
-from trms_cli.stability.local.sweep import OperatingPath, line_of, sweep_eigenvalues, usual_line
+from trms_cli.stability.local.sweep import (
+    Locus,
+    OperatingPath,
+    crossings,
+    line_of,
+    locus_of,
+    sweep_eigenvalues,
+    usual_line,
+)
 from trms_cli.stability.local.tables import (
     amount_words,
     crossing_data,
@@ -47,7 +55,6 @@ from trms_cli.stability.local.tables import (
     locus_data,
     range_table,
 )
-from trms_cli.stability.local.tracks import Locus, crossings, locus_of
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
