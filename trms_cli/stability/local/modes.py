@@ -241,7 +241,7 @@ def modes_of_matrix(
             )
         )
     modes.sort(key=lambda mode: (-abs(mode.eigenvalue), mode.name))
-    named = told_apart([mode.name for mode in modes], "faster", "slower")
+    named = distinct_names([mode.name for mode in modes], "faster", "slower")
     modes = [replace(mode, name=name) for mode, name in zip(modes, named, strict=True)]
     return Modes(tuple(modes), forgotten)
 
@@ -318,7 +318,7 @@ def _joint(a: FloatArray, values: ComplexArray, value: complex) -> tuple[FloatAr
     return np.abs(np.diag(projector)), bool(chained > 1e-5 * (1.0 + abs(value)))
 
 
-def told_apart(names: Sequence[str], first: str, second: str) -> list[str]:
+def distinct_names(names: Sequence[str], first: str, second: str) -> list[str]:
     """Names, equal ones with what differs: two by a word in their order, more by a number."""
     distinct = list(names)
     for name in set(names):

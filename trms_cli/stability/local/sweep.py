@@ -39,12 +39,12 @@ from trms_cli.stability.local.linear import Linear, Side
 from trms_cli.stability.local.modes import (
     STILL,
     EigenSpectrum,
+    distinct_names,
     mode_name,
     parts_of,
     rate_of,
     shares_of_parts,
     spectrum_of,
-    told_apart,
 )
 
 #: Weight of a move of an eigenvalue by its own size against eigenvectors with nothing in common.
@@ -538,7 +538,7 @@ def tracks_of(model: Model, sweep: EigenvalueSweep) -> tuple[Track, ...]:
     moving = [t.pace for t in tracks if t.part in model.axes and not t.name.startswith("past")]
     paces = [track.pace for track in tracks if np.isfinite(track.pace) and track.pace > STILL]
     limit = _FAR * max(moving or [min(paces, default=1.0)])
-    named = told_apart([track.name for track in tracks], "slower", "faster")
+    named = distinct_names([track.name for track in tracks], "slower", "faster")
     return tuple(
         replace(track, name=name, fast=not track.pace <= limit)
         for track, name in zip(tracks, named, strict=True)
