@@ -6,14 +6,12 @@ The names of fields and their nesting are the contract with programs that read t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.findings import json_data
 
 SCHEMA = "trms.diagnosis/1"
 Verdict = Literal["effect", "parameters_only", "no_gap", "none_of_these", "undecided"]
@@ -218,13 +216,7 @@ class DiagnosisResult:
     refit: Mapping[str, float] = field(default_factory=dict)
     #: What the probabilities were made of, for the calibration.
     evidence: Mapping[str, Any] = field(default_factory=dict)
-    traces: Traces | None = None  #: not in the file
-
-
-#: Fields of a diagnosis that only the report shows.
-_NOT_IN_THE_FILE = ("traces",)
-#: Fields by channel and horizon.
-_BY_HORIZON = ("gap", "shrink")
+    traces: Traces | None = None  #: for the report alone: not in the file
 
 
 def document_of(diagnosis: DiagnosisResult) -> dict[str, Any]:
@@ -233,40 +225,16 @@ def document_of(diagnosis: DiagnosisResult) -> dict[str, Any]:
     Keys are the fields of :class:`DiagnosisResult` in their order, after the schema; horizons are
     keys in s with a decimal (``"2.0"``); what is not finite is None.
     """
-    content: dict[str, Any] = {"schema": SCHEMA}
-    for name in (f.name for f in fields(diagnosis)):
-        if name not in _NOT_IN_THE_FILE:
-            content[name] = _plain(getattr(diagnosis, name))
-    for name in _BY_HORIZON:
+    content: dict[str, Any] = json_data(replace(diagnosis, traces=None))
+    del content["traces"]
+    for name in ("gap", "shrink"):
         content[name] = {
-            channel: {horizon_key(h): row for h, row in sorted(rows.items(), key=_seconds)}
+            channel: {horizon_key(h): rows[h] for h in sorted(rows, key=float)}
             for channel, rows in content[name].items()
         }
-    return content
+    return {"schema": SCHEMA, **content}
 
 
 def horizon_key(horizon: float | str) -> str:
     """A horizon as the document has it: ``2.0`` for 2 s."""
     return repr(float(horizon))
-
-
-def _seconds(item: tuple[str, Any]) -> float:
-    return float(item[0])
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value

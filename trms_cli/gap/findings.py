@@ -42,6 +42,7 @@ from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
     DiagnosisResult,
+    FittedParameter,
     Gap,
     GapTest,
     RaceEntry,
@@ -70,6 +71,8 @@ _SMALLEST = 1e-6
 #: s of the part of a force that is enlarged.
 _ENLARGED = 15.0
 _WIDTH = 9.2
+#: Heads of the tables of the gap.
+_LENGTH, _CLOSED = "free run [s]", ("closed", "95 % interval")
 #: Units of sizes besides, and the factors to them.
 _SIZES = {"s": ("ms", 1e3), "kg": ("g", 1e3)}
 #: Models of the pictures: name, colour, line.
@@ -538,63 +541,61 @@ def _before_and_after(diagnosis: DiagnosisResult) -> Section | None:
     chart = gap_chart(diagnosis)
     if chart is None:
         return None
-    blocks: list[Block] = [_gap_at_horizon(diagnosis, corrected), chart]
+    at_horizon, whole = _gap_tables(diagnosis, corrected)
     runs = None if diagnosis.traces is None else run_chart(diagnosis.traces)
-    blocks += [runs] if runs is not None else []
-    whole = Table(*_gap_table(diagnosis, corrected), heads=2, on_screen=False)
+    blocks = [block for block in (at_horizon, chart, runs, whole) if block is not None]
     section = "On a part of the recordings that was sealed: nothing was fitted or chosen on it."
     if not corrected:
         section += " No cause was added, so the refitted model is all there is to show."
-    return Section("Before and after", [section], [*blocks, whole])
+    return Section("Before and after", [section], blocks)
 
 
-def _gap_at_horizon(diagnosis: DiagnosisResult, corrected: bool) -> Table:
-    """A row a channel at the horizon that stands for all."""
-    horizon = shown_horizon({h: None for rows in diagnosis.gap.values() for h in rows})
-    columns, rows, _ = _gap_table(diagnosis, corrected, horizon)
-    caption = f"RMS of the errors of free runs of {float(horizon or 0):g} s on the sealed part."
+def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[Table, Table]:
+    """The gap by channel at the horizon that stands for all, and at every horizon."""
+    shown = shown_horizon({h: None for gaps in diagnosis.gap.values() for h in gaps})
+    caption = f"RMS of the errors of free runs of {float(shown or 0):g} s on the sealed part."
+    of_all, heads = "", ["output", _LENGTH, "as it was", "refitted", "floor"]
     if corrected:
+        heads = ["output", _LENGTH, "as it was", "refitted", "corrected", "floor", *_CLOSED]
         caption += " Closed: of what the refit left above the floor."
-    keep = [i for i in range(len(columns)) if i != 1]
-    return Table([columns[i] for i in keep], [[row[i] for i in keep] for row in rows], caption)
+        of_all = "Closed: what the correction took from the gap above the floor that "
+        of_all += "the refit left."
+    rows = [row for row in _gap_rows(diagnosis) if corrected or "floor" in row]
+    columns = [Column(head, lambda row, head=head: row.get(head, "")) for head in heads]
+    at_shown = [row for row in rows if shown and row[_LENGTH] == f"{float(shown):g}"]
+    return (
+        table(at_shown, [columns[0], *columns[2:]], caption),
+        table(rows, columns, of_all, heads=2, on_screen=False),
+    )
 
 
-def _gap_table(
-    diagnosis: DiagnosisResult, corrected: bool, only: str | None = None
-) -> tuple[list[str], list[list[Cell]], str]:
-    """Columns, rows and caption of the gap by channel and horizon."""
-    columns = ["output", "free run [s]", "as it was", "refitted", "corrected", "floor"]
-    columns += ["closed", "95 % interval"]
-    rows: list[list[Cell]] = []
-    for channel, by_horizon in diagnosis.gap.items():
-        for horizon, row in by_horizon.items():
-            if only is not None and horizon_key(horizon) != horizon_key(only):
-                continue
-            unit, scale = wording.small_unit(row.unit)
-            mark: Judgement = "bad" if row.corrected > 1.02 * row.refit else ""
-            shrink = _at(diagnosis.shrink.get(channel, {}), horizon)
-            rows.append(
-                [
-                    wording.titled(wording.signal(channel), unit),
-                    f"{float(horizon):g}",
-                    scale * row.raw,
-                    scale * row.refit,
-                    Judged(scale * row.corrected, mark),
-                    scale * row.floor,
-                    *_closed(shrink),
-                ]
-            )
-    for horizon in diagnosis.shrink.get("all", {}):
-        if only is None or horizon_key(horizon) == horizon_key(only):
-            shrink = _at(diagnosis.shrink["all"], horizon)
-            blank: list[Cell] = ["", "", "", ""]
-            rows.append(["all channels", f"{float(horizon):g}", *blank, *_closed(shrink)])
-    caption = "Closed: what the correction took from the gap above the floor that the refit left."
-    if not corrected:
-        keep = [0, 1, 2, 3, 5]
-        rows = [[row[i] for i in keep] for row in rows if row[0] != "all channels"]
-        return [columns[i] for i in keep], rows, ""
-    return columns, rows, caption
+def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, Cell]]:
+    """Cells by head: a row a channel and horizon, then what all channels say together."""
+    for channel, gaps in diagnosis.gap.items():
+        for horizon, gap in gaps.items():
+            unit, scale = wording.small_unit(gap.unit)
+            mark: Judgement = "bad" if gap.corrected > 1.02 * gap.refit else ""
+            yield {
+                "output": wording.titled(wording.signal(channel), unit),
+                _LENGTH: f"{float(horizon):g}",
+                "as it was": scale * gap.raw,
+                "refitted": scale * gap.refit,
+                "corrected": Judged(scale * gap.corrected, mark),
+                "floor": scale * gap.floor,
+                **_closed(_at(diagnosis.shrink.get(channel, {}), horizon)),
+            }
+    for horizon, shrink in diagnosis.shrink.get("all", {}).items():
+        yield {"output": "all channels", _LENGTH: f"{float(horizon):g}", **_closed(shrink)}
+
+
+def _closed(shrink: Shrink | None) -> dict[str, Cell]:
+    """How much of the gap the correction closes."""
+    if shrink is None or shrink.fraction is None:
+        return {_CLOSED[0]: wording.MISSING}
+    mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
+    text = _share(shrink.fraction) if shrink.fraction > -1 else "none: it grows"
+    ends = "" if shrink.ci95 is None else _interval(shrink.ci95)
+    return {_CLOSED[0]: Judged(text, mark), _CLOSED[1]: ends}
 
 
 def _at(rows: Mapping[str, Shrink], horizon: str | None) -> Shrink | None:
@@ -602,14 +603,6 @@ def _at(rows: Mapping[str, Shrink], horizon: str | None) -> Shrink | None:
         return None
     key = horizon_key(horizon)
     return next((shrink for h, shrink in rows.items() if horizon_key(h) == key), None)
-
-
-def _closed(shrink: Shrink | None) -> list[Cell]:
-    if shrink is None or shrink.fraction is None:
-        return [wording.MISSING, ""]
-    mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
-    text = _share(shrink.fraction) if shrink.fraction > -1 else "none: it grows"
-    return [Judged(text, mark), "" if shrink.ci95 is None else _interval(shrink.ci95)]
 
 
 def gap_chart(diagnosis: DiagnosisResult) -> Chart | None:
@@ -689,14 +682,9 @@ def _tests(diagnosis: DiagnosisResult) -> Section | None:
     if not diagnosis.tests:
         return None
     channels = list(dict.fromkeys(test.channel for test in diagnosis.tests))
-    by_place = {(test.name, test.channel): test for test in diagnosis.tests}
-
-    def cell(name: str, channel: str) -> Cell:
-        test = by_place.get((name, channel))
-        return "" if test is None else _probability(test)
-
+    by_place = {(test.name, test.channel): _probability(test) for test in diagnosis.tests}
     rows = [
-        [name, *(cell(name, channel) for channel in channels)]
+        [name, *(by_place.get((name, channel), "") for channel in channels)]
         for name in dict.fromkeys(test.name for test in diagnosis.tests)
     ]
     seen = [test for test in diagnosis.tests if test.rejected]
@@ -728,17 +716,23 @@ def _probability(test: GapTest) -> Judged:
 def _parameters(diagnosis: DiagnosisResult) -> Section | None:
     if not diagnosis.parameters:
         return None
-    names = sorted(
-        diagnosis.parameters, key=lambda name: -abs(diagnosis.parameters[name].moved or 0.0)
-    )
-    rows: list[list[Cell]] = []
-    for name in names[:_MOST_PARAMETERS]:
-        p = diagnosis.parameters[name]
-        mark: Judgement = "doubtful" if p.moved is not None and abs(p.moved) > _FAR else ""
-        moved = None if p.moved is None else f"{p.moved:+.1f} sd".replace("-", "−")
-        label = wording.titled(name, p.unit)
-        rows.append([label, p.prior, Judged(p.fitted, sd=p.sd), p.sd, Judged(moved, mark)])
-    more = len(names) - _MOST_PARAMETERS
+    items = sorted(diagnosis.parameters.items(), key=lambda item: -abs(item[1].moved or 0.0))
+
+    def moved(item: tuple[str, FittedParameter]) -> Judged:
+        by = item[1].moved
+        if by is None:
+            return Judged(None)
+        mark: Judgement = "doubtful" if abs(by) > _FAR else ""
+        return Judged(f"{by:+.1f} sd".replace("-", "−"), mark)
+
+    columns = [
+        Column("parameter", lambda item: wording.titled(item[0], item[1].unit)),
+        Column("before", lambda item: item[1].prior),
+        Column("fitted", lambda item: Judged(item[1].fitted, sd=item[1].sd)),
+        Column("±", lambda item: item[1].sd),
+        Column("moved, in sd of what was known", moved),
+    ]
+    more = len(items) - _MOST_PARAMETERS
     caption = ""
     if more > 0:
         caption = f"And {wording.count(more, 'more')}, which moved less: see diagnosis.json."
@@ -748,14 +742,7 @@ def _parameters(diagnosis: DiagnosisResult) -> Section | None:
             "With the cause in the model, where there is one. A parameter that had to move far "
             "from what was known of it may stand in for something that the model lacks."
         ],
-        [
-            Table(
-                ["parameter", "before", "fitted", "±", "moved, in sd of what was known"],
-                rows,
-                caption,
-                on_screen=False,
-            )
-        ],
+        [table(items[:_MOST_PARAMETERS], columns, caption, on_screen=False)],
         folded=True,
     )
 
