@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.delays import estimate_delays, shift_channels
-from trms_cli.recordings.preparation import Preparation, fill_gaps, resample, split_at_gaps
+from trms_cli.recordings.preparation import (
+    Preparation,
+    fill_gaps,
+    resample,
+    shift_channels,
+    split_at_gaps,
+)
 from trms_cli.recordings.recording import Recording
-from trms_cli.recordings.summary import outliers, summarise
+from trms_cli.recordings.summary import estimate_delays, outliers, summarise
 
 sys.path.insert(0, str(Path(__file__).parent))
 from played_rig import BENCH, STEP, play

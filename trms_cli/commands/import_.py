@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -83,11 +84,11 @@ def main(argv: list[str]) -> int:
     recording = read_recording(given.file)
     log_path = given.out or Path(given.file.with_suffix(".mcap").name)
     sha256 = sha256_of(given.file)
-    findings = summarise(recording)
+    summary = summarise(recording)
     prepared = preparation is not None
     parts = _prepared(preparation, recording)
     logs = [_numbered(log_path, k, len(parts)) for k in range(1, len(parts) + 1)]
-    known = {*recording.remarks, *findings.sentences}
+    known = {*recording.remarks, *summary.sentences}
     done = [[remark for remark in part.remarks if remark not in known] for part in parts]
     for part, path, remarks in zip(parts, logs, done, strict=True):
         run_metadata = {
@@ -100,7 +101,7 @@ def main(argv: list[str]) -> int:
             run_metadata["preparation"] = "; ".join(remarks)
         write_mcap(part, path, run_metadata, force=given.force)
 
-    document = _document(recording, findings, given.file, logs, sha256)
+    document = _document(recording, summary, given.file, logs, sha256)
     document["preparation"] = [
         {"log": str(path), "samples": len(part), "sample_time_s": part.sample_time, "done": remarks}
         for part, path, remarks in zip(parts, logs, done, strict=True)
@@ -181,15 +182,25 @@ def _prepared(preparation: Any, recording: Any) -> list[Any]:
 
 
 def _document(
-    recording: Any, findings: Any, file: Path, logs: list[Path], sha256: str
+    recording: Any, summary: Any, file: Path, logs: list[Path], sha256: str
 ) -> dict[str, Any]:
     """Return the JSON twin of what is printed, in SI units."""
-    found = findings.as_data()
     channels = {}
-    for name, figures in found["channels"].items():
-        figures = dict(figures)
+    for name, channel in summary.channels.items():
+        figures = asdict(channel)
         ends = {"min": figures.pop("minimum"), "max": figures.pop("maximum")}
         channels[name] = {"unit": recording.units[name], **ends, **figures}
+    delays = [
+        {
+            "cause": delay.cause,
+            "effect": delay.effect,
+            "delay_s": delay.seconds,
+            "deviation_s": delay.deviation,
+            "explained": delay.explained,
+            "clear": delay.clear,
+        }
+        for delay in summary.delays
+    ]
     return {
         "schema": "trms.import/1",
         "file": str(file),
@@ -205,9 +216,9 @@ def _document(
         "rate_hz": 1 / recording.sample_time,
         "gaps": [{"start_s": start, "end_s": end} for start, end in recording.gaps],
         "channels": channels,
-        "delays": found["delays"],
-        "loop": found["loop"],
-        "notes": [*recording.notes(), *findings.sentences],
+        "delays": delays,
+        "loop": asdict(summary.loop),
+        "notes": [*recording.notes(), *summary.sentences],
     }
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError
 from trms_cli.core.invocation import program
-from trms_cli.library.tasks.scene_of_log import scene_of_log
+from trms_cli.library.tasks.scene import scene_of_log
 from trms_cli.recordings.foxglove.added_scene import scene_messages
 from trms_cli.recordings.foxglove.types import ARROWS, BODIES, TRANSFORMS
 from trms_cli.recordings.log_reader import LoggedRun

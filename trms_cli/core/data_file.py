@@ -55,6 +55,21 @@ def read_bytes(path: Path, most: int) -> bytes:
     return data
 
 
+def recorded_bytes(path: Path, usual: int) -> bytes:
+    """The content of a user's file, of up to :func:`largest` bytes.
+
+    Raises RecordingError if there is none, it cannot be read, or is larger.
+    """
+    try:
+        return read_bytes(path, largest(usual))
+    except FileNotFoundError as error:
+        raise RecordingError("there is no such file", where=str(path)) from error
+    except OSError as error:
+        raise RecordingError(
+            f"it cannot be read ({error.strerror or error})", where=str(path)
+        ) from error
+
+
 def too_large(size: int, most: int) -> str:
     """The words for a size beyond the limit."""
     return f"it holds {size / MEBIBYTE:,.1f} MiB, and {most / MEBIBYTE:,.0f} MiB are read"

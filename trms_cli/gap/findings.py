@@ -560,8 +560,8 @@ def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[Table, Tab
         caption += " Closed: of what the refit left above the floor."
         of_all = "Closed: what the correction took from the gap above the floor that "
         of_all += "the refit left."
-    rows = [row for row in _gap_rows(diagnosis) if corrected or "floor" in row]
-    columns = [Column(head, lambda row, head=head: row.get(head, "")) for head in heads]
+    rows = [row for row in _gap_rows(diagnosis) if corrected or row["floor"] != ""]
+    columns = [Column(head, head) for head in heads]
     at_shown = [row for row in rows if shown and row[_LENGTH] == f"{float(shown):g}"]
     return (
         table(at_shown, [columns[0], *columns[2:]], caption),
@@ -585,13 +585,19 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, Cell]]:
                 **_closed(_at(diagnosis.shrink.get(channel, {}), horizon)),
             }
     for horizon, shrink in diagnosis.shrink.get("all", {}).items():
-        yield {"output": "all channels", _LENGTH: f"{float(horizon):g}", **_closed(shrink)}
+        blank = dict.fromkeys(("as it was", "refitted", "corrected", "floor"), "")
+        yield {
+            "output": "all channels",
+            _LENGTH: f"{float(horizon):g}",
+            **blank,
+            **_closed(shrink),
+        }
 
 
 def _closed(shrink: Shrink | None) -> dict[str, Cell]:
     """How much of the gap the correction closes."""
     if shrink is None or shrink.fraction is None:
-        return {_CLOSED[0]: wording.MISSING}
+        return {_CLOSED[0]: wording.MISSING, _CLOSED[1]: ""}
     mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
     text = _share(shrink.fraction) if shrink.fraction > -1 else "none: it grows"
     ends = "" if shrink.ci95 is None else _interval(shrink.ci95)

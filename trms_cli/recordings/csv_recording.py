@@ -14,7 +14,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, read_bytes
+from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, recorded_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
 from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name, to_si
@@ -95,13 +95,7 @@ def _one_line(text: str) -> str:
 
 
 def _lines(path: Path) -> tuple[list[str], bool]:
-    try:
-        data = read_bytes(path, largest(_USUAL_MOST))
-    except FileNotFoundError as error:
-        raise RecordingError("there is no such file", where=str(path)) from error
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
+    data = recorded_bytes(path, _USUAL_MOST)
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         _refuse(path, 1, "the text is UTF-16, as some spreadsheets save it", "save it as UTF-8")
     if b"\0" in data:
@@ -114,12 +108,12 @@ def _lines(path: Path) -> tuple[list[str], bool]:
         found = f"the byte 0x{data[error.start]:02x} is not UTF-8 text"
         _refuse(path, line, found, "save the file as UTF-8")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    if text.count("\n") > largest(_USUAL_MOST) // _LEAST_LINE:
+    count, most = text.count("\n"), largest(_USUAL_MOST) // _LEAST_LINE
+    if count > most:
         raise RecordingError(
-            f"it has {text.count(chr(10)):,} lines, and {largest(_USUAL_MOST) // _LEAST_LINE:,} "
-            "are read",
+            f"it has {count:,} lines, and {most:,} are read",
             where=str(path),
-            remedy=how_to_raise(text.count("\n") * _LEAST_LINE),
+            remedy=how_to_raise(count * _LEAST_LINE),
         )
     if not text.strip():
         raise RecordingError(
@@ -263,22 +257,13 @@ def _number(path: Path, line: int, cell: str, column: _Column) -> float:
     text = cell.strip().strip('"').strip()
     if not text:
         return _MISSING
+    held, empty = f"column {column.name!r} holds", "leave the cell empty where a sample is missing"
     if not _is_number(text):
-        _refuse(
-            path,
-            line,
-            f"column {column.name!r} holds {text[:40]!r}, which is not a number",
-            "write numbers as 0.25 or 2.5e-1; leave the cell empty where a sample is missing",
-        )
-    value = float(text)
-    if not np.isfinite(value):
-        _refuse(
-            path,
-            line,
-            f"column {column.name!r} holds {text!r}, which is not finite",
-            "leave the cell empty where a sample is missing",
-        )
-    return value
+        told = f"{held} {text[:40]!r}, which is not a number"
+        _refuse(path, line, told, f"write numbers as 0.25 or 2.5e-1; {empty}")
+    if not np.isfinite(float(text)):
+        _refuse(path, line, f"{held} {text!r}, which is not finite", empty)
+    return float(text)
 
 
 def _is_number(text: str) -> bool:

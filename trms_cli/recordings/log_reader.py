@@ -25,7 +25,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, not_as_written, read_bytes
+from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, not_as_written, recorded_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, RUN_SCHEMA, SCORE_METADATA
 from trms_cli.recordings.topics import VIEWER_SCHEMAS
@@ -265,14 +265,7 @@ def _refuse_newer(run: Mapping[str, str], path: Path) -> None:
 
 
 def _read_bytes(path: Path) -> bytes:
-    try:
-        data = read_bytes(path, largest(_USUAL_MOST))
-    except FileNotFoundError as error:
-        raise RecordingError("there is no such file", where=str(path)) from error
-    except OSError as error:
-        raise RecordingError(
-            f"it cannot be read ({error.strerror or error})", where=str(path)
-        ) from error
+    data = recorded_bytes(path, _USUAL_MOST)
     if not data:
         raise RecordingError("the file is empty", where=str(path), remedy="repeat the run")
     if not data.startswith(MCAP0_MAGIC):

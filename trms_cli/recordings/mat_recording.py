@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -27,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trms_cli.core.data_file import MEBIBYTE, largest, not_as_written, read_bytes
+from trms_cli.core.data_file import MEBIBYTE, largest, not_as_written, recorded_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.channels import REFERENCE_OF_AXIS, find_channel, to_si
 from trms_cli.recordings.recording import Recording, require_channels, require_values
@@ -254,28 +255,46 @@ def _recording(path: Path, variables: dict[str, Any]) -> Recording:
         name="t",
     )
     _check_time(path, time)
-    channels, si_units, ignored = {}, {}, []
-    for name, value in variables.items():
-        channel = find_channel(name)
+    channels, si_units = _channels(path, variables, units, len(time), known)
+    require_values(channels, str(path))
+    metadata = {name: value for name, value in variables.items() if isinstance(value, str)}
+    used = {"t", "units", *known, *metadata}
+    ignored = [name for name in variables if name not in used]
+    remarks = (f"variables not used: {', '.join(ignored)}",) if ignored else ()
+    return Recording(time, channels, si_units, metadata, path, remarks)
+
+
+def _channels(
+    path: Path,
+    struct: dict[str, Any],
+    units: dict[str, Any],
+    samples: int,
+    chosen: Iterable[str],
+    topic: str = "",
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Vectors of a struct in SI, and their units, by name; ``samples``: as many as there are times.
+
+    ``topic``: the struct's name in an exported log, in which a reference has its angle's name.
+    """
+    columns, si_units, dot = {}, {}, f"{topic}." if topic else ""
+    meant = REFERENCE_OF_AXIS if topic == "reference" else {}
+    for name in chosen:
+        channel = find_channel(meant.get(name, name))
         if channel is None:
-            if name not in ("t", "units") and not isinstance(value, str):
-                ignored.append(name)
             continue
-        vector = _vector(path, name, value)
-        if len(vector) != len(time):
+        vector = _vector(path, f"{dot}{name}", struct[name])
+        if len(vector) != samples:
             raise RecordingError(
-                f"{name!r} has {len(vector)} samples, t has {len(time)}",
+                f"{dot + name!r} has {len(vector)} samples, "
+                f"{f'{dot}time' if topic else 't'} has {samples}",
                 where=str(path),
                 remedy="give each channel a value per time, NaN where it is missing",
             )
         unit = str(units.get(name, channel.units[0] if channel.units else "1"))
-        channels[name], si_units[name] = to_si(
-            vector, unit, channel.units, where=str(path), name=name
+        columns[name], si_units[name] = to_si(
+            vector, unit, channel.units, where=str(path), name=f"{dot}{name}"
         )
-    require_values(channels, str(path))
-    metadata = {name: value for name, value in variables.items() if isinstance(value, str)}
-    remarks = (f"variables not used: {', '.join(ignored)}",) if ignored else ()
-    return Recording(time, channels, si_units, metadata, path, remarks)
+    return columns, si_units
 
 
 def _of_topics(path: Path, content: dict[str, Any]) -> Recording:
@@ -316,23 +335,7 @@ def _table(path: Path, topic: str, struct: Any) -> TopicTable:
         raise RecordingError(f"'{topic}.units' is not a struct", where=str(path), remedy=_REMEDY)
     time = _vector(path, f"{topic}.time", struct["time"])
     _check_time(path, time, f"{topic}.time")
-    columns, si_units = {}, {}
-    for name, value in struct.items():
-        meant = REFERENCE_OF_AXIS.get(str(name), name) if topic == "reference" else name
-        channel = find_channel(str(meant))
-        if channel is None:
-            continue
-        vector = _vector(path, f"{topic}.{name}", value)
-        if len(vector) != len(time):
-            raise RecordingError(
-                f"'{topic}.{name}' has {len(vector)} samples, {topic}.time has {len(time)}",
-                where=str(path),
-                remedy="give each channel a value per time, NaN where it is missing",
-            )
-        unit = str(units.get(name, channel.units[0] if channel.units else "1"))
-        columns[name], si_units[name] = to_si(
-            vector, unit, channel.units, where=str(path), name=f"{topic}.{name}"
-        )
+    columns, si_units = _channels(path, struct, units, len(time), struct, topic)
     # to the nanosecond, as logs have it
     return TopicTable(time, np.round(time * 1e9).astype(np.int64), columns, si_units)
 
@@ -340,17 +343,13 @@ def _table(path: Path, topic: str, struct: Any) -> TopicTable:
 def _variables(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    data = recorded_bytes(path, USUAL_MOST)
     try:
-        data = read_bytes(path, largest(USUAL_MOST))
         names = plain_variables(data) if is_level_5(data) else None
         content = loadmat(BytesIO(data), simplify_cells=True, variable_names=names)
-    except FileNotFoundError as error:
-        raise RecordingError("there is no such file", where=str(path)) from error
     except OSError as error:
         reason = error.strerror or error
         raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
-    except RecordingError:
-        raise
     except MemoryError as error:
         raise RecordingError("it does not fit into the memory", where=str(path)) from error
     except NotImplementedError as error:

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.delays import shift_channels
+from trms_cli.core.plugins import nearest
 from trms_cli.recordings.recording import GAP_FACTOR, Recording, on_grid
 from trms_cli.recordings.summary import describe_outliers, find_outliers, remarks_on
 
@@ -106,6 +106,70 @@ def fill_gaps(recording: Recording, longest: float, jitter: float) -> Recording:
         channels={name: values[keep] for name, values in channels.items()},
         remarks=(*recording.remarks, remark),
     )
+
+
+def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recording:
+    """Move channels earlier by the time by which they are recorded late.
+
+    Whole samples are moved; a rest is interpolated by straight lines for measurements, and
+    refused for commands and references, which are held. The ends for which a channel has no
+    value any more are cut.
+
+    ``delays``: s, by channel; negative for one that is recorded early (a command that acts later).
+    Raises RecordingError for an unknown channel, a delay longer than the recording, or a part of a
+    sample for a held channel.
+    """
+    step = recording.sample_time
+    held = {*recording.names("input"), *recording.names("reference")}
+    first, last = recording.time[0], recording.time[-1]
+    channels = dict(recording.channels)
+    for name, delay in delays.items():
+        if name not in channels:
+            raise RecordingError(
+                f"the recording has no {name!r} to shift",
+                where=f"delays.{name}",
+                remedy=nearest(name, channels),
+            )
+        whole = round(delay / step)
+        if name in held and abs(delay - whole * step) > 0.01 * step:
+            raise RecordingError(
+                f"{delay:g} s is {delay / step:.3g} samples, and {name} is held from row to row",
+                where=f"delays.{name}",
+                remedy=f"give whole samples of {step:g} s, or resample first to a step that fits",
+            )
+        first = max(first, recording.time[0] - delay)
+        last = min(last, recording.time[-1] - delay)
+        values, at = channels[name], recording.time - delay
+        if name in held:
+            row = np.searchsorted(at, recording.time + 0.01 * step, side="right") - 1
+            channels[name] = values[np.clip(row, 0, len(values) - 1)]
+        else:
+            channels[name] = _shifted(at, values, recording.time, step)
+    keep = (recording.time >= first - 0.01 * step) & (recording.time <= last + 0.01 * step)
+    if np.count_nonzero(keep) < 2:
+        raise RecordingError(
+            "the delays leave nothing of the recording",
+            where="delays",
+            remedy=f"it lasts {recording.duration_s:g} s",
+        )
+    words = ", ".join(f"{name} by {delay:g} s" for name, delay in delays.items())
+    return replace(
+        recording,
+        time=recording.time[keep],
+        channels={name: values[keep] for name, values in channels.items()},
+        remarks=(*recording.remarks, f"moved earlier: {words}"),
+    )
+
+
+def _shifted(at: np.ndarray, values: np.ndarray, time: np.ndarray, step: float) -> np.ndarray:
+    """Straight lines between samples; missing where either neighbour is, or far away."""
+    row = np.clip(np.searchsorted(at, time + 0.01 * step, side="right") - 1, 0, len(at) - 1)
+    after = np.minimum(row + 1, len(at) - 1)
+    width = np.maximum(at[after] - at[row], 1e-300)
+    share = np.clip((time - at[row]) / width, 0.0, 1.0)
+    share[np.abs(time - at[row]) <= 0.01 * step] = 0.0
+    mixed = np.where(share == 0.0, values[row], (1 - share) * values[row] + share * values[after])
+    return np.where((share > 0) & (width > 1.5 * step), np.nan, mixed)
 
 
 #: Edge of the low-pass as a share of the new Nyquist frequency.

@@ -146,10 +146,7 @@ class RunLog:
         self._channels = {topic.name: self._register(topic) for topic in topics}
         if EVENT_TOPIC.name not in self._channels:
             self._channels[EVENT_TOPIC.name] = self._register(EVENT_TOPIC)
-        try:
-            self._stream.flush()
-        except OSError as error:
-            raise self._abandon(error) from error
+        self._flush_stream()
 
     def write(self, topic: str, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
         """Log one message; it is kept until :meth:`flush`.
@@ -207,10 +204,7 @@ class RunLog:
                 for channel, log_time, publish_time, values in rows
             )
             self._last_time_ns = max(self._last_time_ns, rows[-1][1])
-            try:
-                self._stream.flush()
-            except OSError as error:
-                raise self._abandon(error) from error
+            self._flush_stream()
             self.safe_until_s = self._last_time_ns * 1e-9
 
     def close(self, outcome: Outcome, score: Mapping[str, Any] | None = None) -> None:
@@ -228,10 +222,7 @@ class RunLog:
             if score is not None:
                 self._writer.add_metadata(SCORE_METADATA, _as_json_texts(score))
             self._writer.finish()
-            try:
-                self._stream.flush()
-            except OSError as error:
-                raise self._abandon(error) from error
+            self._flush_stream()
             self._closed = True
             self._stream.close()
 
@@ -277,8 +268,14 @@ class RunLog:
         schema = json.dumps(topic.json_schema(), ensure_ascii=False).encode()
         return _Channel(topic, self._writer.add_channel(topic.name, topic.schema_name, schema))
 
+    def _flush_stream(self) -> None:
+        """Hand on what is written; after a failure close, and say what is safe."""
+        try:
+            self._stream.flush()
+        except OSError as error:
+            raise self._abandon(error) from error
+
     def _abandon(self, error: OSError) -> RecordingError:
-        """Close after a write that failed, and say what is safe."""
         self._closed = True
         self._rows.clear()
         self._stream.close()
