@@ -155,9 +155,7 @@ def test_an_advised_command_becomes_commands(tmp_path: Path) -> None:
         commands_of(square, tmp_path / "run", 0.01)
 
 
-def test_the_advised_experiment_is_played_to_the_rig(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_advised_experiment_is_played_to_the_rig(tmp_path, monkeypatch) -> None:
     """Diagnoses are stood in for: the second one has seen a recording of the advised commands."""
     advice = "trms run controller=open_loop signal@controller.u_v=square sim.duration=1"
 

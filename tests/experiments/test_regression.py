@@ -142,9 +142,7 @@ class TestComparison:
         ("change", "verdict"),
         [(0.0015, "same"), (-0.0015, "same"), (0.003, "worse"), (-0.003, "better")],
     )
-    def test_a_figure_decides_beyond_its_tolerance(
-        self, outcomes, recorded, change: float, verdict: str
-    ) -> None:
+    def test_a_figure_decides_beyond_its_tolerance(self, outcomes, recorded, change, verdict):
         compared = comparing.compared(with_rmse(outcomes[0], change), recorded)
         assert compared.verdict == verdict
         assert compared.bad == (verdict == "worse")

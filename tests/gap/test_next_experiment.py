@@ -66,9 +66,7 @@ def recordings(plain: Refit) -> dict:
     return {e.words: r for e, r in predicted_recordings(plain, SHARES, "newtonian")}
 
 
-def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(
-    recordings: dict, known: dict
-) -> None:
+def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(recordings, known) -> None:
     pair = [with_rows(known[name], FITTED) for name in EFFECTS[:2]]
     fast, slow = (
         between(signatures(recordings[words], pair), *EFFECTS[:2], EFFECTS[:2])

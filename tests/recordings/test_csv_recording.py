@@ -159,9 +159,7 @@ HEAD = "t[s],u_v[V],alpha_v[rad]\n"
         (HEAD.encode() + b"0,1,2\n1,1,\xb0\n", 3, "0xb0 is not UTF-8", "UTF-8"),
     ],
 )
-def test_what_is_wrong_is_told(
-    csv: Path, text: str | bytes, line: int | None, problem: str, remedy: str
-) -> None:
+def test_what_is_wrong_is_told(csv, text, line, problem, remedy) -> None:
     with pytest.raises(RecordingError, match=problem) as caught:
         read_text(csv, text)
     assert caught.value.where == (f"{csv}:{line}" if line else str(csv))
@@ -183,9 +181,7 @@ ALPHABET = st.sampled_from([*"0123456789.,;-e#:[]_ \t\r\n", "t[s]", "u_v[V]", "a
 
 
 @given(st.lists(ALPHABET, max_size=60).map("".join), st.booleans())
-def test_any_text_is_read_or_clearly_refused(
-    tmp_path_factory: pytest.TempPathFactory, text: str, with_header: bool
-) -> None:
+def test_any_text_is_read_or_clearly_refused(tmp_path_factory, text, with_header) -> None:
     path = tmp_path_factory.mktemp("fuzz") / "x.csv"
     try:
         recording = read_text(path, HEAD + text if with_header else text)
@@ -196,9 +192,7 @@ def test_any_text_is_read_or_clearly_refused(
 
 
 @given(st.binary(max_size=100))
-def test_any_bytes_are_read_or_clearly_refused(
-    tmp_path_factory: pytest.TempPathFactory, data: bytes
-) -> None:
+def test_any_bytes_are_read_or_clearly_refused(tmp_path_factory, data) -> None:
     with pytest.raises(RecordingError):
         read_text(tmp_path_factory.mktemp("fuzz") / "x.csv", data)
 
@@ -221,9 +215,7 @@ def recordings(draw: st.DrawFn) -> Recording:
 
 
 @given(recordings())
-def test_what_is_written_is_read_bit_for_bit(
-    tmp_path_factory: pytest.TempPathFactory, recording: Recording
-) -> None:
+def test_what_is_written_is_read_bit_for_bit(tmp_path_factory, recording) -> None:
     path = tmp_path_factory.mktemp("round") / "x.csv"
     write_csv(recording, path)
     back = read_csv(path)

@@ -50,9 +50,7 @@ def test_parquet_joins_all_topics_on_time(tmp_path: Path, log: LoggedRun) -> Non
     np.testing.assert_array_equal(np.array(table["command.u_v"]), np.arange(1.0, 121.0))
 
 
-def test_parquet_has_one_row_a_sample_time_whatever_happens_then(
-    tmp_path: Path, topics: list[Topic]
-) -> None:
+def test_parquet_has_one_row_a_sample_time_whatever_happens_then(tmp_path, topics) -> None:
     with RunLog(tmp_path / "run.mcap", topics, {}) as run:
         run.event(0, "fault", "rig", "before the first sample")
         for time_ns in (10, 20, 30):
@@ -100,18 +98,14 @@ def test_mat_has_a_struct_per_topic(tmp_path: Path, log: LoggedRun) -> None:
 
 
 @pytest.mark.parametrize("format_", ["csv", "parquet", "mat"])
-def test_a_dead_runs_log_is_exported_as_far_as_it_goes(
-    tmp_path: Path, write_run: Callable[..., Path], format_: str
-) -> None:
+def test_a_dead_runs_log_is_exported_as_far_as_it_goes(tmp_path, write_run, format_) -> None:
     log = read_log(write_run(tmp_path / "run.mcap", 20, close=False))
     export_log(log, tmp_path / "out", format_)
     assert (tmp_path / "out").stat().st_size > 100
 
 
 @pytest.mark.parametrize("format_", ["csv", "parquet", "mat"])
-def test_never_half_and_never_over(
-    tmp_path: Path, log: LoggedRun, format_: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_never_half_and_never_over(tmp_path, log, format_, monkeypatch) -> None:
     out = tmp_path / "there"
     out.write_text("mine")
     with pytest.raises(RecordingError, match="already"):

@@ -19,9 +19,7 @@ from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.recordings.read import read_recording
 
 
-def test_a_log_cut_anywhere_keeps_what_is_before(
-    tmp_path: Path, write_run: Callable[..., Path]
-) -> None:
+def test_a_log_cut_anywhere_keeps_what_is_before(tmp_path, write_run) -> None:
     data = write_run(tmp_path / "run.mcap", 250).read_bytes()
     whole = read_log(tmp_path / "run.mcap")
     cut = tmp_path / "cut.mcap"
@@ -55,9 +53,7 @@ def check_is_prefix(log: LoggedRun, whole: LoggedRun) -> int:
     return n
 
 
-def test_a_damaged_chunk_is_left_out_and_told(
-    tmp_path: Path, write_run: Callable[..., Path]
-) -> None:
+def test_a_damaged_chunk_is_left_out_and_told(tmp_path, write_run) -> None:
     path = write_run(tmp_path / "run.mcap", 300)
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -74,9 +70,7 @@ def test_a_damaged_chunk_is_left_out_and_told(
 
 
 @given(st.binary(max_size=200))
-def test_any_bytes_end_in_a_log_or_a_clear_error(
-    tmp_path_factory: pytest.TempPathFactory, data: bytes
-) -> None:
+def test_any_bytes_end_in_a_log_or_a_clear_error(tmp_path_factory, data) -> None:
     path = tmp_path_factory.mktemp("bytes") / "x.mcap"
     for content in (data, b"\x89MCAP0\r\n" + data):
         path.write_bytes(content)
@@ -151,9 +145,7 @@ def test_a_log_of_another_program(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("chunked", [True, False])
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_a_log_rewritten_by_another_tool(
-    tmp_path: Path, write_run: Callable[..., Path], chunked: bool, compression: CompressionType
-) -> None:
+def test_a_log_rewritten_by_another_tool(tmp_path, write_run, chunked, compression) -> None:
     """`mcap compress` or `mcap recover` change the library's name, chunks and compression."""
     path = write_run(tmp_path / "run.mcap", 30)
     out = io.BytesIO()

@@ -72,9 +72,7 @@ def check_same(tables: dict[str, TopicTable], log: LoggedRun) -> None:
 
 
 @pytest.mark.parametrize("at_once", [1, 1000, 20_000, 1 << 20])
-def test_a_finished_log_is_what_the_log_reader_reads(
-    tmp_path: Path, write_run: Callable[..., Path], at_once: int
-) -> None:
+def test_a_finished_log_is_what_the_log_reader_reads(tmp_path, write_run, at_once) -> None:
     path = write_run(tmp_path / "run.mcap", 350)
     log = read_log(path)
     with LogTail(path) as tail:
@@ -134,9 +132,7 @@ def last_chunk(tmp_path_factory) -> tuple[bytes, bytes]:
     return data[: sizes[1]], data[sizes[1] :]
 
 
-def test_a_chunk_cut_at_every_byte_is_left_for_the_next_look(
-    tmp_path: Path, last_chunk: tuple[bytes, bytes]
-) -> None:
+def test_a_chunk_cut_at_every_byte_is_left_for_the_next_look(tmp_path, last_chunk) -> None:
     before, after = last_chunk
     path = tmp_path / "run.mcap"
     whole = 0
@@ -243,17 +239,13 @@ class TestBadFiles:
             tail.read()
 
     @pytest.mark.parametrize("length", range(9))
-    def test_one_that_has_just_begun(
-        self, tmp_path: Path, last_chunk: tuple[bytes, bytes], length: int
-    ) -> None:
+    def test_one_that_has_just_begun(self, tmp_path, last_chunk, length) -> None:
         path = tmp_path / "run.mcap"
         path.write_bytes(last_chunk[0][:length])
         with LogTail(path) as tail:
             assert tail.read() is None and not tail.finished
 
-    def test_a_record_of_a_length_that_cannot_be(
-        self, tmp_path: Path, last_chunk: tuple[bytes, bytes]
-    ) -> None:
+    def test_a_record_of_a_length_that_cannot_be(self, tmp_path, last_chunk) -> None:
         path = tmp_path / "run.mcap"
         path.write_bytes(last_chunk[0] + b"\x06" + (2**60).to_bytes(8, "little") + bytes(100))
         with LogTail(path) as tail:

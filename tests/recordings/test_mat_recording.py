@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -77,9 +76,7 @@ def test_not_a_mat_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("close", [True, False])
-def test_an_exported_run_comes_back(
-    tmp_path: Path, write_run: Callable[..., Path], close: bool
-) -> None:
+def test_an_exported_run_comes_back(tmp_path, write_run, close) -> None:
     log = read_log(write_run(tmp_path / "run.mcap", 60, close=close))
     export_log(log, tmp_path / "run.mat", "mat")
     direct, exported = read_recording(log.path), read_recording(tmp_path / "run.mat")
@@ -133,9 +130,7 @@ def test_a_struct_per_topic_by_hand(tmp_path: Path) -> None:
         ("command", {"u_v": None}, "lacks an input"),
     ],
 )
-def test_what_is_wrong_with_a_topic_is_told(
-    tmp_path: Path, topic: str, change: dict[str, Any] | None, problem: str
-) -> None:
+def test_what_is_wrong_with_a_topic_is_told(tmp_path, topic, change, problem) -> None:
     struct = {k: v for k, v in {**NESTED[topic], **(change or {})}.items() if v is not None}
     content = {"complete": True, **NESTED, topic: struct}
     if change is None:

@@ -74,9 +74,7 @@ def test_times_before_zero_and_currents_and_disturbances_survive(tmp_path: Path)
     assert read_log(path).outcome == "completed"
 
 
-def test_a_full_disk_leaves_no_half_log(
-    tmp_path: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_no_half_log(tmp_path, recording, monkeypatch) -> None:
     def refuse(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

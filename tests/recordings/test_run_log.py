@@ -49,9 +49,7 @@ def test_a_run_comes_back(tmp_path: Path, write_run: Callable[..., Path]) -> Non
 
 
 @given(st.floats(), st.integers(-(2**53), 2**53))
-def test_numbers_are_exact_and_non_finite_ones_null(
-    tmp_path_factory: pytest.TempPathFactory, a: float, b: int
-) -> None:
+def test_numbers_are_exact_and_non_finite_ones_null(tmp_path_factory, a, b) -> None:
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     with RunLog(path, [NUMBERS], {}) as log:
         log.write("/numbers", 0, (a, b))
@@ -193,9 +191,7 @@ def test_full_disk_at_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         RunLog(tmp_path / "run.mcap", [NUMBERS], {})
 
 
-def test_closing_on_a_full_disk_keeps_the_samples(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_closing_on_a_full_disk_keeps_the_samples(tmp_path, monkeypatch) -> None:
     path = tmp_path / "run.mcap"
     log = RunLog(path, [NUMBERS], {})
     log.write("/numbers", 1_000_000_000, (1.0, 1))
@@ -262,9 +258,7 @@ def test_ctrl_c_leaves_a_complete_marked_log(tmp_path: Path) -> None:
     np.testing.assert_array_equal(x, np.arange(len(x)))
 
 
-def test_ctrl_c_within_a_flush_is_held_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_within_a_flush_is_held_back(tmp_path, monkeypatch) -> None:
     path = tmp_path / "run.mcap"
     write = os.write
 

@@ -82,9 +82,7 @@ def test_a_disk_that_fills_up_is_told_and_the_log_opens(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[" * 100_000])
-def test_a_damaged_result_in_the_cache_is_made_again(
-    content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_damaged_result_in_the_cache_is_made_again(content, tmp_path, monkeypatch) -> None:
     from trms_cli.core.result_cache import cached_result
 
     monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "functions"))
@@ -129,9 +127,7 @@ def test_nobody_without_a_home_can_run() -> None:
         assert (folder / "one" / "score.json").is_file()
 
 
-def test_without_a_home_what_is_compiled_is_kept_for_the_process(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_a_home_what_is_compiled_is_kept_for_the_process(monkeypatch) -> None:
     import casadi as ca
 
     from trms_cli.core.allowed import allowed_for_good

@@ -172,9 +172,7 @@ print(float(function.evaluate(0.5)[0][0]), kept["value"])
 """
 
 
-def test_many_that_compile_and_keep_the_same_thing_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_that_compile_and_keep_the_same_thing_at_once(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "cache" / "functions"))
     said = _raced(_CACHE, tmp_path, __file__)
     assert len(set(said)) == 1

@@ -80,9 +80,7 @@ def test_a_folder_of_configuration_alone_runs_nothing(lab: Path) -> None:
     assert f"trms allow lab_of_trust --config-dir {lab / 'configs'}" in caught.value.remedy
 
 
-def test_what_the_message_says_to_type_allows_it(
-    lab: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_message_says_to_type_allows_it(lab, monkeypatch) -> None:
     from trms_cli.cli import main
 
     with pytest.raises(ConfigurationError) as caught:
@@ -111,9 +109,7 @@ def test_allowed_for_a_call(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "lab_of_trust.__builtins__",
     ],
 )
-def test_only_what_an_allowed_package_defines(
-    lab: Path, monkeypatch: pytest.MonkeyPatch, target: str
-) -> None:
+def test_only_what_an_allowed_package_defines(lab, monkeypatch, target) -> None:
     monkeypatch.setenv("TRMS_ALLOW", "lab_of_trust")
     built(lab)
     with pytest.raises(ConfigurationError):

@@ -75,9 +75,7 @@ def test_the_commitment_is_told(tmp_path: Path, capsys: Any, monkeypatch: Any) -
     assert sorted(p.name for p in (tmp_path / "s").iterdir()) == ["commitment.json", "recordings"]
 
 
-def test_perfect_diagnoses_reach_everything(
-    sealed: Path, cases: dict[str, Case], tmp_path: Path, capsys: Any
-) -> None:
+def test_perfect_diagnoses_reach_everything(sealed, cases, tmp_path, capsys) -> None:
     found = write(tmp_path / "found", {name: document(case) for name, case in cases.items()})
     words = [f"in={sealed}", f"diagnoses={found}", f"out={tmp_path / 'out'}"]
     assert main(["blind", "score", *words]) == 0
@@ -114,17 +112,13 @@ def test_methods_stand_side_by_side(sealed: Path, cases: dict[str, Case], tmp_pa
     assert rows["effect named on an exact null"]["reached"] is True
 
 
-def test_what_is_diagnosed_is_not_diagnosed_again(
-    sealed: Path, cases: dict[str, Case], tmp_path: Path, capsys: Any
-) -> None:
+def test_what_is_diagnosed_is_not_diagnosed_again(sealed, cases, tmp_path, capsys) -> None:
     found = write(tmp_path / "found", {name: document(case) for name, case in cases.items()})
     assert main(["blind", "run", f"in={sealed}", f"out={found}"]) == 0
     assert f"{CASES} of {CASES} are diagnosed already" in capsys.readouterr().out
 
 
-def test_a_recording_that_cannot_be_diagnosed_is_told(
-    sealed: Path, tmp_path: Path, capsys: Any
-) -> None:
+def test_a_recording_that_cannot_be_diagnosed_is_told(sealed, tmp_path, capsys) -> None:
     # a second is too short to be divided; each recording says so, and nothing is left behind
     words = [f"in={sealed}", f"out={tmp_path / 'found'}", "cases=1", "jobs=1"]
     assert main(["blind", "run", *words]) == 1
@@ -149,17 +143,13 @@ def test_a_recording_that_cannot_be_diagnosed_is_told(
         (["score", "in={set}", "diagnoses={tmp}", "oracle=b"], "none of the diagnoses"),
     ],
 )
-def test_wrong_words_are_explained(
-    words: list[str], said: str, sealed: Path, tmp_path: Path, capsys: Any
-) -> None:
+def test_wrong_words_are_explained(words, said, sealed, tmp_path, capsys) -> None:
     given = [word.format(tmp=tmp_path, set=sealed) for word in words]
     assert main(["blind", *given]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_diagnosis_of_another_recording_is_refused(
-    sealed: Path, cases: dict[str, Case], tmp_path: Path, capsys: Any
-) -> None:
+def test_a_diagnosis_of_another_recording_is_refused(sealed, cases, tmp_path, capsys) -> None:
     name, case = next(iter(cases.items()))
     other = document(case, recordings=[{"file": "x.csv", "sha256": "0" * 64}])
     found = write(tmp_path / "found", {name: other})

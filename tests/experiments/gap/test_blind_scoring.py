@@ -262,9 +262,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("better", "worse"), [(True, ()), (False, ("alpha_h",))])
-def test_models_run_on_a_recording_that_nobody_saw(
-    recording: Path, tmp_path: Path, better: bool, worse: tuple[str, ...]
-) -> None:
+def test_models_run_on_a_recording_that_nobody_saw(recording, tmp_path, better, worse) -> None:
     effect = "effects: {yaw_coulomb_friction: {torque: 0.003}}"
     _model_file(tmp_path / "corrected_model.yaml", effect if better else "")
     _model_file(tmp_path / "refit_model.yaml", "" if better else effect)
