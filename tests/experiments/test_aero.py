@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("experiments.aero", reason="the studies are in the checkout only")
-
 from experiments.aero.__main__ import main
 from experiments.aero.study import fitted, parts_of, problem_of, read_study, recording
 from trms_cli.models.discretisation import discretise

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("experiments.chapter3", reason="the studies are in the checkout only")
-
 from experiments.chapter3 import networks as shipped
 from experiments.chapter3.figures import draw_all
 from experiments.chapter3.page import filled

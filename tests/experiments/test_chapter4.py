@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("experiments.chapter4", reason="the studies are in the checkout only")
-
 from experiments.chapter4 import page
 from experiments.chapter4.__main__ import main
 from experiments.chapter4.cases import Case, read_study

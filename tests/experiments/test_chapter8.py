@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-pytest.importorskip("experiments.chapter8", reason="the studies are in the checkout only")
-
-from experiments.chapter8.__main__ import EXPECTED, FIGURES, PAGE, main
+from experiments.chapter8.__main__ import EXPECTED, PAGE
 from experiments.chapter8.coverage import study_coverage, study_standstill
 from experiments.chapter8.laws import Bench, study_laws
 from experiments.chapter8.runs import cases, run_case
 from experiments.chapter8.study import read_study
-from trms_cli.core.errors import ConfigurationError
 
 
 @pytest.fixture(scope="module")
@@ -32,13 +28,6 @@ def expected():
 class TestStudy:
     def test_the_starts_are_those_of_the_thesis(self, study):
         assert study.starts == [(1.2, 0.65), (-0.65, -0.35), (-1.27, -0.47), (0.64, 0.43)]
-
-    @pytest.mark.parametrize("text", ["", "[]", "seed: x", "starts: 3"])
-    def test_what_is_no_study_is_told(self, tmp_path, text):
-        file = tmp_path / "study.yaml"
-        file.write_text(text)
-        with pytest.raises(ConfigurationError, match="no study"):
-            read_study(file)
 
 
 class TestExpectation:
@@ -100,12 +89,6 @@ class TestPage:
                 [ise["alpha_h"], ise["alpha_v"]], abs=0.0051
             )
 
-    def test_its_figures_are_there_and_small(self):
-        text = PAGE.read_text(encoding="utf-8")
-        shown = set(re.findall(r"figures/chapter8/(\w+\.png)", text))
-        assert shown == {path.name for path in FIGURES.glob("*.png")}
-        assert all(path.stat().st_size < 250_000 for path in FIGURES.glob("*.png"))
-
     def test_what_the_prose_claims(self, expected):
         runs = expected["runs"]
         assert all(run["largest"] <= 2.5 for run in runs)
@@ -157,19 +140,3 @@ def test_the_bench_is_the_controller_as_configured() -> None:
     z = bench.deviation((0.5, 0.0), hover=True)
     row = bench.regulation.coordinates.names.index("alpha_h")
     assert np.flatnonzero(np.abs(z) > 1e-6).tolist() == [row]
-
-
-@pytest.mark.slow
-def test_the_program_draws_and_writes_elsewhere(tmp_path: Path) -> None:
-    before = PAGE.read_bytes()
-    assert main(["--quick", "--out", str(tmp_path), "--jobs", "1"]) == 0
-    assert PAGE.read_bytes() == before
-    document = json.loads((tmp_path / "chapter8.json").read_text())
-    assert document["schema"] == "trms.chapter8/1" and len(document["runs"]) == 8
-
-
-def test_a_bad_study_ends_with_a_message(tmp_path: Path, capsys) -> None:
-    file = tmp_path / "study.yaml"
-    file.write_text("seed: 1\n")
-    assert main(["--study", str(file), "--out", str(tmp_path)]) == 2
-    assert "no study" in capsys.readouterr().err

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("experiments.coverage", reason="the studies are in the checkout only")
-
 from experiments.coverage.__main__ import document, table
 from experiments.coverage.rigs import recorded
 from experiments.coverage.study import Coverage, coverage

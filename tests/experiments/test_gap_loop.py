@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("experiments.gap", reason="the studies are in the checkout only")
-
 from experiments.gap import separation
 from experiments.gap.closing_loop import Sizes, Tracking, Verdict, tracking
 from experiments.gap.driver import ModelBased, loop_of

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("experiments.regression", reason="the studies are in the checkout only")
-
 from experiments.regression import comparison as comparing
 from experiments.regression import screen
 from experiments.regression.__main__ import main

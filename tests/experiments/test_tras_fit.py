@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("experiments.tras_fit", reason="the studies are in the checkout only")
-
 from experiments.tras_fit.__main__ import main
 from experiments.tras_fit.study import model_of, read_study
 from trms_cli.identification.problem import Prior, free_parameters

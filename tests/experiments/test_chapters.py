@@ -1,0 +1,63 @@
+"""What the studies of the chapters share: refusals, pages with their figures, whole runs."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+
+import pytest
+
+#: A chapter, and its whole study as far as a test waits for it.
+WHOLE = {2: [], 5: [], 6: [], 7: [], 8: ["--quick", "--jobs", "1"]}
+
+
+def program(number: int):
+    return importlib.import_module(f"experiments.chapter{number}.__main__")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "seed: x", "starts: 3", "pairs: {}\n", "questions: x"])
+@pytest.mark.parametrize("number", WHOLE)
+def test_what_is_no_study_ends_with_a_message(number, text, tmp_path, capsys):
+    file = tmp_path / "study.yaml"
+    file.write_text(text)
+    assert program(number).main(["--study", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert "no study" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--update", "--quick"], ["--update", "--out", "x"]])
+@pytest.mark.parametrize("number", [5, 6])
+def test_a_part_is_not_recorded(number, words, capsys):
+    assert program(number).main(words) == 2
+    assert "--update" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [2, 5, 6, 8])
+def test_the_figures_of_a_page_are_there_and_small(number):
+    page, figures = program(number).PAGE, program(number).FIGURES
+    pages = [page, *(page.parent.glob("stability*.md") if number == 5 else ())]
+    text = "".join(each.read_text(encoding="utf-8") for each in pages)
+    largest = 250_000 if number == 8 else 200_000
+    shown = set(re.findall(rf"figures/chapter{number}/(\w+\.png)", text))
+    assert shown == {path.name for path in figures.glob("*.png")}
+    assert all(path.stat().st_size < largest for path in figures.glob("*.png"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", WHOLE)
+def test_a_whole_study_elsewhere(number, tmp_path, capsys):
+    """It is what was recorded, where that is compared; the page stays, all else is drawn anew."""
+    page, figures = program(number).PAGE, program(number).FIGURES
+    before = page.read_bytes()
+    words = WHOLE[number]
+    assert program(number).main([*words, "--out", str(tmp_path)]) == 0, capsys.readouterr().out
+    assert page.read_bytes() == before
+    drawn = {path.name for path in tmp_path.glob("*.png")}
+    if number == 7:
+        assert (tmp_path / "experiment.png").stat().st_size > 10_000
+    elif "--quick" not in words:
+        assert drawn == {path.name for path in figures.glob("*.png")}
+    if number in (2, 8):
+        document = json.loads((tmp_path / f"chapter{number}.json").read_text())
+        assert document["schema"] == f"trms.chapter{number}/1"
+        assert number == 2 or len(document["runs"]) == 8
