@@ -19,7 +19,6 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import TrimSolver
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.local.charts import colours_of, points_alone, styles_of
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.local.modes import (
     EigenMode,
@@ -38,6 +37,7 @@ from trms_cli.stability.local.sweep import (
     sweep_eigenvalues,
     tracks_of,
 )
+from trms_cli.stability.local.tables import colours_of, points_alone, styles_of
 from trms_cli.stability.studies.controllability import Controllability
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.studies.root_locus import RootLocus

@@ -1,8 +1,7 @@
-"""What an entry of A is, in words: row i is an equation, column j what it depends on.
+"""Why an eigenvalue moves: its derivative by what is varied, entry by entry of A.
 
-Why an eigenvalue moves: its derivative by what is varied, entry by entry of A.
-
-For a simple eigenvalue with ``wᵀv = 1``
+An entry of A is, in words, an equation (row) by what it depends on (column). For a simple
+eigenvalue with ``wᵀv = 1``
 
     dλ/dp = wᵀ (dA/dp) v = Σ_ij w_i (dA_ij/dp) v_j
 
@@ -13,14 +12,13 @@ dA/dp is exact: ``∂A/∂p`` and, through the operating point that moves along,
 The loop that a share stands in is read off the signal flow graph of ``sI − A`` at ``s = λ``: the
 edge j → i has the gain ``A_ij/(s − A_ii)``, and by Mason's rule an eigenvalue is where the
 determinant of the graph, made of the gains of its cycles, vanishes (Mason 1956, Proc. IRE 44).
-
-Why a mode crosses, in sentences and a table: shares of dλ/dp, and the loop they close.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -31,8 +29,12 @@ from trms_cli.core.findings import Column, Table, rounded, table
 from trms_cli.core.wording import listing
 from trms_cli.models.model import Model
 from trms_cli.stability.local.modes import RigPart, parts_of, rate_of
-from trms_cli.stability.local.sweep import EigenvalueSweep, LocusPoint, OperatingPath
-from trms_cli.stability.local.tables import amount_words
+from trms_cli.stability.local.sweep import (
+    EigenvalueSweep,
+    LocusPoint,
+    OperatingPath,
+    amount_words,
+)
 
 
 def entry_words(model: Model, i: int, j: int) -> str:
@@ -138,11 +140,13 @@ def loops_through(a: FloatArray, row: int, column: int, s: complex) -> tuple[Sig
         return ()  # a state that integrates alone: the graph has no finite gains there
     if row == column:
         return (SignalLoop((row,), complex(a[row, row] / s)),)
-    found = [
-        SignalLoop((column, *way), _gain(a, (column, *way), s))
-        for way in _ways(a, row, column, (column,))
-    ]
-    return tuple(sorted(found, key=lambda loop: -abs(loop.gain)))
+    loops = []
+    for way in _ways(a, row, column, (column,)):
+        states, gain = (column, *way), complex(1.0)
+        for cause, effect in zip(states, (*way, column), strict=True):
+            gain *= a[effect, cause] / (s - a[effect, effect])
+        loops.append(SignalLoop(states, gain))
+    return tuple(sorted(loops, key=lambda loop: -abs(loop.gain)))
 
 
 def _ways(a: FloatArray, begin: int, end: int, met: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
@@ -156,13 +160,6 @@ def _ways(a: FloatArray, begin: int, end: int, met: tuple[int, ...]) -> Iterator
         if k not in (*met, begin, end):
             for rest in _ways(a, k, end, (*met, begin)):
                 yield (begin, *rest)
-
-
-def _gain(a: FloatArray, states: tuple[int, ...], s: complex) -> complex:
-    gain: complex = 1.0
-    for cause, effect in zip(states, (*states[1:], states[0]), strict=True):
-        gain *= a[effect, cause] / (s - a[effect, effect])
-    return gain
 
 
 #: Shares below this part of the sum of sizes are not told.
@@ -199,10 +196,10 @@ class GrowthTrend:
     above: float  #: NaN where there is none
 
 
-def moves(found: Sensitivity) -> bool:
+def moves(derivative: Sensitivity) -> bool:
     """Whether a derivative of a growth rate is more than rounding."""
-    size = sum(abs(share.part.real) for share in found.shares)
-    return abs(found.total.real) >= max(_UNMOVED, _CANCELLED * size)
+    size = sum(abs(share.part.real) for share in derivative.shares)
+    return abs(derivative.total.real) >= max(_UNMOVED, _CANCELLED * size)
 
 
 def growth_trend(path: OperatingPath, sweep: EigenvalueSweep, k: int, track: int) -> GrowthTrend:
@@ -222,54 +219,49 @@ def mode_sensitivity(
     path: OperatingPath, place: LocusPoint, track: int, mode: str
 ) -> ModeSensitivity:
     """The shares of dλ/dp at a place, and the loops through the largest."""
-    found = sensitivity(path, place, track)
+    derivative = sensitivity(path, place, track)
     loops: tuple[SignalLoop, ...] = ()
-    if found.shares and abs(found.shares[0].part.real) > 0 and path.model.sample_time is None:
-        a = path.linear.a(place.point.x, place.point.u, path.side, place.held.p)
-        largest = found.shares[0]
+    shares = derivative.shares
+    if shares and abs(shares[0].part.real) > 0 and path.model.sample_time is None:
+        a, largest = path.linear.a(place.point.x, place.point.u, path.side, place.held.p), shares[0]
         s = rate_of(place.spectrum.values[track], None)
         loops = loops_through(a, largest.row, largest.column, s)
-    return ModeSensitivity(mode, place.value, found, loops)
+    return ModeSensitivity(mode, place.value, derivative, loops)
 
 
 def sensitivity_words(path: OperatingPath, why: ModeSensitivity) -> list[str]:
     """The reason in a few sentences."""
     model, total = path.model, why.sensitivity.total.real
     unit = f" per {path.unit}" if path.unit else " per unit"
-    shares = _large(why.sensitivity)
+    shares = _large(why.sensitivity.shares)
     at = amount_words(model, path.over, why.value, 4)
     if not shares or not moves(why.sensitivity):
         return _still(path, why, at, unit)
-    sign = "raises" if total > 0 else "lowers"
+    answer = (
+        f"At {at} a larger {path.over} {'raises' if total > 0 else 'lowers'} the growth rate of "
+        f"the {why.mode} by {abs(total):.3g} 1/s{unit}"
+    )
     if model.sample_time is not None:
         return [
-            f"At {at} a larger {path.over} {sign} the growth rate of the "
-            f"{why.mode} by {abs(total):.3g} 1/s{unit}. What of it comes through which entry of A "
-            "says nothing here: the entries are slopes of a network, and no equations of a rig."
+            f"{answer}. What of it comes through which entry of A says nothing here: the entries "
+            "are slopes of a network, and no equations of a rig."
         ]
     named = [
-        f"the {entry_words(model, s.row, s.column)} ({s.part.real / total:+.0%})".replace("-", "−")
+        f"the {entry_words(model, s.row, s.column)} ({_percent(s.part.real / total)})"
         for s in shares[:3]
     ]
-    sentences = [
-        f"At {at} a larger {path.over} {sign} the growth rate of the "
-        f"{why.mode} by {abs(total):.3g} 1/s{unit}: {listing(named)} of it."
-    ]
+    sentences = [f"{answer}: {listing(named)} of it."]
     apart = abs(why.sensitivity.direct - why.sensitivity.total)
     if path.kind != "angle" and apart > 1e-3 * abs(why.sensitivity.total):
-        own = why.sensitivity.direct.real / total
-        sentences.append(
-            f"Without the operating point that moves along it would be {own:.0%} of that.".replace(
-                "-", "−"
-            )
-        )
+        own = f"{why.sensitivity.direct.real / total:.0%}".replace("-", "−")
+        sentences.append(f"Without the operating point that moves along it would be {own} of that.")
     if why.loops and len(why.loops[0].states) > 1:
-        largest = shares[0]
-        sentences.append(
-            f"It closes the loop {loop_words(model, why.loops[0], largest.row)}, by "
-            f"{_steps(model, why.loops[0], largest.row)}."
-        )
+        sentences.append(f"It closes the loop {_loop_words(model, why.loops[0], shares[0].row)}.")
     return sentences
+
+
+def _percent(share: float) -> str:
+    return f"{share:+.0%}".replace("-", "−")
 
 
 def _still(path: OperatingPath, why: ModeSensitivity, at: str, unit: str) -> list[str]:
@@ -290,32 +282,34 @@ def _still(path: OperatingPath, why: ModeSensitivity, at: str, unit: str) -> lis
     return [sentences.replace("-", "−")]
 
 
-def loop_words(model: Model, loop: SignalLoop, begin: int) -> str:
-    """``yaw rate → pitch rate → pitch angle → yaw rate``."""
-    way = [state_words(model, k) for k in _from(loop, begin)]
-    return " → ".join([*way, way[0]])
+def _loop_words(model: Model, loop: SignalLoop, begin: int) -> str:
+    """``yaw rate → pitch rate → yaw rate, by the …``: each edge by the equation it stands in."""
+    k = loop.states.index(begin)
+    way = (*loop.states[k:], *loop.states[:k], begin)
+    edges = [entry_words(model, effect, cause) for cause, effect in pairwise(way)]
+    # An angle follows its own rate: no equation that one would have to look up.
+    kinematic = {f"{axis} rate per {axis} rate" for axis in model.axes}
+    by = ", ".join(f"the {words}" for words in edges if words not in kinematic)
+    return f"{' → '.join(state_words(model, k) for k in way)}, by {by}"
 
 
 def share_table(path: OperatingPath, why: ModeSensitivity) -> Table:
     """The entries of A that move the eigenvalue."""
     total = why.sensitivity.total
     unit = path.unit or "1"
+
+    def share(one: EntryShare) -> str | None:
+        return _percent(one.part.real / total.real) if abs(total.real) > 1e-12 else None
+
     return table(
-        _large(why.sensitivity)[:8],
+        _large(why.sensitivity.shares)[:8],
         [
             Column("entry", lambda s: entry_words(path.model, s.row, s.column)),
             Column("symbol", lambda s: entry_symbol(path.model, s.row, s.column)),
             Column(f"change per {unit}", lambda s: rounded(s.change)),
             Column(f"of d Re λ [1/s per {unit}]", lambda s: rounded(s.part.real)),
             Column(f"of d Im λ [rad/s per {unit}]", lambda s: rounded(s.part.imag)),
-            Column(
-                "share",
-                lambda s: (
-                    f"{s.part.real / total.real:+.0%}".replace("-", "−")
-                    if abs(total.real) > 1e-12
-                    else None
-                ),
-            ),
+            Column("share", share),
         ],
         f"What moves the {why.mode} at {amount_words(path.model, path.over, why.value, 4)}: "
         f"dλ/d{path.over} = {total.real:.4g} {'+' if total.imag >= 0 else '−'} "
@@ -331,42 +325,38 @@ def share_chart(
 
     None where nothing moves it.
     """
-    found = [sensitivity(path, place, track) for place in sweep.places]
-    if not any(moves(one) for one in found):
+    derivatives = [sensitivity(path, place, track) for place in sweep.places]
+    if not any(moves(one) for one in derivatives):
         return None
     sizes: dict[tuple[int, int], float] = {}
-    for one in found:
+    for one in derivatives:
         for share in one.shares:
             key = (share.row, share.column)
             sizes[key] = max(sizes.get(key, 0.0), abs(share.part.real))
     largest = sorted(sizes, key=lambda key: -sizes[key])[: len(_COLOURS)]
     floor = _SMALL * max(sizes.values(), default=0.0)
     marks: list[Mark] = [Line(y=0.0, colour="ink", style="solid")]
-    totals = np.array([one.total.real for one in found])
+    totals = np.array([one.total.real for one in derivatives])
     # A derivative has no meaning where the mode meets another: it grows beyond bounds there.
     bound = 20.0 * float(np.median(np.abs(totals))) or 1.0
-    broken = _broken(totals)
+    hidden = (np.abs(totals) > bound) | _broken(totals)
     for key, colour in zip(largest, _COLOURS, strict=False):
         if sizes[key] <= floor:
             continue
-        part = np.array(
-            [sum(s.part.real for s in one.shares if (s.row, s.column) == key) for one in found]
-        )
-        part = np.where((np.abs(totals) > bound) | broken, np.nan, part)
-        marks.append(Curve(sweep.values, part, entry_words(path.model, *key), colour))
-    shown = np.where((np.abs(totals) > bound) | broken, np.nan, totals)
+        parts = [
+            sum(s.part.real for s in one.shares if (s.row, s.column) == key) for one in derivatives
+        ]
+        shown = np.where(hidden, np.nan, parts)
+        marks.append(Curve(sweep.values, shown, entry_words(path.model, *key), colour))
+    shown = np.where(hidden, np.nan, totals)
     marks.append(Curve(sweep.values, shown, "together", "ink", "dashed", 2.0))
     unit = f"1/s per {path.unit}" if path.unit else "1/s per unit"
     panel = Panel(Axis(path.over, path.unit), Axis(f"d Re λ / d {path.over}", unit), marks)
-    return Chart(
-        name,
-        [panel],
+    caption = (
         f"What moves the {mode}: the derivative of its growth rate, by the entry of A (the "
-        "physical equation) that it comes through.",
-        1,
-        7.0,
-        4.2,
+        "physical equation) that it comes through."
     )
+    return Chart(name, [panel], caption, 1, 7.0, 4.2)
 
 
 def _broken(totals: FloatArray) -> BoolArray:
@@ -405,21 +395,6 @@ def sensitivity_data(path: OperatingPath, why: ModeSensitivity) -> dict[str, Any
     }
 
 
-def _large(found: Sensitivity) -> Sequence[Any]:
-    size = sum(abs(s.part.real) for s in found.shares)
-    return [s for s in found.shares if abs(s.part.real) > _SMALL * size]
-
-
-def _steps(model: Model, loop: SignalLoop, begin: int) -> str:
-    """Each edge by the equation that it stands in."""
-    way = _from(loop, begin)
-    edges = zip(way, (*way[1:], way[0]), strict=True)
-    sentences = [entry_words(model, effect, cause) for cause, effect in edges]
-    # An angle follows its own rate: no equation that one would have to look up.
-    kinematic = {f"{axis} rate per {axis} rate" for axis in model.axes}
-    return ", ".join(f"the {words}" for words in sentences if words not in kinematic)
-
-
-def _from(loop: SignalLoop, begin: int) -> tuple[int, ...]:
-    k = loop.states.index(begin)
-    return (*loop.states[k:], *loop.states[:k])
+def _large(shares: Sequence[EntryShare]) -> list[EntryShare]:
+    size = sum(abs(s.part.real) for s in shares)
+    return [s for s in shares if abs(s.part.real) > _SMALL * size]

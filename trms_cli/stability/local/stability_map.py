@@ -1,10 +1,8 @@
-"""Stability over two numbers at once: the largest growth rate on a grid, and its boundary.
-
-The map of stability in words, figure and data.
-"""
+"""Stability over two numbers at once: the largest growth rate on a grid, and its boundary."""
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,12 +17,13 @@ from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.modes import STILL, rate_of
 from trms_cli.stability.local.sweep import (
     OperatingPath,
+    amount_words,
     headed,
     locus_of,
     sweep_eigenvalues,
     unit_of,
 )
-from trms_cli.stability.local.tables import amount_words, crossing_data
+from trms_cli.stability.local.tables import crossing_data
 from trms_cli.stability.study import Tell
 
 #: Boundary points are located to this share of a cell.
@@ -60,7 +59,7 @@ def stability_map(
     over = np.linspace(*over_range, size[0])
     levels = np.linspace(*against_range, size[1])
     growth = np.full((len(levels), len(over)), np.nan)
-    found: list[tuple[float, float]] = []
+    boundary: list[tuple[float, float]] = []
     begin: OperatingPoint | None = None
     held = None
     for i, level in enumerate(levels):
@@ -74,8 +73,8 @@ def stability_map(
             begin = row.balance.advance(held, following, begin) or _anywhere(row, float(over[0]))
         held = following
         if begin is not None:
-            _fill(row, over, begin, growth[i], float(level), found)
-    return StabilityMap(over, levels, growth, np.array(found).reshape(-1, 2))
+            _fill(row, over, begin, growth[i], float(level), boundary)
+    return StabilityMap(over, levels, growth, np.array(boundary).reshape(-1, 2))
 
 
 def _anywhere(path: OperatingPath, value: float) -> OperatingPoint | None:
@@ -91,7 +90,7 @@ def _fill(
     begin: OperatingPoint,
     row: FloatArray,
     level: float,
-    found: list[tuple[float, float]],
+    boundary: list[tuple[float, float]],
 ) -> None:
     """One row of the map, and its boundary points."""
     point: OperatingPoint | None = begin
@@ -111,13 +110,11 @@ def _fill(
                 at = path.balance.advance(here, path.held(v), start)
                 return np.nan if at is None else _growth(path, v, at)
 
-            try:
+            with contextlib.suppress(ValueError, RuntimeError):
                 cell = float(over[k] - over[k - 1])
                 root = brentq(rate, over[k - 1], value, xtol=_EXACT * abs(cell))
-            except (ValueError, RuntimeError):
-                root = None
-            if root is not None and abs(rate(root)) < 1e-6:
-                found.append((float(root), level))
+                if abs(rate(root)) < 1e-6:
+                    boundary.append((float(root), level))
         last = held
 
 
@@ -140,11 +137,9 @@ def boundary_along(
     tell: Tell,
 ) -> list[dict[str, Any]]:
     """Where stability ends along the second number, at both ends and the model's own value."""
-    values = [span[0], span[1]]
-    if span[0] < path.began < span[1]:
-        values.insert(1, path.began)
+    own = [path.began] if span[0] < path.began < span[1] else []
     boundaries = []
-    for value in values:
+    for value in (span[0], *own, span[1]):
         tell(f"along {against} at {amount_words(path.model, path.over, value, 4)}")
         line = OperatingPath(path.model, path.at, against, path.side).moved(path.over, value)
         try:
@@ -166,59 +161,37 @@ def map_section(
     path: OperatingPath, against: str, mapped: StabilityMap, at_ends: list[dict[str, Any]]
 ) -> Section:
     """The map, and where stability ends along the second number."""
+    grid, growth = (mapped.over, mapped.against), mapped.growth
+    nowhere, finite = ~np.isfinite(growth), growth[np.isfinite(growth)]
     unit_2 = unit_of(path.model, against)
-    grow = mapped.growth > 0
     marks: list[Mark] = []
-    if grow.any():
-        marks.append(Region(mapped.over, mapped.against, grow, "unstable", "alarm", 0.14))
-    nowhere = ~np.isfinite(mapped.growth)
+    if (growth > 0).any():
+        marks.append(Region(*grid, growth > 0, "unstable", "alarm", 0.14))
     if nowhere.any():
-        words = "no operating point within the limits"
-        marks.append(Region(mapped.over, mapped.against, nowhere, words, "grey", 0.3))
-    finite = mapped.growth[np.isfinite(mapped.growth)]
-    if finite.size and finite.min() < 0 < finite.max():
-        marks.append(
-            Contour(
-                mapped.over, mapped.against, mapped.growth, [0.0], "boundary", "alarm", width=2.2
-            )
-        )
-    levels = [level for level in _LEVELS if finite.size and finite.min() < level < finite.max()]
-    if len(levels) < 2 and finite.size and np.ptp(finite) > 0:
+        marks.append(Region(*grid, nowhere, "no operating point within the limits", "grey", 0.3))
+    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
+    if low < 0 < high:
+        marks.append(Contour(*grid, growth, [0.0], "boundary", "alarm", width=2.2))
+    levels = [level for level in _LEVELS if low < level < high]
+    if len(levels) < 2 and low < high:
         # None of the usual ones lies within: some that do.
-        levels = [float(f"{v:.2g}") for v in np.linspace(finite.min(), finite.max(), 7)[1:-1]]
+        levels = [float(f"{v:.2g}") for v in np.linspace(low, high, 7)[1:-1]]
     if levels:
-        marks.append(
-            Contour(
-                mapped.over,
-                mapped.against,
-                mapped.growth,
-                sorted(set(levels)),
-                "largest Re λ [1/s]",
-                "grey",
-                "dotted",
-                1.0,
-                True,
-            )
-        )
+        levels, label = sorted(set(levels)), "largest Re λ [1/s]"
+        marks.append(Contour(*grid, growth, levels, label, "grey", "dotted", 1.0, True))
     if len(mapped.boundary):
-        marks.append(
-            Points(
-                mapped.boundary[:, 0], mapped.boundary[:, 1], "located", "dot", "alarm", size=3.0
-            )
-        )
-    inside = float(mapped.over[0]), float(mapped.over[-1])
+        located = mapped.boundary[:, 0], mapped.boundary[:, 1]
+        marks.append(Points(*located, "located", "dot", "alarm", size=3.0))
+    inside, rows = ((float(ends[0]), float(ends[-1])) for ends in grid)
     rim = 0.01 * (inside[1] - inside[0])
     if inside[0] + rim < path.began < inside[1] - rim:  # on the frame it could not be told from it
-        marks.append(
-            Line(x=path.began, label=f"the model's {path.over}", colour="ink", style="dashed")
-        )
+        own = f"the model's {path.over}"
+        marks.append(Line(x=path.began, label=own, colour="ink", style="dashed"))
     held = {name: v for name, v in path.at.items() if name not in (path.over, against)}
     where = "".join(f", {amount_words(path.model, name, v)}" for name, v in held.items() if v)
-    x = Axis(path.over, path.unit, (float(mapped.over[0]), float(mapped.over[-1])))
-    y = Axis(against, unit_2, (float(mapped.against[0]), float(mapped.against[-1])))
     chart = Chart(
         "root_locus_map",
-        [Panel(x, y, marks)],
+        [Panel(Axis(path.over, path.unit, inside), Axis(against, unit_2, rows), marks)],
         f"Largest growth rate over {path.over} and {against}{where}.",
         1,
         7.2,

@@ -434,6 +434,11 @@ def unit_of(model: Model, name: str) -> str:
     return "" if unit == "1" else unit
 
 
+def amount_words(model: Model, name: str, value: float, digits: int = 6) -> str:
+    """``alpha_v = 0.4 rad``: a state, an input or a parameter with its unit."""
+    return f"{name} = {value:.{digits}g} {unit_of(model, name)}".rstrip()
+
+
 def headed(name: str, unit: str) -> str:
     """The head of a column: ``u_v [V]``."""
     return f"{name} [{unit}]" if unit else name
@@ -496,6 +501,11 @@ class Locus:
     sweep: EigenvalueSweep
     tracks: tuple[Track, ...]
     crossings: tuple[Crossing, ...]
+
+    @property
+    def slow(self) -> list[Track]:
+        """Those that have room in a plane with the motions of the axes."""
+        return [track for track in self.tracks if not track.fast]
 
     def name(self, crossing: Crossing) -> str:
         """The mode that crosses, by what it is of there.
@@ -604,6 +614,11 @@ class Crossing:
     def kind(self) -> str:
         """``Hopf`` or ``real``."""
         return "Hopf" if self.frequency > STILL else "real"
+
+    @property
+    def side(self) -> str:
+        """On which side the mode is unstable: ``above`` or ``below``."""
+        return "above" if self.unstable_above else "below"
 
 
 def rates_of(sweep: EigenvalueSweep, sample_time: float | None) -> np.ndarray:

@@ -10,29 +10,28 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from trms_cli.core.findings import Block, Column, Findings, Section, Table, json_data, table
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model, by_name
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.local.charts import locus_charts, points_alone
 from trms_cli.stability.local.linear import Side, Switch
 from trms_cli.stability.local.modes import EigenMode, Modes, modes_of
 from trms_cli.stability.local.sweep import (
     Locus,
     OperatingPath,
+    amount_words,
     line_of,
     locus_of,
     sweep_eigenvalues,
     usual_line,
 )
 from trms_cli.stability.local.tables import (
-    amount_words,
     crossing_data,
     eigenvalue_words,
-    exchange_words,
     locus_data,
+    locus_section,
     mode_data,
     mode_table,
     participation_table,
-    range_table,
+    points_alone,
     switch_words,
 )
 from trms_cli.stability.study import Tell
@@ -153,7 +152,7 @@ def _lead_range(locus: Locus) -> list[str]:
     sentences = [
         f"{path.over} = {c.value:.4g} {path.unit} ({locus.name(c)}, "
         + (f"{c.frequency:.3g} rad/s, " if c.frequency else "")
-        + f"unstable {'above' if c.unstable_above else 'below'})"
+        + f"unstable {c.side})"
         for c in locus.crossings
     ]
     return [f"Over {span}, modes cross the imaginary axis at {'; '.join(sentences)}."]
@@ -222,35 +221,26 @@ def _sides_table(sides: Mapping[Side, Modes]) -> Table:
 
 def _range_section(locus: Locus, value: float) -> Section:
     path = locus.path
-    text = [
-        f"The operating point is solved anew for each {path.over}; eigenvalues are followed from "
-        "one to the next by their eigenvectors.",
-        *locus.sweep.early_ends,
-        *exchange_words(locus),
-    ]
-    if len(locus.sweep.places) < 2:
-        return Section(f"Over {path.over}", text)
     held = ", ".join(
         amount_words(path.model, name, v) for name, v in path.at.items() if name != path.over
     )
-    charts = locus_charts(
-        ("local_plane", "local_range"),
+    return locus_section(
+        f"Over {path.over}",
+        f"The operating point is solved anew for each {path.over}; eigenvalues are followed from "
+        "one to the next by their eigenvectors.",
         locus,
+        ("local_plane", "local_range"),
         value,
         f" ({held})" if held else "",
         note="; dotted: the operating point",
     )
-    return Section(f"Over {path.over}", text, (range_table(locus), *charts))
 
 
 def _value_of(path: OperatingPath, point: OperatingPoint) -> float:
     """Where the request stands on the line."""
-    model = path.model
     if path.kind == "parameter":
-        return float(model.parameters[path.over].value)
-    if path.kind == "angle":
-        return float(point.x[model.state_index(path.over)])
-    return float(point.u[names(model.inputs).index(path.over)])
+        return float(path.model.parameters[path.over].value)
+    return point.value(path.model, path.over)
 
 
 def _results(
@@ -260,8 +250,8 @@ def _results(
     matrices = locus.path.linear.matrices(point.x, point.u)
     return {
         "at": {
-            "x": dict(zip(model.state_names, point.x, strict=True)),
-            "u": dict(zip(names(model.inputs), point.u, strict=True)),
+            "x": by_name(model.states, point.x),
+            "u": by_name(model.inputs, point.u),
             "verdict": sides["mean"].verdict,
             "modes": [mode_data(model, mode) for mode in sides["mean"].modes],
             "forgotten": sides["mean"].forgotten,

@@ -21,7 +21,6 @@ from trms_cli.core.findings import (
     table,
 )
 from trms_cli.models.model import Model
-from trms_cli.stability.local.charts import locus_charts
 from trms_cli.stability.local.linear import Side
 from trms_cli.stability.local.sensitivity import (
     ModeSensitivity,
@@ -42,6 +41,7 @@ from trms_cli.stability.local.stability_map import (
 from trms_cli.stability.local.sweep import (
     Locus,
     OperatingPath,
+    amount_words,
     crossings,
     line_of,
     locus_of,
@@ -49,11 +49,9 @@ from trms_cli.stability.local.sweep import (
     usual_line,
 )
 from trms_cli.stability.local.tables import (
-    amount_words,
     crossing_data,
-    exchange_words,
     locus_data,
-    range_table,
+    locus_section,
 )
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
@@ -192,14 +190,6 @@ def _nearest(locus: Locus) -> list[ModeSensitivity]:
 def _locus_section(locus: Locus) -> Section:
     """The crossings, the table over the range and the figures."""
     path = locus.path
-    text = [
-        f"The operating point is solved anew for each {path.over}; crossings are located by "
-        "Brent's method on the real part of the tracked eigenvalue.",
-        *locus.sweep.early_ends,
-        *exchange_words(locus),
-    ]
-    if len(locus.sweep.places) < 2:
-        return Section(f"Eigenvalues over {path.over}", text)
     crossed = table(
         locus.crossings,
         [
@@ -208,15 +198,21 @@ def _locus_section(locus: Locus) -> Section:
             Column("ω [rad/s]", lambda c: rounded(c.frequency)),
             Column("f [Hz]", lambda c: rounded(c.frequency / (2 * math.pi))),
             Column("kind", lambda c: "jump at a switch" if c.jumps else _KINDS[c.frequency > 0]),
-            Column("unstable", lambda c: Judged("above" if c.unstable_above else "below", "bad")),
+            Column("unstable", lambda c: Judged(c.side, "bad")),
         ],
         "Crossings of the imaginary axis.",
     )
-    charts = locus_charts(
-        ("root_locus", "root_locus_range"), locus, path.began, f", {_held_words(path)}", digits=4
+    return locus_section(
+        f"Eigenvalues over {path.over}",
+        f"The operating point is solved anew for each {path.over}; crossings are located by "
+        "Brent's method on the real part of the tracked eigenvalue.",
+        locus,
+        ("root_locus", "root_locus_range"),
+        path.began,
+        f", {_held_words(path)}",
+        first=[crossed] if crossed.rows else (),
+        digits=4,
     )
-    blocks: list[Block] = [*([crossed] if crossed.rows else []), range_table(locus), *charts]
-    return Section(f"Eigenvalues over {path.over}", text, blocks)
 
 
 def _why_section(locus: Locus, reasons: list[ModeSensitivity]) -> Section:
@@ -292,7 +288,7 @@ def _lead(
         sentences.append(
             f"{held} the {locus.name(c)} crosses the imaginary axis{jump} at "
             f"{path.over} = {c.value:.5g}{unit}{pace if c.frequency else ', at zero frequency'}: "
-            f"unstable {'above' if c.unstable_above else 'below'}."
+            f"unstable {c.side}."
         )
     if not locus.crossings:
         span = f"{path.over} from {values[0]:.4g} to {values[-1]:.4g}{unit}"
