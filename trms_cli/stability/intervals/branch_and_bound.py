@@ -154,13 +154,14 @@ def prove_negative(
     return NegativityProof(status, None, None, search.examined, search.boxes)
 
 
-def halved(boxes: Interval, along: npt.NDArray[np.intp]) -> Interval:
-    """Boxes (m, n), each cut in two in one direction: (2m, n)."""
+def halved(
+    boxes: Interval, along: npt.NDArray[np.intp] | int, at: FloatArray | None = None
+) -> Interval:
+    """Boxes (m, n), each cut in two in one direction, at the middle or a point: (2m, n)."""
     rows = np.arange(len(boxes.lower))
-    middle = boxes.middle[rows, along]
+    place = (boxes.middle if at is None else at)[rows, along]
     first_upper, second_lower = boxes.upper.copy(), boxes.lower.copy()
-    first_upper[rows, along] = middle
-    second_lower[rows, along] = middle
+    first_upper[rows, along] = second_lower[rows, along] = place
     return joined(Interval(boxes.lower, first_upper), Interval(second_lower, boxes.upper))
 
 
